@@ -98,4 +98,4 @@ def test_images_without_pins_are_refused(rng) -> None:
         find_pins(np.zeros((10, 10)))
     pins = find_pins(drawn(np.array([149.5, 149.5]) + hexagon(2, 40.0), rng))
     with pytest.raises(InputError, match="8-bit"):
-        next(follow([np.zeros((10, 10, 3), np.uint8)], pins))
+        next(follow([np.zeros((10, 10, 4), np.uint8)], pins))

@@ -60,6 +60,7 @@ def read(
     force_column: ForceColumn = None,
     position_column: PositionColumn = None,
     rate_hz: ForceRate = None,
+    lens: Annotated[Path | None, Option(help="Lens file of the camera: adds A_c0 in mm².")] = None,
     json_: Json = False,
 ) -> None:
     """Read one press: stiffness, contact area, spread rate and E*.
@@ -77,12 +78,26 @@ def read(
         force_column=force_column, position_column=position_column, rate_hz=rate_hz,
     )  # fmt: skip
     record = press_record(cues, touch)
+    if lens is not None:
+        record["untouched_area_mm2"] = _untouched_area_mm2(lens, cues)
     if out is not None:
         from palpate.reports.compliance_figures import write_press_readings
 
         write_press_readings(out, record, cues, touch)
         record["out"] = str(out)
     print_found(record, _text(record), json_)
+
+
+def _untouched_area_mm2(lens: Path, cues: Any) -> float:
+    """A_c0 of a press's pins through a lens, on the dome of the preset with as many rings of pins."""
+    from palpate.core import Lens
+    from palpate.estimators.lattice.ring_layout import ring_of
+    from palpate.sensors.tactip import tactip, untouched_area_m2
+
+    press = cues.trial.press
+    rings = int(ring_of(press.cells).max()) if press.cells is not None else 0
+    spec = tactip(3 * rings * (rings + 1) + 1)
+    return 1e6 * untouched_area_m2(spec, press.untouched_px, press.cells, Lens.read(lens))
 
 
 @app.command()
@@ -141,6 +156,10 @@ def plate(
         f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
         for one in record["trials"]
     ]
+    if "untouched_area_mm2" in record:
+        lines.append(
+            f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
+        )
     lines += [f"flag: {flag}" for flag in record["flags"]]
     lines.append(f"stiffness {record['stiffness_N_per_mm']:.3g} N/mm{ends}")
     print_found(record, "\n".join(lines), json_)
@@ -203,6 +222,10 @@ def _text(record: dict[str, Any]) -> str:
     if series:
         lines.append(
             f"{'tip and specimen':22}{series['value_N_per_mm']:9.3g} N/mm    in series, by force and position"
+        )
+    if "untouched_area_mm2" in record:
+        lines.append(
+            f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
         )
     lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *record["flags"]])]
     if readings:

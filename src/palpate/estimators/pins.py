@@ -1,4 +1,9 @@
-"""Bright pins in grey images: found in the first frame, followed from frame to frame.
+"""Bright pins in images: found in the first frame by their lattice, followed from frame to frame.
+
+What is bright is a pin where it stands on the lattice of the others and looks like its neighbours;
+reflections of lamps, beyond the pins or between them, do not. One grey level for the whole frame is tried
+first, and contrast with what is around where that does not show a whole lattice: in uneven light, glare or
+blur.
 
 A pin's place is the centroid of what it is brighter than its ground by, which a disc of even brightness gives
 to a few hundredths of a pixel. Following looks only near where each pin was, and again around where it is
@@ -9,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import no_type_check
 
 import cv2
@@ -17,7 +22,9 @@ import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.core import Bool, Float, ImageError, InputError, RangeError, Shaped, UInt8, ndarray
+from palpate.core import Bool, Float, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
+from palpate.estimators.lattice.pin_lattice import PinLattice, name_pins
+from palpate.estimators.pin_spots import contrast, light_at, orderly_spots, patches
 
 ROUNDS = 6  # of looking around where it was found
 STILL_PX = 0.005
@@ -38,13 +45,13 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
         pixels, row, margin: an image with a dark margin around, flat, and the length of its rows [px].
         xy: where to start; changed.
         reach: see `PinTracks`.
-        floor: in parts of a grey level, as all sums here are.
+        floor: of each, in parts of a grey level, as all sums here are.
         sums: workspace, two numbers for every column of a window.
         weight: to be filled.
     """
     column, column_y = sums[0], sums[1]
     for i in range(len(xy)):
-        x, y = xy[i, 0], xy[i, 1]
+        x, y, ground = xy[i, 0], xy[i, 1], floor[i]
         for _ in range(ROUNDS):
             if not (0 <= x < row - 2 * margin and 0 <= y < pixels.size // row - 2 * margin):
                 break
@@ -57,7 +64,7 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
                 below = i32(r - top)
                 at = np.uint64((r + margin) * row + left + margin)  # no sign: nothing is counted from the end
                 for k in range(column.size):
-                    over = max(i32(PARTS) * i32(pixels[at + np.uint64(k)]) - floor, i32(0))
+                    over = max(i32(PARTS) * i32(pixels[at + np.uint64(k)]) - ground, i32(0))
                     over = over if low <= i32(k) <= high else i32(0)
                     column[k] += over
                     column_y[k] += over * below
@@ -78,9 +85,18 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
 
 FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
 LOST = 0.35  # of a pin's first weight: with less it is lost
-CLEAR = 5.0  # spreads of the ground that pins are brighter by
 REACH = 0.45  # of the way to the nearest neighbour
-MIN_PX, MIN_PINS = 4, 7
+LEAST_REACH = 0.3  # the same, next to glare
+MIN_PINS = 7
+NEAR = 19  # pins that one is compared with, itself among them
+LIKE = 0.3, 3.0  # times their weight
+DARK_AROUND = 0.35  # share of directions in which the ground is seen halfway to the neighbours
+CROWDED, SPLINTER = 0.72, 0.65  # of the neighbours' distances, and of the other's weight
+SHORTER, SHORTEN = 6, 0.8  # times that a reach is shortened, and to how much each time
+STRAY = 0.2  # of the way to the nearest neighbour, by which a centroid may lie from where it was looked for
+WHOLE = frozenset(3 * n * (n + 1) + 1 for n in range(1, 20))  # pins in so many rings about one
+LEAST_STRAY_PX = 1.5  # spots lie on whole pixels
+GLARE_PX = 4  # pixels that touch: fewer are noise
 
 SPAN = 16  # pixels; a window is as wide as some spans
 Grey = UInt8[ndarray, "h w"]
@@ -93,9 +109,12 @@ class PinTracks:
 
     Attributes:
         xy_px: centres (x along columns, y along rows) [px]; NaN where a pin is lost.
-        ground, bright: grey levels of ground and pins.
+        ground, bright: grey levels of ground and pins; their medians where light is uneven.
         reach_px: how far from where it was a pin is looked for.
         weight: summed brightness above the ground, of every pin in the first frame.
+        cells: (column, row) of each on the lattice, (0, 0) being the field's middle, whether a pin is seen
+            there or not; None for pins that were not found by their lattice.
+        floor: grey level that has no weight, at each pin; None for one of all, by ground and bright.
     """
 
     xy_px: Points
@@ -103,75 +122,265 @@ class PinTracks:
     bright: float
     reach_px: Float[ndarray, " p"]
     weight: Float[ndarray, " p"]
+    cells: Int[ndarray, "p 2"] | None = None
+    floor: Float[ndarray, " p"] | None = None
 
     @property
     def found(self) -> Bool[ndarray, " p"]:
         return np.isfinite(self.xy_px).all(axis=1)
 
+    @property
+    def floors(self) -> Float[ndarray, " p"]:
+        """Grey level at each pin: what is darker has no weight."""
+        if self.floor is not None:
+            return self.floor
+        return np.full(len(self.xy_px), self.ground + FLOOR * (self.bright - self.ground))
 
-def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS) -> PinTracks:
+
+def grey_frame(frame: Shaped[ndarray, ...]) -> Grey | None:
+    """A frame as pins are looked for in it; None for one that is not 8-bit, or neither grey nor colour.
+
+    Of a colour frame ``[h w 3]`` the mean of the three channels is taken, so that their order, RGB or BGR,
+    does not matter and white pins keep their level.
+    """
+    if frame.dtype != np.uint8 or frame.ndim not in (2, 3):
+        return None
+    if frame.ndim == 3:
+        return cv2.transform(frame, MEAN_OF_THREE).reshape(frame.shape[:2]) if frame.shape[2] == 3 else None
+    return np.ascontiguousarray(frame)
+
+
+def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS, *, on_lattice: bool = True) -> PinTracks:
     """The pins of an image, the one nearest to their middle first and outwards from it.
 
     Args:
-        image: 8-bit grey, pins brighter than their ground.
+        image: 8-bit grey ``[h w]`` or colour ``[h w 3]`` (see `grey_frame`), pins brighter than their ground.
         least: fewer pins are none.
+        on_lattice: whether only spots that stand on a lattice are pins; otherwise all of a pin's size are,
+            by one grey level. Fewer than seven spots form no lattice and are taken as they are.
 
     Raises:
-        ImageError: not 8-bit grey, or too few pins in it.
+        ImageError: not such an image, too few pins in it, or spots that stand on no lattice.
         RangeError: fewer than two pins asked for.
     """
-    if image.dtype != np.uint8 or image.ndim != 2:
-        raise ImageError(f"pins are found in 8-bit grey images [h w], got {image.dtype} {list(image.shape)}")
+    grey = grey_frame(image)
+    if grey is None:
+        raise ImageError(
+            "pins are found in 8-bit grey [h w] or colour [h w 3] images, got "
+            f"{image.dtype} {list(image.shape)}"
+        )
     if least < 2:
         raise RangeError(
             f"{least} pins at least; 2 or more, since how far a pin is looked for is its neighbour's"
         )
-    image = np.ascontiguousarray(image)
-    level, brighter = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    xy = _patches(brighter)
-    ground, bright, clear = _contrast(image, int(level))
-    if len(xy) < least or not clear:
-        raise ImageError(
-            f"{len(xy) if clear else 0} pins in the image and at least {least} are needed; pins must "
-            "be brighter than their ground and apart: look at focus, light and the crop"
-        )
-    xy = xy[np.argsort(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))]
-    nearest = cKDTree(xy).query(xy, k=2)[0][:, 1]
-    first = PinTracks(xy, ground, bright, REACH * nearest, np.full(len(xy), np.inf))
-    xy, weight = _centroids(image, first.xy_px, first.reach_px, _floor(first))
-    return PinTracks(xy, ground, bright, first.reach_px, weight)
+    level, brighter = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    spots = patches(brighter)
+    ground, bright, clear = contrast(grey, int(level))
+    seen = len(spots) if clear else 0
+    found = None
+    if on_lattice:
+        found = _by_level(grey, spots, ground, bright) if seen >= least else None
+        found = found or _by_contrast(grey)
+    if found is None and seen >= least and (seen < MIN_PINS or not on_lattice):
+        return _even(grey, spots, ground, bright)
+    told = 0 if found is None else len(found.xy_px)
+    if found is None or told < least:
+        raise ImageError((NO_LATTICE if seen >= least and on_lattice else TOO_FEW).format(seen, least, told))
+    return found
 
 
-def _patches(brighter: Grey) -> Points:
-    """Middles of the patches of what is brighter than the ground, of a pin's size and inside the image."""
-    # The algorithm is named, since the usual one takes 2.6 times as long on pins.
-    _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
-        brighter, 8, cv2.CV_32S, cv2.CCL_BBDT
+MEAN_OF_THREE = np.full((1, 3), 1 / 3)
+TOO_FEW = (
+    "{} pins in the image and at least {} are needed; pins must be brighter than their ground and apart: "
+    "look at focus, light and the crop"
+)
+NO_LATTICE = (
+    "{0} bright spots in the image, of which {2} stand on a lattice as pins do, and at least {1} pins in the "
+    "image are needed: pins in rings, or on a hexagonal or square lattice, all in sight but for a few. Look "
+    "at focus, light and the crop; shade lamps that are mirrored between the pins"
+)
+
+
+def _by_level(grey: Grey, spots: Points, ground: float, bright: float) -> PinTracks | None:
+    """Pins as the spots of one level, with one floor, where they are a whole lattice and nothing else is."""
+    if len(spots) not in WHOLE:
+        return None
+    named = name_pins(spots, (grey.shape[0], grey.shape[1]))
+    if named is None or not named.whole or len(named.marks) < len(spots):
+        return None
+    order = _outwards(spots[named.marks])
+    return _even(grey, spots[named.marks[order]], ground, bright, named.cells[order])
+
+
+def _even(
+    grey: Grey, xy: Points, ground: float, bright: float, cells: Int[ndarray, "p 2"] | None = None
+) -> PinTracks:
+    """Pins at spots, in even light."""
+    xy = xy if cells is not None else xy[_outwards(xy)]
+    first = PinTracks(xy, ground, bright, REACH * _spacing(xy), np.full(len(xy), np.inf), cells)
+    xy, weight = _centroids(grey, first.xy_px, first.reach_px, first.floors)
+    return PinTracks(xy, ground, bright, first.reach_px, weight, cells)
+
+
+LOOKS = 2  # sizes of spots that are named
+
+
+def _by_contrast(grey: Grey) -> PinTracks | None:
+    """Pins among round patches of any size, each with the floor of its own light."""
+    best: PinTracks | None = None
+    for spots in orderly_spots(grey)[:LOOKS]:
+        named = name_pins(spots, (grey.shape[0], grey.shape[1]))
+        if named is None or len(named.marks) < MIN_PINS:
+            continue
+        found = _uneven(grey, spots, named)
+        if best is None or len(found.xy_px) > len(best.xy_px):
+            best = found
+        if named.settled:
+            break
+    return best
+
+
+def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinTracks:
+    marks = named.marks[_uncrowded(grey, spots[named.marks])]
+    cells = named.cells[np.isin(named.marks, marks)]
+    xy, others = spots[marks], np.delete(spots, marks, axis=0)
+    spacing = _spacing(xy)
+    near = _neighbours(xy)
+    beside = np.maximum(REACH * _apart(xy, others), LEAST_REACH * spacing)
+    for _ in range(2):
+        bright, around = light_at(grey, xy, spacing)
+        # Of the neighbours together: one pin's own would be its dirt, or the glare that stands in its place.
+        ground = np.median(around, axis=1)
+        dark, light = (np.median(levels[near], axis=1) for levels in (ground, bright))
+        # A halo of glare is above all of a pin's ground, and would draw it to itself.
+        floor = np.maximum(dark + FLOOR * (light - dark), np.minimum(ground, 0.5 * (dark + light)))
+        reach = np.minimum(_clear_of_glare(_brighter(grey, xy, floor), xy, spacing), beside)
+        xy, reach, weight, here = _held(grey, xy, reach, floor, np.maximum(STRAY * spacing, LEAST_STRAY_PX))
+    bright, around = light_at(grey, xy, spacing)
+    kept = here & _looks_like_a_pin(bright, around, dark, light)
+    pins = PinTracks(xy, float(np.median(dark)), float(np.median(light)), reach, weight, cells, floor)
+    pins = _only(pins, kept & _alike(pins))
+    return _only(pins, _outwards(pins.xy_px))
+
+
+def _neighbours(xy: Points) -> Int[ndarray, "p q"]:
+    """Pins that each is compared with: those around it, itself among them."""
+    return np.asarray(cKDTree(xy).query(xy, k=min(NEAR, len(xy)))[1])
+
+
+def _uncrowded(grey: Grey, xy: Points) -> Bool[ndarray, " p"]:
+    """Which spots stay where two are too near for two pins: splinters of a reflection at the rim are out."""
+    spacing, kept = _spacing(xy), np.ones(len(xy), bool)
+    usual = np.percentile(spacing[_neighbours(xy)], 70, axis=1)
+    crowded = np.flatnonzero(spacing < CROWDED * usual)
+    if len(crowded):
+        bright, around = light_at(grey, xy, usual)
+        floor = np.median((1 - FLOOR) * np.median(around, axis=1) + FLOOR * bright)
+        _, weight = _centroids(grey, xy[crowded], LEAST_REACH * usual[crowded], np.full(len(crowded), floor))
+        tree = cKDTree(xy[crowded])
+        for i, j in tree.query_pairs(CROWDED * float(usual[crowded].max())):
+            if np.hypot(*(xy[crowded[i]] - xy[crowded[j]])) < CROWDED * usual[crowded[i]]:
+                weaker, stronger = (i, j) if weight[i] < weight[j] else (j, i)
+                kept[crowded[weaker]] &= weight[weaker] > SPLINTER * weight[stronger]
+    return kept
+
+
+def _held(
+    grey: Grey,
+    xy: Points,
+    reach: Float[ndarray, " p"],
+    floor: Float[ndarray, " p"],
+    stray: Float[ndarray, " p"],
+) -> tuple[Points, Float[ndarray, " p"], Float[ndarray, " p"], Bool[ndarray, " p"]]:
+    """Centroids, with a shorter reach for those that else run into what is bright beside them.
+
+    Returns:
+        Centroids, reaches, weights, and which stayed where they were looked for.
+    """
+    reach = reach.copy()
+    for _ in range(SHORTER):
+        moved, weight = _centroids(grey, xy, reach, floor)
+        here = np.hypot(*(moved - xy).T) < stray
+        if here.all():
+            break
+        reach[~here] *= SHORTEN
+    return np.where(here[:, None], moved, xy), reach, weight, here
+
+
+def _looks_like_a_pin(
+    bright: Float[ndarray, " p"],
+    around: Float[ndarray, "p a"],
+    dark: Float[ndarray, " p"],
+    light: Float[ndarray, " p"],
+) -> Bool[ndarray, " p"]:
+    """Bright in the middle, and dark in most directions around: the more of them, the more it outshines pins.
+
+    Args:
+        bright, around: of a spot and halfway to its neighbours.
+        dark, light: of the ground and the pins about there.
+    """
+    half = 0.5 * (dark + light)
+    outshines = np.maximum((bright - dark) / np.maximum(light - dark, 1.0) - 1.0, 0.0)
+    ground_seen = (around < half[:, None]).mean(axis=1)
+    return np.asarray((bright > half) & (ground_seen > DARK_AROUND + outshines))
+
+
+def _apart(xy: Points, others: Float[ndarray, "o 2"]) -> Float[ndarray, " p"]:
+    """Distance of each pin to the nearest spot that is none [px]."""
+    return np.asarray(cKDTree(others).query(xy)[0]) if len(others) else np.full(len(xy), np.inf)
+
+
+def _alike(pins: PinTracks) -> Bool[ndarray, " p"]:
+    """Which pins have about the weight of their neighbours; glare and dirt have not."""
+    usual = np.median(pins.weight[_neighbours(pins.xy_px)], axis=1)
+    return np.asarray((pins.weight > LIKE[0] * usual) & (pins.weight < LIKE[1] * usual))
+
+
+def _brighter(grey: Grey, xy: Points, floor: Float[ndarray, " p"]) -> Grey:
+    """What is brighter than the floor, which changes over the frame as a polynomial of second degree."""
+    high, wide = grey.shape
+    scale = max(high, wide)
+
+    def terms(x: ndarray, y: ndarray) -> ndarray:
+        u, v = x / scale - 0.5, y / scale - 0.5
+        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+
+    fit, *_ = np.linalg.lstsq(terms(*xy.T), floor, rcond=None)
+    y, x = np.mgrid[:high, :wide]
+    return np.where(grey > terms(x, y) @ fit, 255, 0).astype(np.uint8)
+
+
+def _clear_of_glare(brighter: Grey, xy: Points, spacing: Float[ndarray, " p"]) -> Float[ndarray, " p"]:
+    """How far each pin is looked for so that no bright spot beside it, which is no pin, is within reach."""
+    reach = REACH * spacing
+    _, label, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(brighter, 8, cv2.CV_32S, cv2.CCL_BBDT)
+    column, row = (
+        np.clip(np.rint(a).astype(int), 0, n - 1) for a, n in zip(xy.T, label.shape[::-1], strict=True)
     )
-    (high, wide), (left, top, width, height, size) = brighter.shape, boxes[1:].T  # the first is the ground
-    large = size >= MIN_PX
-    typical = np.median(size[large]) if large.any() else 0
-    whole = (left > 0) & (top > 0) & (left + width < wide) & (top + height < high)
-    return middles[1:][whole & large & (size > 0.3 * typical) & (size < 3 * typical)]
+    other = boxes[:, 4] >= GLARE_PX
+    other[0] = False
+    other[label[row, column]] = False
+    if not other.any():
+        return reach
+    away = cv2.distanceTransform(np.where(other[label], 0, 255).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.minimum(np.maximum(away[row, column] - 1.0, LEAST_REACH * spacing), reach)
 
 
-def _contrast(image: Grey, level: int) -> tuple[float, float, bool]:
-    """Grey of ground and pins, and whether pins stand out from the ground's own spread."""
-    counts = cv2.calcHist([image], [0], None, [256], [0, 256]).ravel().astype(np.float64)
-    ground, pin = counts[: level + 1], counts[level + 1 :]
-    if not (ground.any() and pin.any()):
-        return 0.0, 0.0, False
-    greys = np.arange(level + 1)
-    mean = np.average(greys, weights=ground)
-    spread = np.sqrt(np.average((greys - mean) ** 2, weights=ground))
-    dark, bright = _median(ground), level + 1 + _median(pin)
-    return dark, bright, bool(bright - dark > CLEAR * max(1.0, spread))
+def _spacing(xy: Points) -> Float[ndarray, " p"]:
+    """Distance of each pin to the nearest other [px]."""
+    return np.asarray(cKDTree(xy).query(xy, k=2)[0][:, 1])
 
 
-def _median(counts: Float[ndarray, " n"]) -> float:
-    """Median of whole numbers from 0, by how often each occurs."""
-    upto = np.cumsum(counts)
-    return float(np.searchsorted(upto, upto[-1] / 2))
+def _outwards(xy: Points) -> Int[ndarray, " p"]:
+    return np.argsort(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))
+
+
+def _only(pins: PinTracks, which: ndarray) -> PinTracks:
+    """Some of the pins, in that order."""
+    cells, floor = (None if a is None else a[which] for a in (pins.cells, pins.floor))
+    return PinTracks(
+        pins.xy_px[which], pins.ground, pins.bright, pins.reach_px[which], pins.weight[which], cells, floor
+    )
 
 
 def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[PinTracks]:
@@ -184,31 +393,28 @@ def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[
     Raises:
         InputError: a frame of another kind.
     """
-    now = pins
+    now, floors = pins, pins.floors
     for frame in frames:
-        if frame.dtype != np.uint8 or frame.ndim != 2:
-            raise InputError(f"pins are followed in 8-bit grey frames, got {frame.dtype} {list(frame.shape)}")
-        xy, weight = _centroids(frame, now.xy_px, pins.reach_px, _floor(pins))
+        grey = grey_frame(frame)
+        if grey is None:
+            raise InputError(
+                "pins are followed in 8-bit grey [h w] or colour [h w 3] frames, got "
+                f"{frame.dtype} {list(frame.shape)}"
+            )
+        xy, weight = _centroids(grey, now.xy_px, pins.reach_px, floors)
         xy[weight < LOST * pins.weight] = np.nan
-        now = PinTracks(xy, pins.ground, pins.bright, pins.reach_px, pins.weight)
+        now = replace(pins, xy_px=xy)
         yield now
 
 
-def _floor(pins: PinTracks) -> float:
-    return pins.ground + FLOOR * (pins.bright - pins.ground)
-
-
 def _centroids(
-    image: Grey, xy: Points, reach: Float[ndarray, " p"], floor: float
+    image: Grey, xy: Points, reach: Float[ndarray, " p"], floor: Float[ndarray, " p"]
 ) -> tuple[Points, Float[ndarray, " p"]]:
     places, weight = xy.copy(), np.zeros(len(xy))
     width = SPAN * math.ceil((2 * reach.max() + 2) / SPAN)
     # 16 parts of 255 levels on half a window squared fit 31 bits.
     sums = np.empty((2, width), np.int32 if width < 700 else np.int64)
-    padded = cv2.copyMakeBorder(
-        np.ascontiguousarray(image), width, width, width, width, cv2.BORDER_CONSTANT, value=0
-    )
-    settle(
-        padded.ravel(), padded.shape[1], width, places, reach, np.int32(round(PARTS * floor)), sums, weight
-    )
+    padded = cv2.copyMakeBorder(image, width, width, width, width, cv2.BORDER_CONSTANT, value=0)
+    parts = np.rint(PARTS * floor).astype(np.int32)
+    settle(padded.ravel(), padded.shape[1], width, places, reach, parts, sums, weight)
     return places, weight

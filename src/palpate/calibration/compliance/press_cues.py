@@ -19,6 +19,7 @@ from palpate.calibration.compliance.compliance_reading import PressReading, read
 from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
+from palpate.estimators.pins import grey_frame
 from palpate.psychophysics import Line
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
@@ -74,8 +75,11 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressC
         InputError, ImageError: it cannot be read as a press.
     """
     trial = reference_trial(frames, table)
-    circle = circle_through_pins(trial.press.untouched_px, *next(iter(frames)).shape[:2])
-    reported = as_reported(frames, table.force_n, table.frame_sample, region=circle)
+    press = trial.press
+    height, width = next(iter(frames)).shape[:2]
+    circle = circle_through_pins(press.untouched_px, height, width, press.cells)
+    grey = (one for one in map(grey_frame, frames) if one is not None)  # others were refused with the pins
+    reported = as_reported(grey, table.force_n, table.frame_sample, region=circle)
     line = None if table.position_m is None else series_line(table)
     return PressCues(trial, line, reported, reported.above(LATE_N))
 

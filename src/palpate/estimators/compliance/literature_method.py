@@ -16,6 +16,7 @@ from itertools import islice
 import numpy as np
 
 from palpate.core import Bool, Float, InputError, Int, PalpateError, Shaped, ndarray
+from palpate.estimators.compliance.pin_field import pin_field
 from palpate.estimators.compliance.press_force import CONTACT_N, MAX_N, loading, smoothed, within
 from palpate.estimators.compliance.spread_rate import SpreadRate, Way, area_m2, paper_spread, spread
 from palpate.estimators.flow.flow_sequence import course
@@ -65,11 +66,24 @@ class AsReported:
         return AsReported(self.force_n[rows], self.divergence[rows], self.area[rows])
 
 
-def circle_through_pins(untouched_px: Float[ndarray, "p 2"], height: int, width: int) -> Bool[ndarray, "h w"]:
-    """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1."""
-    places = untouched_px[np.isfinite(untouched_px).all(axis=1)]
-    middle = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
-    reach = np.hypot(*(places - middle).T).max()
+def circle_through_pins(
+    untouched_px: Float[ndarray, "p 2"], height: int, width: int, cells: Int[ndarray, "p 2"] | None = None
+) -> Bool[ndarray, "h w"]:
+    """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1.
+
+    Args:
+        untouched_px: their places.
+        height, width: of the image [px].
+        cells: of each, by which middle and edge are told also where pins are hidden; None takes the pin
+            nearest to the mean of those seen, and the one farthest from it.
+    """
+    if cells is not None:
+        field = pin_field(untouched_px, cells)
+        middle, reach = field.middle, field.farthest
+    else:
+        places = untouched_px[np.isfinite(untouched_px).all(axis=1)]
+        middle = places[np.argmin(np.hypot(*(places - places.mean(axis=0)).T))]
+        reach = np.hypot(*(places - middle).T).max()
     y, x = np.mgrid[:height, :width]
     return np.asarray(np.hypot(x - middle[0], y - middle[1]) <= reach)
 

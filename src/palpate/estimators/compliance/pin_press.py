@@ -13,9 +13,9 @@ from itertools import islice
 import numpy as np
 from scipy.spatial import cKDTree
 
-from palpate.core import Float, InputError, Int, RangeError, Shaped, ndarray
+from palpate.core import Bool, Float, InputError, Int, RangeError, Shaped, ndarray
 from palpate.estimators.compliance.press_force import CONTACT_N, loading, smoothed, within
-from palpate.estimators.pins import find_pins, follow
+from palpate.estimators.pins import PinTracks, find_pins, follow
 
 UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor
 STILL_PX = 0.3  # how much pins may wander before contact
@@ -43,6 +43,7 @@ class PinPress:
         position_m: of the tip, from where contact was felt; None where the table has none [m].
         speed_m_s: of the tip over these frames; NaN without a position [m/s].
         flaws: what makes the press doubtful, in words; empty for a good one.
+        cells: of each pin on the lattice (`PinTracks.cells`); None where they are not known.
     """
 
     frame: Int[ndarray, " f"]
@@ -52,6 +53,7 @@ class PinPress:
     position_m: Float[ndarray, " f"] | None
     speed_m_s: float
     flaws: tuple[str, ...]
+    cells: Int[ndarray, "p 2"] | None = None
 
 
 def follow_press(
@@ -64,7 +66,8 @@ def follow_press(
     """Follow the pins through the loading part of a press.
 
     Args:
-        frames: 8-bit grey images in time, the first before contact; read once, up to the greatest force.
+        frames: 8-bit grey or colour images in time, the first before contact; read once, up to the greatest
+            force.
         force_n: raw samples, positive in compression [N].
         frame_sample: of every frame, which sample it belongs to.
         position_m: of the tip, at every sample [m].
@@ -84,7 +87,7 @@ def follow_press(
             f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: "
             "press more slowly, or take more frames a second"
         )
-    xy = _pin_positions(frames, int(used[-1]) + 1)
+    pins, xy = _pin_positions(frames, int(used[-1]) + 1)
     if len(xy) <= used[-1]:
         raise InputError(
             f"{len(xy)} frames, and the table tells of {len(at)}; give the frames and the table of one press"
@@ -104,18 +107,20 @@ def follow_press(
     position = None if position_m is None else position_m[at[used]] - position_m[part.first]
     return PinPress(
         used, smooth[at[used]], untouched, xy[used] - untouched, position,
-        _speed(position, None if time_s is None else time_s[at[used]]), tuple(flaws),
+        _speed(position, None if time_s is None else time_s[at[used]]), tuple(flaws), pins.cells,
     )  # fmt: skip
 
 
-def _pin_positions(frames: Iterable[Shaped[ndarray, ...]], count: int) -> Float[ndarray, "f p 2"]:
-    """Places of the first frame's pins in every frame [px]."""
+def _pin_positions(
+    frames: Iterable[Shaped[ndarray, ...]], count: int
+) -> tuple[PinTracks, Float[ndarray, "f p 2"]]:
+    """The first frame's pins, and their places in every frame [px]."""
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
         raise InputError("the sequence has no frame; a press has one before contact and several in it")
     pins = find_pins(first)
-    return np.stack([pins.xy_px, *(now.xy_px for now in follow(islice(frames, count - 1), pins))])
+    return pins, np.stack([pins.xy_px, *(now.xy_px for now in follow(islice(frames, count - 1), pins))])
 
 
 def _still(force_n: Samples) -> int:
@@ -185,14 +190,11 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     at = press.untouched_px[tracked]
     if not len(at):
         raise InputError("every pin is lost; look at light, focus and speed")
-    shift = at.mean(axis=0) - layout_px.mean(axis=0)
-    for _ in range(3):
-        gap, which = cKDTree(at - shift).query(layout_px)
-        near = gap < NEAR * spacing
-        if near.any():
-            shift = shift + np.median(at[which[near]] - shift - layout_px[near], axis=0)
-    gap, which = cKDTree(at - shift).query(layout_px)
-    near = gap < NEAR * spacing
+    # Hidden pins move the mean of those seen; then the camera as it stands, or the field's extent, is nearer.
+    extent = [(xy.min(axis=0) + xy.max(axis=0)) / 2 for xy in (at, layout_px)]
+    starts = at.mean(axis=0) - layout_px.mean(axis=0), extent[0] - extent[1], np.zeros(2)
+    found = [_matched(at, layout_px, start, NEAR * spacing) for start in starts]
+    near, which = max(found, key=lambda one: one[0].sum())
     if near.mean() < MIN_MATCHED or len(at) > len(layout_px) / MIN_MATCHED:
         raise InputError(
             f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
@@ -201,3 +203,16 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     motion = np.full((len(press.force_n), len(layout_px), 2), np.nan)
     motion[:, near] = press.moved_px[:, tracked][:, which[near]]
     return motion
+
+
+def _matched(
+    at: Float[ndarray, "q 2"], layout_px: Layout, shift: Float[ndarray, 2], within_px: float
+) -> tuple[Bool[ndarray, " p"], Int[ndarray, " p"]]:
+    """Which pins of a layout have one near, beginning at a shift of all, and which one."""
+    for _ in range(3):
+        gap, which = cKDTree(at - shift).query(layout_px)
+        near = gap < within_px
+        if near.any():
+            shift = shift + np.median(at[which[near]] - shift - layout_px[near], axis=0)
+    gap, which = cKDTree(at - shift).query(layout_px)
+    return gap < within_px, which

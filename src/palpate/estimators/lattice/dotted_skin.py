@@ -156,25 +156,42 @@ def find_dots(
 
 
 def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
-    """Whole pixels where a round patch of the dots' size differs most from around it."""
-    sign = 1.0 if skin.colour == "dark" else -1.0
+    """Whole pixels of the skin's region in the middle of something like a dot."""
+    found = round_patches(grey, skin.radius_px, skin.colour, skin.min_contrast)
+    if skin.region is None:
+        return found
+    x, y, wide, high = skin.region
+    low, end = np.array([max(x, 0), max(y, 0)]), np.array([x + wide, y + high])
+    return found[((found >= low) & (found < end)).all(axis=1)]
+
+
+def round_patches(
+    grey: Shaped[ndarray, "h w"], radius_px: float, colour: Literal["dark", "bright"], min_contrast: float
+) -> Points:
+    """Whole pixels where a round patch of a size differs most from around it, whatever the light there.
+
+    Args:
+        grey: 8-bit image.
+        radius_px: about that of a patch.
+        colour: of the patches on their ground.
+        min_contrast: with the ground, as a share of the brighter of the two.
+
+    Returns:
+        (x, y) ``[n 2]`` [px].
+    """
+    sign = 1.0 if colour == "dark" else -1.0
     image = grey.astype(np.float32)
-    width = max(1.0, 0.6 * skin.radius_px)
+    width = max(1.0, 0.6 * radius_px)
     smooth = cv2.GaussianBlur(image, (0, 0), width)
-    ground = cv2.GaussianBlur(image, (0, 0), 2 * skin.radius_px)
+    ground = cv2.GaussianBlur(image, (0, 0), 2 * radius_px)
     differs = sign * (ground - smooth)
     xx, yy, xy = (sign * cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
     round_ = (xx * yy - xy**2) / np.maximum((xx + yy) ** 2, 1e-6)
-    reach = 2 * max(1, round(1.2 * skin.radius_px)) + 1
+    reach = 2 * max(1, round(1.2 * radius_px)) + 1
     top = cv2.dilate(differs, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
-    light = ground if skin.colour == "dark" else smooth
-    good = (differs >= top) & (differs > skin.min_contrast * light) & (xx + yy > 0) & (round_ > MIN_ROUND)
+    light = ground if colour == "dark" else smooth
+    good = (differs >= top) & (differs > min_contrast * light) & (xx + yy > 0) & (round_ > MIN_ROUND)
     good &= differs > MIN_CONTRAST / 2 * noise_of(image)
-    if skin.region is not None:
-        x, y, wide, high = skin.region
-        inside = np.zeros_like(good)
-        inside[max(y, 0) : y + high, max(x, 0) : x + wide] = True
-        good &= inside
     rows, columns = np.nonzero(good)
     return np.stack([columns, rows], axis=1).astype(np.float64)
 

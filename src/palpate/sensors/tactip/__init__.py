@@ -1,5 +1,6 @@
 """The TacTip: a gel-filled dome whose skin carries pins, seen from inside."""
 
+from palpate.sensors.tactip.skin_through_camera import skin_places_m, untouched_area_m2
 from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, pictured
 from palpate.sensors.tactip.tactip_spec import (
     PINS_127,
@@ -23,5 +24,7 @@ __all__ = [
     "TacTipSpec",
     "TipOnSpecimen",
     "pictured",
+    "skin_places_m",
     "tactip",
+    "untouched_area_m2",
 ]

@@ -204,7 +204,7 @@ def usual_pins(images: Tensor) -> tuple[PinTracks, int] | None:
     for sign in (1, -1):
         frames = np.round(planes if sign > 0 else GREY - planes).astype(np.uint8)
         try:
-            pins = [find_pins(frame) for frame in frames]
+            pins = [find_pins(frame, on_lattice=False) for frame in frames]
         except ImageError:
             continue
         counts = np.array([len(one.xy_px) for one in pins])

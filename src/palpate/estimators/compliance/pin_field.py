@@ -1,0 +1,94 @@
+"""The field of untouched pins: its middle and its edge, from the lattice, whichever pins are hidden.
+
+The compliance report takes as A_c0 the circle about the middle pin through the outermost ones (Algorithm 1).
+One pin that is not seen, or one reflection that is taken for a pin, would change it by tens of per cent. Here
+middle and edge are places of the lattice; where a pin is hidden, its place follows from the others by a
+smooth map from layout to image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import Float, InputError, Int, ndarray
+from palpate.estimators.lattice.ring_layout import MAX_RINGS, ring_of, ring_sites
+
+DEGREES = (5, 40), (3, 20), (1, 6)  # of the map, and pins that it needs
+ALIKE = 1e-6  # pitches by which the outermost places of a layout may differ in distance
+
+Points = Float[ndarray, "p 2"]
+
+
+@dataclass(frozen=True)
+class PinField:
+    """Middle and edge of a field of pins.
+
+    Attributes:
+        middle: place of the middle pin [2].
+        edge: places of the outermost pins: six corners of a hexagonal field, all of the last ring of a
+            round one.
+    """
+
+    middle: Float[ndarray, 2]
+    edge: Float[ndarray, "e 2"]
+
+    @property
+    def radius(self) -> float:
+        """Of a circle about the middle: root mean square distance of the outermost pins."""
+        return float(np.sqrt(((self.edge - self.middle) ** 2).sum(axis=1).mean()))
+
+    @property
+    def farthest(self) -> float:
+        """Distance of the outermost pin."""
+        return float(np.hypot(*(self.edge - self.middle).T).max())
+
+    @property
+    def area(self) -> float:
+        """Of that circle, in the square of the unit of the places."""
+        return np.pi * self.radius**2
+
+
+def pin_field(places: Points, cells: Int[ndarray, "p 2"]) -> PinField:
+    """Middle and edge of untouched pins.
+
+    Args:
+        places: of the pins, in an image or on the skin; NaN where a pin is lost.
+        cells: of each, (0, 0) being the middle (`PinTracks.cells`).
+
+    Raises:
+        InputError: too few pins, or more rings than are known.
+    """
+    seen = np.isfinite(places).all(axis=1)
+    at, names = places[seen], cells[seen]
+    if seen.sum() < DEGREES[-1][1]:
+        raise InputError(
+            f"{int(seen.sum())} pins in sight; {DEGREES[-1][1]} or more tell middle and edge of their field"
+        )
+    rings = int(ring_of(names).max())
+    if rings > MAX_RINGS:
+        raise InputError(f"{rings} rings of pins; up to {MAX_RINGS} are known")
+    whole = ring_sites().cells[: ring_sites().upto(rings)]
+    planes = {kind: ring_sites(kind).places[: len(whole)] for kind in ("hexagonal", "rings")}
+    number = {cell: i for i, cell in enumerate(map(tuple, whole.tolist()))}
+    own = np.array([number[cell] for cell in map(tuple, names.tolist())])
+    degree = next(degree for degree, least in DEGREES if len(at) >= least)
+    fits = {kind: _fit(plane[own], at, degree) for kind, plane in planes.items()}
+    kind = min(fits, key=lambda one: fits[one][1])
+    expected = _terms(planes[kind], degree) @ fits[kind][0]
+    expected[own] = at
+    away = np.hypot(*planes[kind].T)
+    return PinField(expected[0], expected[away > away.max() - ALIKE])
+
+
+def _fit(plane: Points, at: Points, degree: int) -> tuple[Float[ndarray, "k 2"], float]:
+    """Coefficients of the map from layout to image, and what it leaves."""
+    terms = _terms(plane, degree)
+    fit, *_ = np.linalg.lstsq(terms, at, rcond=None)
+    return fit, float(((terms @ fit - at) ** 2).sum())
+
+
+def _terms(plane: Points, degree: int) -> Float[ndarray, "p k"]:
+    x, y = (plane / MAX_RINGS).T
+    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)

@@ -1,0 +1,162 @@
+"""Pins told from what else is bright: they stand on a lattice, and each is named by its cell.
+
+Two layouts are tried, since sensors are built with either: a hexagonal lattice, and rings about a middle pin
+(`ring_layout`); and a square lattice where neither holds most of the marks. Cells are counted from the middle
+of the field, so that a pin keeps its name whichever others are hidden.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from palpate.core import Bool, Float, Int, ndarray
+from palpate.estimators.lattice.lattice_growth import MIN_MARKS, GrownLattice, grow_lattices
+from palpate.estimators.lattice.ring_layout import (
+    DIRECTIONS,
+    MOST,
+    fill_hexagon,
+    lay_rings,
+    ring_of,
+    share_named,
+)
+
+PinLayoutKind = Literal["hexagonal", "rings", "square"]
+MOST_FILLED = 0.9  # share of its rings' cells: pins in rings, taken for such a lattice, leave more empty
+LEAST = 0.65  # with less, marks stand on no lattice
+LEAST_OF_ALL = 0.45  # share of all marks
+SHEARED = 1.25  # a square's diagonal is 1.41 of its side
+NEARLY_EMPTY, NEARLY_FULL = 0.15, 0.6  # share of a ring's cells
+EMPTY_COSTS = 0.5  # of a mark
+LEAST_NEXT = 3  # neighbours of a pin on the edge of a hexagonal field
+SQUARE_DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
+
+Points = Float[ndarray, "n 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class PinLattice:
+    """Marks that stand where pins do.
+
+    Attributes:
+        kind: of the layout.
+        cells: (column, row) of each ``[m 2]``; (0, 0) is the field's middle, and columns run about with the
+            image's; axes are 60 degrees apart but for a square lattice.
+        marks: which of the marks given ``[m]``.
+        pitch: median distance of neighbours [px].
+        share: of the marks between the named ones, how many are named.
+    """
+
+    kind: PinLayoutKind
+    cells: Int[ndarray, "m 2"]
+    marks: Int[ndarray, " m"]
+    pitch: float
+    share: float
+
+    @property
+    def filled(self) -> float:
+        """Share of the cells of whole rings that are there."""
+        rings = int(ring_of(self.cells).max())
+        return len(self.cells) / (3 * rings * (rings + 1) + 1)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all cells of whole rings are there, and nothing between them."""
+        return self.kind != "square" and self.share == self.filled == 1.0
+
+    @property
+    def settled(self) -> bool:
+        """Whether another layout need not be tried."""
+        return self.share > MOST and (self.kind != "hexagonal" or self.filled > MOST_FILLED)
+
+
+def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
+    """The lattice that most marks stand on, those beyond its field left out; none where there is none.
+
+    Args:
+        places: of the marks ``[n 2]`` [px].
+        size: height and width of the image [px].
+    """
+    best = _hexagonal(places, size)
+    if best is None or not best.settled:
+        best = _better(best, _of("rings", lay_rings(places, size), places))
+    if best is None or best.share < LEAST or _is_sheared(best, places):
+        best = _better(_of("square", _largest(places, "square"), places), best)
+    sound = best is not None and best.share >= LEAST and len(best.marks) >= LEAST_OF_ALL * len(places)
+    return best if sound else None
+
+
+def _is_sheared(one: PinLattice, places: Points) -> bool:
+    """Whether the three directions of a hexagonal lattice differ in length as in a square one."""
+    design = np.column_stack([np.ones(len(one.cells)), one.cells])
+    axes = np.linalg.lstsq(design, places[one.marks], rcond=None)[0][1:]
+    long = np.hypot(*np.stack([axes[0], axes[1], axes[0] - axes[1]]).T)
+    return bool(long.max() > SHEARED * long.min())
+
+
+def _better(one: PinLattice | None, other: PinLattice | None) -> PinLattice | None:
+    """The one that has more marks, of those that hold most of what stands among them."""
+    sound = [found for found in (one, other) if found is not None]
+    return max(sound, key=lambda found: found.share * len(found.marks), default=None)
+
+
+def _largest(places: Points, kind: str) -> GrownLattice | None:
+    grown = grow_lattices(places, kind) if len(places) >= MIN_MARKS else []
+    return grown[0] if grown else None
+
+
+def _hexagonal(places: Points, size: tuple[int, int]) -> PinLattice | None:
+    grown = _largest(places, "hexagonal")
+    if grown is None or (grown := _centred(grown)) is None:
+        return None
+    named = _of("hexagonal", grown, places)
+    if named is None or named.whole:
+        return named
+    return _of("hexagonal", _centred(fill_hexagon(grown, places, size)), places)
+
+
+def _centred(lattice: GrownLattice) -> GrownLattice | None:
+    """A hexagonal lattice without strays, its cells counted from its middle; none if nothing is left."""
+    kept = _in_field(lattice.cells)
+    cells = lattice.cells[kept]
+    return GrownLattice(cells - _middle(cells), lattice.marks[kept], lattice.pitch) if len(cells) else None
+
+
+def _in_field(cells: Int[ndarray, "m 2"]) -> Bool[ndarray, " m"]:
+    """Which marks of a hexagonal lattice are no strays on its next ring.
+
+    A pin has three neighbours or more, unless some are hidden; a stray beyond a straight edge has two. So
+    those with fewer than three count where they are within the rings of the others. And a ring that is nearly
+    empty around one that is nearly full holds strays alone.
+    """
+    there = set(map(tuple, cells.tolist()))
+    beside = np.array([sum((c + i, r + j) in there for i, j in DIRECTIONS.tolist()) for c, r in cells])
+    firm = beside >= LEAST_NEXT
+    if not firm.any():
+        return firm
+    away = ring_of(cells - _middle(cells[firm]))
+    kept = firm | ((away <= away[firm].max()) & (beside > 0))
+    filled = np.bincount(away[kept]) / np.maximum(6 * np.arange(away[kept].max() + 1), 1)
+    strays = np.flatnonzero((filled[1:] < NEARLY_EMPTY) & (filled[:-1] > NEARLY_FULL)) + 1
+    return np.asarray(kept & (away < strays[0]) if len(strays) else kept)
+
+
+def _middle(cells: Int[ndarray, "m 2"]) -> Int[ndarray, 2]:
+    """The cell about which whole rings hold most of the cells, and least that is empty."""
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    grid = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), -1)
+    ways = grid.reshape(-1, 2)
+    away = ring_of((cells - ways[:, None]).reshape(-1, 2)).reshape(len(ways), -1)
+    rings = np.arange(away.max() + 1)
+    inside = (away[:, :, None] <= rings).sum(axis=1)
+    held = inside - EMPTY_COSTS * (3 * rings * (rings + 1) + 1 - inside)
+    return np.asarray(ways[np.lexsort([away.sum(axis=1), -held.max(axis=1)])[0]])
+
+
+def _of(kind: PinLayoutKind, lattice: GrownLattice | None, places: Points) -> PinLattice | None:
+    if lattice is None or not len(lattice.cells):
+        return None
+    cells = lattice.cells - (np.rint(lattice.cells.mean(axis=0)).astype(int) if kind == "square" else 0)
+    return PinLattice(kind, cells, lattice.marks, lattice.pitch, share_named(places, lattice.marks))

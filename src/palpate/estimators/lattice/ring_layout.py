@@ -1,0 +1,353 @@
+"""Marks set in rings around a middle one, as pins of a TacTip stand: each named by its cell.
+
+Ring k has 6 k marks, evenly on a circle. Named as the rings of a hexagonal lattice they are one-to-one with
+its cells, but no local rule tells so: where two sixths of the layout meet, four marks stand in a square, and
+a lattice that grows from mark to mark goes astray on its way round the middle. So the layout itself is laid
+over the marks: it begins at the middle, and where the next ring must lie follows from an affine map of the
+layout around each place, which bends with lens and touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from palpate.core import Float, Int, ndarray
+from palpate.estimators.lattice.lattice_growth import GrownLattice
+
+MAX_RINGS = 13
+REACH = 2.9  # pitches, within which known marks tell where one lies
+WIDTH = 1.4  # pitches; standard deviation of their weights
+LEAST_KNOWN = 4
+WITHIN = 0.36  # of the local pitch, how far a mark may lie from where it must
+KEPT_WITHIN = 0.1, 0.3  # of the pitch: bounds of six times the usual distance, beyond which it is left out
+FIRST_RINGS = 5  # by which beginnings are compared
+MIDDLES = 24  # marks and gaps that are tried as the middle
+RECHOICES = 2
+FULL_TRIES = 4
+LEAST_JOINED = 0.55  # share of the places next to a beginning that have a mark
+LEAST_FILLED = 0.5  # of a ring's places inside the image
+BEGINNINGS = (0,), (1, 7, 8, 19, 20, 21)
+"""Sites that a mark near the middle may be: the middle, or where too much is hidden there, of one sixth."""
+MOST = 0.93  # share of the marks among named ones that are named, with which a layout is the right one
+DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
+"""Cells around one, 60 degrees apart, the first along the columns."""
+
+Points = Float[ndarray, "n 2"]
+Cells = Int[ndarray, "n 2"]
+
+
+def ring_of(cells: Cells) -> Int[ndarray, " n"]:
+    """How many steps each cell of a hexagonal lattice is from (0, 0)."""
+    column, row = np.asarray(cells).T
+    return (np.abs(column) + np.abs(row) + np.abs(column + row)) // 2
+
+
+def plane_of(cells: Cells) -> Points:
+    """Places of a hexagonal lattice's cells in the plane, in pitches."""
+    column, row = np.asarray(cells, float).T
+    return np.stack([column + row / 2, np.sqrt(0.75) * row], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class RingSites:
+    """Cells of rings around a middle, the inner ones first, and where they stand in pitches.
+
+    Attributes:
+        cells: (column, row) ``[s 2]``; (0, 0) is the middle.
+        ring: of each.
+        places: of each ``[s 2]``.
+        weight, across, down: how much each tells of each other, and how far it lies from there ``[s s]``.
+    """
+
+    cells: Cells
+    ring: Int[ndarray, " s"]
+    places: Points
+    weight: Float[ndarray, "s s"]
+    across: Float[ndarray, "s s"]
+    down: Float[ndarray, "s s"]
+
+    def upto(self, ring: int) -> int:
+        """How many lie within a ring."""
+        return min(3 * ring * (ring + 1) + 1, len(self.cells))
+
+
+@cache
+def ring_sites(kind: str = "rings") -> RingSites:
+    """Sites of a layout: "rings" on circles, or "hexagonal" with straight rings."""
+    cells, places = [np.zeros((1, 2), int)], [np.zeros((1, 2))]
+    for k in range(1, MAX_RINGS + 1):
+        number = np.arange(6 * k)
+        side, step = number // k, number % k
+        cells.append(k * DIRECTIONS[side] + step[:, None] * DIRECTIONS[(side + 2) % 6])
+        angle = 2 * np.pi * number / (6 * k)
+        places.append(k * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    cell = np.concatenate(cells)
+    at = np.concatenate(places) if kind == "rings" else plane_of(cell)
+    across, down = (np.subtract.outer(at[:, a], at[:, a]).T for a in (0, 1))
+    away2 = across**2 + down**2
+    weight = np.where((away2 > 0) & (away2 < REACH**2), np.exp(-away2 / (2 * WIDTH**2)), 0.0)
+    return RingSites(cell, ring_of(cell), at, weight, across, down)
+
+
+def fill_hexagon(lattice: GrownLattice, places: Points, size: tuple[int, int]) -> GrownLattice:
+    """A hexagonal lattice about its middle, with marks that its growth left out and each cell's choice anew.
+
+    Args:
+        lattice: whose (0, 0) is the middle of its field.
+        places, size: see `lay_rings`.
+    """
+    ring = ring_of(lattice.cells)
+    if ring.max() > MAX_RINGS:
+        return lattice
+    laid = _Laying(places, cKDTree(places), size, "hexagonal")
+    number = {cell: i for i, cell in enumerate(map(tuple, laid.sites.cells.tolist()))}
+    laid.mark[[number[cell] for cell in map(tuple, lattice.cells.tolist())]] = lattice.marks
+    laid.reached = int(ring.max())
+    laid.grow(laid.reached)
+    laid.trim()
+    return laid.lattice() or lattice
+
+
+def lay_rings(places: Points, size: tuple[int, int]) -> GrownLattice | None:
+    """The rings that most marks stand in; none where no middle has rings around it.
+
+    Args:
+        places: of the marks ``[n 2]`` [px].
+        size: height and width of the image [px], beyond which no mark is missed.
+
+    Returns:
+        Marks by their cell, (0, 0) being the middle whether its own mark is seen or not.
+    """
+    if len(places) < 7:
+        return None
+    tree, best = cKDTree(places), None
+    around = _candidates(places, tree)
+    for sites in BEGINNINGS:
+        tries: list[tuple[float, int, _Laying]] = []
+        for middle in around:
+            for site in sites:
+                laid = _Laying(places, tree, size)
+                start = _begun_at(site, middle, places, tree)
+                if start is not None and laid.begin(site, start):
+                    laid.grow(FIRST_RINGS)
+                    tries.append((laid.fit, len(tries), laid))
+        for _, _, laid in sorted(tries, key=lambda one: (-one[0], one[1]))[:FULL_TRIES]:
+            laid.grow(MAX_RINGS)
+            laid.trim()
+            if best is None or laid.fit > best.fit:
+                best = laid
+            if share_named(places, best.mark[best.mark >= 0]) > MOST:
+                return best.lattice()
+    return None if best is None else best.lattice()
+
+
+def share_named(places: Points, marks: Int[ndarray, " m"]) -> float:
+    """Share of the marks within the outline of some that are among these."""
+    try:
+        among = Delaunay(places[marks]).find_simplex(places) >= 0
+    except (QhullError, ValueError):
+        return 0.0
+    among[marks] = True
+    return len(marks) / float(among.sum())
+
+
+def _candidates(places: Points, tree: cKDTree) -> Float[ndarray, "c 2"]:
+    """Marks, and gaps of a mark's size, that may be the middle, from the middle of all outwards."""
+    near = tree.query(places, k=2)[0][:, 1]
+    candidates = np.concatenate([places, _gaps(places, near)])
+    order = np.argsort(np.hypot(*(candidates - np.median(places, axis=0)).T))
+    return candidates[order[:MIDDLES]]
+
+
+def _gaps(places: Points, near: Float[ndarray, " n"]) -> Float[ndarray, "g 2"]:
+    """Middles of the largest circles without a mark in them, where one may be missing."""
+    try:
+        corners = Delaunay(places).simplices
+    except QhullError:  # all on one line
+        return np.empty((0, 2))
+    a, b, c = places[corners].transpose(1, 0, 2)
+    ab, ac = b - a, c - a
+    cross = 2 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    sound = np.abs(cross) > 1e-9
+    ab, ac, a, cross, corners = ab[sound], ac[sound], a[sound], cross[sound], corners[sound]
+    ab2, ac2 = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
+    to = np.stack([ac[:, 1] * ab2 - ab[:, 1] * ac2, ab[:, 0] * ac2 - ac[:, 0] * ab2], axis=1) / cross[:, None]
+    share = np.hypot(*to.T) / np.median(near[corners], axis=1)
+    return (a + to)[(share > 0.8) & (share < 1.3)]
+
+
+@cache
+def _beside(site: int) -> Int[ndarray, " b"]:
+    """Sites around one."""
+    sites = ring_sites()
+    away = np.hypot(sites.across[site], sites.down[site])
+    return np.flatnonzero((away > 0) & (away < 1.3))
+
+
+def _begun_at(
+    site: int, middle: Float[ndarray, 2], places: Points, tree: cKDTree
+) -> Float[ndarray, "3 2"] | None:
+    """The affine map from pitches to pixels by which most sites around one have a mark, it being at a place.
+
+    Of two that have as many the narrower is taken: every other mark of the second ring makes a hexagon too.
+    """
+    far, which = tree.query(middle, k=min(9, len(places)))
+    others = far > 0.25 * far[-1]  # not the place's own mark
+    best, most = None, -np.inf
+    sites = ring_sites()
+    out = sites.places[_beside(site)] - sites.places[site]
+    first = out[0] / (out[0] ** 2).sum()
+    for f, i in zip(far[others][:6], which[others][:6], strict=True):
+        x, y = places[i] - middle
+        c, s = first @ [x, y], first[0] * y - first[1] * x  # turn and size that bring the first site there
+        gap, mark = tree.query(middle + out @ np.array([[c, s], [-s, c]]))
+        near = gap < WITHIN * f
+        count = int(near.sum())
+        if count < LEAST_KNOWN or len(set(mark[near].tolist())) < count:
+            continue
+        design = np.column_stack([np.ones(count), out[near]])
+        fit = np.linalg.lstsq(design, places[mark[near]], rcond=None)[0]
+        left = np.hypot(*(design @ fit - places[mark[near]]).T).mean() / f
+        good = count - left - 2 * f / far[others][0]
+        if np.hypot(*(fit[0] - middle)) < WITHIN * f and good > most:
+            best, most = fit, good
+    if best is None:
+        return None
+    best[0] = best[0] - sites.places[site] @ best[1:]
+    return best
+
+
+def upright(cells: Cells, places: Points) -> Cells:
+    """Cells turned by sixths until columns run most nearly with the image's columns."""
+    design = np.column_stack([np.ones(len(cells)), plane_of(cells)])
+    along = np.linalg.lstsq(design, places, rcond=None)[0][1:]
+    out = plane_of(DIRECTIONS) @ along
+    first = int(np.argmax(out[:, 0] / np.hypot(*out.T)))
+    for _ in range(6 - first):
+        cells = np.stack([-cells[:, 1], cells.sum(axis=1)], axis=1)
+    return cells
+
+
+class _Laying:
+    """Sites of rings that take marks, ring by ring."""
+
+    def __init__(self, places: Points, tree: cKDTree, size: tuple[int, int], kind: str = "rings") -> None:
+        self.places, self.tree, self.size = places, tree, size
+        self.sites = ring_sites(kind)
+        self.mark = np.full(len(self.sites.cells), -1)
+        self.expected = np.full((len(self.mark), 2), np.nan)
+        self.reached = 1
+
+    @property
+    def fit(self) -> float:
+        """Marks that have a place, less the places inside the image that have none."""
+        return float((self.mark >= 0).sum() - 0.5 * (self._inside() & (self.mark < 0)).sum())
+
+    def begin(self, site: int, start: Float[ndarray, "3 2"]) -> bool:
+        """Take the marks of a site and of those around it, where a map brings them; whether more join."""
+        which = np.append(_beside(site), site)
+        expected = np.column_stack([np.ones(len(which)), self.sites.places[which]]) @ start
+        self._take(which, expected, np.full(len(which), np.linalg.svd(start[1:], compute_uv=False)[1]))
+        self.reached = int(self.sites.ring[which].max())
+        free = np.setdiff1d(np.arange(self.sites.upto(self.reached + 1)), which)
+        expected, pitch = self._expected(free, self.sites.upto(self.reached + 1))
+        told = np.isfinite(pitch)
+        far, _ = self.tree.query(expected[told])
+        return bool((far < WITHIN * pitch[told]).mean() > LEAST_JOINED) if told.any() else False
+
+    def grow(self, rings: int) -> None:
+        """Take marks up to a ring, as long as a ring finds some."""
+        self._settle(self.reached)
+        for ring in range(self.reached + 1, rings + 1):
+            self._settle(ring)
+            here = self.sites.ring == ring
+            inside = here & self._inside()
+            if (self.mark[here] >= 0).sum() < LEAST_FILLED * max(inside.sum(), 1):
+                self.mark[here] = -1
+                break
+            self.reached = ring
+        self._settle(self.reached)
+
+    def trim(self) -> None:
+        """Let each site choose its mark anew, and leave out what does not stand where those around say."""
+        count = self.sites.upto(self.reached)
+        for _ in range(RECHOICES):
+            expected, pitch = self._expected(np.arange(count), count)
+            self.mark[:] = -1
+            self._take(np.arange(count), expected, pitch)
+            if (self.mark >= 0).sum() < LEAST_KNOWN:
+                return
+        self._drop(count)
+        self._settle(self.reached)
+        self._drop(count)
+
+    def _drop(self, count: int) -> None:
+        """Leave out marks that do not stand where those around say."""
+        known = np.flatnonzero(self.mark >= 0)
+        expected, pitch = self._expected(known, count)
+        if not np.isfinite(pitch).any():
+            self.mark[known] = -1
+            return
+        off = np.hypot(*(expected - self.places[self.mark[known]]).T) / pitch
+        usual = np.nanmedian(off)
+        self.mark[known[~(off < np.clip(6 * usual, *KEPT_WITHIN))]] = -1
+
+    def lattice(self) -> GrownLattice | None:
+        known = np.flatnonzero(self.mark >= 0)
+        if len(known) < 7:
+            return None
+        _, pitch = self._expected(known, self.sites.upto(self.reached))
+        cells = upright(self.sites.cells[known], self.places[self.mark[known]])
+        return GrownLattice(cells, self.mark[known], float(np.nanmedian(pitch)))
+
+    def _inside(self) -> np.ndarray:
+        x, y = self.expected.T
+        with np.errstate(invalid="ignore"):
+            inside = (x > 0) & (y > 0) & (x < self.size[1] - 1) & (y < self.size[0] - 1)
+        return inside & (self.sites.ring <= self.reached + 1)
+
+    def _settle(self, ring: int) -> None:
+        """Fill places up to a ring until no more marks are taken."""
+        count = self.sites.upto(ring)
+        while True:
+            free = np.flatnonzero(self.mark[:count] < 0)
+            expected, pitch = self._expected(free, count)
+            if not self._take(free, expected, pitch):
+                return
+
+    def _expected(self, which: Int[ndarray, " m"], count: int) -> tuple[Points, Float[ndarray, " m"]]:
+        """Where sites must lie by affine maps through the known ones around them; NaN where too few are."""
+        known = np.flatnonzero(self.mark[:count] >= 0)
+        grid = np.ix_(which, known)
+        w, dx, dy = self.sites.weight[grid], self.sites.across[grid], self.sites.down[grid]
+        xy = self.places[self.mark[known]]
+        terms = (np.ones_like(w), dx, dy)
+        matrix = np.stack([np.stack([(w * p * q).sum(axis=1) for q in terms], -1) for p in terms], -1)
+        sides = np.stack([(w * p) @ xy for p in terms], axis=1)
+        enough = ((w > 0).sum(axis=1) >= LEAST_KNOWN) & (np.linalg.det(matrix) > 1e-3 * matrix[:, 0, 0] ** 3)
+        place, pitch = np.full((len(which), 2), np.nan), np.full(len(which), np.nan)
+        fit = np.linalg.solve(matrix[enough], sides[enough])
+        place[enough] = fit[:, 0]
+        pitch[enough] = np.linalg.svd(fit[:, 1:], compute_uv=False)[:, 1]
+        return place, pitch
+
+    def _take(self, which: Int[ndarray, " m"], expected: Points, pitch: Float[ndarray, " m"]) -> bool:
+        """Give each site the mark next to where it must lie, each mark to the nearest site."""
+        self.expected[which] = expected
+        told = np.flatnonzero(np.isfinite(expected).all(axis=1))
+        if not len(told):
+            return False
+        far, mark = self.tree.query(expected[told])
+        off = far / np.maximum(pitch[told], 1e-9)
+        used = set(self.mark[self.mark >= 0].tolist())
+        taken = False
+        for i in np.argsort(off):
+            if off[i] < WITHIN and int(mark[i]) not in used:
+                used.add(int(mark[i]))
+                self.mark[which[told[i]]] = mark[i]
+                taken = True
+        return taken
