@@ -7,20 +7,26 @@ of the field, so that a pin keeps its name whichever others are hidden.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, Int, ndarray
 from palpate.estimators.lattice.lattice_growth import MIN_MARKS, GrownLattice, grow_lattices
 from palpate.estimators.lattice.ring_layout import (
     DIRECTIONS,
+    MAX_RINGS,
     MOST,
     fill_hexagon,
     lay_rings,
     ring_of,
+    ring_sites,
     share_named,
+    upright,
 )
 
 PinLayoutKind = Literal["hexagonal", "rings", "square"]
@@ -28,10 +34,11 @@ MOST_FILLED = 0.9  # share of its rings' cells: pins in rings, taken for such a 
 LEAST = 0.65  # with less, marks stand on no lattice
 LEAST_OF_ALL = 0.45  # share of all marks
 SHEARED = 1.25  # a square's diagonal is 1.41 of its side
+OUTWARDS = (2, 1), (4, 3), (6, 3)  # rings, and the degree of the map that leads there
+OFF = 0.2  # of the distance of neighbours, between where a pin is and where the map has it
 NEARLY_EMPTY, NEARLY_FULL = 0.15, 0.6  # share of a ring's cells
 EMPTY_COSTS = 0.5  # of a mark
 LEAST_NEXT = 3  # neighbours of a pin on the edge of a hexagonal field
-SQUARE_DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]])
 
 Points = Float[ndarray, "n 2"]
 
@@ -79,6 +86,9 @@ def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
         places: of the marks ``[n 2]`` [px].
         size: height and width of the image [px].
     """
+    whole = _whole(places, "hexagonal") or _whole(places, "rings")
+    if whole is not None:
+        return whole
     best = _hexagonal(places, size)
     if best is None or not best.settled:
         best = _better(best, _of("rings", lay_rings(places, size), places))
@@ -86,6 +96,44 @@ def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
         best = _better(_of("square", _largest(places, "square"), places), best)
     sound = best is not None and best.share >= LEAST and len(best.marks) >= LEAST_OF_ALL * len(places)
     return best if sound else None
+
+
+def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | None:
+    """Marks that are whole rings about the middle one and nothing else; quick, and none for all others.
+
+    From the six around the middle outwards, each step's places follow from those known by a map of higher
+    degree.
+    """
+    rings = round((math.sqrt(12 * len(places) - 3) - 3) / 6)
+    if not (1 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
+        return None
+    tree, sites = cKDTree(places), ring_sites(kind)
+    middle = int(np.argmin(((places - places.mean(axis=0)) ** 2).sum(axis=1)))
+    far, near = tree.query(places[middle], k=7)
+    angle = np.arctan2(*(places[near[1:]] - places[middle]).T[::-1])
+    first = angle[np.argmin(np.abs(angle))]
+    marks = np.append(middle, near[1:][np.argsort((angle - first + 0.1) % (2 * np.pi))])
+    for lead in _leads(kind, rings):
+        off, marks = tree.query(lead @ places[marks])
+    if len(np.unique(marks)) < len(places) or off.max() > OFF * far[1]:
+        return None
+    return PinLattice(kind, upright(sites.cells[: len(marks)], places[marks]), marks, float(far[1]), 1.0)
+
+
+@cache
+def _leads(kind: str, rings: int) -> list[Float[ndarray, "s k"]]:
+    """Matrices that lead from the places of inner rings to those of these and the next ones, step by step."""
+    sites, known, leads = ring_sites(kind), 7, []
+    for upto, degree in (*((ring, d) for ring, d in OUTWARDS if ring < rings), (rings, 3), (rings, 5)):
+        terms = _terms(sites.places[: sites.upto(upto)], min(degree, rings + 1))
+        leads.append(terms @ np.linalg.pinv(terms[:known]))
+        known = len(terms)
+    return leads
+
+
+def _terms(plane: Float[ndarray, "s 2"], degree: int) -> Float[ndarray, "s k"]:
+    x, y = (plane / MAX_RINGS).T
+    return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
 
 
 def _is_sheared(one: PinLattice, places: Points) -> bool:
