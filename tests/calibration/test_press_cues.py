@@ -32,6 +32,13 @@ def test_cues_without_a_calibration_are_relative_ones(cues) -> None:
     assert cues.trial.area_m2.shape == cues.trial.press.force_n.shape
 
 
+def test_colour_frames_of_a_press_are_read_as_their_grey_ones(cues) -> None:
+    made = record_press(tactip(), "S1=7.6", seed=3)
+    colour = cues_of([np.stack([one] * 3, axis=-1) for one in made.frames()], press_table_of(made))
+    assert_allclose(colour.trial.press.moved_px, cues.trial.press.moved_px)
+    assert_allclose(colour.reported.divergence, cues.reported.divergence)
+
+
 def test_force_over_position_is_the_stiffness_of_all_that_yields(rng) -> None:
     depth = np.linspace(-1e-3, 3e-3, 400)
     force = 2e3 * np.maximum(depth, 0)

@@ -10,7 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
+from palpate.core import Lens
 from palpate.sensors.tactip import tactip
+from palpate.sensors.tactip.tactip_press import pixels_per_tangent
 from palpate.workflows.tactip_trials import record_trials, specimens_at
 
 
@@ -59,6 +61,15 @@ def test_a_press_alone_is_read_and_said_to_be_uncalibrated(press) -> None:
     assert found["speed_mm_s"] == pytest.approx(8)
     assert 0.5 < found["series_stiffness"]["value_N_per_mm"] < 7.6  # tip and specimen in series yield more
     assert found["as_reported"]["regression_per_N"]["value"] > 0
+
+
+def test_a_lens_gives_the_untouched_area_in_mm2(press, tmp_path) -> None:
+    """The virtual camera written as a lens: the field is a circle of six pitches of 2.6 mm."""
+    focal = pixels_per_tangent(tactip())
+    Lens("pinhole", (focal, focal), (149.5, 149.5), (0.0,) * 5, (300, 300)).write(tmp_path / "lens.json")
+    found = strict(compliance(*press, "--lens", tmp_path / "lens.json", "--json").output)
+    assert found["untouched_area_mm2"] == pytest.approx(math.pi * 15.6**2, rel=0.01)
+    assert "A_c0" in compliance(*press, "--lens", tmp_path / "lens.json").output
 
 
 def test_a_calibrated_press_is_told_with_its_interval(press, calibration) -> None:

@@ -94,7 +94,8 @@ DARK_AROUND = 0.35  # share of directions in which the ground is seen halfway to
 CROWDED, SPLINTER = 0.72, 0.65  # of the neighbours' distances, and of the other's weight
 SHORTER, SHORTEN = 6, 0.8  # times that a reach is shortened, and to how much each time
 STRAY = 0.2  # of the way to the nearest neighbour, by which a centroid may lie from where it was looked for
-WHOLE = frozenset(3 * n * (n + 1) + 1 for n in range(1, 20))  # pins in so many rings about one
+WHOLE = frozenset(3 * n * (n + 1) + 1 for n in range(2, 20))
+"""Pins in two rings or more about one; a ring of six about one may be lamps."""
 LEAST_STRAY_PX = 1.5  # spots lie on whole pixels
 GLARE_PX = 4  # pixels that touch: fewer are noise
 
@@ -243,7 +244,8 @@ def _by_contrast(grey: Grey) -> PinTracks | None:
 def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinTracks:
     marks = named.marks[_uncrowded(grey, spots[named.marks])]
     cells = named.cells[np.isin(named.marks, marks)]
-    xy, others = spots[marks], np.delete(spots, marks, axis=0)
+    xy = start = spots[marks]
+    others = np.delete(spots, marks, axis=0)
     spacing = _spacing(xy)
     near = _neighbours(xy)
     beside = np.maximum(REACH * _apart(xy, others), LEAST_REACH * spacing)
@@ -255,7 +257,9 @@ def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinT
         # A halo of glare is above all of a pin's ground, and would draw it to itself.
         floor = np.maximum(dark + FLOOR * (light - dark), np.minimum(ground, 0.5 * (dark + light)))
         reach = np.minimum(_clear_of_glare(_brighter(grey, xy, floor), xy, spacing), beside)
-        xy, reach, weight, here = _held(grey, xy, reach, floor, np.maximum(STRAY * spacing, LEAST_STRAY_PX))
+        xy, reach, weight, here = _held(
+            grey, start, reach, floor, np.maximum(STRAY * spacing, LEAST_STRAY_PX)
+        )
     bright, around = light_at(grey, xy, spacing)
     kept = here & _looks_like_a_pin(bright, around, dark, light)
     pins = PinTracks(xy, float(np.median(dark)), float(np.median(light)), reach, weight, cells, floor)
@@ -287,7 +291,7 @@ def _uncrowded(grey: Grey, xy: Points) -> Bool[ndarray, " p"]:
 
 def _held(
     grey: Grey,
-    xy: Points,
+    spots: Points,
     reach: Float[ndarray, " p"],
     floor: Float[ndarray, " p"],
     stray: Float[ndarray, " p"],
@@ -299,12 +303,12 @@ def _held(
     """
     reach = reach.copy()
     for _ in range(SHORTER):
-        moved, weight = _centroids(grey, xy, reach, floor)
-        here = np.hypot(*(moved - xy).T) < stray
+        moved, weight = _centroids(grey, spots, reach, floor)
+        here = np.hypot(*(moved - spots).T) < stray
         if here.all():
             break
         reach[~here] *= SHORTEN
-    return np.where(here[:, None], moved, xy), reach, weight, here
+    return np.where(here[:, None], moved, spots), reach, weight, here
 
 
 def _looks_like_a_pin(

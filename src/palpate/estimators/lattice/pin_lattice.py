@@ -105,7 +105,7 @@ def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | 
     degree.
     """
     rings = round((math.sqrt(12 * len(places) - 3) - 3) / 6)
-    if not (1 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
+    if not (2 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
         return None
     tree, sites = cKDTree(places), ring_sites(kind)
     middle = int(np.argmin(((places - places.mean(axis=0)) ** 2).sum(axis=1)))
@@ -125,7 +125,7 @@ def _leads(kind: str, rings: int) -> list[Float[ndarray, "s k"]]:
     """Matrices that lead from the places of inner rings to those of these and the next ones, step by step."""
     sites, known, leads = ring_sites(kind), 7, []
     for upto, degree in (*((ring, d) for ring, d in OUTWARDS if ring < rings), (rings, 3), (rings, 5)):
-        terms = _terms(sites.places[: sites.upto(upto)], min(degree, rings + 1))
+        terms = _terms(sites.places[: sites.upto(upto)], min(degree, rings))
         leads.append(terms @ np.linalg.pinv(terms[:known]))
         known = len(terms)
     return leads
