@@ -36,7 +36,7 @@ class PinField:
 
     @property
     def radius(self) -> float:
-        """Of a circle about the middle: root mean square distance of the outermost pins."""
+        """Radius of the circle: root mean square distance of the outermost pins from the middle."""
         return float(np.sqrt(((self.edge - self.middle) ** 2).sum(axis=1).mean()))
 
     @property
@@ -46,7 +46,7 @@ class PinField:
 
     @property
     def area(self) -> float:
-        """Of that circle, in the square of the unit of the places."""
+        """Area of that circle, in the square of the unit of the places."""
         return np.pi * self.radius**2
 
 
