@@ -12,6 +12,7 @@ from palpate.calibration.stress_optic_fit import Disc, StatedErrors, Strip, fit_
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError, RangeError, UnitError
 from palpate.estimators.fringe_light import one_line, white_led
 from palpate.estimators.fringe_order import fit_orders
+from palpate.mechanics.disc_stress import disc_difference
 from palpate.optics import StressOpticLaw, encode_srgb, spectral_to_linear
 
 LOADS_N = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0, 300.0, 340.0])
@@ -268,3 +269,26 @@ def test_intervals_hold_c_when_load_section_and_wavelength_are_off_by_what_is_st
         half = math.hypot(found.half_width_per_n, *(1.96 * s * found.slope_per_n for s in shares))
         hits += abs(found.slope_per_n - truth / (wave * b)) < half
     assert (216 <= hits <= 238) == covered
+
+
+def test_a_disc_s_whole_face_gives_its_coefficient(tmp_path) -> None:
+    centre, seen = (70.0, 66.0), 120.0
+    down, across = np.mgrid[0:132, 0:140]
+    x, y = (across - centre[0]) / (seen / 2), (down - centre[1]) / (seen / 2)
+    u = np.nan_to_num(disc_difference(x, y)[0])
+    names, rng = [], np.random.default_rng(0)
+    for i, load in enumerate(LOADS_N):
+        order = 8 * C / 50 * load / (math.pi * 50e-3 * 589.3e-9) * u
+        linear = 0.7 * np.sin(np.pi * order) ** 2 + 0.01 + 0.004 * rng.standard_normal(u.shape)
+        names.append(f"d{i}.png")
+        Image.fromarray(encode_srgb(np.repeat(linear[..., None], 3, axis=-1))).save(tmp_path / names[-1])
+    pd.DataFrame({"image_file": names, "load_N": LOADS_N}).to_csv(tmp_path / "labels.csv", index=False)
+    found = fit(tmp_path, Disc(50e-3, (*centre, seen)), roi=None, greatest_order=3.0)
+    assert found.coefficient_per_pa == pytest.approx(C / 50, rel=0.005)
+    assert found.low_per_pa < C / 50 < found.high_per_pa
+    assert not found.ambiguous
+    assert not any("does not follow" in remark for remark in found.remarks)
+    moved = fit(tmp_path, Disc(50e-3, (centre[0] + 4, centre[1], seen)), roi=None, greatest_order=3.0)
+    assert moved.rms > 3 * found.rms
+    with pytest.raises(InputError, match="region"):
+        fit(tmp_path, STRIP, roi=None)

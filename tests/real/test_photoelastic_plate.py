@@ -8,9 +8,15 @@ photograph alone, matched to a finite-element stress field of the plate with its
 4.3e-11 1/Pa (4.1e-11 to 4.9e-11 over the nine).
 """
 
+import numpy as np
+import pandas as pd
 import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from tests.oracles.cracked_strip import CrackedStrip
 
 from palpate.calibration.stress_optic_fit import Strip, fit_stress_optic
+from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import one_line
 
 PLATE = Strip(52e-3, 5.7e-3)
@@ -46,3 +52,70 @@ def test_with_the_fringes_counted_the_coefficient_agrees_with_the_crack_s_field(
     assert found.monotone
     assert found.r_squared > 0.95
     assert any("exposure differs" in remark for remark in found.remarks)
+
+
+CRACK_MM = 17.8  # tip to tip, measured in the photographs at 52 mm a width
+TO_TIP_MM, TO_CRACK_MM, TO_SIDE_MM, REACH_MM = 2.0, 2.5, 23.0, 25.0  # what is left out, and how far it goes
+
+
+def whole_field(plate, to_tip=TO_TIP_MM, step=0.6):
+    """Loads, light of every photograph about its crack, and s1 - s2 over the nominal stress there."""
+    table = pd.read_csv(plate / "labels.csv")
+    strip = CrackedStrip(52.0, CRACK_MM / 2, 75.0)
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(-22.9, 23, step), np.arange(-25, 25.1, step)))
+    far = np.hypot(np.abs(x) - CRACK_MM / 2, y) > to_tip
+    keep = far & ((np.abs(y) > TO_CRACK_MM) | (np.abs(x) > CRACK_MM / 2 + to_tip))
+    x, y = x[keep], y[keep]
+    light = []
+    for name in table["image_file"]:
+        code = np.asarray(Image.open(plate / name).convert("RGB")) / 255.0
+        linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        row, column = crack_at(code[..., :2].mean(axis=-1))
+        scale = code.shape[1] / 52.0
+        smooth = gaussian_filter(linear, (2, 2, 0))
+        at = np.rint([row + y * scale, column + x * scale]).astype(int)
+        light.append(smooth[at[0], at[1], :2].mean(axis=-1))
+    u = strip.difference(x, y)
+    return table["load_N"].to_numpy(), np.repeat(np.array(light)[..., None], 3, axis=-1), u
+
+
+def crack_at(grey):
+    """Row and middle column of the crack: the darkest row near the middle, its dark run there."""
+    h, w = grey.shape
+    row = (
+        h // 2
+        - 60
+        + int(gaussian_filter(grey[h // 2 - 60 : h // 2 + 60, w // 2 - 60 : w // 2 + 60].mean(1), 2).argmin())
+    )
+    dark = gaussian_filter(grey[row - 2 : row + 3].mean(axis=0), 1) < 0.2
+    ends = []
+    for step in (-1, 1):
+        c = w // 2
+        while dark[c : c + 8 * step : step].any():
+            c += step
+        ends.append(c)
+    return row, sum(ends) / 2
+
+
+def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
+    load, light, u = whole_field(plate)
+    found = fit_field(load, light, u, SODIUM, greatest_order=6.0)
+    C = SODIUM.wavelength_m * PLATE.breadth_m
+    half = np.hypot(found.half_width_per_n, 1.96 * found.slope_per_n * np.hypot(0.01, 0.1 / 52))
+    assert half < 0.10 * found.slope_per_n
+    assert not found.ambiguous
+    assert found.rms < 0.4
+    assert (found.slope_per_n - half) * C > 3.39e-11  # the authors' greatest
+
+
+def test_three_dark_loops_stand_at_one_to_three_orders_and_not_where_the_authors_c_puts_them(plate) -> None:
+    """At 100 kgf: the field at the dark loops is as 1 : 2 : 3, so counting starts at one."""
+    load, light, u = whole_field(plate, to_tip=1.2, step=0.15)
+    i = int(np.abs(load - 980.665).argmin())
+    bins = np.arange(0.4, 2.1, 0.02)
+    mean = gaussian_filter1d([light[i, np.abs(u - b) < 0.03, 0].mean() for b in bins], 1)
+    dark = bins[1:-1][(mean[1:-1] < mean[:-2]) & (mean[1:-1] <= mean[2:])]
+    loops = np.array([dark[np.abs(dark - n * 0.64).argmin()] for n in (1, 2, 3)])
+    np.testing.assert_allclose(loops / loops[0], [1, 2, 3], rtol=0.05)
+    by_authors = 3.24e-11 * load[i] / (SODIUM.wavelength_m * PLATE.breadth_m) * loops
+    assert np.abs(by_authors - np.rint(by_authors)).max() > 0.3  # no whole orders

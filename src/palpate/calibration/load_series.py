@@ -54,6 +54,7 @@ class Series:
         clipped: where more than a tenth of a patch was saturated.
         open_light: of the photograph between parallel polarisers, or None.
         grey: the photographs have one channel (given three times in `light`).
+        centre_px: x and y of each patch's centre in the photograph [px].
         remarks: what was assumed of the exposure, in sentences.
     """
 
@@ -65,6 +66,7 @@ class Series:
     clipped: Bool[ndarray, "n p 3"]
     open_light: Float[ndarray, "p 3"] | None
     grey: bool
+    centre_px: Float[ndarray, "p 2"]
     remarks: tuple[str, ...]
 
 
@@ -77,8 +79,11 @@ def read_series(
     parallel: Path | None,
     tone: Tone,
     progress: Progress,
+    patches: int = PATCHES,
 ) -> Series:
     """Read the photographs that a table names; see `fit_stress_optic` for the arguments.
+
+    The region is cut into about `patches` near-square ones, row by row.
 
     Raises:
         LabelError: the table does not fit, or a load is no number.
@@ -101,9 +106,9 @@ def read_series(
     if len({one.ndim for one in pixels}) > 1:
         raise ImageError("some photographs are grey and some in colour; take all alike")
     exposure, remark = _exposures(paths)
-    patches = [_patches(one) for one in pixels]
-    light = np.stack([_light(p, tone) / e for p, e in zip(patches, exposure, strict=True)])
-    clipped = np.stack([[(one >= SATURATED).mean(axis=(0, 1)) > CLIPPED_SHARE for one in p] for p in patches])
+    cut = [_patches(one, patches) for one in pixels]
+    light = np.stack([_light(p, tone) / e for p, e in zip(cut, exposure, strict=True)])
+    clipped = np.stack([[(one >= SATURATED).mean(axis=(0, 1)) > CLIPPED_SHARE for one in p] for p in cut])
     n = len(names)
     if parallel is not None and clipped[n].any():
         raise ImageError(f"{parallel} is saturated in the region; expose it and all the others less")
@@ -118,6 +123,7 @@ def read_series(
         clipped=clipped[:n],
         open_light=light[n] if parallel is not None else None,
         grey=pixels[0].ndim == 2,
+        centre_px=_centres(region_px, patches),
         remarks=(remark, *saturated),
     )
 
@@ -184,13 +190,25 @@ def _region(image: Image, path: Path, region_px: Region) -> UInt8[ndarray, "high
     return image[y : y + h, x : x + w]
 
 
-def _patches(pixels: UInt8[ndarray, "h w *c"]) -> list[UInt8[ndarray, "_ _ 3"]]:
-    """About twelve patches, near square, of equal size."""
+def _grid(w: int, h: int, patches: int) -> tuple[int, int, int, int]:
+    """Rows and columns of near-square patches, and their height and width [px]."""
+    columns = int(np.clip(round(np.sqrt(patches * w / h)), 1, min(patches, w // MIN_SIDE)))
+    rows = int(np.clip(patches // columns, 1, h // MIN_SIDE))
+    return rows, columns, h // rows, w // columns
+
+
+def _centres(region_px: Region, patches: int) -> Float[ndarray, "p 2"]:
+    x, y, w, h = region_px
+    rows, columns, high, wide = _grid(w, h, patches)
+    down, across = np.mgrid[0:rows, 0:columns]
+    half = (np.array([wide, high]) - 1) / 2
+    return np.stack([x + across * wide, y + down * high], axis=-1).reshape(-1, 2) + half
+
+
+def _patches(pixels: UInt8[ndarray, "h w *c"], patches: int) -> list[UInt8[ndarray, "_ _ 3"]]:
     h, w = pixels.shape[:2]
-    columns = int(np.clip(round(np.sqrt(PATCHES * w / h)), 1, min(PATCHES, w // MIN_SIDE)))
-    rows = int(np.clip(PATCHES // columns, 1, h // MIN_SIDE))
+    rows, columns, high, wide = _grid(w, h, patches)
     colour = np.dstack([pixels] * 3) if pixels.ndim == 2 else pixels
-    high, wide = h // rows, w // columns
     return [
         colour[r * high : (r + 1) * high, c * wide : (c + 1) * wide]
         for r in range(rows)

@@ -19,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from palpate.calibration.load_series import Series, Tone, read_series
-from palpate.core import Float, Progress, RangeError, ndarray, sha256_of_all, silent
+from palpate.calibration.load_series import PATCHES, Series, Tone, read_series
+from palpate.core import Float, InputError, Progress, RangeError, ndarray, sha256_of_all, silent
+from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
+from palpate.mechanics.disc_stress import disc_difference
 from palpate.version import __version__
 
 
@@ -57,16 +59,43 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A disc pressed across its diameter between flat plates; the region is a small box at its centre.
+    """A disc pressed across its diameter between flat plates.
+
+    With `seen_px` its whole face is fitted by the closed form of its stress, the load running down the
+    photograph; without, the region is a small box at its centre.
 
     Attributes:
         diameter_m: D [m].
+        seen_px: x and y of its centre and its diameter in the photographs [px].
+        polariser_rad: of a plane polariscope, from the photograph's x [rad]; None for a circular one.
     """
 
     diameter_m: float
+    seen_px: tuple[float, float, float] | None = None
+    polariser_rad: float | None = None
 
     def __post_init__(self) -> None:
         _positive("the disc's diameter", self.diameter_m)
+        if self.seen_px is not None and not (np.isfinite(self.seen_px).all() and self.seen_px[2] > 0):
+            raise RangeError(f"disc seen at {self.seen_px} px; give its centre's x and y and its diameter")
+
+    def seen_stress(self, centre_px: Float[ndarray, "p 2"]) -> tuple[ndarray, ndarray, ndarray]:
+        """s1 - s2 over the centre's, visibility, and where both are used; of places in the photograph."""
+        if self.seen_px is None:
+            raise InputError("say where the disc is seen: seen_px, its centre and diameter [px]")
+        x, y = ((centre_px - self.seen_px[:2]) / (self.seen_px[2] / 2)).T
+        u, axis = disc_difference(x, y)
+        inside = np.isfinite(u) & (np.hypot(x, y) <= FACE) & (u <= STEEP)
+        turned = 0.0 if self.polariser_rad is None else self.polariser_rad
+        plain = np.ones(len(u)) if self.polariser_rad is None else np.sin(2 * (axis - turned)) ** 2
+        return u, plain, inside
+
+    def face_px(self) -> tuple[int, int, int, int]:
+        """The square about the disc, as a region [px]."""
+        if self.seen_px is None:
+            raise InputError("say where the disc is seen: seen_px, its centre and diameter [px]")
+        x, y, D = self.seen_px
+        return round(x - D / 2), round(y - D / 2), round(D), round(D)
 
     @property
     def breadth_m(self) -> float:
@@ -75,6 +104,11 @@ class Disc:
 
     def __str__(self) -> str:
         return f"disc {self.diameter_m * 1e3:g} mm across"
+
+
+FACE = 0.95  # of the radius, up to which a face is used: beyond, its rim and bent rays
+STEEP = 2.5  # times the centre's stress, from which fringes near the loads are too narrow for a patch
+FIELD_PATCHES = 1600
 
 
 def _positive(name: str, value: float) -> None:
@@ -120,6 +154,7 @@ class StatedErrors:
 LINE_M, ASSUMED_LAMP_M = 1e-9, 10e-9  # a filter's centre as sold; white lamps err by 1 to 4 % of C
 NORMAL_95 = 1.959964
 SCALE_STEPS = 401
+UNLIKE = 0.25  # share of the light that a field leaves over, from which it is remarked
 UNEVEN = 0.05  # spread of k between patches from which it is remarked
 
 
@@ -221,7 +256,7 @@ def fit_stress_optic(
     labels: Path,
     specimen: Strip | Disc,
     polariscope: Polariscope,
-    region_px: tuple[int, int, int, int],
+    region_px: tuple[int, int, int, int] | None,
     *,
     image_column: str = "image_file",
     load_column: str | None = None,
@@ -239,7 +274,8 @@ def fit_stress_optic(
         labels: table with one row a photograph; where it stands, or in the folder.
         specimen: its section.
         polariscope: the light.
-        region_px: x, y, width and height of the region, the same in every photograph [px].
+        region_px: x, y, width and height of the region, the same in every photograph [px]. None takes the
+            whole face of a disc that says where it is seen.
         image_column: label column that names the photograph.
         load_column: label column of the load, with its unit (N, mN, kgf, or g and kg of dead weight); by
             default the one named load, force, mass or weight.
@@ -261,18 +297,36 @@ def fit_stress_optic(
         InputError: too few photographs or loads, or a region outside a photograph.
         RangeError: the photographs do not tell C.
     """
-    series = read_series(folder, labels, region_px, image_column, load_column, parallel, tone, progress)
+    face = isinstance(specimen, Disc) and specimen.seen_px is not None
+    if region_px is None:
+        if not isinstance(specimen, Disc):
+            raise InputError("give the region of the photographs where the strip's stress is uniform [px]")
+        region_px = specimen.face_px()
+    series = read_series(
+        folder,
+        labels,
+        region_px,
+        image_column,
+        load_column,
+        parallel,
+        tone,
+        progress,
+        FIELD_PATCHES if face else PATCHES,
+    )
     light = polariscope.grey() if series.grey else polariscope
     progress("fitting", 0, 1)
-    orders = fit_orders(
-        series.load_n,
-        series.light,
-        light,
-        clipped=series.clipped,
-        open_light=series.open_light,
-        greatest_order=greatest_order,
-        residual_order=residual_order,
-    )
+    if isinstance(specimen, Disc) and specimen.seen_px is not None:
+        orders = _of_face(series, specimen, light, greatest_order, residual_order)
+    else:
+        orders = fit_orders(
+            series.load_n,
+            series.light,
+            light,
+            clipped=series.clipped,
+            open_light=series.open_light,
+            greatest_order=greatest_order,
+            residual_order=residual_order,
+        )
     progress("fitting", 1, 1)
     settings = {
         "load_column": series.load_column,
@@ -314,6 +368,22 @@ def fit_stress_optic(
     )
 
 
+def _of_face(
+    series: Series, disc: Disc, light: Polariscope, greatest_order: float, residual_order: float
+) -> OrderFit:
+    u, visibility, inside = disc.seen_stress(series.centre_px)
+    return fit_field(
+        series.load_n,
+        series.light[:, inside],
+        u[inside],
+        light,
+        visibility=visibility[inside],
+        clipped=series.clipped[:, inside],
+        greatest_order=greatest_order,
+        residual_order=residual_order,
+    )
+
+
 def _coefficients(orders: OrderFit, per_slope: float, shares: dict[str, float]) -> dict[str, Any]:
     """C with its interval, and its rivals: slopes [1/N] times l0 b [m^2]."""
     C = orders.slope_per_n * per_slope
@@ -346,6 +416,11 @@ def _remarks(
         remarks.append(f"no photograph without load: N0 is taken as 0 ± {residual_order:g} before the fit")
     if abs(orders.residual_order) > 2 * residual_order:
         remarks.append(f"residual order {orders.residual_order:.2f} is more than was allowed for")
+    if orders.rms > UNLIKE and len(series.centre_px) > 10 * PATCHES:
+        remarks.append(
+            f"{orders.rms:.0%} of the light's standard deviation does not follow the disc's field: check its "
+            "place, the lamp and the polarisers"
+        )
     if orders.spread > UNEVEN:
         remarks.append(f"C differs by {orders.spread:.0%} between patches: the stress is not uniform there")
     if not _monotone(series.load_n, orders.own_order):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,12 +52,18 @@ app = group("Light, stress and what a material makes of them.")
 def fit_c(
     folder: Annotated[Path, Argument(help="Folder of photographs, one for each load.")],
     labels: Annotated[Path, Option(help="CSV or Parquet, one row a photograph; here or in the folder.")],
-    roi_px: Annotated[str, Option(help="X,Y,WIDTH,HEIGHT where the stress is uniform [px].")],
+    roi_px: Annotated[str | None, Option(help="X,Y,WIDTH,HEIGHT where the stress is uniform [px].")] = None,
     strip_mm: Annotated[
         str | None, Option(help="WIDTHxTHICKNESS of a strip in tension [mm], e.g. 20x6.")
     ] = None,
     disc_mm: Annotated[
         float | None, Option(help="Diameter of a disc pressed across; the region is its centre [mm].")
+    ] = None,
+    disc_px: Annotated[
+        str | None, Option(help="X,Y,DIAMETER of the disc in the photographs: fits its whole face [px].")
+    ] = None,
+    polariser_deg: Annotated[
+        float | None, Option(help="Of a plane polariscope, from x, for --disc-px; without, circular.")
     ] = None,
     lamp: Annotated[str, Option(help="line, led or tungsten; the white two are assumed curves.")] = "line",
     wavelength_nm: Annotated[float, Option(help="Of the line [nm]; sodium is 589.3.")] = 589.3,
@@ -111,9 +118,9 @@ def fit_c(
         fit = fit_stress_optic(
             folder,
             labels,
-            _specimen(strip_mm, disc_mm),
+            _specimen(strip_mm, disc_mm, disc_px, polariser_deg),
             light,
-            cast("tuple[int, int, int, int]", numbers_of(roi_px, 4, "--roi-px")),
+            None if roi_px is None else cast("tuple[int, int, int, int]", numbers_of(roi_px, 4, "--roi-px")),
             image_column=image_column,
             load_column=load_column,
             parallel=parallel,
@@ -134,13 +141,17 @@ def fit_c(
     print_found(fit.to_dict(), _text(fit), json_)
 
 
-def _specimen(strip_mm: str | None, disc_mm: float | None) -> Strip | Disc:
+def _specimen(
+    strip_mm: str | None, disc_mm: float | None, disc_px: str | None, polariser_deg: float | None
+) -> Strip | Disc:
     from palpate.calibration.stress_optic_fit import Disc, Strip
 
     if (strip_mm is None) == (disc_mm is None):
         raise InputError("say what the specimen is: either --strip-mm WIDTHxTHICKNESS or --disc-mm DIAMETER")
     if disc_mm is not None:
-        return Disc(disc_mm * 1e-3)
+        seen = None if disc_px is None else cast("tuple[int, int, int]", numbers_of(disc_px, 3, "--disc-px"))
+        turned = None if polariser_deg is None else math.radians(polariser_deg)
+        return Disc(disc_mm * 1e-3, seen, turned)
     try:
         width, thickness = (float(part) * 1e-3 for part in str(strip_mm).split("x"))
     except ValueError:
