@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-MOST_BLUR = 0.28  # of the distance of neighbours: with more they are one
+MAX_BLUR = 0.28  # of the distance of neighbours: with more they are one
 CLEAR_PX, BLURS = 1.0, 1.5  # px, and so many widths of blur: glare that is nearer to a pin touches it
 OFF_SITE = 0.42  # pitches
 TRIES = 400  # at places for glare between pins
@@ -120,7 +120,7 @@ def drawn_at_random(seed: int) -> Nuisances:
         falloff=rng.uniform(0.6, 1),
         stray=rng.uniform(8, 50),
         pin_level=rng.uniform(130, 220),
-        blur_px=rng.uniform(0.5, min(3.0, MOST_BLUR * at_rim)),
+        blur_px=rng.uniform(0.5, min(3.0, MAX_BLUR * at_rim)),
         lamps=int(rng.integers(3, 13)),
         between=int(rng.integers(0, 6)),
         over=int(rng.integers(0, 3)),

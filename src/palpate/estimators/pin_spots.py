@@ -22,7 +22,7 @@ Points = Float[ndarray, "p 2"]
 CLEAR = 5.0  # spreads of the ground that pins are brighter by
 MIN_PX = 4
 RADII = 1.2, 1.7  # px in each copy
-LEAST_SIDE = 32  # px of the smallest copy
+MIN_SIDE = 32  # px of the smallest copy
 MIN_CONTRAST = 0.03
 BESIDE = 6  # neighbours that are looked at
 OPPOSITE = 0.35  # of the nearest one's distance: how far from the mirrored place the opposite one may lie
@@ -70,7 +70,7 @@ def orderly_spots(image: Grey) -> list[Points]:
 
 def _by_size(image: Grey) -> Iterator[Points]:
     copy, scale = image, 1
-    while min(copy.shape) >= LEAST_SIDE:
+    while min(copy.shape) >= MIN_SIDE:
         for radius in RADII:
             yield scale * _one_each(round_patches(copy, radius, "bright", MIN_CONTRAST))
         copy, scale = cv2.pyrDown(copy), 2 * scale

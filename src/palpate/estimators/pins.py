@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
 from palpate.estimators.lattice.pin_lattice import PinLattice, name_pins
+from palpate.estimators.lattice.ring_layout import MAX_RINGS, WITHIN, empty_sites, ring_of
 from palpate.estimators.pin_spots import contrast, light_at, orderly_spots, patches
 
 ROUNDS = 6  # of looking around where it was found
@@ -86,7 +87,7 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
 FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
 LOST = 0.35  # of a pin's first weight: with less it is lost
 REACH = 0.45  # of the way to the nearest neighbour
-LEAST_REACH = 0.3  # the same, next to glare
+MIN_REACH = 0.3  # the same, next to glare
 MIN_PINS = 7
 NEAR = 19  # pins that one is compared with, itself among them
 LIKE = 0.3, 3.0  # times their weight
@@ -96,7 +97,7 @@ SHORTER, SHORTEN = 6, 0.8  # times that a reach is shortened, and to how much ea
 STRAY = 0.2  # of the way to the nearest neighbour, by which a centroid may lie from where it was looked for
 WHOLE = frozenset(3 * n * (n + 1) + 1 for n in range(2, 20))
 """Pins in two rings or more about one; a ring of six about one may be lamps."""
-LEAST_STRAY_PX = 1.5  # spots lie on whole pixels
+MIN_STRAY_PX = 1.5  # spots lie on whole pixels
 GLARE_PX = 4  # pixels that touch: fewer are noise
 
 SPAN = 16  # pixels; a window is as wide as some spans
@@ -244,11 +245,15 @@ def _by_contrast(grey: Grey) -> PinTracks | None:
 def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinTracks:
     marks = named.marks[_uncrowded(grey, spots[named.marks])]
     cells = named.cells[np.isin(named.marks, marks)]
-    xy = start = spots[marks]
-    others = np.delete(spots, marks, axis=0)
+    xy, others = spots[marks], np.delete(spots, marks, axis=0)
+    more, looked_at = _where_expected(named.kind, cells, xy, others, (grey.shape[0], grey.shape[1]))
+    sure, cells, xy = len(xy), np.concatenate([cells, more]), np.concatenate([xy, looked_at])
+    start = xy
+    if len(others):
+        others = others[cKDTree(xy).query(others)[0] > 0]
     spacing = _spacing(xy)
-    near = _neighbours(xy)
-    beside = np.maximum(REACH * _apart(xy, others), LEAST_REACH * spacing)
+    near = _neighbours(xy, sure)
+    beside = np.maximum(REACH * _apart(xy, others), MIN_REACH * spacing)
     for _ in range(2):
         bright, around = light_at(grey, xy, spacing)
         # Of the neighbours together: one pin's own would be its dirt, or the glare that stands in its place.
@@ -257,9 +262,7 @@ def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinT
         # A halo of glare is above all of a pin's ground, and would draw it to itself.
         floor = np.maximum(dark + FLOOR * (light - dark), np.minimum(ground, 0.5 * (dark + light)))
         reach = np.minimum(_clear_of_glare(_brighter(grey, xy, floor), xy, spacing), beside)
-        xy, reach, weight, here = _held(
-            grey, start, reach, floor, np.maximum(STRAY * spacing, LEAST_STRAY_PX)
-        )
+        xy, reach, weight, here = _held(grey, start, reach, floor, np.maximum(STRAY * spacing, MIN_STRAY_PX))
     bright, around = light_at(grey, xy, spacing)
     kept = here & _looks_like_a_pin(bright, around, dark, light)
     pins = PinTracks(xy, float(np.median(dark)), float(np.median(light)), reach, weight, cells, floor)
@@ -267,9 +270,30 @@ def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinT
     return _only(pins, _outwards(pins.xy_px))
 
 
-def _neighbours(xy: Points) -> Int[ndarray, "p q"]:
-    """Pins that each is compared with: those around it, itself among them."""
-    return np.asarray(cKDTree(xy).query(xy, k=min(NEAR, len(xy)))[1])
+def _where_expected(
+    kind: str,
+    cells: Int[ndarray, "p 2"],
+    xy: Points,
+    others: Float[ndarray, "o 2"],
+    size: tuple[int, int],
+) -> tuple[Int[ndarray, "e 2"], Float[ndarray, "e 2"]]:
+    """Cells without a pin, and where one is looked for: at a spot next to its place, or at the place."""
+    if kind == "square" or ring_of(cells).max() > MAX_RINGS:
+        return np.empty((0, 2), int), np.empty((0, 2))
+    empty, expected = empty_sites(kind, cells, xy, size)
+    if len(others) and len(empty):
+        far, which = cKDTree(others).query(expected)
+        near = far < WITHIN * np.median(_spacing(xy))
+        _, once = np.unique(which, return_index=True)
+        near &= np.isin(np.arange(len(which)), once)
+        expected = np.where(near[:, None], others[which], expected)
+    return empty, expected
+
+
+def _neighbours(xy: Points, sure: int | None = None) -> Int[ndarray, "p q"]:
+    """Pins that each is compared with: those around it, of the first so many."""
+    known = xy[:sure]
+    return np.asarray(cKDTree(known).query(xy, k=min(NEAR, len(known)))[1])
 
 
 def _uncrowded(grey: Grey, xy: Points) -> Bool[ndarray, " p"]:
@@ -280,7 +304,7 @@ def _uncrowded(grey: Grey, xy: Points) -> Bool[ndarray, " p"]:
     if len(crowded):
         bright, around = light_at(grey, xy, usual)
         floor = np.median((1 - FLOOR) * np.median(around, axis=1) + FLOOR * bright)
-        _, weight = _centroids(grey, xy[crowded], LEAST_REACH * usual[crowded], np.full(len(crowded), floor))
+        _, weight = _centroids(grey, xy[crowded], MIN_REACH * usual[crowded], np.full(len(crowded), floor))
         tree = cKDTree(xy[crowded])
         for i, j in tree.query_pairs(CROWDED * float(usual[crowded].max())):
             if np.hypot(*(xy[crowded[i]] - xy[crowded[j]])) < CROWDED * usual[crowded[i]]:
@@ -367,7 +391,7 @@ def _clear_of_glare(brighter: Grey, xy: Points, spacing: Float[ndarray, " p"]) -
     if not other.any():
         return reach
     away = cv2.distanceTransform(np.where(other[label], 0, 255).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.minimum(np.maximum(away[row, column] - 1.0, LEAST_REACH * spacing), reach)
+    return np.minimum(np.maximum(away[row, column] - 1.0, MIN_REACH * spacing), reach)
 
 
 def _spacing(xy: Points) -> Float[ndarray, " p"]:

@@ -20,7 +20,7 @@ from palpate.estimators.lattice.lattice_growth import MIN_MARKS, GrownLattice, g
 from palpate.estimators.lattice.ring_layout import (
     DIRECTIONS,
     MAX_RINGS,
-    MOST,
+    SETTLED,
     fill_hexagon,
     lay_rings,
     ring_of,
@@ -30,15 +30,15 @@ from palpate.estimators.lattice.ring_layout import (
 )
 
 PinLayoutKind = Literal["hexagonal", "rings", "square"]
-MOST_FILLED = 0.9  # share of its rings' cells: pins in rings, taken for such a lattice, leave more empty
-LEAST = 0.65  # with less, marks stand on no lattice
-LEAST_OF_ALL = 0.45  # share of all marks
+MIN_FILLED = 0.9  # share of its rings' cells: pins in rings, taken for such a lattice, leave more empty
+MIN_SHARE = 0.65  # with less, marks stand on no lattice
+MIN_OF_ALL = 0.45  # share of all marks
 SHEARED = 1.25  # a square's diagonal is 1.41 of its side
 OUTWARDS = (2, 1), (4, 3), (6, 3)  # rings, and the degree of the map that leads there
 OFF = 0.2  # of the distance of neighbours, between where a pin is and where the map has it
 NEARLY_EMPTY, NEARLY_FULL = 0.15, 0.6  # share of a ring's cells
 EMPTY_COSTS = 0.5  # of a mark
-LEAST_NEXT = 3  # neighbours of a pin on the edge of a hexagonal field
+MIN_NEXT = 3  # neighbours of a pin on the edge of a hexagonal field
 
 Points = Float[ndarray, "n 2"]
 
@@ -76,7 +76,7 @@ class PinLattice:
     @property
     def settled(self) -> bool:
         """Whether another layout need not be tried."""
-        return self.share > MOST and (self.kind != "hexagonal" or self.filled > MOST_FILLED)
+        return self.share > SETTLED and (self.kind != "hexagonal" or self.filled > MIN_FILLED)
 
 
 def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
@@ -92,9 +92,9 @@ def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
     best = _hexagonal(places, size)
     if best is None or not best.settled:
         best = _better(best, _of("rings", lay_rings(places, size), places))
-    if best is None or best.share < LEAST or _is_sheared(best, places):
+    if best is None or best.share < MIN_SHARE or _is_sheared(best, places):
         best = _better(_of("square", _largest(places, "square"), places), best)
-    sound = best is not None and best.share >= LEAST and len(best.marks) >= LEAST_OF_ALL * len(places)
+    sound = best is not None and best.share >= MIN_SHARE and len(best.marks) >= MIN_OF_ALL * len(places)
     return best if sound else None
 
 
@@ -181,7 +181,7 @@ def _in_field(cells: Int[ndarray, "m 2"]) -> Bool[ndarray, " m"]:
     """
     there = set(map(tuple, cells.tolist()))
     beside = np.array([sum((c + i, r + j) in there for i, j in DIRECTIONS.tolist()) for c, r in cells])
-    firm = beside >= LEAST_NEXT
+    firm = beside >= MIN_NEXT
     if not firm.any():
         return firm
     away = ring_of(cells - _middle(cells[firm]))

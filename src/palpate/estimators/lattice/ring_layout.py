@@ -21,18 +21,18 @@ from palpate.estimators.lattice.lattice_growth import GrownLattice
 MAX_RINGS = 13
 REACH = 2.9  # pitches, within which known marks tell where one lies
 WIDTH = 1.4  # pitches; standard deviation of their weights
-LEAST_KNOWN = 4
+MIN_KNOWN = 4
 WITHIN = 0.36  # of the local pitch, how far a mark may lie from where it must
 KEPT_WITHIN = 0.1, 0.3  # of the pitch: bounds of six times the usual distance, beyond which it is left out
 FIRST_RINGS = 5  # by which beginnings are compared
 MIDDLES = 24  # marks and gaps that are tried as the middle
 RECHOICES = 2
-FULL_TRIES = 4
-LEAST_JOINED = 0.55  # share of the places next to a beginning that have a mark
-LEAST_FILLED = 0.5  # of a ring's places inside the image
+MAX_TRIES = 4
+MIN_JOINED = 0.55  # share of the places next to a beginning that have a mark
+MIN_FILLED = 0.5  # of a ring's places inside the image
 BEGINNINGS = (0,), (1, 7, 8, 19, 20, 21)
 """Sites that a mark near the middle may be: the middle, or where too much is hidden there, of one sixth."""
-MOST = 0.93  # share of the marks among named ones that are named, with which a layout is the right one
+SETTLED = 0.93  # share of the marks among named ones that are named, with which a layout is the right one
 DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
 """Cells around one, 60 degrees apart, the first along the columns."""
 
@@ -112,6 +112,28 @@ def fill_hexagon(lattice: GrownLattice, places: Points, size: tuple[int, int]) -
     return laid.lattice() or lattice
 
 
+def empty_sites(
+    kind: str, cells: Int[ndarray, "m 2"], at: Float[ndarray, "m 2"], size: tuple[int, int]
+) -> tuple[Int[ndarray, "e 2"], Float[ndarray, "e 2"]]:
+    """Cells within the rings of a field that have no mark, and where each must lie in the image [px].
+
+    Args:
+        kind: "hexagonal" or "rings".
+        cells, at: of the marks; (0, 0) is the middle.
+        size: see `lay_rings`.
+    """
+    laid = _Laying(at, cKDTree(at), size, kind)
+    number = {cell: i for i, cell in enumerate(map(tuple, laid.sites.cells.tolist()))}
+    laid.mark[[number[cell] for cell in map(tuple, cells.tolist())]] = np.arange(len(at))
+    count = laid.sites.upto(int(ring_of(cells).max()))
+    empty = np.flatnonzero(laid.mark[:count] < 0)
+    expected, _ = laid._expected(empty, count)
+    x, y = expected.T
+    with np.errstate(invalid="ignore"):
+        inside = (x > 1) & (y > 1) & (x < size[1] - 2) & (y < size[0] - 2)
+    return laid.sites.cells[empty[inside]], expected[inside]
+
+
 def lay_rings(places: Points, size: tuple[int, int]) -> GrownLattice | None:
     """The rings that most marks stand in; none where no middle has rings around it.
 
@@ -135,12 +157,12 @@ def lay_rings(places: Points, size: tuple[int, int]) -> GrownLattice | None:
                 if start is not None and laid.begin(site, start):
                     laid.grow(FIRST_RINGS)
                     tries.append((laid.fit, len(tries), laid))
-        for _, _, laid in sorted(tries, key=lambda one: (-one[0], one[1]))[:FULL_TRIES]:
+        for _, _, laid in sorted(tries, key=lambda one: (-one[0], one[1]))[:MAX_TRIES]:
             laid.grow(MAX_RINGS)
             laid.trim()
             if best is None or laid.fit > best.fit:
                 best = laid
-            if share_named(places, best.mark[best.mark >= 0]) > MOST:
+            if share_named(places, best.mark[best.mark >= 0]) > SETTLED:
                 return best.lattice()
     return None if best is None else best.lattice()
 
@@ -207,7 +229,7 @@ def _begun_at(
         gap, mark = tree.query(middle + out @ np.array([[c, s], [-s, c]]))
         near = gap < WITHIN * f
         count = int(near.sum())
-        if count < LEAST_KNOWN or len(set(mark[near].tolist())) < count:
+        if count < MIN_KNOWN or len(set(mark[near].tolist())) < count:
             continue
         design = np.column_stack([np.ones(count), out[near]])
         fit = np.linalg.lstsq(design, places[mark[near]], rcond=None)[0]
@@ -257,7 +279,7 @@ class _Laying:
         expected, pitch = self._expected(free, self.sites.upto(self.reached + 1))
         told = np.isfinite(pitch)
         far, _ = self.tree.query(expected[told])
-        return bool((far < WITHIN * pitch[told]).mean() > LEAST_JOINED) if told.any() else False
+        return bool((far < WITHIN * pitch[told]).mean() > MIN_JOINED) if told.any() else False
 
     def grow(self, rings: int) -> None:
         """Take marks up to a ring, as long as a ring finds some."""
@@ -266,7 +288,7 @@ class _Laying:
             self._settle(ring)
             here = self.sites.ring == ring
             inside = here & self._inside()
-            if (self.mark[here] >= 0).sum() < LEAST_FILLED * max(inside.sum(), 1):
+            if (self.mark[here] >= 0).sum() < MIN_FILLED * max(inside.sum(), 1):
                 self.mark[here] = -1
                 break
             self.reached = ring
@@ -279,7 +301,7 @@ class _Laying:
             expected, pitch = self._expected(np.arange(count), count)
             self.mark[:] = -1
             self._take(np.arange(count), expected, pitch)
-            if (self.mark >= 0).sum() < LEAST_KNOWN:
+            if (self.mark >= 0).sum() < MIN_KNOWN:
                 return
         self._drop(count)
         self._settle(self.reached)
@@ -328,7 +350,7 @@ class _Laying:
         terms = (np.ones_like(w), dx, dy)
         matrix = np.stack([np.stack([(w * p * q).sum(axis=1) for q in terms], -1) for p in terms], -1)
         sides = np.stack([(w * p) @ xy for p in terms], axis=1)
-        enough = ((w > 0).sum(axis=1) >= LEAST_KNOWN) & (np.linalg.det(matrix) > 1e-3 * matrix[:, 0, 0] ** 3)
+        enough = ((w > 0).sum(axis=1) >= MIN_KNOWN) & (np.linalg.det(matrix) > 1e-3 * matrix[:, 0, 0] ** 3)
         place, pitch = np.full((len(which), 2), np.nan), np.full(len(which), np.nan)
         fit = np.linalg.solve(matrix[enough], sides[enough])
         place[enough] = fit[:, 0]
