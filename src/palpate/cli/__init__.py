@@ -40,6 +40,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "sense": "calibrate_verbs:sense",
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",
+        "palm": "palm_verbs:app",
         "shear": "shear_verbs:shear",
     },
     "Display": {

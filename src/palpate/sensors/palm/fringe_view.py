@@ -54,6 +54,7 @@ COARSE = 8  # how much longer it is beyond
 LOOKS = 1001  # columns at which `sees` looks, equally spaced in the angle at which they meet the rim
 GRAZED = 1e-5  # share of its way in air from which a ray counts as having met the surface
 PICTURES_BYTES = 300_000_000
+MARCHES_BYTES = 50_000_000
 
 Light = Float32[ndarray, "h w 3"]
 """Behind the analyser in three channels, 1 being all of the lamp's light; the polarisers' leak is in it."""
@@ -83,8 +84,9 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
     return bool(offset.min() <= 0 <= offset.max() or np.abs(offset).min() < within_m)
 
 
+@cache_within(MARCHES_BYTES)
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
-    """Light of every ray, marched from wall to wall."""
+    """Light of every ray, marched from wall to wall; kept, so it is not to be changed in place."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)

@@ -36,12 +36,14 @@ EDGE_ON = 0.35
 STEPS = 48  # heights at which a line of sight is compared with the surface
 REACH = 3.2  # ball radii about the contact beyond which the surface is drawn flat
 PATCHES_BYTES = 100_000_000
+TRACES_BYTES = 20_000_000
 
 Grey = Float32[ndarray, "h w"]
 
 
+@cache_within(TRACES_BYTES)
 def trace_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
-    """The mirror's picture, every pixel traced, the contact where it is."""
+    """The mirror's picture, every pixel traced; kept, so it is not to be changed in place."""
     x, y = _underside(spec)
     return _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
 

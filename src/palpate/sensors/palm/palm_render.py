@@ -18,6 +18,7 @@ from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.colour import lamp_tint
 from palpate.optics.illumination import LedStrip, backlight
+from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
 from palpate.sensors.palm.membrane_wear import (
     Film,
@@ -32,6 +33,8 @@ from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
+
+UNSTRESSED = StressOpticLaw(1e-9)  # of no account where no fringes are drawn
 
 BEHIND_ANALYSER = 0.5  # an ideal polariser passes half of unpolarised light
 
@@ -112,12 +115,12 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     Raises:
         InputError: another contact than the ball's without a membrane.
     """
-    light, grey = _transmitted(contact, spec, exact)
+    light = _transmitted(contact, spec, exact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
     if spec.probe_edge_on:
         _draw_probe(light, contact, spec)
     light *= np.float32(spec.lamp_gain)
-    grey = grey * np.float32(BEHIND_ANALYSER * spec.lamp_gain)
+    grey = _reflected(contact, spec, exact) * np.float32(BEHIND_ANALYSER * spec.lamp_gain)
     below = np.repeat(grey[..., None], 3, axis=-1)
     if spec.wear.shows and spec.membrane:
         films = _films(spec.wear, spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
@@ -132,29 +135,43 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     return light, below
 
 
-def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> tuple[Linear, Grey]:
-    """Both regions, lit evenly: what passes the analyser edge-on, and the brightness the mirror shows."""
-    pose, air = contact.pose, not spec.membrane
-    if air and not (is_ball(contact, spec) and math.isfinite(pose.x_m + pose.y_m)):
+def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
+    """What passes the analyser edge-on, lit evenly."""
+    pose = contact.pose
+    # Palms that differ in the mirror share one marched picture.
+    spec = replace(
+        spec, probe_in_mirror=True, opaque_underside=False, mirror=spec.fringes, mirror_elevation_rad=1.0
+    )
+    if not spec.membrane:
+        _check_air(contact, spec)
+        return np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
+    if not is_ball(contact, spec):
+        return fringe_rays.march_contact(spec, contact)
+    depth_m = max(pose.depth_m, 0.0)
+    if exact:
+        return fringe_view.march_fringes(spec.unlit, depth_m, pose.x_m, pose.y_m).copy()
+    return fringe_view.shift_fringes(spec, depth_m, pose.x_m, pose.y_m)
+
+
+def _reflected(contact: Contact, spec: PalmSpec, exact: bool) -> Grey:
+    """The brightness that the mirror shows."""
+    pose = contact.pose
+    if not spec.membrane:
+        _check_air(contact, spec)
+    spec = replace(spec, stress_optic=UNSTRESSED, polariser_rad=0.0)  # palms that differ there share a trace
+    if not is_ball(contact, spec):
+        return mirror_view.trace_contact(spec, contact)
+    below = mirror_view.trace_mirror if exact else mirror_view.shift_mirror
+    return below(spec.unlit, pose.depth_m, pose.x_m, pose.y_m)
+
+
+def _check_air(contact: Contact, spec: PalmSpec) -> None:
+    pose = contact.pose
+    if not (is_ball(contact, spec) and math.isfinite(pose.x_m + pose.y_m)):
         raise InputError(
             f"a {contact.probe.shape} at ({pose.x_m}, {pose.y_m}) m; without a membrane only the palm's own "
             "ball is drawn, without lateral load and at a finite place"
         )
-    # The fringes know nothing of what the mirror shows: palms that differ in it share one marched picture.
-    usual = spec.probe_in_mirror and not spec.opaque_underside
-    marched = spec if usual else replace(spec, probe_in_mirror=True, opaque_underside=False)
-    if not is_ball(contact, spec):
-        return fringe_rays.march_contact(marched, contact), mirror_view.trace_contact(spec, contact)
-    edge_on, below = (
-        (fringe_view.march_fringes, mirror_view.trace_mirror)
-        if exact
-        else (fringe_view.shift_fringes, mirror_view.shift_mirror)
-    )
-    if air:
-        light = np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
-    else:
-        light = edge_on(marched, max(pose.depth_m, 0.0), pose.x_m, pose.y_m)
-    return light, below(spec, pose.depth_m, pose.x_m, pose.y_m)
 
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:

@@ -1,0 +1,148 @@
+"""Verbs of one palm's own constants: modulus, stress-optic coefficient, lamp, polariser and mirror."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+
+if TYPE_CHECKING:
+    from palpate.sensors.palm.palm_copy import CopyFit, PalmCopy
+
+app = group("Find one palm's own constants, and check them by a weight.")
+
+CopyFile = Annotated[Path, Option("--copy", help="File of the copy, as `palm fit` made it.")]
+Picture = Annotated[Path, Argument(help="Picture of the ball pressed in.")]
+Untouched = Annotated[Path, Option(help="Picture of the untouched skin, before it.")]
+COVERED = 1.645  # standard deviations of a 90 % interval
+
+
+@app.command()
+def fit(
+    run: Annotated[Path, Argument(help="Run of presses with known forces, by the palm's ball.")],
+    out: Annotated[Path, Option(help="File of the copy to make; must not exist.")],
+    preset: Annotated[str, Option(help="Design of the palm: palm, small, demo, debug or crops.")] = "palm",
+    presses: Annotated[int, Option(help="How many frames are taken, spread over force; 5 to 10.")] = 8,
+    force_share: Annotated[float, Option(help="Standard deviation of a force, as a share.")] = 0.01,
+    friction: Annotated[float, Option(help="Between ball and skin: 0 or 0.5.")] = 0.0,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find a palm's modulus, stress-optic coefficient, lamp and mirror.
+
+    Takes 5 to 10 seconds a press.
+
+    Example: palpate palm fit runs/weights --preset demo --out mine.json
+    """
+    from palpate.core import refuse_existing
+    from palpate.sensors.palm.palm_copy_fit import fit_copy
+    from palpate.sensors.palm.palm_copy_store import design_for, presses_of, write_copy
+
+    refuse_existing(out)
+    with progress_bar(quiet) as tell:
+        pictured = presses_of(run, presses, force_share)
+        known = design_for(preset, pictured[0].image.shape[:2], friction)
+        found = fit_copy(known, pictured, tell)
+    write_copy(found.copy, preset, out)
+    answer = _copy_answer(found) | {"copy": str(out)}
+    print_found(answer, _copy_text(answer), json_)
+
+
+@app.command()
+def read(
+    image: Picture, reference: Untouched, copy: CopyFile, json_: Json = False, quiet: Quiet = False
+) -> None:
+    """Read force, place and depth of a picture by a copy's constants.
+
+    Example: palpate palm read press.png --reference rest.png --copy mine.json --json
+    """
+    from palpate.sensors.palm.palm_copy_fit import read_press
+    from palpate.sensors.palm.palm_copy_store import read_copy, read_picture
+
+    known = read_copy(copy)
+    with progress_bar(quiet):
+        found = read_press(known, read_picture(image), read_picture(reference))
+    force = [found.force_n * (1 + side * COVERED * found.force_share) for side in (-1, 1)]
+    answer: dict[str, Any] = {
+        "force_N": found.force_n, "force_low_N": force[0], "force_high_N": force[1],
+        "x_mm": 1e3 * found.x_m, "y_mm": 1e3 * found.y_m, "depth_mm": 1e3 * found.depth_m,
+        "x_half_mm": 1e3 * COVERED * found.x_sd_m, "y_half_mm": 1e3 * COVERED * found.y_sd_m,
+        "depth_half_mm": 1e3 * COVERED * found.depth_sd_m, "coverage": 0.9, "off_of_white": found.off,
+    }  # fmt: skip
+    text = (
+        f"{found.force_n:.3f} N ({force[0]:.3f} to {force[1]:.3f}) at ({answer['x_mm']:.2f}, "
+        f"{answer['y_mm']:.2f}) mm, {answer['depth_mm']:.3f} mm deep; 90 % intervals, as far as this "
+        "model of the palm is right"
+    )
+    print_found(answer, text, json_)
+
+
+@app.command()
+def weigh(
+    image: Picture,
+    reference: Untouched,
+    copy: CopyFile,
+    mass_g: Annotated[float, Option(help="Mass of all that rests on the skin, the ball as well [g].")],
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check a copy by a known weight, laid on the skin on the palm's ball.
+
+    It sees a change of modulus or stress-optic coefficient, which an untouched frame cannot show.
+
+    Example: palpate palm weigh w.png --reference rest.png --copy mine.json --mass-g 200
+    """
+    from palpate.sensors.palm.palm_copy_store import read_copy, read_picture
+    from palpate.sensors.palm.palm_weight import check_weight
+
+    known = read_copy(copy)
+    with progress_bar(quiet) as tell:
+        check, _ = check_weight(known, read_picture(image), read_picture(reference), 1e-3 * mass_g, tell)
+    answer: dict[str, Any] = {
+        "weight_N": check.force_n, "read_N": check.read_n,
+        "modulus_change": check.modulus_change, "modulus_deviations": check.modulus_deviations,
+        "coefficient_change": check.coefficient_change,
+        "coefficient_deviations": check.coefficient_deviations, "drifted": list(check.drifted),
+    }  # fmt: skip
+    said = f"changed: {', '.join(check.drifted)}; fit the copy anew" if check.drifted else "as calibrated"
+    text = (
+        f"weight {check.force_n:.3f} N, read {check.read_n:.3f} N\n"
+        f"  modulus {check.modulus_change:+.1%} ({check.modulus_deviations:+.1f} standard deviations), "
+        f"stress-optic coefficient {check.coefficient_change:+.1%} ({check.coefficient_deviations:+.1f})\n"
+        f"{said}"
+    )
+    print_found(answer, text, json_)
+
+
+def _copy_answer(found: CopyFit) -> dict[str, Any]:
+    copy: PalmCopy = found.copy
+    return {
+        "modulus_Pa": copy.modulus_pa, "modulus_share": COVERED * copy.modulus_share,
+        "coefficient_per_Pa": copy.coefficient_per_pa,
+        "coefficient_share": COVERED * copy.coefficient_share, "coverage": 0.9,
+        "terms": copy.told, "untold": list(found.untold), "presses": len(found.presses),
+        "off_of_white": max(one.off for one in found.presses),
+    }  # fmt: skip
+
+
+def _copy_text(answer: dict[str, Any]) -> str:
+    untold = ", ".join(answer["untold"])
+    head = (
+        f"E {answer['modulus_Pa'] / 1e3:.1f} kPa ± {answer['modulus_share']:.1%}, C "
+        f"{answer['coefficient_per_Pa']:.3g} /Pa ± {answer['coefficient_share']:.1%} (90 %), from "
+        f"{answer['presses']} presses"
+    )
+    lines = [
+        head,
+        f"  pictures differ from the copy's by {answer['off_of_white']:.1%} of white at most",
+        *(
+            f"  {name}: {one['value']:+.4g} ± {COVERED * one['standard_deviation']:.2g}"
+            for name, one in answer["terms"].items()
+        ),
+    ]
+    if untold:
+        lines.append(f"  not told by these presses: {untold}; press at other places and depths")
+    return "\n".join([*lines, f"copy: {answer['copy']}"])

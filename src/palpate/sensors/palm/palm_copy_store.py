@@ -1,0 +1,133 @@
+"""A palm's copy on disk, and pictures of presses for it from runs and files."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from palpate.core import ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
+from palpate.recordings.run_reader import Run
+from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.palm_spec import PalmSpec, preset
+
+FORMAT = "palpate palm copy 1"
+MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
+
+Image = UInt8[ndarray, "h w 3"]
+
+
+def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
+    """Write a copy as JSON.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    record: dict[str, Any] = {
+        "format": FORMAT, "preset": design, "frame_px": list(copy.spec.frame_px),
+        "friction": copy.spec.friction, "terms": dict(zip(TERMS, copy.terms.tolist(), strict=True)),
+        "covariance": copy.covariance.tolist(),
+    }  # fmt: skip
+    with new_file(path) as building:
+        building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_copy(path: Path) -> PalmCopy:
+    """A copy as `write_copy` wrote it.
+
+    Raises:
+        InputError: no copy's file, or one whose numbers make none.
+        StorageError: it cannot be read.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no copy's file {path}; `palpate palm fit` makes one")
+    with storage_errors(path):
+        text = path.read_bytes()
+    try:
+        record = json.loads(text)
+        terms = np.array([float(record["terms"][name]) for name in TERMS])
+        covariance = np.array(record["covariance"], dtype=np.float64)
+        fits = record["format"] == FORMAT and covariance.shape == (len(TERMS),) * 2
+        width, height = (int(one) for one in record["frame_px"])
+        spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
+    sound = fits and np.isfinite(terms).all() and np.isfinite(covariance).all()
+    if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
+        raise InputError(f"{path} is no palm's copy: its terms and covariance are not those of {FORMAT}")
+    return PalmCopy(spec, terms, covariance)
+
+
+def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:
+    """A preset's design for frames of a size (height, width), as it is or as a virtual rig has it.
+
+    Raises:
+        InputError: no such preset.
+        ImageError: frames of another size.
+    """
+    spec = preset(name)
+    on_rig = Palm(spec).for_rig().spec
+    for one in (spec, on_rig):
+        if one.frame_px == frame_px[::-1]:
+            return designed_copy(_with_friction(one, friction))
+    raise ImageError(
+        f"frames of {frame_px[1]} x {frame_px[0]} px; the preset {name} has {spec.frame_px[0]} x "
+        f"{spec.frame_px[1]} px, on a virtual rig {on_rig.frame_px[0]} x {on_rig.frame_px[1]} px"
+    )
+
+
+def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
+    if friction not in (0.0, 0.5):
+        raise RangeError(f"friction {friction:g}; presses were solved for 0 and for 0.5")
+    return replace(spec, friction=friction)
+
+
+def presses_of(path: Path, count: int, force_share: float) -> list[PicturedPress]:
+    """Frames of a run, spread over force from a tenth of the greatest, each with its press's reference.
+
+    Raises:
+        InputError: no force, press or reference among its labels, or too few frames.
+    """
+    run = Run.open(path)
+    table = run.labels
+    wanted = ("force_N", "press", "reference", "x_mm", "y_mm")
+    if missing := [name for name in wanted if name not in table]:
+        raise InputError(f"{path} has no label {', '.join(missing)}; a copy needs {', '.join(wanted)}")
+    is_rest = table["reference"].astype(bool).to_numpy()
+    rests = {press: int(i) for i, press in zip(np.flatnonzero(is_rest), table["press"][is_rest], strict=True)}
+    force = table["force_N"].to_numpy(float)
+    able = ~is_rest & (force > MIN_SHARE * np.nanmax(np.where(is_rest, np.nan, force)))
+    rows = [int(i) for i in np.flatnonzero(able) if table["press"][i] in rests]
+    if not 1 <= count <= len(rows):
+        raise InputError(f"{count} presses of {len(rows)} frames with force and reference; 1 to as many")
+    rows.sort(key=lambda i: force[i])
+    chosen = [rows[round(k)] for k in np.linspace(0, len(rows) - 1, count)]
+    places = 1e-3 * table[["x_mm", "y_mm"]].to_numpy(float)
+    return [
+        PicturedPress(
+            run.frame(i).image, run.frame(rests[table["press"][i]]).image, float(force[i]), force_share,
+            (float(places[i, 0]), float(places[i, 1])),
+        )
+        for i in chosen if math.isfinite(places[i].sum())
+    ]  # fmt: skip
+
+
+def read_picture(path: Path) -> Image:
+    """A picture of a file, 8-bit colour.
+
+    Raises:
+        ImageError: it cannot be read.
+    """
+    with storage_errors(path):
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    if image is None:
+        raise ImageError(f"{path} is no picture that can be read; give a PNG")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)

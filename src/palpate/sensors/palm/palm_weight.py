@@ -1,0 +1,99 @@
+"""Check of a palm's copy by a known weight, which sees what an untouched frame cannot.
+
+An untouched skin between crossed polarisers is dark whatever its modulus E and stress-optic coefficient C
+are. Under a known weight the picture tells depth and E C, the weight tells E, and both tell C; each is held
+against what the calibration says, by what both are uncertain of.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.core import Float, Progress, RangeError, UInt8, ndarray, silent
+from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.palm_copy_fit import fit_copy
+
+GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
+WEIGHT_SHARE = 0.005
+SEEN = 2.6  # standard deviations from which a drift is said: 1 in 100 by chance
+FLOOR = 0.01  # of E and C, by which no weight is trusted to be better: a share
+
+
+@dataclass(frozen=True, slots=True)
+class WeightCheck:
+    """What a known weight says of a calibrated copy.
+
+    Attributes:
+        force_n: of the weight [N].
+        read_n: that the calibration reads from the picture [N].
+        modulus_change, coefficient_change: of E and C since the calibration, as shares.
+        modulus_deviations, coefficient_deviations: the same in standard deviations.
+    """
+
+    force_n: float
+    read_n: float
+    modulus_change: float
+    coefficient_change: float
+    modulus_deviations: float
+    coefficient_deviations: float
+
+    @property
+    def drifted(self) -> tuple[str, ...]:
+        """Names of what has changed: "modulus", "coefficient"."""
+        found = {"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations}
+        return tuple(name for name, deviations in found.items() if abs(deviations) > SEEN)
+
+
+def check_weight(
+    calibrated: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"], mass_kg: float,
+    progress: Progress = silent,
+) -> tuple[WeightCheck, CopyFit]:  # fmt: skip
+    """Lay an object of known mass on the skin, resting on the palm's ball, and compare.
+
+    Args:
+        calibrated: the copy.
+        image: a frame of it at rest.
+        reference: of the untouched skin.
+        mass_kg: of all that rests on the skin, the ball as well [kg].
+        progress: called with rounds of the estimate.
+
+    Returns:
+        What was found, and the copy as this weight alone has its E and C.
+
+    Raises:
+        RangeError: a mass that is not above 0.
+        ImageError: no press is seen, or no such palm's picture.
+    """
+    if not (math.isfinite(mass_kg) and mass_kg > 0):
+        raise RangeError(f"a mass of {mass_kg} kg; it has to be finite and above 0 kg")
+    force_n = mass_kg * GRAVITY_M_S2
+    known = forgotten(calibrated)
+    found = fit_copy(known, [PicturedPress(image, reference, force_n, WEIGHT_SHARE)], progress)
+    before, now = calibrated.terms[:2], found.copy.terms[:2]
+    read_n = found.presses[0].force_n * math.exp(float(before[1] - now[1]))
+    towards = np.array([[1.0, 0.0], [-1.0, 1.0]])  # ln E, ln C
+    change = towards @ (now - before)
+    spread = towards @ (calibrated.covariance[:2, :2] + found.copy.covariance[:2, :2]) @ towards.T
+    deviations = change / np.sqrt(np.diag(spread) + FLOOR**2)
+    shares = np.expm1(change)
+    return WeightCheck(
+        force_n, read_n, float(shares[0]), float(shares[1]), float(deviations[0]), float(deviations[1])
+    ), found
+
+
+def forgotten(calibrated: PalmCopy) -> PalmCopy:
+    """The same copy, its E and C no better known than a design's; lamp, mirror and lens as they are."""
+    covariance: Float[ndarray, "t t"] = calibrated.covariance.copy()
+    covariance[:2], covariance[:, :2] = 0.0, 0.0
+    covariance[:2, :2] = designed_copy(calibrated.spec).covariance[:2, :2]
+    covariance[2:, 2:] += np.diag([(0.1 * one) ** 2 for one in _usual_spreads(calibrated)])
+    return PalmCopy(calibrated.spec, calibrated.terms, covariance)
+
+
+def _usual_spreads(calibrated: PalmCopy) -> Float[ndarray, " n"]:
+    """Of terms other than E and C, from copy to copy; a tenth of it may change from day to day."""
+    design = designed_copy(calibrated.spec)
+    return np.sqrt(np.diag(design.covariance))[2 : len(TERMS)]

@@ -1,0 +1,163 @@
+"""One copy of the palm from its own pictures: what they tell, what they cannot, and what a weight adds."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.core import ExistsError, ImageError, InputError, Pose, RangeError
+from palpate.optics.stress_optic import StressOpticLaw
+from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.palm_copy_fit import fit_copy, pictured, read_press
+from palpate.sensors.palm.palm_copy_store import read_copy, write_copy
+from palpate.sensors.palm.palm_press import press, press_to_force
+from palpate.sensors.palm.palm_render import render
+from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
+from palpate.sensors.palm.palm_weight import GRAVITY_M_S2, check_weight
+
+DESIGN = scaled_down(palm(), 20, "tiny")
+E, C = DESIGN.youngs_modulus_pa, DESIGN.stress_optic.coefficient_per_pa
+
+
+def own(modulus: float = 1.0, coefficient: float = 1.0, **others: float) -> PalmSpec:
+    """A palm by shares of the design's E and C."""
+    law = StressOpticLaw(coefficient * C)
+    return replace(DESIGN, youngs_modulus_pa=modulus * E, stress_optic=law, **others)
+
+
+def taken(spec: PalmSpec, force_n: float, x_m: float, y_m: float, *, known: bool = True) -> PicturedPress:
+    """A press on a palm, drawn by the exact way with the camera's noise."""
+    rng = np.random.default_rng(round(1e3 * force_n))
+    contact = press_to_force(spec, force_n, x_m, y_m)
+    rest = press(spec, Pose(x_m, y_m, -1e-3))
+    images = (render(one, spec, rng, exact=True).image for one in (contact, rest))
+    if not known:
+        return PicturedPress(*images)
+    return PicturedPress(*images, force_n, 0.005, (x_m, y_m))
+
+
+TRUE = own(1.12, 0.91, lamp_gain=1.06, polariser_rad=math.pi / 4 + 0.02)
+
+
+@pytest.fixture(scope="module")
+def fitted() -> PalmCopy:
+    presses = [taken(TRUE, 2.0, 4e-3, 2e-3), taken(TRUE, 5.0, -3e-3, -5e-3)]
+    return fit_copy(designed_copy(DESIGN), presses).copy
+
+
+def test_a_picture_holds_the_product_of_modulus_and_coefficient_and_neither_alone() -> None:
+    known, at = designed_copy(DESIGN), Pose(3e-3, 1e-3, 2e-3)
+
+    def seen(log_modulus: float, log_product: float) -> np.ndarray:
+        terms = known.terms.copy()
+        terms[:2] = log_modulus, log_product
+        return pictured(replace(known, terms=terms), at)
+
+    assert np.array_equal(seen(0.3, 0.1), seen(-0.2, 0.1))
+    assert np.abs(seen(0.0, 0.1) - seen(0.0, 0.0)).max() > 0.02
+    spec = own(1.3, 1 / 1.3)
+    whole = replace(known, spec=spec)
+    assert np.abs(pictured(whole, at) - seen(0.0, 0.0)).max() < 1e-4
+
+
+def test_a_design_s_spread_of_the_coefficient_is_the_one_that_was_stated() -> None:
+    known = designed_copy(DESIGN, modulus_share=0.2, coefficient_share=0.03)
+    assert known.modulus_share == pytest.approx(0.2)
+    assert known.coefficient_share == pytest.approx(0.03)
+    assert known.modulus_pa == pytest.approx(E)
+    assert known.coefficient_per_pa == pytest.approx(C)
+
+
+@pytest.mark.slow
+def test_two_known_forces_tell_modulus_coefficient_lamp_and_polariser(fitted: PalmCopy) -> None:
+    assert fitted.modulus_pa == pytest.approx(1.12 * E, rel=0.03)
+    assert fitted.coefficient_per_pa == pytest.approx(0.91 * C, rel=0.03)
+    told = fitted.told
+    assert told["lamp"]["value"] == pytest.approx(math.log(1.06), abs=0.02)
+    assert told["polariser_rad"]["value"] == pytest.approx(0.02, abs=0.01)
+    assert fitted.modulus_share < 0.02
+
+
+@pytest.mark.slow
+def test_with_the_coefficient_known_a_picture_tells_the_force_whatever_the_modulus_is() -> None:
+    for modulus in (0.8, 1.2):
+        spec = own(modulus)
+        press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
+        sure = designed_copy(DESIGN, modulus_share=0.25, coefficient_share=0.01)
+        found = read_press(sure, press_.image, press_.reference)
+        assert found.force_n == pytest.approx(3.0, abs=0.15)
+        assert found.force_share < 0.06
+
+
+@pytest.mark.slow
+def test_with_neither_known_the_interval_spans_the_force_and_place_and_depth_stay() -> None:
+    spec = own(1.25)
+    press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
+    found = read_press(designed_copy(DESIGN), press_.image, press_.reference)
+    assert abs(math.log(found.force_n / 3.0)) < 2 * found.force_share
+    assert found.force_share > 0.1
+    depth_m = press_to_force(spec, 3.0).pose.depth_m
+    assert found.depth_m == pytest.approx(depth_m, abs=5e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("modulus", "coefficient", "drifted"),
+    [
+        (1.0, 1.0, ()),
+        (1.0, 1.15, ("coefficient",)),
+        (1.15, 1.0, ("modulus",)),
+        (1.15, 1 / 1.15, ("modulus", "coefficient")),
+    ],
+)
+def test_a_known_weight_sees_what_has_drifted(fitted, modulus, coefficient, drifted) -> None:
+    now = own(1.12 * modulus, 0.91 * coefficient, lamp_gain=1.06, polariser_rad=math.pi / 4 + 0.02)
+    press_ = taken(now, 2.0, 1e-3, -2e-3, known=False)
+    check, _ = check_weight(fitted, press_.image, press_.reference, 2.0 / GRAVITY_M_S2)
+    assert check.drifted == drifted
+    assert check.force_n == pytest.approx(2.0)
+    assert math.log1p(check.modulus_change) == pytest.approx(math.log(modulus), abs=0.04)
+    assert math.log1p(check.coefficient_change) == pytest.approx(math.log(coefficient), abs=0.04)
+
+
+def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
+    fitted = designed_copy(DESIGN)
+    press_ = taken(TRUE, 2.0, 0.0, 0.0, known=False)
+    with pytest.raises(InputError, match="no press"):
+        fit_copy(fitted, [])
+    with pytest.raises(ImageError, match="no press is seen"):
+        read_press(fitted, press_.reference, press_.reference)
+    with pytest.raises(ImageError, match="px"):
+        read_press(fitted, press_.image[:-1], press_.reference[:-1])
+    with pytest.raises(RangeError, match="above 0 N"):
+        fit_copy(fitted, [replace(press_, force_n=-1.0)])
+    with pytest.raises(RangeError, match="above 0 kg"):
+        check_weight(fitted, press_.image, press_.reference, math.nan)
+    with pytest.raises(RangeError, match="above 0"):
+        designed_copy(DESIGN, modulus_share=0.0)
+
+
+def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:
+    from palpate.sensors.palm.palm_copy_store import design_for
+
+    known = design_for("debug", (108, 192))
+    known = replace(known, terms=known.terms + 0.01 * np.arange(len(TERMS)))
+    write_copy(known, "debug", tmp_path / "mine.json")
+    again = read_copy(tmp_path / "mine.json")
+    assert np.array_equal(again.terms, known.terms)
+    assert np.array_equal(again.covariance, known.covariance)
+    assert again.spec == known.spec
+    with pytest.raises(ExistsError):
+        write_copy(known, "debug", tmp_path / "mine.json")
+    record = json.loads((tmp_path / "mine.json").read_text())
+    for changed in ({"format": "other"}, {"covariance": [[1.0]]}, {"terms": {}}, {"preset": "none"}):
+        (tmp_path / "other.json").write_text(json.dumps(record | changed))
+        with pytest.raises(InputError):
+            read_copy(tmp_path / "other.json")
+    with pytest.raises(ImageError, match="192 x 108"):
+        design_for("debug", (100, 100))
