@@ -182,11 +182,11 @@ def test_channels_yellow_as_marching_every_band_through_the_absorption_does(monk
     seen_by = fringe_view.spectrum(spec.bands)
     passed = 10 ** (-absorbance * np.exp((450e-9 - seen_by.wavelength_m) / 60e-9))
     middle = np.flatnonzero(fringe_view.columns_kept(SPEC).half_chord_m > 0.98 * SPEC.radius_m)
-    by_channel = fringe_view.march_fringes(spec, 4e-3, 0.0, 0.0)[:, middle]
-    by_channel *= passed_by(absorbance, np.ones(len(middle)), seen_by)
+    march = fringe_view.march_fringes.__wrapped__  # what is kept knows nothing of another spectrum
+    by_channel = march(spec, 4e-3, 0.0, 0.0)[:, middle] * passed_by(absorbance, np.ones(len(middle)), seen_by)
     filtered = replace(seen_by, weight=seen_by.weight * passed[:, None])
     monkeypatch.setattr(fringe_view, "spectrum", lambda bands: filtered)
-    by_band = fringe_view.march_fringes(spec, 4e-3, 0.0, 0.0)[:, middle]
+    by_band = march(spec, 4e-3, 0.0, 0.0)[:, middle]
     assert abs(by_channel - by_band).max() < 0.035  # 0.028 is measured
     assert np.sqrt(np.mean((by_channel - by_band) ** 2)) < 8e-3  # 5e-3
 

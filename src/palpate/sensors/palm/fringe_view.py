@@ -86,14 +86,16 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 
 @cache_within(MARCHES_BYTES)
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
-    """Light of every ray, marched from wall to wall; kept, so it is not to be changed in place."""
+    """Light of every ray, marched from wall to wall; it is kept, and so cannot be written to."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
     rays = columns(spec, view)
     offset, start, end = (part[rays.visible] for part in rays.about(x_m, y_m))
     light[:, rays.visible] = _marched(spec, depth_m, view.down_m, offset, start, end, slices)
-    return mean_of(light, *spec.rays_per_pixel)
+    light = mean_of(light, *spec.rays_per_pixel)
+    light.setflags(write=False)
+    return light
 
 
 def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:

@@ -43,9 +43,11 @@ Grey = Float32[ndarray, "h w"]
 
 @cache_within(TRACES_BYTES)
 def trace_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
-    """The mirror's picture, every pixel traced; kept, so it is not to be changed in place."""
+    """The mirror's picture, every pixel traced; it is kept, and so cannot be written to."""
     x, y = _underside(spec)
-    return _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
+    grey = _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
+    grey.setflags(write=False)
+    return grey
 
 
 def trace_contact(spec: PalmSpec, contact: Contact) -> Grey:

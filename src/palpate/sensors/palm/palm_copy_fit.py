@@ -327,7 +327,7 @@ class _Estimate:
         return pictured(replace(self._known, terms=terms), at, exact=exact)
 
     def _pixel_rows(self, state: _State) -> Iterator[tuple[ndarray, ndarray, Pixels, ndarray]]:
-        """Of each press: which unknowns it has, slopes of its pixels over them, what is left, and blocks.
+        """Rows of each press: which unknowns it has, slopes of its pixels over them, what is left, and blocks.
 
         What is left is by the exact way, slopes by the fast one.
         """
@@ -352,7 +352,7 @@ class _Estimate:
         return J
 
     def _sure_rows(self, state: _State) -> Iterator[tuple[ndarray, float, float]]:
-        """Of each known force and place: slopes over the unknowns, what is left, and its weight."""
+        """Rows of each known force and place: slopes over the unknowns, what is left, and its weight."""
         for i, one in enumerate(seen.press for seen in self._seen):
             first = len(TERMS) + 3 * i
             for k, at in enumerate(one.place_m or ()):

@@ -94,6 +94,6 @@ def forgotten(calibrated: PalmCopy) -> PalmCopy:
 
 
 def _usual_spreads(calibrated: PalmCopy) -> Float[ndarray, " n"]:
-    """Of terms other than E and C, from copy to copy; a tenth of it may change from day to day."""
+    """Spreads of terms other than E and C from copy to copy; a tenth of it may change from day to day."""
     design = designed_copy(calibrated.spec)
     return np.sqrt(np.diag(design.covariance))[2 : len(TERMS)]
