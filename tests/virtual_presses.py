@@ -53,6 +53,7 @@ def ideal(made: VirtualPress, noise_px: float = NOISE_PX) -> ReferenceTrial:
         position,
         float((position[-1] - position[0]) / (time[-1] - time[0])),
         (),
+        time_s=time,
     )
     return ReferenceTrial(press, made.true_area_m2[at[used]])
 

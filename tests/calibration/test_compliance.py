@@ -202,7 +202,7 @@ def test_a_press_that_ends_early_is_refused(calibration, fresh) -> None:
     n = int((press.force_n < 3).sum())
     short = replace(
         press, frame=press.frame[:n], force_n=press.force_n[:n], moved_px=press.moved_px[:n],
-        position_m=press.position_m[:n],
+        position_m=press.position_m[:n], time_s=press.time_s[:n],
     )  # fmt: skip
     with pytest.raises(RangeError, match="press as far as the references"):
         read_touch(calibration, [short])

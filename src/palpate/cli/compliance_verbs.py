@@ -106,6 +106,9 @@ def calibrate(
     out: Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")],
     tilt_deg: Annotated[float, Option(help="Tilt of the specimens' tops [deg].")] = 0.0,
     note: Annotated[str, Option(help="Free words to keep with it.")] = "",
+    nuisance: Annotated[
+        list[str] | None, Option(help="NAME=SIZE of what later presses may differ by, e.g. lever=0; repeat.")
+    ] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -116,7 +119,9 @@ def calibrate(
     from palpate.calibration.compliance import calibrate_folder
 
     with progress_bar(quiet) as progress:
-        record = calibrate_folder(folder, out, tilt_deg=tilt_deg, note=note, progress=progress)
+        record = calibrate_folder(
+            folder, out, tilt_deg=tilt_deg, note=note, nuisances=nuisance or [], progress=progress
+        )
     names = ", ".join(
         f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
         for one in record["references"]
@@ -127,6 +132,7 @@ def calibrate(
         "each inner reference, read from the others: "
         + ("none is between two references" if between is None else f"off by up to {100 * between:.1f} %"),
         _area_error(record["area_known"], record["area_error"]),
+        "intervals contain, as standard deviations: " + _sizes(record["nuisances"]),
     ]
     print_found(record, "\n".join(lines), json_)
 
@@ -199,6 +205,10 @@ def _area_error(known: bool, error: float | None) -> str:
     return f"contact area: to {100 * error:.1f} %, of trials left out"
 
 
+def _sizes(nuisances: dict[str, float]) -> str:
+    return ", ".join(f"{name} {size:g}" for name, size in nuisances.items())
+
+
 def _stiff(stiffness_n_per_mm: float | None) -> str:
     return "rigid" if stiffness_n_per_mm is None else f"{stiffness_n_per_mm:.3g} N/mm"
 
@@ -231,6 +241,9 @@ def _text(record: dict[str, Any]) -> str:
     if readings:
         drift = readings[0]["drift"]
         lines.append(f"drift {drift['statistic']:.2g} (stale above {drift['limit']:g})")
+    if "nuisances" in record:
+        lines.append("intervals contain, as standard deviations: " + _sizes(record["nuisances"]))
+    if readings:
         lines.append(f"calibration {readings[0]['calibration']}")
     if "out" in record:
         lines.append(f"picture and readings: {record['out']}")

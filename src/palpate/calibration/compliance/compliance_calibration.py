@@ -14,30 +14,44 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
     Float,
     InputError,
+    Int,
     Progress,
+    RangeError,
     Shaped,
     ndarray,
     refuse_existing,
     silent,
 )
-from palpate.estimators.compliance.contact_area import AreaFit, Motions, fit_area, fit_motions, ring_measures
+from palpate.estimators.compliance.contact_area import (
+    AreaFit,
+    Motions,
+    fit_area,
+    fit_motions,
+    left_out_areas,
+    ring_measures,
+)
+from palpate.estimators.compliance.contact_seat import Seat, fit_seat, sideways_px
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
-from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness
+from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness, softness
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.press_folder import PressedSpecimen, PressFolder, press_folder
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.version import __version__
 
 T = TypeVar("T")
+Samples = Float[ndarray, " _"]
 
 
 MIN_RING_SHARE = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
 LEVELS_N = np.arange(1.0, 4.51, 0.5)
+MIN_AREAS = 6  # of a press, for a spread rate
 APPROACH_PX = 2e5  # px/m: what a metre of approach weighs beside pins' motion; scatter is discounted anyway
 
 
@@ -76,6 +90,11 @@ class ComplianceCalibration:
         tilt_rad: of the specimens' tops, for which alone it holds [rad].
         note: free words, e.g. which tip.
         version: of palpate.
+        rate: spread rates against known ones; None where fewer than three references have areas, and in
+            calibrations of before it was fitted.
+        seat: of the contact in the references' presses; None in calibrations of before.
+        nuisances: standard sizes that intervals contain; None in calibrations of before, whose intervals
+            contain the references' own scatter only.
     """
 
     names: tuple[str, ...]
@@ -92,6 +111,9 @@ class ComplianceCalibration:
     tilt_rad: float = 0.0
     note: str = ""
     version: str = __version__
+    rate: RateFit | None = None
+    seat: Seat | None = None
+    nuisances: Nuisances | None = None
 
     @property
     def id(self) -> str:
@@ -119,7 +141,11 @@ class ComplianceCalibration:
 
 
 def calibrate_compliance(
-    references: Sequence[ReferenceSpecimen], *, tilt_rad: float = 0.0, note: str = ""
+    references: Sequence[ReferenceSpecimen],
+    *,
+    tilt_rad: float = 0.0,
+    note: str = "",
+    nuisances: Nuisances | None = None,
 ) -> ComplianceCalibration:
     """Fit a calibration to references.
 
@@ -127,6 +153,7 @@ def calibrate_compliance(
         references: two or more, pressed alike.
         tilt_rad: of their tops [rad].
         note: kept with it.
+        nuisances: what later presses may differ by, unseen; None for the standard sizes, `NONE` for nothing.
 
     Raises:
         InputError: too few references or trials, presses that do not reach far enough, or of another sensor.
@@ -149,13 +176,14 @@ def calibrate_compliance(
     if all(press.position_m is not None for press in presses):
         approach_rows = [approach_row(press, LEVELS_N) for press in presses]
         both = curve([np.concatenate(rows) for rows in zip(touch_rows, approach_rows, strict=True)])
-    motions, area, ring = _areas(trials, motions_px, layout)
+    motions, area, ring, rate = _areas(trials, motions_px, layout)
+    touch = curve(touch_rows)
     speeds = [press.speed_m_s for press in presses]
     return ComplianceCalibration(
         tuple(one.name for one in references),
         layout,
         LEVELS_N,
-        curve(touch_rows),
+        touch,
         both,
         motions,
         area,
@@ -165,7 +193,18 @@ def calibrate_compliance(
         (float(np.min(speeds)), float(np.max(speeds))),
         tilt_rad,
         note,
+        rate=rate,
+        seat=fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout)),
+        nuisances=Nuisances() if nuisances is None else nuisances,
     )
+
+
+def _seats(
+    presses: Sequence[PinPress], which: Int[ndarray, " t"], layout: Float[ndarray, "p 2"]
+) -> list[Float[ndarray, "_ 2"]]:
+    """Mean motion of the pins of every trial, by reference."""
+    sideways = np.stack([sideways_px(press, layout) for press in presses])
+    return [sideways[which == i] for i in range(int(which.max()) + 1)]
 
 
 def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
@@ -184,6 +223,7 @@ def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray,
         force_n=press.force_n[:1],
         moved_px=press.untouched_px[None],
         position_m=None,
+        time_s=None,
     )
     return motion_on_layout(still, layout)[0]
 
@@ -215,17 +255,51 @@ def _areas(
     trials: Sequence[tuple[int, ReferenceTrial]],
     moved: Sequence[Float[ndarray, "_ p 2"]],
     layout: Float[ndarray, "p 2"],
-) -> tuple[Motions | None, AreaFit | None, AreaFit | None]:
+) -> tuple[Motions | None, AreaFit | None, AreaFit | None, RateFit | None]:
     known = [(i, m, t.area_m2) for (i, t), m in zip(trials, moved, strict=True) if t.area_m2 is not None]
     if len({i for i, _, _ in known}) < 2:
-        return None, None, None
+        return None, None, None, None
     which = [i for i, _, _ in known]
     areas = [a for _, _, a in known]
     motions = fit_motions([m for _, m, _ in known])
-    area = fit_area([motions.of(m) for _, m, _ in known], areas, which)
+    measures = [motions.of(m) for _, m, _ in known]
+    area = fit_area(measures, areas, which)
+    forces = [t.press.force_n for _, t in trials if t.area_m2 is not None]
     rings = [ring_measures(layout, m) for _, m, _ in known]
     whole = all(np.isfinite(one).all(axis=1).mean() > MIN_RING_SHARE for one in rings)
-    return motions, area, fit_area(rings, areas, which) if whole else None
+    rate = _rate(forces, left_out_areas(measures, areas), areas, which)
+    return motions, area, fit_area(rings, areas, which) if whole else None, rate
+
+
+def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
+    """Slope of a line through areas at even forces, 1 to 4.5 N; NaN where too few areas are known [m^2/N].
+
+    Frames crowd at small forces, and the area's growth slows: a line through the frames' own areas would
+    depend on speed and frame rate.
+    """
+    known = np.isfinite(area_m2)
+    if known.sum() < MIN_AREAS:
+        return float("nan")
+    try:
+        area = at_forces(force_n[known], area_m2[known], LEVELS_N)
+    except RangeError:
+        return float("nan")
+    return float(np.polyfit(LEVELS_N, area, 1)[0])
+
+
+def _rate(
+    forces: Sequence[Samples], found: Sequence[Samples], true: Sequence[Samples], which: Sequence[int]
+) -> RateFit | None:
+    """Spread rates by areas against known ones, of trials whose areas were fitted without them."""
+    rates = [
+        (rate_by_areas(f, np.where(np.isfinite(known), a, np.nan)), rate_by_areas(f, known), i)
+        for f, a, known, i in zip(forces, found, true, which, strict=True)
+    ]
+    usable = [one for one in rates if one[0] > 0 and one[1] > 0]
+    try:
+        return fit_rate(*zip(*usable, strict=True)) if usable else None
+    except InputError:
+        return None
 
 
 def _finger(references: Sequence[ReferenceSpecimen]) -> Finger | None:
@@ -283,7 +357,13 @@ def read_presses(
 
 
 def calibrate_folder(
-    folder: Path, out: Path, *, tilt_deg: float = 0.0, note: str = "", progress: Progress = silent
+    folder: Path,
+    out: Path,
+    *,
+    tilt_deg: float = 0.0,
+    note: str = "",
+    nuisances: Sequence[str] = (),
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Calibrate on the specimens of known stiffness in a folder, and return what was fitted in plain numbers.
 
@@ -292,6 +372,7 @@ def calibrate_folder(
         out: ``.npz`` to make.
         tilt_deg: of the specimens' tops [deg].
         note: kept with the calibration.
+        nuisances: sizes that are not the standard ones, as `Nuisances.named` has them.
         progress: called with how many presses are read.
 
     Raises:
@@ -300,8 +381,11 @@ def calibrate_folder(
     if out.suffix != ".npz":
         raise InputError(f"{out} is not an .npz file; name the calibration e.g. tip.npz")
     refuse_existing(out)
+    sizes = Nuisances.named(nuisances)
     references = load_references(press_folder(folder), progress)
-    calibration = calibrate_compliance(references, tilt_rad=float(np.deg2rad(tilt_deg)), note=note)
+    calibration = calibrate_compliance(
+        references, tilt_rad=float(np.deg2rad(tilt_deg)), note=note, nuisances=sizes
+    )
     calibration.save(out)
     both, area = calibration.both, calibration.area
     return {
@@ -321,6 +405,7 @@ def calibrate_folder(
         "area_known": area is not None,
         "area_error": None if area is None else finite_or_none(area.spread),
         "tilt_deg": tilt_deg,
+        "nuisances": sizes.at_edge(),
     }
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
     approach_row,
+    rate_by_areas,
     touch_row,
-    wobble_px,
 )
-from palpate.core import Drift, Float, InputError, Reading, ndarray
+from palpate.calibration.compliance.press_nuisances import Nuisances
+from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
+from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
 from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
@@ -21,18 +24,10 @@ from palpate.estimators.compliance.spread_rate import spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
 COVERAGE = 0.9
+NORMAL = 1.645  # standard deviations from the mean to either end of an interval of that coverage
 AREA_AT_N = 4.0
-MAX_NOVELTY = 5.0  # times what the references' own trials showed
-MAX_DRIFT = 4.0
-SPEED_SHARE = 3.0  # times faster or slower than any reference
-UNLIKE = (
-    "the pins move as on no reference ({:.1f} times the references' own scatter, {:g} are allowed): another "
-    "tilt, shape or skin than was calibrated"
-)
 OUTSIDE = "{:.3g} N/mm is outside of the calibrated range, {:.3g} to {:.3g} N/mm"
 AREA_OUTSIDE = "{:.4g} mm2 is outside of the calibrated range, {:.4g} to {:.4g} mm2"
-SPEED = "pressed at {:.3g} mm/s, calibrated at {:.3g} to {:.3g} mm/s; the skin may answer otherwise"
-DRIFTED = "the untouched pins have moved against each other since calibration; calibrate anew"
 EDGE = 1.05  # how far beyond the outermost reference an interval may begin: it scatters about its own value
 HEAD_ON_RAD = 0.05
 INCLINED = "E* and R are of head-on presses; this calibration is of an inclined top"
@@ -65,6 +60,9 @@ class PressReading:
         modulus, radius: E* and R of the object by both cues, the tip being a Hertz pair; None without an
             approach or areas.
         course: the area of every frame.
+        budget: of every quantity, by how much each nuisance of its standard size changes it, as a share;
+            empty for calibrations that state none.
+        nuisances: those sizes; None for such calibrations.
     """
 
     stiffness: Reading
@@ -74,6 +72,8 @@ class PressReading:
     modulus: Reading | None
     radius: Reading | None
     course: AreaCourse | None
+    budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    nuisances: Nuisances | None = None
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -99,7 +99,19 @@ def read_touch(
     """
     if not presses:
         raise InputError("no press; give one or more")
-    reader = _PressReader(calibration, presses, name)
+    verdict = _Verdict(calibration, drift_of(calibration, presses), press_reasons(calibration, presses), name)
+    read = _read(calibration, presses, verdict)
+    if calibration.nuisances is None:
+        return read
+    wide = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
+    return replace(wide, nuisances=calibration.nuisances)
+
+
+def _read(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict, *, ring: bool = True
+) -> PressReading:
+    """Readings under a verdict, with the scatter between presses alone."""
+    reader = _PressReader(calibration, presses, verdict)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
     stiffness = reader.stiffness("stiffness", calibration.touch, rows)
     both = None
@@ -108,51 +120,118 @@ def read_touch(
         both = reader.stiffness("stiffness_both_cues", calibration.both, np.hstack([rows, beside]))
     if calibration.area is None:
         return PressReading(stiffness, both, None, None, None, None, None)
-    courses = [_course(calibration, one) for one in presses]
+    courses = [_course(calibration, one, ring) for one in presses]
     area, rate = reader.area(courses), reader.rate(courses)
     modulus, radius = reader.modulus_and_radius(courses) if both is not None else (None, None)
     return PressReading(stiffness, both, area, rate, modulus, radius, courses[0])
 
 
-def _course(calibration: ComplianceCalibration, press: PinPress) -> AreaCourse:
+def _altered_values(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict
+) -> dict[str, dict[str, float]]:
+    """Values of every quantity, by the nuisance that all presses are given in its standard size."""
+    assert calibration.nuisances is not None
+    by_press = [calibration.nuisances.altered(press) for press in presses]
+    values = {}
+    for name in by_press[0]:
+        altered = [one[name] for one in by_press]
+        with suppress(InputError, RangeError):  # beyond the forces that the press reached
+            read = _read(calibration, altered, verdict, ring=False)
+            values[name] = {one.quantity: one.value for one in read.readings}
+    return values
+
+
+def _widened(
+    read: PressReading, altered: Mapping[str, Mapping[str, float]], turning_n_m: float
+) -> PressReading:
+    """The readings with intervals that contain the nuisances, as standard deviations beside their own."""
+    names = (
+        "stiffness", "stiffness_both", "area", "spread_rate", "modulus", "radius",
+    )  # fmt: skip
+    wide, budget = {}, {}
+    for name in names:
+        one: Reading | None = getattr(read, name)
+        if one is None:
+            continue
+        moved = {nuisance: values[one.quantity] for nuisance, values in altered.items()}
+        low, high = contained(one, list(moved.values()), _scale(one, turning_n_m))
+        wide[name] = replace(one, low=low, high=high)
+        if np.isfinite(one.value) and one.value:
+            budget[one.quantity] = {
+                key: value / one.value - 1 for key, value in moved.items() if value != one.value
+            }
+    return replace(read, **wide, budget=budget)  # type: ignore[arg-type]
+
+
+Scale = Callable[[float], float]
+
+
+def _scale(reading: Reading, turning: float) -> tuple[Scale, Scale]:
+    """Scale on which a quantity's errors are even, and its inverse; both fall as the quantity grows.
+
+    Stiffness has its place on the curve; modulus and radius, which are found by differences of reciprocals,
+    have these; area and rate have their logarithms.
+    """
+    if reading.quantity.startswith("stiffness"):
+        return lambda k: 1 / (1 + k / turning), lambda s: turning * (1 / min(s, 1.0) - 1) if s > 0 else np.inf
+    if reading.quantity in ("modulus", "radius"):
+        return lambda x: 1 / x if x else np.inf, lambda y: 1 / y if y > 0 else np.inf
+    return lambda x: -float(np.log(x)), lambda y: float(np.exp(-y))
+
+
+def contained(reading: Reading, altered: Sequence[float], scale: tuple[Scale, Scale]) -> tuple[float, float]:
+    """Ends of an interval that also contains changes of one standard deviation each, unknown in sign.
+
+    Args:
+        reading: with the interval of everything else.
+        altered: its value under each change.
+        scale: falling function on which errors are even, and its inverse.
+    """
+    to, back = scale
+    middle = to(reading.value)
+    moves = np.array([to(value) - middle for value in altered])
+    half = NORMAL * float(np.sqrt(np.nansum(moves**2)))
+    low, high = to(reading.low) - middle, middle - to(reading.high)
+    return back(middle + float(np.hypot(low, half))), back(middle - float(np.hypot(high, half)))
+
+
+def _course(calibration: ComplianceCalibration, press: PinPress, with_ring: bool) -> AreaCourse:
     assert calibration.area is not None
     assert calibration.motions is not None
     motion = motion_on_layout(press, calibration.layout_px)
     ring = np.full(len(motion), np.nan)
-    if calibration.ring is not None:
+    if calibration.ring is not None and with_ring:
         ring = calibration.ring.at(ring_measures(calibration.layout_px, motion))[:, 0]
     return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(motion), COVERAGE), ring)
 
 
+@dataclass(frozen=True)
+class _Verdict:
+    """What every reading of the presses carries."""
+
+    calibration: ComplianceCalibration
+    drift: Drift
+    reasons: Sequence[str]
+    name: str
+
+
 class _PressReader:
-    """Readings of some presses, with the flags that hold for all of them."""
+    """Readings of some presses under one verdict."""
 
-    def __init__(self, calibration: ComplianceCalibration, presses: Sequence[PinPress], name: str) -> None:
-        self.calibration, self.presses, self.name = calibration, presses, name
-        wobble = max(wobble_px(one, calibration.layout_px) for one in presses)
-        self.drift = Drift(wobble / calibration.wobble_px, MAX_DRIFT)
-        self.flaws = list(dict.fromkeys(flaw for one in presses for flaw in one.flaws))
-        if self.drift.drifted:
-            self.flaws.append(DRIFTED)
-        self.flaws += self._speed()
-
-    def _speed(self) -> list[str]:
-        low, high = self.calibration.speed_m_s
-        return [
-            SPEED.format(1e3 * one.speed_m_s, 1e3 * low, 1e3 * high)
-            for one in self.presses
-            if one.speed_m_s > SPEED_SHARE * high or one.speed_m_s < low / SPEED_SHARE
-        ][:1]
+    def __init__(
+        self, calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict
+    ) -> None:
+        self.calibration, self.presses, self.verdict = calibration, presses, verdict
 
     def reading(
         self, quantity: str, value: tuple[float, float, float], unit: str, range_: tuple[float, float],
         why: Sequence[str] = (), coverage: float = COVERAGE,
     ) -> Reading:  # fmt: skip
-        reasons = [*self.flaws, *why]
+        reasons = [*self.verdict.reasons, *why]
         return Reading(
             quantity=quantity, value=value[0], low=value[1], high=value[2], unit=unit, coverage=coverage,
-            calibrated_range=range_, valid=not reasons, why="; ".join(reasons), drift=self.drift,
-            calibration=self.calibration.id, frame=self.name, time_s=0.0,
+            calibrated_range=range_, valid=not reasons, why="; ".join(reasons), drift=self.verdict.drift,
+            calibration=self.calibration.id, frame=self.verdict.name, time_s=0.0,
         )  # fmt: skip
 
     def stiffness(self, quantity: str, curve: SoftnessCurve, rows: Float[ndarray, "t d"]) -> Reading:
@@ -160,9 +239,6 @@ class _PressReader:
         finite = curve.kappa_n_m[np.isfinite(curve.kappa_n_m)]
         range_ = float(finite.min()), float(finite.max())
         why = [] if np.isfinite(curve.between) else [NO_BETWEEN]
-        novelty = max(curve.novelty_score(row) for row in rows)
-        if novelty > MAX_NOVELTY:
-            why.append(UNLIKE.format(novelty, MAX_NOVELTY))
         if low > range_[1] * EDGE or high < range_[0] / EDGE:
             why.append(OUTSIDE.format(1e-3 * kappa, 1e-3 * range_[0], 1e-3 * range_[1]))
         return self.reading(quantity, (kappa, low, high), "N_per_m", range_, why)
@@ -178,18 +254,30 @@ class _PressReader:
         return self.reading("area_at_4_N", (value[0], value[1], value[2]), "m2", fit.range_m2, why)
 
     def rate(self, courses: Sequence[AreaCourse]) -> Reading:
-        """dA/dF; its relative error is at most the areas', which err together."""
+        """dA/dF against known ones; without these its relative error is taken for at most the areas'."""
+        levels = self.calibration.levels_n
+        if self.calibration.rate is not None:
+            rates = np.array([rate_by_areas(one.force_n, one.area_m2[:, 0]) for one in courses])
+            if not (rates > 0).all():
+                raise InputError(
+                    "the areas of a press do not grow with force; are table and frames of one press?"
+                )
+            value = self.calibration.rate.of(rates, COVERAGE)
+        else:
+            value = self._rate_as_areas(courses)
+        low, high = self._fit.range_m2
+        reach = levels[-1] - levels[0]
+        why = [] if np.isfinite(self._fit.spread) else [NO_BETWEEN]
+        return self.reading("spread_rate", value, "m2_per_N", (0.0, float((high - low) / reach)), why)
+
+    def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:
         levels = self.calibration.levels_n
         rates = []
         for one in courses:
             good = (one.force_n >= levels[0]) & (one.force_n <= levels[-1] + 0.5)
             rates.append(spread(one.force_n[good], one.area_m2[good, 0]).rate_m2_n)
-        rate, relative = float(np.mean(rates)), float(np.expm1(1.645 * self._fit.spread))
-        low, high = self._fit.range_m2
-        reach = levels[-1] - levels[0]
-        why = [] if np.isfinite(self._fit.spread) else [NO_BETWEEN]
-        value = (rate, rate * (1 - relative), rate * (1 + relative))
-        return self.reading("spread_rate", value, "m2_per_N", (0.0, float((high - low) / reach)), why)
+        rate, relative = float(np.mean(rates)), float(np.expm1(NORMAL * self._fit.spread))
+        return rate, rate * (1 - relative), rate * (1 + relative)
 
     def modulus_and_radius(self, courses: Sequence[AreaCourse]) -> tuple[Reading | None, Reading | None]:
         finger = self.calibration.finger

@@ -137,6 +137,12 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
             "value_N_per_mm": 1e-3 * cues.series.slope,
             "adjusted_r2": finite_or_none(cues.series.adjusted_r2),
         }
+    if touch is not None and touch.nuisances is not None:
+        record["nuisances"] = touch.nuisances.at_edge()
+        record["changes_by_nuisance"] = {
+            quantity: {name: finite_or_none(share) for name, share in each.items()}
+            for quantity, each in touch.budget.items()
+        }
     if touch is not None and touch.course is not None:
         names, course = ("area_mm2", "low_mm2", "high_mm2"), touch.course
         record["area"] = [

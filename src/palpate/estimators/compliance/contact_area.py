@@ -93,6 +93,25 @@ def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> flo
     return worst if len(squares) >= MIN_REFERENCES else float("nan")
 
 
+def left_out_areas(
+    measures: Sequence[AnyMeasures], area_m2: Sequence[Float[ndarray, " _"]]
+) -> list[Float[ndarray, " _"]]:
+    """Area of every frame of every trial by a fit to all other trials; NaN where a measure is [m^2]."""
+    masks = [
+        np.isfinite(one).all(axis=1) & (np.nan_to_num(a) > 0)
+        for one, a in zip(measures, area_m2, strict=True)
+    ]
+    everything = np.concatenate([one[good] for one, good in zip(measures, masks, strict=True)])
+    middle, scale = everything.mean(axis=0), everything.std(axis=0) + 1e-12
+    z = [(one - middle) / scale for one in measures]
+    fitted = [one[good] for one, good in zip(z, masks, strict=True)]
+    log_a = [np.log(a[good]) for a, good in zip(area_m2, masks, strict=True)]
+    return [
+        np.exp(_terms(own) @ _solved(fitted[:i] + fitted[i + 1 :], log_a[:i] + log_a[i + 1 :]))
+        for i, own in enumerate(z)
+    ]
+
+
 def _solved(z: list[AnyMeasures], y: list[ndarray]) -> Float[ndarray, " c"]:
     X = _terms(np.concatenate(z))
     penalty = np.sqrt(RIDGE * len(X)) * np.eye(X.shape[1])

@@ -44,6 +44,7 @@ class PinPress:
         speed_m_s: of the tip over these frames; NaN without a position [m/s].
         flaws: what makes the press doubtful, in words; empty for a good one.
         cells: of each pin on the lattice (`PinTracks.cells`); None where they are not known.
+        time_s: of the frames; None where the table has none [s].
     """
 
     frame: Int[ndarray, " f"]
@@ -54,6 +55,7 @@ class PinPress:
     speed_m_s: float
     flaws: tuple[str, ...]
     cells: Int[ndarray, "p 2"] | None = None
+    time_s: Float[ndarray, " f"] | None = None
 
 
 def follow_press(
@@ -105,9 +107,10 @@ def follow_press(
     if part.saturated:
         flaws.append(SATURATED.format(smooth[part.last]))
     position = None if position_m is None else position_m[at[used]] - position_m[part.first]
+    time = None if time_s is None else time_s[at[used]]
     return PinPress(
         used, smooth[at[used]], untouched, xy[used] - untouched, position,
-        _speed(position, None if time_s is None else time_s[at[used]]), tuple(flaws), pins.cells,
+        _speed(position, time), tuple(flaws), pins.cells, time,
     )  # fmt: skip
 
 

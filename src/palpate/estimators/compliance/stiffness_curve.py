@@ -95,7 +95,7 @@ class SoftnessCurve:
         Raises:
             InputError: vectors of another length, or with nothing seen.
         """
-        y = np.mean([self._in_basis(press) for press in np.atleast_2d(presses)], axis=0)
+        y = np.mean([self.place(press) for press in np.atleast_2d(presses)], axis=0)
         s = self.nearest(y)
         weight = np.linalg.inv(self.scatter)
         slope = self._slope(s)
@@ -124,10 +124,15 @@ class SoftnessCurve:
         """Part of a press that no reference shows, in units of what their trials showed of it."""
         off = press - self.middle
         finite = np.isfinite(off)
-        residual = off[finite] - self._in_basis(press) @ self.basis[:, finite]
+        residual = off[finite] - self.place(press) @ self.basis[:, finite]
         return float(np.sqrt(np.mean(residual**2)) / self.outside)
 
-    def _in_basis(self, press: Vector) -> Float[ndarray, " q"]:
+    def place(self, press: Vector) -> Float[ndarray, " q"]:
+        """Place of a press in the basis, by what was seen of it.
+
+        Raises:
+            InputError: a vector of another length, or too little seen.
+        """
         if press.shape != self.middle.shape:
             raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
         finite = np.isfinite(press - self.middle)

@@ -1,0 +1,173 @@
+"""One verdict of a press, which every quantity read of it carries: is it a press as the references' were?
+
+A press whose pins move as on no reference gives no area and no modulus either. Beside what `follow_press` and
+the pins before contact show, four things are asked of the pins' motion itself: whether frames repeat, whether
+the contact sits beside the apex, whether the pins move as on the references, and where they do not, which
+known fault would explain most of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.calibration.compliance.compliance_calibration import (
+    ComplianceCalibration,
+    approach_row,
+    touch_row,
+    wobble_px,
+)
+from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
+from palpate.core import Drift
+from palpate.estimators.compliance.contact_seat import sideways_px
+from palpate.estimators.compliance.pin_press import PinPress
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, Vector
+
+MAX_NOVELTY = 5.0  # times what the references' own trials showed
+MAX_DRIFT = 4.0
+MAX_OFF = 4.0  # standard deviations of the references' seating
+SPEED_SHARE = 3.0  # times faster or slower than any reference
+REPEATED_PX = 1e-3  # by which no pin moved between two frames: a new image has noise
+RISE_N = 0.02  # of the force between them
+MAX_SIZES = 3.0  # of the nuisances together, in standard sizes
+EXPLAINED = 0.9  # of what is unlike every reference, for a cause to be named
+UNLIKE = (
+    "the pins move as on no reference ({:.1f} times the references' own scatter, {:g} are allowed): another "
+    "tilt, shape or skin than was calibrated"
+)
+BEYOND = (
+    "the pins move as on no reference, unless force, time, lever or frame are off by {:.1f} times their "
+    "stated sizes ({:g} are allowed)"
+)
+FROZEN = (
+    "{} of {} frames repeat the one before while the force rises: the camera stood still or frames were "
+    "copied; record again"
+)
+OFF_CENTRE = (
+    "off centre: all pins move to one side, {:.1f} times as far as the references' seating scatters "
+    "({:g} are allowed); centre the tip on the specimen, or level its top"
+)
+DRIFTED = "the untouched pins have moved against each other since calibration; calibrate anew"
+SPEED = "pressed at {:.3g} mm/s, calibrated at {:.3g} to {:.3g} mm/s; the skin may answer otherwise"
+CAUSES = {
+    "force_bias_n": "a force's zero off by {:+.2g} N would explain most of it",
+    "force_gain": "a force {:+.0%} off would explain most of it",
+    "late_s": "frames {:+.0f} ms late against the force would explain most of it",
+    "lever": "pins that move {:+.0%} farther (another lever, tip or camera height) would explain most of it",
+}
+SHOWN = {"late_s": 1e3}  # of the unit in which a cause is told
+PROBE = Nuisances(frame_yield_m_n=0.0)
+
+
+def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> Drift:
+    """How far untouched pins have moved against each other since calibration."""
+    wobble = max(wobble_px(one, calibration.layout_px) for one in presses)
+    return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
+
+
+def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[str]:
+    """Why no quantity of these presses is valid; empty where they are as the references' were.
+
+    Raises:
+        InputError: a press of another sensor.
+        RangeError: one that does not reach the calibrated forces.
+    """
+    reasons = list(dict.fromkeys(flaw for one in presses for flaw in one.flaws))
+    if drift_of(calibration, presses).drifted:
+        reasons.append(DRIFTED)
+    rows = [touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses]
+    for ask in (_speed, _frozen, _off_centre, _unlike):
+        answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
+        reasons += [why for why in answers if why][:1]
+    return reasons
+
+
+def _speed(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
+    low, high = calibration.speed_m_s
+    if press.speed_m_s > SPEED_SHARE * high or press.speed_m_s < low / SPEED_SHARE:
+        return SPEED.format(1e3 * press.speed_m_s, 1e3 * low, 1e3 * high)
+    return ""
+
+
+def _frozen(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
+    """Frames in which no pin has moved, though the force has risen."""
+    step = np.abs(np.diff(press.moved_px, axis=0))
+    still = np.nanmax(step.reshape(len(step), -1), axis=1) < REPEATED_PX
+    repeated = still & (np.diff(press.force_n) > RISE_N)
+    return FROZEN.format(int(repeated.sum()), len(press.force_n)) if repeated.any() else ""
+
+
+def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
+    if calibration.seat is None:
+        return ""
+    off = calibration.seat.off(sideways_px(press, calibration.layout_px), calibration.touch.of(row[None]).s)
+    return OFF_CENTRE.format(off, MAX_OFF) if off > MAX_OFF else ""
+
+
+def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
+    """Whether the pins, or pins and approach, move as on no reference, nor as one with stated nuisances."""
+
+    def pins(one: PinPress) -> Vector:
+        return touch_row(one, calibration.layout_px, calibration.levels_n)
+
+    def pins_and_approach(one: PinPress) -> Vector:
+        return np.concatenate([pins(one), approach_row(one, calibration.levels_n)])
+
+    shown = [(calibration.touch, pins)]
+    if calibration.both is not None and press.position_m is not None:
+        shown.append((calibration.both, pins_and_approach))
+    if max(curve.novelty_score(of(press)) for curve, of in shown) <= MAX_NOVELTY:
+        return ""
+    sizes = NONE if calibration.nuisances is None else calibration.nuisances
+    altered = list(sizes.altered(press).values())
+    left = [_left_unlike(curve, of(press), [of(one) for one in altered]) for curve, of in shown]
+    score, beyond = (max(each) for each in zip(*left, strict=True))
+    if score <= MAX_NOVELTY and beyond <= MAX_SIZES:
+        return ""
+    why = UNLIKE.format(score, MAX_NOVELTY) if score > MAX_NOVELTY else BEYOND.format(beyond, MAX_SIZES)
+    cause = likely_cause(calibration, press, row)
+    return f"{why}; {cause}" if cause else why
+
+
+def _left_unlike(curve: SoftnessCurve, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
+    """What no reference shows, less what nuisances explain, over the references' scatter; and their sizes.
+
+    Nuisances are found as the likeliest, each with its standard size as the standard deviation; their sizes
+    together are the root of the sum of squares, in standard sizes.
+    """
+    unlike = _outside(curve, row)
+    seen = np.isfinite(unlike)
+    unlike = unlike[seen]
+    if not altered:
+        return float(np.sqrt(np.mean(unlike**2)) / curve.outside), 0.0
+    along = np.stack([_outside(curve, one)[seen] - unlike for one in altered])
+    normal = along @ along.T + curve.outside**2 * np.eye(len(along))
+    sizes = np.linalg.solve(normal, along @ unlike)
+    left = unlike - sizes @ along
+    return float(np.sqrt(np.mean(left**2)) / curve.outside), float(np.sqrt(sizes @ sizes))
+
+
+def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
+    """The known fault, if any, whose direction holds most of what no reference shows, and its size."""
+    unlike = _outside(calibration.touch, row)
+    explained: dict[str, tuple[float, float]] = {}
+    for name, altered in PROBE.altered(press).items():
+        along = _outside(calibration.touch, touch_row(altered, calibration.layout_px, calibration.levels_n))
+        direction = np.nan_to_num(along - unlike)
+        norm = float(direction @ direction)
+        if norm > 0:
+            times = float(np.nan_to_num(unlike) @ direction) / norm
+            explained[name] = times**2 * norm, times * getattr(PROBE, name)
+    if not explained:
+        return ""
+    best = max(explained, key=lambda name: explained[name][0])
+    share, size = explained[best]
+    if share < EXPLAINED * float(np.nansum(unlike**2)):
+        return ""
+    return CAUSES[best].format(SHOWN.get(best, 1.0) * size)
+
+
+def _outside(curve: SoftnessCurve, row: Vector) -> Vector:
+    """What of a press lies outside of the references' space."""
+    return np.asarray(row - curve.middle - curve.place(row) @ curve.basis)

@@ -1,0 +1,104 @@
+"""Spread rate dA/dF calibrated on spread rates: what the areas of one press say of it, against known ones.
+
+Areas of one press err together, so that the relative error of an area says little about that of a slope: the
+slope of trials that were left out of the area's fit is compared with the true one instead. The logarithm of
+the true rate is a polynomial of that of the rate from areas, whose scatter over these trials gives the
+interval of a new press (a prediction interval of regression), beside the error by which the other references
+tell each reference between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from palpate.core import Float, InputError, Int, ndarray
+
+MAX_DEGREE = 2
+RECTANGULAR = np.sqrt(3.0)  # of a bound over the standard deviation of what lies anywhere within it
+
+Values = Float[ndarray, " _"]
+
+
+@dataclass(frozen=True)
+class RateFit:
+    """Log of the true rate as a polynomial of log of the rate by areas.
+
+    Attributes:
+        middle, scale: of log of the rate by areas.
+        coefficients: of the powers of what is so normalised, from the constant on.
+        covariance: of the coefficients, in units of the squared spread.
+        spread: standard deviation of log of the true rate around it, of one trial.
+        freedom: trials less coefficients.
+        between: error of log of the rate by which the others tell the references between them, root mean
+            square; it is taken for a bound, since with that reference the gap is half as wide.
+    """
+
+    middle: float
+    scale: float
+    coefficients: Float[ndarray, " c"]
+    covariance: Float[ndarray, "c c"]
+    spread: float
+    freedom: int
+    between: float
+
+    def of(self, rates_m2_n: Float[ndarray, " t"], coverage: float = 0.9) -> tuple[float, float, float]:
+        """The true rate, low and high of its interval, of trials' rates by areas on one specimen [m^2/N]."""
+        z = (float(np.mean(np.log(rates_m2_n))) - self.middle) / self.scale
+        powers = z ** np.arange(len(self.coefficients))
+        log_rate = float(powers @ self.coefficients)
+        spread = self.spread * np.sqrt(1 / len(rates_m2_n) + powers @ self.covariance @ powers)
+        half = float(
+            stats.t.ppf((1 + coverage) / 2, self.freedom) * np.hypot(spread, self.between / RECTANGULAR)
+        )
+        return float(np.exp(log_rate)), float(np.exp(log_rate - half)), float(np.exp(log_rate + half))
+
+
+def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequence[int]) -> RateFit:
+    """Fit to trials of references.
+
+    Args:
+        by_areas: rate of each, from areas that were fitted without it [m^2/N].
+        true: of each [m^2/N].
+        reference: which reference each trial is of; three or more of them.
+
+    Raises:
+        InputError: fewer than three references, too few trials, or a rate that is not positive.
+    """
+    x, y = np.asarray(by_areas, np.float64), np.asarray(true, np.float64)
+    kinds = len(set(reference))
+    if kinds < 3 or len(x) < kinds + 2:
+        raise InputError(f"{len(x)} trials of {kinds} references with a known rate; five of three are needed")
+    if not ((x > 0).all() and (y > 0).all()):
+        raise InputError("a contact that shrinks as the force grows; look at the areas in the tables")
+    x, y, which = np.log(x), np.log(y), np.asarray(reference)
+    middle, scale = float(x.mean()), float(x.std() + 1e-12)
+    z = (x - middle) / scale
+    fit, covariance = _solved(z, y, min(MAX_DEGREE, kinds - 2))
+    freedom = len(x) - len(fit)
+    spread = float(np.sqrt(np.sum((y - _powers(z, len(fit)) @ fit) ** 2) / freedom))
+    return RateFit(middle, scale, fit, covariance, spread, freedom, _between(z, y, which))
+
+
+def _between(z: Values, y: Values, which: Int[ndarray, " t"]) -> float:
+    """Error of log of the rate of references between others, by these."""
+    kinds = sorted(set(which), key=lambda kind: float(z[which == kind].mean()))
+    off = []
+    for kind in kinds[1:-1]:
+        own = which == kind
+        fit, _ = _solved(z[~own], y[~own], min(MAX_DEGREE, len(kinds) - 2))
+        off.append(float(np.mean(_powers(z[own], len(fit)) @ fit - y[own])))
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
+def _solved(z: Values, y: Values, degree: int) -> tuple[Values, Float[ndarray, "c c"]]:
+    X = _powers(z, degree + 1)
+    fit, *_ = np.linalg.lstsq(X, y, rcond=None)
+    return fit, np.linalg.inv(X.T @ X)
+
+
+def _powers(z: Values, count: int) -> Float[ndarray, "t c"]:
+    return np.vander(z, count, increasing=True)
