@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import brentq
 
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
@@ -30,7 +31,8 @@ MAX_OFF = 4.0  # standard deviations of the references' seating
 SPEED_SHARE = 3.0  # times faster or slower than any reference
 REPEATED_PX = 1e-3  # by which no pin moved between two frames: a new image has noise
 RISE_N = 0.02  # of the force between them
-MAX_SIZES = 3.0  # of the nuisances together, in standard sizes
+MAX_SIZES = 1.3  # of the nuisances together, in standard sizes, beyond what MAX_NOVELTY leaves unexplained
+DAMPED = 1e-9  # of the nuisances' own strength: next to none, and over it, next to all
 EXPLAINED = 0.9  # of what is unlike every reference, for a cause to be named
 UNLIKE = (
     "the pins move as on no reference ({:.1f} times the references' own scatter, {:g} are allowed): another "
@@ -131,21 +133,31 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
 
 
 def _left_unlike(curve: SoftnessCurve, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
-    """What no reference shows, less what nuisances explain, over the references' scatter; and their sizes.
+    """What no reference shows and no nuisance explains, over the references' scatter, and nuisances' sizes.
 
-    Nuisances are found as the likeliest, each with its standard size as the standard deviation; their sizes
-    together are the root of the sum of squares, in standard sizes.
+    Sizes are the smallest, as the root of the sum of their squares in standard sizes, that leave no more than
+    is allowed unexplained; where none do, what the best of any size leaves.
     """
     unlike = _outside(curve, row)
     seen = np.isfinite(unlike)
-    unlike = unlike[seen]
+    unlike = unlike[seen] / (curve.outside * np.sqrt(seen.sum()))
     if not altered:
-        return float(np.sqrt(np.mean(unlike**2)) / curve.outside), 0.0
-    along = np.stack([_outside(curve, one)[seen] - unlike for one in altered])
-    normal = along @ along.T + curve.outside**2 * np.eye(len(along))
-    sizes = np.linalg.solve(normal, along @ unlike)
-    left = unlike - sizes @ along
-    return float(np.sqrt(np.mean(left**2)) / curve.outside), float(np.sqrt(sizes @ sizes))
+        return float(np.linalg.norm(unlike)), 0.0
+    along = np.stack([_outside(curve, one)[seen] for one in altered]) / (curve.outside * np.sqrt(seen.sum()))
+    along -= unlike
+    normal, onto = along @ along.T, along @ unlike
+
+    def left(damping: float) -> tuple[float, float]:
+        sizes = np.linalg.solve(normal + damping * np.eye(len(normal)), onto)
+        return float(np.linalg.norm(unlike - sizes @ along)), float(np.linalg.norm(sizes))
+
+    weakest, strongest = DAMPED * np.trace(normal), np.trace(normal) / DAMPED
+    if left(weakest)[0] > MAX_NOVELTY:
+        return left(weakest)
+    if left(strongest)[0] < MAX_NOVELTY:
+        return left(strongest)[0], 0.0
+    damping = brentq(lambda log: left(np.exp(log))[0] - MAX_NOVELTY, np.log(weakest), np.log(strongest))
+    return MAX_NOVELTY, left(float(np.exp(damping)))[1]
 
 
 def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:

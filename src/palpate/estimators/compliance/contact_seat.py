@@ -16,7 +16,7 @@ from palpate.core import Float, ndarray
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
 
 SEAT_N = 4.0
-LEAST_PX = 0.05  # scatter below which centres cannot be told apart from their own noise
+MIN_PX = 0.05  # scatter below which centres cannot be told apart from their own noise
 
 
 @dataclass(frozen=True)
@@ -52,4 +52,4 @@ def fit_seat(softness: Float[ndarray, " k"], trials: Sequence[Float[ndarray, "_ 
     about = np.concatenate([one - m for one, m in zip(trials, mean, strict=True)])
     freedom = 2 * (len(about) - len(trials))
     spread = float(np.sqrt((about**2).sum() / freedom))
-    return Seat(np.asarray(softness)[order], mean[order], max(spread, LEAST_PX))
+    return Seat(np.asarray(softness)[order], mean[order], max(spread, MIN_PX))

@@ -327,7 +327,7 @@ class _Estimate:
         return pictured(replace(self._known, terms=terms), at, exact=exact)
 
     def _pixel_rows(self, state: _State) -> Iterator[tuple[ndarray, ndarray, Pixels, ndarray]]:
-        """Rows of each press: which unknowns it has, slopes of its pixels over them, what is left, and blocks.
+        """Rows of each press: its unknowns, slopes of its pixels over them, what is left, and blocks.
 
         What is left is by the exact way, slopes by the fast one.
         """
