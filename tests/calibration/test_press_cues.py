@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from palpate.calibration.compliance.press_cues import cues_of
 from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
 from palpate.calibration.compliance.specimen_stiffness import series_line
-from palpate.psychophysics import bootstrap_interval
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.tactip.tactip_setup import press_table_of
 from palpate.sensors.tactip import tactip
@@ -71,12 +70,19 @@ def test_cues_are_tested_where_two_specimens_have_them() -> None:
     assert set(found) == {"told"}  # frames are no cue, and what is alike cannot be tested
     assert_allclose(found["told"]["mean"]["a"], 1.1)
     low, high = found["told"]["interval_95"]["a"]
-    assert 1.0 <= low < 1.1 < high <= 1.2
+    assert_allclose([low, high], [1.1 - 4.303 * 0.1 / 3**0.5, 1.1 + 4.303 * 0.1 / 3**0.5], rtol=1e-4)
 
 
-def test_a_bootstrap_interval_is_the_same_at_every_call(rng) -> None:
-    values = list(rng.standard_normal(40))
-    assert bootstrap_interval(values) == bootstrap_interval(values)
-    low, high = bootstrap_interval(values)
-    # of a mean of 40: 1.96 / sqrt 40 = 0.31 to either side
-    assert_allclose(high - low, 2 * 1.96 * np.std(values) / np.sqrt(40), rtol=0.15)
+def test_p_values_are_corrected_for_all_cues_and_for_all_their_pairs(rng) -> None:
+    """Three cues: Holm's factors are 3, 2, 1 for the cues, and 9 for the least of their nine pairs."""
+    names = np.repeat(["a", "b", "c"], 6)
+    table = pd.DataFrame({"specimen": names, "trial": np.tile(range(6), 3)})
+    for cue, apart in (("far", 9.0), ("near", 1.0), ("alike", 0.0)):
+        table[cue] = rng.standard_normal(18) + apart * np.repeat([0, 1, 2], 6)
+    found = cue_tests(table)
+    plain = [one["kruskal_p"] for one in found.values()]
+    assert plain == sorted(plain)
+    assert_allclose(found["far"]["kruskal_p_all_cues"], 3 * plain[0])
+    assert_allclose(found["near"]["kruskal_p_all_cues"], max(3 * plain[0], min(1, 2 * plain[1])))
+    least = min((pair for one in found.values() for pair in one["pairs"]), key=lambda p: p["rank_sum_p"])
+    assert_allclose(least["rank_sum_p_all_cues"], 9 * least["rank_sum_p"])

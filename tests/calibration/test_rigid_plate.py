@@ -1,6 +1,7 @@
 """Stiffness by a rigid plate: the slope comes back, a curve is flagged, and bad tables are named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.calibration.compliance import plate_stiffness
+from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.cli import app
 from palpate.core.errors import InputError, LabelError
 
@@ -34,6 +36,19 @@ def test_the_slope_of_force_over_deformation_is_the_stiffness(tmp_path, kappa) -
     assert found["low_N_per_mm"] <= found["stiffness_N_per_mm"] <= found["high_N_per_mm"]
     assert all(one["adjusted_r2"] > 0.99 for one in found["trials"])
     assert not found["flags"]
+
+
+def test_the_interval_contains_what_all_trials_share(tmp_path) -> None:
+    """Gain of 3 %, and a frame of 4 um/N under 3 N/mm, 1.2 %: together 3.23 % of the stiffness."""
+    tables = [written(tmp_path, f"trial{'x' * k}", lambda d: 3.0 * d) for k in range(4)]
+    none = plate_stiffness(tables, nuisances=NONE)
+    both = plate_stiffness(tables, nuisances=replace(NONE, force_gain=0.03, frame_yield_m_n=4e-6))
+    k = none["stiffness_N_per_mm"]
+    assert both["stiffness_N_per_mm"] == k
+    wide = (both["high_N_per_mm"] - both["low_N_per_mm"]) / 2
+    assert wide == pytest.approx(1.96 * k * np.hypot(0.03, 0.004 * k), rel=0.01)
+    assert none["high_N_per_mm"] - none["low_N_per_mm"] < wide / 2
+    assert both["contained"] == {"force_gain": 0.03, "frame_yield_mm_per_N": pytest.approx(0.004)}
 
 
 def test_a_force_that_is_no_line_is_flagged(tmp_path) -> None:

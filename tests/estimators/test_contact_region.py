@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.contact_region import (
     Field,
-    Rigid,
+    RigidPlateStretch,
     cell_growth,
     outward,
     ring_ellipse,
@@ -78,13 +78,13 @@ def test_cells_grow_as_the_field_diverges() -> None:
 
 def test_the_ratio_to_a_rigid_plate_is_one_on_it_and_less_where_it_is_softer() -> None:
     rings = np.linspace(40, 110, 12)
-    rigid = Rigid.fitted(rings, 0.001 * rings)
+    rigid = RigidPlateStretch.fitted(rings, 0.001 * rings)
     assert_allclose(rigid.ratio(75.0, 0.075), 1.0, rtol=1e-6)
     assert rigid.ratio(75.0, 0.06) < 0.85
     with pytest.raises(RangeError, match="rigid plate"):
         rigid.ratio(150.0, 0.1)
     with pytest.raises(InputError, match="6 or more"):
-        Rigid.fitted(rings[:3], rings[:3])
+        RigidPlateStretch.fitted(rings[:3], rings[:3])
 
 
 def test_lost_pins_are_left_out_and_too_few_are_refused() -> None:

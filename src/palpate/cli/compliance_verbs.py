@@ -143,6 +143,10 @@ def plate(
     force_column: Annotated[str | None, Option(help="Column of force, if not a usual name.")] = None,
     position_column: Annotated[str | None, Option(help="Column of position, if not a usual name.")] = None,
     rate_hz: Annotated[float | None, Option(help="Rate of the rows [Hz], if without time_s.")] = None,
+    nuisance: Annotated[
+        list[str] | None,
+        Option(help="NAME=SIZE: force_gain=0.02, frame_yield_mm_per_N=0.02; repeat. What trials share."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Measure a specimen's own stiffness by a rigid plate.
@@ -152,22 +156,25 @@ def plate(
     Example: palpate compliance plate S1-plate-1.csv S1-plate-2.csv S1-plate-3.csv
     """
     from palpate.calibration.compliance import plate_stiffness
+    from palpate.calibration.compliance.press_nuisances import Nuisances
 
     record = plate_stiffness(
-        tables, force_column=force_column, position_column=position_column, rate_hz=rate_hz
+        tables,
+        force_column=force_column,
+        position_column=position_column,
+        rate_hz=rate_hz,
+        nuisances=Nuisances.named(nuisance or []),
     )
     low, high = record["low_N_per_mm"], record["high_N_per_mm"]
-    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, bootstrap over trials)"
+    ends = ", of one trial" if low is None else f" ({low:.3g} to {high:.3g}, 95 %)"
     lines = [
         f"{one['table']}: {one['stiffness_N_per_mm']:.3g} N/mm, adjusted R2 {one['adjusted_r2']:.3g}"
         for one in record["trials"]
     ]
-    if "untouched_area_mm2" in record:
-        lines.append(
-            f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
-        )
     lines += [f"flag: {flag}" for flag in record["flags"]]
     lines.append(f"stiffness {record['stiffness_N_per_mm']:.3g} N/mm{ends}")
+    if low is not None:
+        lines.append("interval: Student's over trials, with " + _sizes(record["contained"]))
     print_found(record, "\n".join(lines), json_)
 
 
@@ -237,6 +244,7 @@ def _text(record: dict[str, Any]) -> str:
         lines.append(
             f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
         )
+    lines.append(_shape(record["contact_shape"]))
     lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *record["flags"]])]
     if readings:
         drift = readings[0]["drift"]
@@ -256,12 +264,31 @@ def _common(reasons: list[list[str]]) -> list[str]:
 
 
 def _reading(one: dict[str, Any], common: list[str]) -> str:
-    ends = " to ".join("inf" if x is None else f"{x:.3g}" for x in (one["low"], one["high"]))
+    ends = _ends(one["low"], one["high"])
     value = "inf" if one["value"] is None else f"{one['value']:.3g}"
     own = "; ".join(why for why in one["why"].split("; ") if why not in common)
     verdict = "valid" if one["valid"] else f"NOT VALID: {own}" if own else "NOT VALID, see flag"
     unit = SYMBOLS.get(one["unit"], one["unit"])
     return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
+
+
+def _shape(shape: dict[str, Any]) -> str:
+    ellipse, flat = shape["ellipse"], shape["flattening"]
+    told = []
+    if "half_axes_px" in ellipse:
+        long, short = ellipse["half_axes_px"]
+        told.append(f"half axes {long:.3g} and {short:.3g} px, {ellipse['visible_share']:.0%} of it in sight")
+    else:
+        told.append(f"no ellipse: {ellipse['why_not']}")
+    if "over_rigid" in flat:
+        told.append(
+            f"flattened {flat['over_rigid']:.2f} times as by a rigid plate, at {flat['force_N']:.3g} N"
+        )
+    return f"{'ring of the contact':22}{'; '.join(told)}"
+
+
+def _ends(low: float | None, high: float | None) -> str:
+    return " to ".join("inf" if x is None else f"{x:.3g}" for x in (low, high))
 
 
 def _compared(record: dict[str, Any]) -> str:
@@ -277,9 +304,20 @@ def _compared(record: dict[str, Any]) -> str:
             f"{cue}: {means}" + (f"; no two valid readings: {', '.join(missing)}" if missing else "")
         )
         lines.append(
-            f"    Kruskal-Wallis p {one['kruskal_p']:.2g}; least apart {worst['first']}, {worst['second']}: "
-            f"rank-sum p {worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
+            f"    Kruskal-Wallis p {one['kruskal_p']:.2g} ({one['kruskal_p_all_cues']:.2g} for "
+            f"{len(record['cues'])} cues); least apart {worst['first']}, {worst['second']}: rank-sum p "
+            f"{worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
         )
+        if "interval_90_with_calibration" in one:
+            ends = one["interval_90_with_calibration"].items()
+            told = ", ".join(f"{name} {_ends(low, high)}" for name, (low, high) in ends)
+            lines.append(f"    with the calibration's own error, 90 %: {told}")
+        normal = [p for p in one["lilliefors_p"].values() if p is not None]
+        if normal:
+            lines.append(
+                f"    Gaussian trials, by Kolmogorov and Smirnov's test as Lilliefors has it: least p "
+                f"{min(normal):.2g} of {len(normal)} specimens"
+            )
     if record["references"]:
         lines.append(f"{', '.join(record['references'])}: references of this calibration, read by it")
     if "pooled_sums" in record:
@@ -288,5 +326,7 @@ def _compared(record: dict[str, Any]) -> str:
             f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
         )
         lines += [f"warning: {warning}" for warning in pooled["warnings"]]
-    lines.append(f"means with bootstrap intervals over trials; trials, tests and picture: {record['out']}")
+    lines.append(
+        f"means with Student's 95 % intervals over trials; trials, tests and picture: {record['out']}"
+    )
     return "\n".join(lines)

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
@@ -35,6 +36,7 @@ from palpate.estimators.compliance.contact_area import (
     left_out_areas,
     ring_measures,
 )
+from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.contact_seat import Seat, fit_seat, sideways_px
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
@@ -95,6 +97,8 @@ class ComplianceCalibration:
         seat: of the contact in the references' presses; None in calibrations of before.
         nuisances: standard sizes that intervals contain; None in calibrations of before, whose intervals
             contain the references' own scatter only.
+        rigid_plate: stretch of the middle by the ring's radius on a rigid plate; None without one, and in
+            calibrations of before.
     """
 
     names: tuple[str, ...]
@@ -114,6 +118,7 @@ class ComplianceCalibration:
     rate: RateFit | None = None
     seat: Seat | None = None
     nuisances: Nuisances | None = None
+    rigid_plate: RigidPlateStretch | None = None
 
     @property
     def id(self) -> str:
@@ -196,6 +201,9 @@ def calibrate_compliance(
         rate=rate,
         seat=fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout)),
         nuisances=Nuisances() if nuisances is None else nuisances,
+        rigid_plate=rigid_plate_stretch(
+            trial.press for one in references if np.isinf(one.kappa_n_m) for trial in one.trials
+        ),
     )
 
 

@@ -18,6 +18,7 @@ from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
+from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
 from palpate.estimators.compliance.spread_rate import spread
@@ -63,6 +64,7 @@ class PressReading:
         budget: of every quantity, by how much each nuisance of its standard size changes it, as a share;
             empty for calibrations that state none.
         nuisances: those sizes; None for such calibrations.
+        rigid_plate: stretch by ring on a rigid plate, of the calibration; None where it has none.
     """
 
     stiffness: Reading
@@ -74,6 +76,7 @@ class PressReading:
     course: AreaCourse | None
     budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     nuisances: Nuisances | None = None
+    rigid_plate: RigidPlateStretch | None = None
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -100,7 +103,7 @@ def read_touch(
     if not presses:
         raise InputError("no press; give one or more")
     verdict = _Verdict(calibration, drift_of(calibration, presses), press_reasons(calibration, presses), name)
-    read = _read(calibration, presses, verdict)
+    read = replace(_read(calibration, presses, verdict), rigid_plate=calibration.rigid_plate)
     if calibration.nuisances is None:
         return read
     wide = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)

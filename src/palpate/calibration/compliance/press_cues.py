@@ -16,9 +16,11 @@ from palpate.calibration.compliance.compliance_calibration import (
     reference_trial,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
+from palpate.calibration.compliance.contact_shape import contact_shape
 from palpate.calibration.compliance.specimen_stiffness import series_line
-from palpate.core import Reading, Shaped, ndarray
+from palpate.core import InputError, Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
+from palpate.estimators.compliance.spread_rate import refuse_literal
 from palpate.estimators.pins import grey_frame
 from palpate.psychophysics import Line
 from palpate.recordings.exchange.frame_sequences import open_sequence
@@ -43,6 +45,7 @@ class PressCues:
         trial: pins and, where it is known, area.
         series: force [N] over approach [m], sensor and specimen in series; None without a position.
         reported: the report's route over the circle through the pins, from frames above 0.5 N.
+        region_px: pixels in that circle.
         late: the same above 2.5 N.
     """
 
@@ -50,6 +53,7 @@ class PressCues:
     series: Line | None
     reported: AsReported
     late: AsReported
+    region_px: int
 
     def row(self, calibration: ComplianceCalibration | None, name: str = "") -> dict[str, float]:
         """One number a cue, its unit in its name; cues that this press does not have are left out."""
@@ -81,7 +85,7 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressC
     grey = (one for one in map(grey_frame, frames) if one is not None)  # others were refused with the pins
     reported = as_reported(grey, table.force_n, table.frame_sample, region=circle)
     line = None if table.position_m is None else series_line(table)
-    return PressCues(trial, line, reported, reported.above(LATE_N))
+    return PressCues(trial, line, reported, reported.above(LATE_N), int(circle.sum()))
 
 
 def read_press(
@@ -129,7 +133,9 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
                 f"{way}_per_N": {"value": one.rate_m2_n, "steps": one.steps, "warning": one.warning}
                 for way, one in reported.spreads.items()
             },
+            "to_the_letter": {"why_not": _letter(cues)},
         },
+        "contact_shape": contact_shape(press, None if touch is None else touch.rigid_plate),
     }
     if cues.series is not None:
         record["series_stiffness"] = {
@@ -152,6 +158,14 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
             for f, area, ring in zip(course.force_n, course.area_m2, course.ring_m2, strict=True)
         ]
     return record
+
+
+def _letter(cues: PressCues) -> str:
+    """Why equations (8) and (11) are not run to the letter, with what they would have come to."""
+    try:
+        refuse_literal(cues.reported.force_n, cues.reported.divergence, cues.region_px)
+    except InputError as e:
+        return str(e)
 
 
 def reading_record(reading: Reading) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
 from palpate.core import InputError, Progress, silent
-from palpate.psychophysics import bootstrap_interval, compare
+from palpate.psychophysics import compare, corrected_by_holm, mean_interval
 from palpate.recordings.exchange.press_folder import press_folder
 
 BESIDE = ("frames", "series_adjusted_r2")  # in the table, but no cues
@@ -85,6 +85,10 @@ def compare_specimens(
             ]
             for name, each in groups.items()
         }
+        for cue, test in record["cues"].items():
+            told = {name: _interval_of(cue, each) for name, each in record["specimens"].items()}
+            if any(told.values()):
+                test["interval_90_with_calibration"] = {name: one for name, one in told.items() if one}
     if pooled:
         late = {
             name: [c.reported.summed[c.reported.force_n >= LATE_N] for c in each]
@@ -92,6 +96,14 @@ def compare_specimens(
         }
         record["pooled_sums"] = asdict(compare(late, pooled=True))
     return SpecimenComparison(groups, table, known, _plain(record))
+
+
+def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float] | None:
+    """Ends of the valid reading of a cue from all trials of a specimen, where there is one."""
+    for one in readings:
+        if cue == f"{one['quantity']}_{one['unit']}" and one["valid"]:
+            return [one["low"], one["high"]]
+    return None
 
 
 def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> pd.DataFrame:
@@ -107,8 +119,12 @@ def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> p
 
 
 def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
-    """Means with bootstrap intervals over trials, and rank tests, of every cue that two specimens have."""
-    tests = {}
+    """Means with Student's intervals over trials, and rank tests, of every cue that two specimens have.
+
+    Several cues are tested: the p-values of all of them (Kruskal and Wallis's) and those of all their pairs
+    (rank-sum) stand there a second time, corrected by Holm.
+    """
+    tests: dict[str, Any] = {}
     for cue in [one for one in table.columns[2:] if one not in BESIDE]:
         groups = {str(name): list(rows[cue]) for name, rows in table.groupby("specimen", sort=False)}
         groups = {name: [x for x in each if np.isfinite(x)] for name, each in groups.items()}
@@ -116,9 +132,16 @@ def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
         if len(groups) >= 2 and len({x for each in groups.values() for x in each}) > 1:
             tests[cue] = {
                 "mean": {name: float(np.mean(each)) for name, each in groups.items()},
-                "interval_95": {name: bootstrap_interval(each) for name, each in groups.items()},
+                "interval_95": {name: mean_interval(each) for name, each in groups.items()},
                 **asdict(compare(groups)),
             }
+    for test, p in zip(
+        tests.values(), corrected_by_holm([one["kruskal_p"] for one in tests.values()]), strict=True
+    ):
+        test["kruskal_p_all_cues"] = p
+    pairs = [pair for one in tests.values() for pair in one["pairs"]]
+    for pair, p in zip(pairs, corrected_by_holm([pair["rank_sum_p"] for pair in pairs]), strict=True):
+        pair["rank_sum_p_all_cues"] = p
     return tests
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.core import InputError, LabelError
 from palpate.estimators.compliance.press_force import CONTACT_N, MAX_N, loading, smoothed, within
-from palpate.psychophysics import Line, bootstrap_interval, fit_line
+from palpate.psychophysics import Line, fit_line, mean_interval
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 
 MIN_PLATE_R2 = 0.85  # adjusted, of a trial; the report's worst is 0.882
@@ -31,12 +33,18 @@ def plate_stiffness(
     force_column: str | None = None,
     position_column: str | None = None,
     rate_hz: float | None = None,
+    nuisances: Nuisances | None = None,
 ) -> dict[str, Any]:
     """Stiffness of a specimen itself: slope of force over the position of a rigid plate, 0.5 to 5 N.
+
+    All trials share the errors of the force's scale and of the frame that yields beside the specimen: as
+    shares of the stiffness k they are the force's gain, and k times the frame's compliance. No trial shows
+    them, so their stated sizes are in the interval beside the trials' scatter.
 
     Args:
         tables: of force and position, one a trial on the same specimen.
         force_column, position_column, rate_hz: see `read_press_table`.
+        nuisances: standard sizes of the force's gain and of the frame's compliance; None for the usual ones.
 
     Raises:
         InputError: no table, or no loading part in one.
@@ -46,12 +54,16 @@ def plate_stiffness(
         raise InputError("no table; give one a trial, five if you can")
     lines = {str(path): _plate_line(path, force_column, position_column, rate_hz) for path in tables}
     slopes = [1e-3 * line.slope for line in lines.values()]
-    low, high = bootstrap_interval(slopes) if len(slopes) > 1 else (None, None)
+    mean = float(np.mean(slopes))
+    sizes = Nuisances() if nuisances is None else nuisances
+    shared = mean * math.hypot(sizes.force_gain, 1e3 * mean * sizes.frame_yield_m_n)
+    low, high = mean_interval(slopes, known_sd=shared) if len(slopes) > 1 else (None, None)
     return {
-        "stiffness_N_per_mm": float(np.mean(slopes)),
+        "stiffness_N_per_mm": mean,
         "low_N_per_mm": low,
         "high_N_per_mm": high,
         "coverage": 0.95,
+        "contained": {"force_gain": sizes.force_gain, "frame_yield_mm_per_N": 1e3 * sizes.frame_yield_m_n},
         "trials": [
             {"table": path, "stiffness_N_per_mm": 1e-3 * line.slope, "adjusted_r2": line.adjusted_r2}
             for path, line in lines.items()

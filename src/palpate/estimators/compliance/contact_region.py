@@ -118,14 +118,14 @@ def ring_px(field: Field) -> float:
 
 
 @dataclass(frozen=True)
-class Rigid:
+class RigidPlateStretch:
     """The ring and the stretch on a rigid plate: the stretch as a polynomial of the ring."""
 
     coefficients: Float[ndarray, " k"]
     ring_px: tuple[float, float]
 
     @classmethod
-    def fitted(cls, rings: Float[ndarray, " n"], stretches: Float[ndarray, " n"]) -> Rigid:
+    def fitted(cls, rings: Float[ndarray, " n"], stretches: Float[ndarray, " n"]) -> RigidPlateStretch:
         """Fit to presses on a rigid plate.
 
         Raises:

@@ -16,7 +16,7 @@ deformation from closed curves, Int. J. Robotics Research 16 (1997) 77, doi:10.1
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 
@@ -133,7 +133,7 @@ def summed_slopes(force_n: Steps, area: Steps) -> float:
     return float((np.diff(area)[changes] / np.diff(force_n)[changes]).sum())
 
 
-def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> None:
+def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> NoReturn:
     """Equations (8) and (11) to the letter: never run, with what they would have come to.
 
     Raises:
