@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.core import ExistsError, ImageError, InputError, Pose, RangeError
+from palpate.core import ExistsError, ImageError, InputError, ManualClock, Pose, RangeError
 from palpate.optics.stress_optic import StressOpticLaw
+from palpate.recordings import Manifest, RunWriter
 from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.palm_copy_fit import fit_copy, pictured, read_press
-from palpate.sensors.palm.palm_copy_store import read_copy, write_copy
+from palpate.sensors.palm.palm_copy_store import pictured_presses, read_copy, write_copy
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
@@ -161,3 +162,31 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
             read_copy(tmp_path / "other.json")
     with pytest.raises(ImageError, match="192 x 108"):
         design_for("debug", (100, 100))
+
+
+def test_presses_of_a_run_are_spread_over_force_and_near_enough_to_the_middle(tmp_path: Path) -> None:
+    """Twelve of 1 to 12 N, 2 mm farther out each: of those within 15 mm, least and most and one between."""
+    kinds = {"press": "text", "reference": "flag", "force_N": "number", "x_mm": "number", "y_mm": "number"}
+    clock = ManualClock()
+    with RunWriter.create(
+        tmp_path / "run", Manifest.new(sensor="palm", labels=kinds), clock=clock, overflow="wait"
+    ) as writer:
+        for i in range(1, 13):
+            for is_rest in (True, False):
+                clock.sleep(0.1)
+                place = {"x_mm": 1.2 * i, "y_mm": -1.6 * i}
+                image = np.full((8, 16, 3), 100 * is_rest + i, np.uint8)
+                held = {
+                    "press": f"{i}",
+                    "reference": is_rest,
+                    "force_N": 0.0 if is_rest else float(i),
+                } | place
+                writer.frame(image, labels=held)
+    near = pictured_presses(tmp_path / "run", 3, 0.01, within_m=15e-3)
+    assert [one.force_n for one in near] == [2.0, 4.0, 7.0]  # 1 N is less than a tenth of 12 N
+    assert [int(one.image[0, 0, 0]) for one in near] == [2, 4, 7]
+    assert [int(one.reference[0, 0, 0]) for one in near] == [102, 104, 107]
+    np.testing.assert_allclose(near[0].place_m, (2.4e-3, -3.2e-3))
+    assert len(pictured_presses(tmp_path / "run", 11, 0.01)) == 11
+    with pytest.raises(InputError, match=r"7 presses of 6 frames .* within 15 mm of the middle"):
+        pictured_presses(tmp_path / "run", 7, 0.01, within_m=15e-3)

@@ -33,17 +33,23 @@ def fit(
 ) -> None:
     """Find a palm's modulus, stress-optic coefficient, lamp and mirror.
 
-    Takes 5 to 10 seconds a press.
+    Takes 5 to 40 seconds a press, by the frames' size, of presses within 0.7 radii of the middle.
 
     Example: palpate palm fit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
     from palpate.sensors.palm.palm_copy_fit import fit_copy
-    from palpate.sensors.palm.palm_copy_store import design_for, presses_of, write_copy
+    from palpate.sensors.palm.palm_copy_store import (
+        MAX_REACH,
+        design_for,
+        pictured_presses,
+        preset_radius_m,
+        write_copy,
+    )
 
     refuse_existing(out)
     with progress_bar(quiet) as tell:
-        pictured = presses_of(run, presses, force_share)
+        pictured = pictured_presses(run, presses, force_share, MAX_REACH * preset_radius_m(preset))
         known = design_for(preset, pictured[0].image.shape[:2], friction)
         found = fit_copy(known, pictured, tell)
     write_copy(found.copy, preset, out)

@@ -19,6 +19,7 @@ from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 FORMAT = "palpate palm copy 1"
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
+MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 
 Image = UInt8[ndarray, "h w 3"]
 
@@ -83,14 +84,31 @@ def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> P
     )
 
 
+def preset_radius_m(name: str) -> float:
+    """Radius of a preset's membrane [m].
+
+    Raises:
+        InputError: no such preset.
+    """
+    return preset(name).radius_m
+
+
 def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
     if friction not in (0.0, 0.5):
         raise RangeError(f"friction {friction:g}; presses were solved for 0 and for 0.5")
     return replace(spec, friction=friction)
 
 
-def presses_of(path: Path, count: int, force_share: float) -> list[PicturedPress]:
+def pictured_presses(
+    path: Path, count: int, force_share: float, within_m: float = math.inf
+) -> list[PicturedPress]:
     """Frames of a run, spread over force from a tenth of the greatest, each with its press's reference.
+
+    Args:
+        path: of the run.
+        count: of frames.
+        force_share: standard deviation of a known force, as a share.
+        within_m: of the membrane's middle [m].
 
     Raises:
         InputError: no force, press or reference among its labels, or too few frames.
@@ -103,19 +121,23 @@ def presses_of(path: Path, count: int, force_share: float) -> list[PicturedPress
     is_rest = table["reference"].astype(bool).to_numpy()
     rests = {press: int(i) for i, press in zip(np.flatnonzero(is_rest), table["press"][is_rest], strict=True)}
     force = table["force_N"].to_numpy(float)
+    places = 1e-3 * table[["x_mm", "y_mm"]].to_numpy(float)
     able = ~is_rest & (force > MIN_SHARE * np.nanmax(np.where(is_rest, np.nan, force)))
+    able &= np.hypot(*places.T) <= within_m
     rows = [int(i) for i in np.flatnonzero(able) if table["press"][i] in rests]
     if not 1 <= count <= len(rows):
-        raise InputError(f"{count} presses of {len(rows)} frames with force and reference; 1 to as many")
+        near = f" within {1e3 * within_m:.3g} mm of the middle" if math.isfinite(within_m) else ""
+        raise InputError(
+            f"{count} presses of {len(rows)} frames with force and reference{near}; 1 to as many"
+        )
     rows.sort(key=lambda i: force[i])
     chosen = [rows[round(k)] for k in np.linspace(0, len(rows) - 1, count)]
-    places = 1e-3 * table[["x_mm", "y_mm"]].to_numpy(float)
     return [
         PicturedPress(
             run.frame(i).image, run.frame(rests[table["press"][i]]).image, float(force[i]), force_share,
             (float(places[i, 0]), float(places[i, 1])),
         )
-        for i in chosen if math.isfinite(places[i].sum())
+        for i in chosen
     ]  # fmt: skip
 
 
