@@ -96,6 +96,7 @@ class PalmCopy:
             ambient=max(self.spec.ambient + at["ambient"], 0.0),
             corner_loss=min(max(self.spec.corner_loss + at["corner_loss"], 0.0), 1.0),
             lamp_mired=self.spec.lamp_mired + at["mired"],
+            chain=replace(self.spec.chain, blur_px=max(at["blur_px"], 0.0)),
         )
 
     @property

@@ -3,7 +3,8 @@
 Least squares on pixels, Gauss and Newton's steps damped as by Levenberg and Marquardt, the copy's prior and
 known forces as further rows. Pixels near each other err together, by what the fast rendering leaves out and
 the camera's own structure: covariances are those of scores summed over blocks of pixels (cluster-robust;
-K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13).
+K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13), added to what the assumed
+error of pixels gives: with few blocks, residuals that sixteen unknowns have been fitted to are too small.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -30,7 +32,7 @@ from palpate.core import (
 from palpate.sensors.palm.mirror_view import contact_px
 from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, PressFound, Terms
 from palpate.sensors.palm.palm_press import press, table_of
-from palpate.sensors.palm.palm_render import render_clean
+from palpate.sensors.palm.palm_render import housed, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 
 Pixels = Float[ndarray, " n"]
@@ -44,6 +46,7 @@ PIXEL_SD = 0.012  # of a pixel, where the pictures themselves do not say more; o
 BLOCK_PX = 6  # side of blocks of pixels that err together
 ROUNDS, SETTLED = 20, 0.05  # of the cost, in which 1 is a standard deviation
 ASIDE_M = ((0.0, 0.0), (0.0, 2e-3), (0.0, -2e-3))  # y is seen foreshortened, under a dimple that leans
+STARTS = 3  # of a press alone, each with another product
 DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
 MIN_DEPTH_M = 0.15e-3
@@ -95,7 +98,8 @@ def fit_copy(known: PalmCopy, presses: Sequence[PicturedPress], progress: Progre
         raise InputError("no press; a copy is found from one picture at least")
     seen = [_seen(known.spec, one) for one in presses]
     estimate = _Estimate(known, seen)
-    found = estimate.fit(estimate.settled(_first_state(known, seen, progress), progress))
+    settled = [estimate.settled(state, progress) for state in _first_states(known, seen, progress)]
+    found = estimate.fit(min(settled, key=estimate.cost))
     worst = max(one.off for one in found.presses)
     if worst > MAX_OFF:
         raise ImageError(
@@ -114,11 +118,11 @@ def read_press(
 
 
 def pictured(known: PalmCopy, pose: Pose, *, exact: bool = False) -> Pixels:
-    """Both regions of a press as a copy shows them, without noise, sRGB over white, blurred, one row."""
+    """Both regions of a press as a copy shows them, without noise, sRGB over white, softened, one row."""
     spec = known.looks
-    sigma = math.hypot(BLUR_PX, max(float(known.terms[TERMS.index("blur_px")]), 0.0))
-    seen = render_clean(press(spec, pose), spec, exact=exact)
-    return np.concatenate([_blurred(_encoded(one), sigma) for one in seen])
+    frame = housed(render_clean(press(spec, pose), spec, exact=exact), spec)
+    views = (spec.fringes, spec.mirror)
+    return np.concatenate([_blurred(_encoded(frame[view.window]), BLUR_PX) for view in views])
 
 
 def _blurred(image: ndarray, sigma_px: float) -> Pixels:
@@ -158,14 +162,30 @@ def _pixels(spec: PalmSpec, image: UInt8[ndarray, "h w 3"]) -> Pixels:
     return np.concatenate([_blurred(part, BLUR_PX) for part in parts])
 
 
-def _first_state(known: PalmCopy, seen: Sequence[_Seen], progress: Progress) -> _State:
-    """Each press looked for alone, the product and E as most of them have it."""
+def _first_states(known: PalmCopy, seen: Sequence[_Seen], progress: Progress) -> list[_State]:
+    """Where to begin: at the few products that all presses together find likeliest.
+
+    A press alone may look alike with another product, depth and place.
+    """
     looks = []
     for i, one in enumerate(seen):
         progress("looking for presses", i, len(seen))
-        looks.append(_first_look(known, one))
-    places, terms = np.stack([place for place, _ in looks]), known.terms.copy()
-    terms[1] += np.median([product for _, product in looks])
+        looks.append(_first_looks(known, one))
+    together = {product: sum(each[product].score for each in looks) for product in looks[0]}
+    likeliest = sorted(together, key=lambda product: together[product])[: STARTS if len(seen) == 1 else 2]
+    return [_state_at(known, seen, [each[one].place for each in looks], one) for one in likeliest]
+
+
+class _Look(NamedTuple):
+    """How far the likeliest of a few pictures is from a press, and that picture's place and depth."""
+
+    score: float
+    place: Place
+
+
+def _state_at(known: PalmCopy, seen: Sequence[_Seen], looks: Sequence[Place], product: float) -> _State:
+    places, terms = np.stack(looks), known.terms.copy()
+    terms[1] += product
     moduli = [
         math.log(one.press.force_n) - _log_unit_force(known.spec, place[2])[0]
         for one, place in zip(seen, places, strict=True) if one.press.force_n is not None
@@ -175,8 +195,8 @@ def _first_state(known: PalmCopy, seen: Sequence[_Seen], progress: Progress) -> 
     return _State(terms, places)
 
 
-def _first_look(known: PalmCopy, seen: _Seen) -> tuple[Place, float]:
-    """Place from where the mirror changes; depth and product from the likeliest change of a few."""
+def _first_looks(known: PalmCopy, seen: _Seen) -> dict[float, _Look]:
+    """Place from where the mirror changes; for every product the likeliest depth of a few."""
     spec = known.looks
     width, height = spec.mirror.size_px
     change = np.abs(seen.change[-height * width * 3 :]).reshape(height, width, 3).mean(axis=2)
@@ -188,7 +208,7 @@ def _first_look(known: PalmCopy, seen: _Seen) -> tuple[Place, float]:
     spread = math.sqrt(known.covariance[1, 1])
     products = PRODUCTS * spread if spread > SURE else np.zeros(1)
     rest = pictured(known, Pose(x, y, 0.0))
-    found = []
+    found: dict[float, _Look] = {}
     for depth in np.geomspace(MIN_DEPTH_M, 0.96 * _deepest_m(spec), DEPTHS):
         for product in products:
             for dx, dy in asides:
@@ -196,9 +216,10 @@ def _first_look(known: PalmCopy, seen: _Seen) -> tuple[Place, float]:
                 at = Pose(x + dx, y + dy, float(depth))
                 off = seen.change - (pictured(replace(known, terms=terms), at) - rest)
                 score = float(off @ off) / WEIGHT + (product / spread) ** 2
-                found.append((score, at.x_m, at.y_m, at.depth_m, float(product)))
-    _, x, y, depth_m, product = min(found)
-    return np.array([x, y, math.log(depth_m)]), product
+                if float(product) not in found or score < found[float(product)].score:
+                    place = np.array([at.x_m, at.y_m, math.log(at.depth_m)])
+                    found[float(product)] = _Look(score, place)
+    return found
 
 
 def _place_of(spec: PalmSpec, at_px: Float[ndarray, " 2"]) -> tuple[float, float]:
@@ -234,14 +255,14 @@ class _Estimate:
 
     def settled(self, state: _State, progress: Progress) -> _State:
         """The most probable state near a first one."""
-        damping, cost = 1e-3, self._cost(state)
+        damping, cost = 1e-3, self.cost(state)
         for i in range(ROUNDS):
             progress("rounds", i, ROUNDS)
             H, g = self._normal(state)
             while damping < 1e6:
                 step = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
                 after = self._moved(state, step)
-                new = self._cost(after)
+                new = self.cost(after)
                 if new < cost:
                     break
                 damping *= 10.0
@@ -263,12 +284,10 @@ class _Estimate:
             off.append(math.sqrt(float(residual @ residual) / len(residual)))
         for J, _, weight in self._sure_rows(state):
             H += weight * np.outer(J, J)
-            meat += weight * np.outer(J, J)
         n = len(TERMS)
         H[:n, :n] += self._prior
-        meat[:n, :n] += self._prior
         bread = np.linalg.inv(H)
-        covariance = bread @ meat @ bread
+        covariance = bread + bread @ meat @ bread  # of pixels' own errors, and of those that blocks share
         copy = PalmCopy(self._known.spec, state.terms, covariance[:n, :n])
         presses = tuple(self._found(state, i, covariance, off[i]) for i in range(len(self._seen)))
         before, after = (np.sqrt(np.diag(one)) for one in (self._known.covariance, copy.covariance))
@@ -310,7 +329,8 @@ class _Estimate:
         g[:n] += self._prior @ (self._known.terms - state.terms)
         return H, g
 
-    def _cost(self, state: _State) -> float:
+    def cost(self, state: _State) -> float:
+        """What is left of pixels, forces and places, and how far the terms are from what was known."""
         pixels = 0.0
         for i in range(len(self._seen)):
             left = self._residual(state, i)

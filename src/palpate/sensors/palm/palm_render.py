@@ -18,6 +18,7 @@ from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.colour import lamp_tint
 from palpate.optics.illumination import LedStrip, backlight
+from palpate.optics.image_chain import ImageChain, as_kept, through_lens
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
 from palpate.sensors.palm.membrane_wear import (
@@ -79,29 +80,32 @@ def render(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact:
 
 def expose(seen: tuple[Linear, Below], spec: PalmSpec, rng: np.random.Generator) -> Frame:
     """A frame of what `render_clean` gave: both regions in the housing, with the camera's noise."""
-    codes = _codes(_housed(seen, spec), spec, rng)
-    return Frame(developed(codes, spec), exposure_s=spec.exposure_s, sensor=spec.name)
+    codes = _codes(housed(seen, spec), spec, rng)
+    return Frame(as_kept(developed(codes, spec), spec.chain), exposure_s=spec.exposure_s, sensor=spec.name)
 
 
 def render_raw(
     contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False
 ) -> UInt16[ndarray, "h w 3"]:
     """The same frame as the converter writes it, not balanced: 12 bits a channel in the default camera."""
-    return _codes(_housed(render_clean(contact, spec, exact=exact), spec), spec, rng)
+    return _codes(housed(render_clean(contact, spec, exact=exact), spec), spec, rng)
 
 
-def _housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
-    """Both regions where they lie in the frame."""
+def housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
+    """Both regions of `render_clean` where they lie in the housing, seen through the lens."""
     clean = np.full((spec.frame_px[1], spec.frame_px[0], 3), BACKGROUND, np.float32)
     if spec.ambient:
         clean += np.float32(spec.ambient) * room_light(spec.frame_px)
     for view, light in zip((spec.fringes, spec.mirror), seen, strict=True):
         clean[view.window] = light
-    return clean
+    return through_lens(clean, spec.chain)
 
 
 def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Views:
-    """Both regions alone, as `render` would draw them, in less time."""
+    """Both regions alone, as `render` would draw them; in less time, but for a lens or JPEG."""
+    if spec.chain != ImageChain():
+        whole = render(contact, spec, rng, exact=exact).image
+        return Views(*(np.ascontiguousarray(whole[view.window]) for view in (spec.fringes, spec.mirror)))
     seen = render_clean(contact, spec, exact=exact)
     return Views(*(developed(_codes(light, spec, rng), spec) for light in seen))
 

@@ -17,6 +17,7 @@ from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.optics.camera_response import CameraResponse
 from palpate.optics.colour import MIN_BANDS
 from palpate.optics.illumination import LedStrip
+from palpate.optics.image_chain import ImageChain
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.membrane_wear import Wear
 
@@ -120,6 +121,7 @@ class PalmSpec:
         bands: of wavelength, 400 to 700 nm; 31 or more.
         rays_per_pixel: across and down, whose mean a pixel of the fringe view is.
         camera: from light to codes. Assumed.
+        chain: the lens's blur and distortion, and JPEG; none by default.
         exposure_s: of a frame [s]. Assumed; R has 30 frames a second.
         name: goes into each frame.
     """
@@ -157,6 +159,7 @@ class PalmSpec:
     bands: int = MIN_BANDS
     rays_per_pixel: tuple[int, int] = (1, 1)
     camera: CameraResponse = field(default_factory=CameraResponse)
+    chain: ImageChain = field(default_factory=ImageChain)
     exposure_s: float = 0.02
     name: str = "palm"
 
@@ -239,6 +242,7 @@ _LATER = (
     "camera",
     "exposure_s",
     "name",
+    "chain",
 )
 _NOMINAL = PalmSpec()
 

@@ -1,0 +1,115 @@
+"""How palms of one design differ: copies drawn from a law of their own, and temperature.
+
+The law is assumed, and wider than what one workshop would make: it is for tests of what holds on any copy,
+and for what a network is to have seen. It shares no constant with the virtual rig's `Variation`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.core import RangeError
+from palpate.optics.image_chain import ImageChain
+from palpate.sensors.palm.palm_spec import PalmSpec, View
+
+ROOM_K = 296.0
+MAX_WARMER_K = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class CopySpread:
+    """Standard deviations of copies about their design; ranges are even. All assumed.
+
+    Attributes:
+        modulus_share, coefficient_share: of the logarithms of E and C.
+        lamp_share: of the lamp's logarithm.
+        mired: of the lamp's colour.
+        polariser_rad, elevation_rad: of the first polariser and of the mirror's line of sight [rad].
+        region_px: of where either region lies in the frame, along either axis [px].
+        ambient: of the room's light, half of a normal law, over the lamp at its brightest.
+        corner_loss: of the loss of light at the corner.
+        blur_px: least and greatest of the lens's blur [px].
+        distortion: of the lens, at the corner.
+        jpeg_quality: least and greatest.
+    """
+
+    modulus_share: float = 0.15
+    coefficient_share: float = 0.15
+    lamp_share: float = 0.08
+    mired: float = 5.0
+    polariser_rad: float = math.radians(1.5)
+    elevation_rad: float = math.radians(1.0)
+    region_px: float = 0.3
+    ambient: float = 0.003
+    corner_loss: float = 0.05
+    blur_px: tuple[float, float] = (0.2, 0.8)
+    distortion: float = 0.0
+    jpeg_quality: tuple[int, int] = (92, 98)
+
+
+def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | None = None) -> PalmSpec:
+    """One copy of a design.
+
+    Args:
+        design: what copies are made after.
+        rng: the only source of chance.
+        spread: how far copies differ; None for the law as it is stated.
+    """
+    s = CopySpread() if spread is None else spread
+    law, z = design.stress_optic, rng.standard_normal(13)
+    return replace(
+        design,
+        youngs_modulus_pa=design.youngs_modulus_pa * math.exp(s.modulus_share * z[0]),
+        stress_optic=replace(
+            law, coefficient_per_pa=law.coefficient_per_pa * math.exp(s.coefficient_share * z[1])
+        ),
+        lamp_gain=design.lamp_gain * math.exp(s.lamp_share * z[2]),
+        lamp_mired=design.lamp_mired + s.mired * float(z[3]),
+        polariser_rad=design.polariser_rad + s.polariser_rad * float(z[4]),
+        mirror_elevation_rad=design.mirror_elevation_rad + s.elevation_rad * float(z[5]),
+        fringes=_moved(design.fringes, s.region_px * z[6], s.region_px * z[7]),
+        mirror=_moved(design.mirror, s.region_px * z[8], s.region_px * z[9]),
+        ambient=design.ambient + s.ambient * abs(float(z[10])),
+        corner_loss=float(np.clip(design.corner_loss + s.corner_loss * z[11], 0.0, 1.0)),
+        chain=ImageChain(
+            blur_px=float(rng.uniform(*s.blur_px)),
+            distortion=s.distortion * float(z[12]),
+            jpeg_quality=int(rng.integers(s.jpeg_quality[0], s.jpeg_quality[1] + 1)),
+        ),
+    )
+
+
+def _moved(view: View, across_px: float, down_px: float) -> View:
+    cx, cy = view.middle_px
+    return replace(view, middle_px=(cx + float(across_px), cy + float(down_px)))
+
+
+def warmed(spec: PalmSpec, temperature_k: float, calibrated_k: float = ROOM_K) -> PalmSpec:
+    """The palm at another temperature: E grows as it, and C falls as it, as of an ideal rubber.
+
+    Their product stays, so that a press to one depth looks the same, and only its force changes: by a third
+    of a per cent a kelvin. Of real silicones neither is exact: fillers and free chains change both.
+
+    Args:
+        spec: at the temperature at which its E and C were found.
+        temperature_k: now [K].
+        calibrated_k: then [K].
+
+    Raises:
+        RangeError: farther than 60 K from there, where silicones are no such rubber.
+
+    Reference: W. Kuhn, F. Gruen, Kolloid-Zeitschrift 101 (1942) 248, doi:10.1007/BF01793684.
+    """
+    if not abs(temperature_k - calibrated_k) <= MAX_WARMER_K:
+        raise RangeError(
+            f"{temperature_k} K, and {calibrated_k} K at calibration; within {MAX_WARMER_K:g} K of each other"
+        )
+    share, law = temperature_k / calibrated_k, spec.stress_optic
+    return replace(
+        spec,
+        youngs_modulus_pa=spec.youngs_modulus_pa * share,
+        stress_optic=replace(law, coefficient_per_pa=law.coefficient_per_pa / share),
+    )

@@ -1,0 +1,132 @@
+"""Draw copies of a palm, fit each to presses of known force, and count how often intervals hold the truth.
+
+    python tools/palm_copies.py                  # twelve copies, a quarter of an hour of one core
+    python tools/palm_copies.py --copies 3 --presses 8
+
+Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way and read by the fast one.
+Numbers stand in docs/how-to/find-a-palms-constants.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.core import ImageError, Pose
+from palpate.sensors.palm.palm_copy import PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.palm_copy_fit import fit_copy, read_press
+from palpate.sensors.palm.palm_press import press, press_to_force
+from palpate.sensors.palm.palm_render import render
+from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
+from palpate.sensors.palm.palm_variation import drawn_palm
+
+FORCE_N = (1.0, 8.0)
+WITHIN = 0.6  # of the membrane's radius
+FORCE_SHARE = 0.005  # to which forces are known
+CONSTANT_SHARE = 0.005  # to which C is, where it is said to be known
+NEW = 3  # presses that are read
+NORMAL = 1.645
+
+Errors = dict[str, list[tuple[float, bool]]]
+
+
+def pressed(spec: PalmSpec, rng: np.random.Generator) -> tuple[PicturedPress, Pose, float]:
+    """A picture, the place and depth it is of, and the true force."""
+    away, turn = WITHIN * spec.radius_m * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    x_m, y_m = float(away * np.cos(turn)), float(away * np.sin(turn))
+    contact = press_to_force(spec, float(rng.uniform(*FORCE_N)), x_m, y_m)
+    untouched = press(spec, Pose(x_m, y_m, -1e-3))
+    image, reference = (render(one, spec, rng, exact=True).image for one in (contact, untouched))
+    told = contact.force_n * float(np.exp(FORCE_SHARE * rng.standard_normal()))
+    return PicturedPress(image, reference, told, FORCE_SHARE, (x_m, y_m)), contact.pose, contact.force_n
+
+
+def knowing(design: PalmSpec, copy: PalmSpec) -> PalmCopy:
+    """What is known of a copy whose C was measured."""
+    law = copy.stress_optic
+    return designed_copy(replace(design, stress_optic=law), coefficient_share=CONSTANT_SHARE)
+
+
+def read_by(known: PalmCopy, new: list[tuple[PicturedPress, Pose, float]], into: Errors) -> None:
+    """Read new presses: errors of force [share and N], place and depth [mm], and whether intervals hold."""
+    for one, pose, force_n in new:
+        try:
+            found = read_press(known, one.image, one.reference)
+        except ImageError:
+            into["refused"].append((1.0, True))
+            continue
+        off = float(np.log(found.force_n / force_n))
+        into["force, per cent"].append((100 * off, abs(off) <= NORMAL * found.force_share))
+        into["force, N"].append((found.force_n - force_n, abs(off) <= NORMAL * found.force_share))
+        for name in ("x_m", "y_m", "depth_m"):
+            miss = getattr(found, name) - getattr(pose, name)
+            held = abs(miss) <= NORMAL * getattr(found, name.replace("_m", "_sd_m"))
+            into["depth, mm" if name == "depth_m" else "place, mm"].append((1e3 * miss, held))
+
+
+def study(design: PalmSpec, copies: int, presses: int, seed: int) -> Iterator[dict[str, Errors]]:
+    """Errors of every copy: of its constants, and of new presses by what is known of it."""
+    for k in range(copies):
+        rng = np.random.default_rng([seed, k])
+        copy = drawn_palm(design, rng)
+        told, new = ([pressed(copy, rng) for _ in range(n)] for n in (presses, NEW))
+        errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
+        designed, one = designed_copy(design), [told[0][0]]
+        fitted = fit_copy(designed, [press for press, _, _ in told]).copy
+        for name, value, truth, share in (
+            ("E, per cent", fitted.modulus_pa, copy.youngs_modulus_pa, fitted.modulus_share),
+            (
+                "C, per cent",
+                fitted.coefficient_per_pa,
+                copy.stress_optic.coefficient_per_pa,
+                fitted.coefficient_share,
+            ),
+        ):
+            off = float(np.log(value / truth))
+            errors[f"constants by {presses} presses"][name].append((100 * off, abs(off) <= NORMAL * share))
+        read_by(fitted, new, errors[f"new presses, by {presses} presses"])
+        read_by(fit_copy(designed, one).copy, new, errors["new presses, by one known force"])
+        read_by(knowing(design, copy), new, errors["new presses, C known, E not"])
+        read_by(designed, new, errors["new presses, neither known"])
+        yield errors
+
+
+def told(every: dict[str, Errors]) -> Iterator[str]:
+    """A line for each quantity."""
+    for case, quantities in every.items():
+        for name, results in quantities.items():
+            off = np.abs([error for error, _ in results])
+            held = np.mean([inside for _, inside in results])
+            yield (
+                f"{case}; {name}: mean {off.mean():.3g}, greatest {off.max():.3g}, 90 % intervals hold "
+                f"{100 * held:.0f} % of {len(results)}"
+            )
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--copies", type=int, default=12)
+    parser.add_argument("--presses", type=int, default=6)
+    parser.add_argument("--smaller", type=int, default=14, help="times smaller than the full frame")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    design = scaled_down(palm(), asked.smaller, f"a {asked.smaller}th")
+    every: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
+    start = time.monotonic()
+    for k, errors in enumerate(study(design, asked.copies, asked.presses, asked.seed)):
+        for case, quantities in errors.items():
+            for name, results in quantities.items():
+                every[case][name] += results
+        print(f"\n{k + 1} copies, {time.monotonic() - start:.0f} s", *told(every), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
