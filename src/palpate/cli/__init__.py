@@ -41,6 +41,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",
         "palm": "palm_verbs:app",
+        "tip": "tip_verbs:app",
         "shear": "shear_verbs:shear",
     },
     "Display": {

@@ -1,0 +1,216 @@
+"""Terms of a TacTip fitted to taps of known pose, with intervals; and smooth regression as the floor.
+
+Taps are the units: pins of one tap err together (slip, a pose's error), so covariances are those of scores
+summed over taps (cluster-robust; K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13,
+doi:10.1093/biomet/73.1.13), and a tap counts as `TELLS` numbers beside the prior, however many pins it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from palpate.core import Float, InputError, Progress, ndarray, silent
+from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
+from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
+
+MIN_TAPS = 60
+TELLS = 10.0  # numbers that a tap tells
+ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs taps against the prior
+UNTOLD = 0.8  # of its prior spread, from which a term is not told
+TIED = 0.95  # correlation from which two terms cannot be told apart
+DEGREES = (2, 3, 4)
+ROUNDS = 60
+
+SPREAD = TipTerms(
+    lever_mm=0.5, camera_mm=15.0, depth_zero_mm=0.5, distortion=0.1, edge_rad=0.15,
+    tilt_xx=1.0, tilt_xy=1.0, tilt_yx=1.0, tilt_yy=1.0,
+    shear_xx=1.0, shear_xy=1.0, shear_yx=1.0, shear_yy=1.0,
+    depth_per_tilt=3.0, shear_per_turn=0.3, turn_per_shear=0.3, shear_per_tilt_x=0.5, shear_per_tilt_y=0.5,
+    twist=1.0, shear_by_twist=0.5, slip_mm=1.0, slip_power=1.0, shear_rad=0.4, shear_per_contact=0.5,
+    shear_fade_rad=0.15, twist_rad=0.5, twist_per_contact=1.0, twist_fade_rad=0.15, shear_far=0.1,
+)  # fmt: skip
+"""How far terms may lie from `TipTerms`' defaults before any tap is seen: standard deviations. Assumed."""
+_BOUNDS = [[d + side * 8 * sd for d, sd in zip(TipTerms(), SPREAD, strict=True)] for side in (-1, 1)]
+MIN_TERMS = TipTerms(*_BOUNDS[0])._replace(
+    lever_mm=0.0, camera_mm=22.0, distortion=-0.4, edge_rad=0.4, slip_mm=0.05, slip_power=0.3,
+    shear_fade_rad=0.03, twist_fade_rad=0.03,
+)  # fmt: skip
+MAX_TERMS = TipTerms(*_BOUNDS[1])._replace(lever_mm=6.0, distortion=0.4, edge_rad=1.3)
+
+Poses = Float[ndarray, "t 6"]
+Places = Float[ndarray, "t p 2"]
+
+
+@dataclass(frozen=True)
+class TipFit:
+    """A fitted tip.
+
+    Attributes:
+        tip: whose pins they are.
+        terms: most probable.
+        covariance: of the terms.
+        taps: to which it was fitted.
+    """
+
+    tip: PosedTip
+    terms: TipTerms
+    covariance: Float[ndarray, "q q"]
+    taps: int
+
+    @property
+    def spread(self) -> TipTerms:
+        """Standard deviation of each term."""
+        return TipTerms(*np.sqrt(np.diag(self.covariance)).tolist())
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Terms of which the taps tell hardly more than was assumed."""
+        return tuple(
+            name
+            for name, now, before in zip(TipTerms._fields, self.spread, SPREAD, strict=True)
+            if now > UNTOLD * before
+        )
+
+    @property
+    def tied(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of terms that cannot be told apart: one may go up with the other."""
+        sd = np.array(self.spread)
+        high = np.abs(np.triu(self.covariance / np.outer(sd, sd), 1)) > TIED
+        return tuple((TipTerms._fields[i], TipTerms._fields[j]) for i, j in np.argwhere(high))
+
+
+@dataclass(frozen=True)
+class TipJudgement:
+    """A tip against taps that it was not fitted to; all root mean squares over pins [px].
+
+    Attributes:
+        residual_px: of the tip.
+        floor_px: of the best smooth regression on the pose, fitted to the same taps as the tip.
+        floor_degree: its degree.
+        motion_px: of the pins from rest.
+        shift_px: of the tip's residual, what all pins of a tap share.
+        by_pin_px: of the tip, each pin ``[p]``.
+    """
+
+    residual_px: float
+    floor_px: float
+    floor_degree: int
+    motion_px: float
+    shift_px: float
+    by_pin_px: Float[ndarray, " p"]
+
+
+def fit_tip(tip: PosedTip, poses: Poses, places: Places, progress: Progress = silent) -> TipFit:
+    """Fit the terms of a tip to taps.
+
+    Args:
+        tip: with the pins at rest.
+        poses: of the taps, `POSE` in its units.
+        places: of the taps' pins; NaN where one was not found [px].
+        progress: called with rounds of the fit.
+
+    Raises:
+        InputError: fewer than 60 taps, shapes that do not fit, or poses that do not differ in something.
+    """
+    if len(poses) != len(places) or len(poses) < MIN_TAPS or places.shape[1:] != tip.rest_px.shape:
+        raise InputError(
+            f"{len(poses)} poses and places of shape {list(places.shape)} for {len(tip.rest_px)} pins; give "
+            f"one pose a tap, {MIN_TAPS} taps or more"
+        )
+    still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
+    if still:
+        raise InputError(f"all taps have the same {', '.join(still)}; what it moves cannot be told: vary it")
+    weight = np.sqrt(TELLS / (2 * places.shape[1])) / ERR_PX
+    prior, spread = np.array(TipTerms()), np.array(SPREAD)
+    rounds = 0
+
+    def rows(terms: ndarray) -> ndarray:
+        off = np.nan_to_num(weight * (tip.places_px(TipTerms(*terms), poses) - places))
+        return np.concatenate([off.ravel(), (terms - prior) / spread])
+
+    def slopes(terms: ndarray) -> ndarray:
+        nonlocal rounds
+        rounds += 1
+        progress("rounds", min(rounds, ROUNDS), ROUNDS)
+        return _slopes(rows, terms, 1e-4 * spread)
+
+    start = np.array(_oriented(tip, poses, places))
+    found = least_squares(
+        rows,
+        start,
+        jac=slopes,
+        bounds=(MIN_TERMS, MAX_TERMS),
+        x_scale=spread,
+        max_nfev=ROUNDS,
+        ftol=1e-5,
+        xtol=1e-6,
+    )
+    J, n = found.jac, len(prior)
+    scores = np.einsum(
+        "tri,tr->ti", J[:-n].reshape(len(poses), -1, n), found.fun[:-n].reshape(len(poses), -1)
+    )
+    bread = np.linalg.inv(J.T @ J)
+    return TipFit(
+        tip,
+        TipTerms(*found.x.tolist()),
+        bread @ (scores.T @ scores + np.diag(spread**-2.0)) @ bread,
+        len(poses),
+    )
+
+
+def judge_tip(
+    fit: TipFit,
+    known: tuple[Poses, Places],
+    new: tuple[Float[ndarray, "n 6"], Float[ndarray, "n p 2"]],
+) -> TipJudgement:
+    """Compare a tip with a smooth regression on the pose, both fitted to `known`, on new taps."""
+    poses, places = new
+    off = fit.tip.places_px(fit.terms, poses) - places
+    floors = {}
+    for degree in DEGREES:
+        smooth = PosePolynomial.fitted(*known, degree)
+        floors[degree] = _rms(smooth.at(poses) - places)
+    best = min(floors, key=lambda degree: floors[degree])
+    return TipJudgement(
+        _rms(off),
+        floors[best],
+        best,
+        _rms(places - fit.tip.rest_px),
+        float(np.sqrt(np.mean(np.sum(np.nanmean(off, axis=1) ** 2, axis=1)))),
+        np.sqrt(np.nanmean(np.sum(off**2, axis=2), axis=0)),
+    )
+
+
+def _oriented(tip: PosedTip, poses: Poses, places: Places) -> TipTerms:
+    """The usual terms with tilt, shear and twist turned as the image has them, in eighths of a turn."""
+    some = np.linspace(0, len(poses) - 1, min(len(poses), 120)).astype(int)
+
+    def nearest(candidates: Sequence[TipTerms]) -> TipTerms:
+        return min(candidates, key=lambda q: _rms(tip.places_px(q, poses[some]) - places[some]))
+
+    best = TipTerms()
+    for what in ("shear", "tilt"):
+        best = nearest([best._replace(**_turned(what, k, hand)) for k in range(8) for hand in (1, -1)])
+    return nearest([best._replace(twist=twist) for twist in (0.8, -0.8)])
+
+
+def _turned(what: str, eighths: int, hand: int) -> dict[str, float]:
+    angle = eighths * np.pi / 4
+    c, s = 0.8 * float(np.cos(angle)), 0.8 * float(np.sin(angle))
+    return {f"{what}_xx": c, f"{what}_xy": -hand * s, f"{what}_yx": s, f"{what}_yy": hand * c}
+
+
+def _slopes(rows: object, at: ndarray, steps: ndarray) -> ndarray:
+    columns = [(rows(at + d) - rows(at - d)) / (2 * d.sum()) for d in np.diag(steps)]  # type: ignore[operator]
+    return np.stack(columns, axis=1)
+
+
+def _rms(off: ndarray) -> float:
+    return float(np.sqrt(np.nanmean(np.sum(off**2, axis=-1))))
+
+
+_POSE_NAMES = ("depth", "tilt about x", "tilt about y", "shear along x", "shear along y", "twist")

@@ -1,0 +1,205 @@
+"""A virtual tip fitted to taps: its kinematics by closed forms, its terms recovered, its pins named."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.core import ImageError, InputError, LabelError
+from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
+from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials
+from palpate.sensors.tactip.taps.tap_folder import register_taps
+from palpate.sensors.tactip.taps.tap_pins import identified_taps, spots
+from palpate.sensors.tactip.taps.tip_fit import fit_tip, judge_tip
+
+TRUE = TipTerms(
+    lever_mm=0.8, camera_mm=50.0, depth_zero_mm=0.4, edge_rad=1.05, tilt_xy=-0.9, tilt_yx=0.9,
+    shear_xx=-0.8, shear_yy=-0.85, twist=0.7, slip_mm=1.2,
+)  # fmt: skip
+RINGS = 5
+SIDE = range(-RINGS, RINGS + 1)
+
+
+def layout() -> np.ndarray:
+    """91 pins about (150, 140) px, 22 px apart."""
+    steps = [
+        (i, j) for i in range(-RINGS, RINGS + 1) for j in range(-RINGS, RINGS + 1) if abs(i + j) <= RINGS
+    ]
+    i, j = np.array(steps).T
+    return np.stack([150 + 22 * (i + j / 2), 140 + 22 * np.sqrt(0.75) * j], axis=1)
+
+
+TIP = PosedTip(layout(), 0.5)
+
+
+def poses(count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.uniform([0.5, -20, -20, -4, -4, -5], [5.5, 20, 20, 4, 4, 5], (count, 6))
+
+
+def tapped(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Taps of the true tip, each slipped by half a pixel, its pins found to a tenth."""
+    at, rng = poses(count, seed), np.random.default_rng([seed, 1])
+    places = TIP.places_px(TRUE, at) + 0.5 * rng.standard_normal((count, 1, 2))
+    return at, places + 0.1 * rng.standard_normal(places.shape)
+
+
+def upright(**pose: float) -> np.ndarray:
+    return np.array([[{"depth_mm": 3.0, **pose}.get(name, 0.0) for name in POSE]])
+
+
+def test_pins_are_where_they_rest_in_the_tap_that_says_so() -> None:
+    assert_allclose(TIP.places_px(TRUE, upright(depth_mm=0.5))[0], TIP.rest_px, atol=1e-9)
+
+
+def test_an_upright_press_moves_pins_outwards_and_the_longer_the_levers_the_more() -> None:
+    def outward(**terms: float) -> np.ndarray:
+        off = TIP.rest_px - TIP.middle_px
+        moved = TIP.places_px(TRUE._replace(**terms), upright())[0] - TIP.rest_px
+        assert_allclose(off[:, 0] * moved[:, 1], off[:, 1] * moved[:, 0], atol=0.02 * 110)  # radial
+        return (off * moved).sum(axis=1) / np.maximum(np.hypot(*off.T), 1)
+
+    short, long = outward(lever_mm=0.3), outward(lever_mm=2.0)
+    assert long.max() > 1.5 * short.max() > 1.5
+    assert short.min() > -0.2
+
+
+def test_plate_that_carries_all_carries_pins_by_its_own_motion() -> None:
+    """Everything sticks: the middle pin goes by the shear, and all turn about it by the twist."""
+    stuck = TRUE._replace(shear_xx=1.0, shear_xy=0, shear_yx=0, shear_yy=1.0, shear_rad=9.0, slip_mm=0.05,
+                          twist=1.0, twist_rad=9.0)  # fmt: skip
+    still, moved = (TIP.places_px(stuck, upright(shear_x_mm=s))[0] for s in (0.0, 1.0))
+    shift = moved - still
+    middle = int(np.argmin(np.hypot(*(TIP.rest_px - TIP.middle_px).T)))
+    assert shift[middle, 0] > 0
+    assert_allclose(shift[:, 1], 0, atol=0.05 * shift[middle, 0])
+    other = TIP.places_px(stuck, upright(shear_y_mm=-2.0))[0] - still
+    assert_allclose(other[middle], [0, -2 * shift[middle, 0]], rtol=1e-3, atol=1e-3)
+    turned = TIP.places_px(stuck, upright(twist_deg=5.0))[0] - TIP.middle_px
+    angle = np.deg2rad(5.0)
+    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    assert_allclose(turned, (still - TIP.middle_px) @ rotation, atol=0.02)
+
+
+def test_a_tilt_turns_the_whole_field_about_the_dome() -> None:
+    """Equal tilts about x and y give the same field, turned by a quarter."""
+    round_tip = TRUE._replace(tilt_xx=0.9, tilt_xy=0, tilt_yx=0, tilt_yy=0.9)
+    rest = TIP.rest_px - TIP.middle_px
+    turned = PosedTip((rest @ np.array([[0.0, 1.0], [-1.0, 0.0]])) + TIP.middle_px, 0.5)
+    one = TIP.places_px(round_tip, upright(tilt_x_deg=12.0))[0] - TIP.middle_px
+    two = turned.places_px(round_tip, upright(tilt_y_deg=12.0))[0] - TIP.middle_px
+    assert_allclose(two, one @ np.array([[0.0, 1.0], [-1.0, 0.0]]), atol=2e-3)
+    assert np.abs(one - (TIP.places_px(round_tip, upright())[0] - TIP.middle_px)).max() > 3
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit_tip(TIP, *tapped(90))
+
+
+def test_terms_come_back_within_their_intervals_and_what_is_left_is_the_taps_own(fitted) -> None:
+    away = (np.array(fitted.terms) - np.array(TRUE)) / np.array(fitted.spread)
+    told = [abs(z) for z, name in zip(away, TipTerms._fields, strict=True) if name not in fitted.untold]
+    assert np.mean(np.array(told) < 1.645) > 0.6
+    assert max(told) < 6
+    assert abs(fitted.terms.lever_mm - TRUE.lever_mm) < 0.15
+    judged = judge_tip(fitted, tapped(90), tapped(40, 7))
+    assert judged.residual_px < 1.3 * np.hypot(0.5, 0.1) * np.sqrt(2)
+    assert judged.floor_px > judged.residual_px  # 90 taps are few for a polynomial of six values
+    assert judged.motion_px > 5 * judged.residual_px
+
+
+def test_another_tip_does_not_fit_and_says_so_by_its_residual(fitted) -> None:
+    at, places = tapped(40, 9)
+    mirrored = places.copy()
+    mirrored[..., 0] = 300 - mirrored[..., 0]
+    assert judge_tip(fitted, tapped(90), (at, mirrored)).residual_px > 20
+
+
+def test_too_few_taps_and_poses_that_do_not_differ_are_refused() -> None:
+    at, places = tapped(90)
+    with pytest.raises(InputError, match="60 taps or more"):
+        fit_tip(TIP, at[:30], places[:30])
+    same = at.copy()
+    same[:, 5] = 2.0
+    with pytest.raises(InputError, match="the same twist"):
+        fit_tip(TIP, same, places)
+
+
+def test_pins_get_their_names_although_spots_come_in_any_order_with_specks(rng) -> None:
+    at = poses(140, 3)
+    at[:, 1:] *= np.linspace(0.02, 0.4, 140)[:, None]
+    places = TIP.places_px(TRUE, at)
+    found = []
+    for one in places:
+        specks = rng.uniform(0, 40, (3, 2)) + np.array([300.0, 300.0])
+        found.append(rng.permutation(np.concatenate([one, specks])))
+    named = identified_taps(found, at, TIP.rest_px, upright(depth_mm=0.5)[0])
+    good = ~named.mislabelled
+    assert good.mean() > 0.9
+    off = np.hypot(*(named.places_px - places)[good].transpose(2, 0, 1))
+    assert np.nanmax(off) < 1e-9  # not one with another's name
+    assert np.isfinite(off).mean() > 0.99
+
+
+def test_a_polynomial_gives_back_a_polynomial(rng) -> None:
+    at = poses(300)
+    X = monomials((at - at.mean(0)) / at.std(0), 2)
+    places = np.tensordot(X, rng.standard_normal((X.shape[1], 4, 2)), 1)
+    found = PosePolynomial.fitted(at, places, 2)
+    assert_allclose(found.at(at), places, atol=1e-3)
+    assert X.shape[1] == 28  # 1 + 6 + 21
+
+
+def drawn(folder, at, places, **change) -> None:
+    (folder / "images").mkdir(parents=True)
+    rows = ["image_file," + ",".join(POSE)]
+    for i, (pose, one) in enumerate(zip(at, places, strict=True)):
+        image = np.zeros((300, 320), np.uint8)
+        for x, y in one:
+            cv2.circle(image, (round(16 * x), round(16 * y)), 16 * 5, 255, -1, cv2.LINE_8, 4)
+        cv2.imwrite(str(folder / "images" / f"{i}.png"), image)
+        rows.append(f"{i}.png," + ",".join(f"{v:.6f}" for v in pose))
+    text = "\n".join(rows)
+    for before, after in change.items():
+        text = text.replace(before, after)
+    (folder / "labels.csv").write_text(text + "\n")
+
+
+def test_spots_of_one_size_are_found_and_specks_are_not() -> None:
+    image = np.zeros((100, 100), np.uint8)
+    for x in (20, 50, 80):
+        cv2.circle(image, (x, 40), 5, 255, -1)
+    image[70:72, 10:12] = 255
+    image[60:99, 60:99] = 255
+    assert_array_equal(np.sort(spots(image)[:, 0].round()), [20, 50, 80])
+
+
+def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path) -> None:
+    at = poses(150, 3)
+    at[:, 1:] *= np.linspace(0.05, 1, 150)[:, None]
+    at[0] = upright(depth_mm=0.5)[0]
+    places = TIP.places_px(TRUE, at)
+    drawn(tmp_path / "train", at[::2], places[::2])
+    drawn(tmp_path / "val", at[1::2], places[1::2])
+    words = ["tip", "fit", str(tmp_path / "train"), "--judge", str(tmp_path / "val"), "--pins", "91"]
+    said = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--json", "--quiet"])
+    assert said.exit_code == 0, said.output
+    told = json.loads(said.output)
+    assert told["residual_px"] < 0.5 < told["motion_px"]
+    assert set(told["terms"]) == set(TipTerms._fields)
+    assert sorted(one.name for one in (tmp_path / "out").iterdir()) == ["tip.json", "tip.png"]
+    again = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--quiet"])
+    assert again.exit_code == 2
+    drawn(tmp_path / "deep", at[:60], places[:60], depth_mm="deepness")
+    with pytest.raises(LabelError, match="no column depth_mm"):
+        register_taps([tmp_path / "deep"], 91)
+    (tmp_path / "val" / "images" / "3.png").unlink()
+    with pytest.raises(ImageError, match="cannot be read"):
+        register_taps([tmp_path / "val"], 91)
