@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -27,10 +26,10 @@ from palpate.core import (
     unit,
 )
 from palpate.estimators.fringe_order import check_loads
+from palpate.optics.colour import Tone, linear_light
 from palpate.recordings import read_image, read_labels
 from palpate.recordings.label_tables import FIRST_ROW, rows_text
 
-Tone = Literal["srgb", "linear"]
 Region = tuple[int, int, int, int]
 LOADS = ("load", "force", "normal_force", "mass", "weight")
 STANDARD_GRAVITY = unit("kgf").factor  # [m/s^2]
@@ -218,10 +217,7 @@ def _patches(pixels: UInt8[ndarray, "h w *c"], patches: int) -> list[UInt8[ndarr
 
 def _light(patches: list[UInt8[ndarray, "_ _ 3"]], tone: Tone) -> Float[ndarray, "p 3"]:
     """Median light of each patch, 0 to 1: dust and a scratch do not move a median."""
-    v = np.array([np.median(one, axis=(0, 1)) for one in patches]) / 255
-    if tone == "linear":
-        return v
-    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))  # IEC 61966-2-1
+    return linear_light(np.array([np.median(one, axis=(0, 1)) for one in patches]), tone)
 
 
 def _exposures(paths: list[Path]) -> tuple[ndarray, str]:

@@ -19,12 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from palpate.calibration.load_series import PATCHES, Series, Tone, read_series
+from palpate.calibration.load_series import PATCHES, Series, read_series
 from palpate.core import Float, InputError, Progress, RangeError, ndarray, sha256_of_all, silent
 from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import OrderFit, fit_orders
 from palpate.mechanics.disc_stress import disc_difference
+from palpate.optics.colour import Tone
 from palpate.version import __version__
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from typer import Argument, Option
 
+from palpate.cli.fringe_verbs import colour_table, fringe_order
 from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
 from palpate.core import InputError
 
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from palpate.estimators.fringe_light import Polariscope
 
 app = group("Light, stress and what a material makes of them.")
+app.command("fringe-order")(fringe_order)
+app.command("colour-table")(colour_table)
 
 
 @app.command("fit-c")

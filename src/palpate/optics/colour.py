@@ -7,12 +7,14 @@ LED and of a colour camera, and belong to no product.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from palpate.core import Float, Float32, InputError, UInt8, ndarray
 
 Banded = Float[ndarray, "k *n"]
+Tone = Literal["srgb", "linear"]
 
 SECOND_RADIATION_M_K = 1.438777e-2
 """Planck's c2 = hc/k [m K]."""
@@ -83,6 +85,14 @@ def encode_srgb(linear: Float[ndarray, "*n"]) -> UInt8[ndarray, "*n"]:
     v = np.clip(linear, 0.0, 1.0)
     curve = np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * curve), dtype=np.uint8)
+
+
+def linear_light(codes: Float[ndarray, "*n"] | UInt8[ndarray, "*n"], tone: Tone) -> Float[ndarray, "*n"]:
+    """Linear light, 0 to 1, of 8-bit codes: the inverse of `encode_srgb`; "linear" takes codes as light."""
+    v = np.asarray(codes / 255)
+    if tone == "linear":
+        return v
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
 
 
 def _bell(nm: Float[ndarray, " k"], peak: float, width: float) -> Float[ndarray, " k"]:

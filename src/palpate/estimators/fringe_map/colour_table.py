@@ -1,0 +1,249 @@
+"""The colour of every fringe order: from spectra, or measured on a specimen whose orders are known.
+
+A measured table needs no spectra: one photograph of a beam in bending, or of a disc, in the same lamp, camera
+and exposure holds every colour up to its greatest order. Its pixels' light is gathered by their order and
+smoothed by local parabolas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from palpate.core import Bool, Float, InputError, PathText, RangeError, ndarray, new_file
+from palpate.estimators.fringe_light import Polariscope
+from palpate.mechanics.disc_stress import disc_difference
+from palpate.recordings import read_labels
+
+STEP = 0.01  # orders between rows
+MIN_ORDER, MAX_ORDER = 0.2, 20.0
+SPREAD = 0.025  # orders, standard deviation of the weights of a local parabola
+MIN_BIN = 3  # pixels within one step of order
+MAX_GAP = 3  # steps without them
+MIN_CHANGE = 0.02  # of light 1: a channel that changes less shows no order
+MAX_SHARE = 2.5  # times the centre's, up to which a disc's points are taken: its loads are no points
+RIM = 0.95  # radii
+CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColourTable:
+    """Linear light of each channel at orders 0, 0.01, 0.02, ...
+
+    Attributes:
+        light: by order and channel, 1 where a camera (or what it is divided by) is full.
+        source: in words.
+        error: standard deviation of an entry.
+    """
+
+    light: Float[ndarray, "n 3"]
+    source: str
+    error: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.light).all() and self.error >= 0):
+            raise InputError(f"the table of {self.source} holds what is no number")
+        if not MIN_ORDER <= self.greatest_order <= MAX_ORDER:
+            raise RangeError(
+                f"the table of {self.source} ends at order {self.greatest_order:g}; {MIN_ORDER:g} to "
+                f"{MAX_ORDER:g} are read"
+            )
+        flat = [c for c, v in zip(CHANNELS, np.ptp(self.light, axis=0), strict=True) if v < MIN_CHANGE]
+        if flat:
+            raise InputError(
+                f"the table of {self.source} is the same at all orders in {' and '.join(flat)}; colours need "
+                "a white lamp and three channels"
+            )
+        if np.ptp(self.light - self.light.mean(axis=1, keepdims=True)) < MIN_CHANGE:
+            raise InputError(
+                f"the table of {self.source} is grey at all orders, and grey repeats itself; give a white "
+                "lamp"
+            )
+
+    @property
+    def order(self) -> Float[ndarray, " n"]:
+        """Orders of the rows."""
+        return STEP * np.arange(len(self.light))
+
+    @property
+    def greatest_order(self) -> float:
+        """Order of the last row."""
+        return STEP * (len(self.light) - 1)
+
+    def write(self, path: Path) -> None:
+        """Write it as CSV.
+
+        Raises:
+            ExistsError: `path` exists.
+            StorageError: the disk refused.
+        """
+        columns = {"order": self.order.round(6), **dict(zip(CHANNELS, self.light.T.round(6), strict=True))}
+        columns["error"] = np.full(len(self.light), round(self.error, 6))
+        with new_file(path) as building:
+            pd.DataFrame(columns).to_csv(building, index=False)
+
+
+def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float = 0.0) -> ColourTable:
+    """The table of a lamp and a camera whose spectra are known or assumed; 1 where all light passes.
+
+    Raises:
+        InputError: one wavelength, whose light repeats itself each order.
+        RangeError: greatest order out of range.
+    """
+    if not MIN_ORDER <= greatest_order <= MAX_ORDER:
+        raise RangeError(f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}")
+    light = polariscope.light(STEP * np.arange(round(greatest_order / STEP) + 1))
+    return ColourTable(light, polariscope.lamp, error)
+
+
+def measured_table(
+    light: Float[ndarray, "h w 3"], order: Float[ndarray, "h w"], source: str = "the calibration image"
+) -> ColourTable:
+    """The table of a frame whose orders are known.
+
+    Args:
+        light: linear light.
+        order: N of each pixel; not a number where it is not known. Signs do not count.
+        source: in words.
+
+    Returns:
+        The table from order 0 to the last before which no gap lies. Its error is the greatest of a row.
+
+    Raises:
+        InputError: shapes differ, light that is no number, or orders that do not begin near 0.
+    """
+    if light.shape[:2] != order.shape or not np.isfinite(light).all():
+        raise InputError(
+            f"light of {light.shape} and orders of {order.shape} must be of one size, and finite"
+        )
+    known = np.isfinite(order)
+    N, v = np.abs(order[known]), light[known]
+    bins = np.rint(N / STEP).astype(int)
+    count = np.bincount(bins, minlength=1)
+    rows = _unbroken(count)
+    if rows < MIN_ORDER / STEP:
+        raise InputError(
+            f"{source} has too few pixels between orders 0 and {MIN_ORDER:g}: "
+            f"orders begin at {N.min() if N.size else float('nan'):.2f}; take a specimen with an unloaded "
+            "place or a neutral line, and more pixels an order"
+        )
+    at = STEP * np.arange(rows)
+    table, error = np.empty((rows, 3)), np.zeros(rows)
+    by_order = np.argsort(N, kind="stable")
+    N, v = N[by_order], v[by_order]
+    # Light is even in the order: what lies on the other side of 0 is known too.
+    near = N < 3 * SPREAD
+    N, v = np.concatenate([-N[near][::-1], N]), np.concatenate([v[near][::-1], v])
+    for i, middle in enumerate(at):
+        a, b = np.searchsorted(N, (middle - 3 * SPREAD, middle + 3 * SPREAD))
+        table[i], error[i] = _parabola(N[a:b] - middle, v[a:b])
+    return ColourTable(table, source, float(error.max()))
+
+
+def read_table(path: PathText) -> ColourTable:
+    """Read a table from CSV with the columns order, red, green and blue, and perhaps error.
+
+    Raises:
+        LabelError: it is no such table.
+        InputError: its orders do not rise from 0, or show nothing.
+    """
+    table = read_labels(Path(path))
+    missing = [c for c in ("order", *CHANNELS) if c not in table]
+    if missing:
+        raise InputError(f"{path} has no column {', '.join(missing)}; a table has order, red, green and blue")
+    values = table[["order", *CHANNELS]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
+    order, light = values[:, 0], values[:, 1:]
+    if not np.isfinite(values).all() or len(order) < 3 or not (np.diff(order) > 0).all():
+        raise InputError(f"{path}: orders must rise from row to row, and every entry be a number")
+    if not 0 <= order[0] <= STEP or np.diff(order).max() > MAX_GAP * STEP + 1e-9:
+        raise InputError(f"{path}: orders must begin at 0 and stand {MAX_GAP * STEP:g} apart at most")
+    if light.min() < -0.5 or light.max() > 4:
+        raise InputError(
+            f"{path} holds light up to {light.max():g}; linear light is 1 where a camera is full"
+        )
+    at = STEP * np.arange(int(order[-1] / STEP + 1e-6) + 1)
+    error = pd.to_numeric(table["error"], errors="coerce").max() if "error" in table else 0.0
+    return ColourTable(np.stack([np.interp(at, order, c) for c in light.T], axis=1), str(path), float(error))
+
+
+def line_orders(
+    shape: tuple[int, int],
+    line_px: tuple[float, float, float, float],
+    orders: tuple[float, float],
+    width_px: float,
+) -> Float[ndarray, "h w"]:
+    """Orders of a strip along a line on which they change evenly, as across a beam in pure bending.
+
+    Args:
+        shape: height and width of the image [px].
+        line_px: x and y of its beginning and of its end [px].
+        orders: at both; of two signs where the neutral line lies between.
+        width_px: of the strip [px].
+
+    Raises:
+        InputError: a line of no length or outside the image, or orders that are the same.
+    """
+    x0, y0, x1, y1 = line_px
+    length = float(np.hypot(x1 - x0, y1 - y0))
+    h, w = shape
+    if length < 1 or not all(0 <= x < w and 0 <= y < h for x, y in ((x0, y0), (x1, y1))):
+        raise InputError(f"line {line_px} px must have a length and lie in the image of {w} × {h} px")
+    if orders[0] == orders[1] or not np.isfinite(orders).all() or not width_px > 0:
+        raise InputError(f"orders {orders} at the line's ends must differ, and {width_px} px be its width")
+    y, x = np.mgrid[0:h, 0:w]
+    along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length**2
+    across = np.abs((x - x0) * (y1 - y0) - (y - y0) * (x1 - x0)) / length
+    N = orders[0] + (orders[1] - orders[0]) * along
+    return np.where((along >= 0) & (along <= 1) & (across <= width_px / 2), N, np.nan)
+
+
+def disc_orders(
+    shape: tuple[int, int], disc_px: tuple[float, float, float], at_centre: float
+) -> Float[ndarray, "h w"]:
+    """Orders of a disc pressed from top to bottom, by the closed form of its stress.
+
+    Args:
+        shape: height and width of the image [px].
+        disc_px: x and y of its centre, and its diameter [px].
+        at_centre: N there, 8 C P / (pi D lambda).
+
+    Raises:
+        InputError: a disc outside the image, or no order.
+    """
+    x0, y0, diameter = disc_px
+    h, w = shape
+    R = diameter / 2
+    if not (R > 0 and R - 1 <= x0 <= w - R and R - 1 <= y0 <= h - R):
+        raise InputError(f"disc {disc_px} px must lie in the image of {w} × {h} px")
+    if not at_centre > 0:
+        raise InputError(f"order {at_centre} at the disc's centre must be above 0")
+    y, x = np.mgrid[0:h, 0:w]
+    u, v = (x - x0) / R, (y - y0) / R
+    share, _ = disc_difference(u, v)
+    return np.where((np.hypot(u, v) < RIM) & (share < MAX_SHARE), at_centre * share, np.nan)
+
+
+def _unbroken(count: Float[ndarray, " n"] | ndarray) -> int:
+    """Rows from 0 up to the first gap; the last bin may be part of one."""
+    full: Bool[ndarray, " n"] = count >= MIN_BIN
+    gap = 0
+    for i, there in enumerate(full):
+        gap = 0 if there else gap + 1
+        if gap > MAX_GAP:
+            return i - gap + 1
+    return len(full) - gap
+
+
+def _parabola(x: Float[ndarray, " m"], v: Float[ndarray, "m 3"]) -> tuple[ndarray, float]:
+    """Value at 0 of the parabola through weighted points, and its greatest standard error."""
+    weight = np.exp(-(x**2) / (2 * SPREAD**2))
+    A = np.stack([np.ones(len(x)), x, x**2 / SPREAD], axis=1)
+    normal = A.T @ (weight[:, None] * A)
+    reach = np.linalg.solve(normal, (weight[:, None] * A).T)[0]
+    value = reach @ v
+    left = v - A @ np.linalg.lstsq(np.sqrt(weight)[:, None] * A, np.sqrt(weight)[:, None] * v, rcond=None)[0]
+    spread = np.sqrt((weight[:, None] * left**2).sum(axis=0) / weight.sum())
+    return value, float(spread.max() * np.sqrt((reach**2).sum()))

@@ -1,0 +1,72 @@
+"""Noise of a camera's light, and the scale on which it is the same at every light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.stats import chi2
+
+from palpate.core import Float, InputError, RangeError, ndarray
+
+MIN_READ = 5e-4  # of light 1: what eight bits leave in the dark
+BINS = 12
+SECOND_DIFFERENCE = 6.0  # variances in a - 2 b + c
+MIN_PIXELS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class FrameNoise:
+    """Variance of the light v of a pixel: read^2 + shot v.
+
+    Attributes:
+        read: standard deviation in the dark [light 1].
+        shot: variance that light adds [light 1].
+    """
+
+    read: float
+    shot: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.read < 1 and 0 <= self.shot < 1):
+            raise RangeError(
+                f"noise of {self.read} in the dark must lie above 0, and {self.shot} by light from 0, both "
+                "below 1; linear light is 1 where a camera is full"
+            )
+
+    def with_error(self, error: float) -> FrameNoise:
+        """The same with an independent error of the light added."""
+        return FrameNoise(float(np.hypot(self.read, error)), self.shot)
+
+    def standard(self, light: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+        """Light on a scale on which its standard deviation is 1 everywhere."""
+        if self.shot < 1e-6 * self.read:
+            return np.asarray(light / self.read)
+        bright = 2 / self.shot * (np.sqrt(self.read**2 + self.shot * np.maximum(light, 0)) - self.read)
+        return np.asarray(bright + np.minimum(light, 0) / self.read)
+
+
+def measured_noise(light: Float[ndarray, "h w c"]) -> FrameNoise:
+    """Noise of one frame, by second differences along its rows at each light; slow changes drop out.
+
+    Fringes as narrow as a few pixels, and JPEG, make it wrong: the one too great, the other too small.
+
+    Raises:
+        InputError: fewer than 1000 pixels.
+    """
+    # Light is that of other pixels than those whose difference is taken: else noise would sort itself.
+    middle = ((light[:, 4:] + light[:, :-4]) / 2).reshape(-1)
+    bent = (light[:, 3:-1] - 2 * light[:, 2:-2] + light[:, 1:-3]).reshape(-1) ** 2 / SECOND_DIFFERENCE
+    if len(middle) < MIN_PIXELS:
+        raise InputError(f"{light.shape[0]} × {light.shape[1]} px are too few to measure noise; give it")
+    step = max(len(middle) // 200_000, 1)
+    middle, bent = middle[::step], bent[::step]
+    order = np.argsort(middle)
+    parts = np.array_split(order, BINS)
+    at = np.array([np.median(middle[part]) for part in parts])
+    variance = np.array([np.median(bent[part]) for part in parts]) / chi2.median(1)
+    share = 1 / np.maximum(variance, MIN_READ**2)  # alike in proportion
+    columns = np.stack([np.ones(BINS), np.maximum(at, 0)], axis=1) * share[:, None]
+    (read, shot), _ = nnls(columns, variance * share)
+    return FrameNoise(max(float(np.sqrt(read)), MIN_READ), float(shot))

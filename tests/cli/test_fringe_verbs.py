@@ -1,0 +1,124 @@
+"""Verbs of fringe orders by pixel."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import tifffile
+import typer
+from PIL import Image
+from tests.fringe_fields import beam, colours, disc, phases
+from typer.testing import CliRunner
+
+from palpate.cli.optics_verbs import app
+from palpate.estimators.fringe_map import SIX_STEPS
+from palpate.optics.colour import encode_srgb
+
+PARENT = typer.Typer(rich_markup_mode=None)
+PARENT.add_typer(app, name="optics")
+SHARE, AXIS, FACE = disc()
+
+
+def optics(*words, status=0):
+    result = CliRunner().invoke(PARENT, ["optics", *map(str, words)])
+    assert result.exit_code == status, result.output + result.stderr
+    return result
+
+
+def save(path, light):
+    Image.fromarray(encode_srgb(0.9 * light)).save(path)
+    return path
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """A disc at two loads, the mask, white light, a beam in bending, and six steps."""
+    save(tmp_path / "a.png", colours(SHARE * 0.6, 0.01))
+    save(tmp_path / "b.png", colours(SHARE * 1.0, 0.01, seed=1))
+    save(tmp_path / "white.png", np.ones((90, 90, 3)))
+    save(tmp_path / "beam.png", colours(beam(3.0, 300, 120), 0.01))
+    Image.fromarray((FACE * 255).astype(np.uint8)).save(tmp_path / "mask.png")
+    for i, frame in enumerate(phases(SHARE * 0.8, AXIS, SIX_STEPS, 0.005)):
+        save(tmp_path / f"step{i + 1}.png", frame)
+    return tmp_path
+
+
+def test_a_measured_table_maps_the_frames_and_all_of_it_is_written(pictures):
+    table, out = pictures / "beam.csv", pictures / "orders"
+    said = optics(
+        "colour-table",
+        pictures / "beam.png",
+        "--line-px",
+        "60,0,60,299",
+        "--orders=-3,3",
+        "--out",
+        table,
+        "--json",
+    )
+    assert json.loads(said.stdout)["greatest_order"] == pytest.approx(3.0, abs=0.02)
+    frames = [pictures / "a.png", pictures / "b.png"]
+    words = ["--calibration", table, "--mask", pictures / "mask.png", "--out", out, "--json"]
+    lines = [json.loads(line) for line in optics("fringe-order", *frames, *words).stdout.splitlines()]
+    assert [line["frame"] for line in lines] == ["a.png", "b.png"]
+    assert all(line["told_share"] > 0.97 for line in lines)
+    order, sigma = tifffile.imread(out / "order.tif"), tifffile.imread(out / "sigma.tif")
+    for page, s, at_centre in zip(order, sigma, (0.6, 1.0), strict=True):
+        told = np.isfinite(page)
+        z = ((page - SHARE * at_centre) / s)[told]
+        assert told.sum() > 0.97 * FACE.sum()
+        assert not told[~FACE].any()
+        assert 0.7 < 1.4826 * np.median(np.abs(z)) < 1.2
+    kept = np.load(out / "000001.npz")
+    np.testing.assert_array_equal(kept["order"][kept["why"] == 0], order[1][np.isfinite(order[1])])
+    with (out / "frames.csv").open() as file:
+        assert [row["frame"] for row in csv.DictReader(file)] == ["a.png", "b.png"]
+    assert (out / "order.png").read_bytes().startswith(b"\x89PNG")
+    assert "overwritten" in optics("fringe-order", *frames, *words, status=2).stderr
+    assert "overwritten" in optics(
+        "colour-table", pictures / "beam.png", "--disc-px", "60,150,100", "--centre-order", "1", "--out",
+        table, status=2,
+    ).stderr  # fmt: skip
+
+
+def test_an_assumed_lamp_with_white_light_reads_a_frame_and_writes_nothing_unasked(pictures):
+    before = sorted(pictures.rglob("*"))
+    said = optics("fringe-order", pictures / "b.png", "--white", pictures / "white.png").stdout
+    assert "b.png: " in said
+    assert "% told" in said
+    assert sorted(pictures.rglob("*")) == before
+
+
+def test_six_steps_are_mapped_from_a_place_whose_order_is_known(pictures):
+    column = int(np.abs(SHARE[45, :45] * 0.8 - 0.125).argmin())
+    words = ["--calibration", "six-step", "--reference-px", f"{column},45,0.125", "--json"]
+    steps = [pictures / f"step{i}.png" for i in range(1, 7)]
+    line = json.loads(optics("fringe-order", *steps, *words, "--mask", pictures / "mask.png").stdout)
+    assert line["told_share"] > 0.85
+    assert line["order_greatest"] == pytest.approx(1.9, abs=0.1)
+    assert "takes 6" in optics("fringe-order", *steps[:5], *words, status=2).stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--calibration", "neon"], "led, tungsten"),
+        (["--tone", "log"], "srgb or linear"),
+        (["--noise", "0"], "noise"),
+        (["--calibration", "polarisation-camera"], "--reference-px"),
+        (["--white", "step1.png"], "grey"),
+        (["--calibration", "missing.csv"], "not there"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(pictures, words, said):
+    words = [pictures / word if word.endswith((".png", ".csv")) else word for word in words]
+    err = optics("fringe-order", pictures / "a.png", *words, status=2).stderr
+    assert said in err
+    assert len(err.splitlines()) == 1
+
+
+def test_help_shows_units_and_an_example():
+    for verb in ("fringe-order", "colour-table"):
+        said = optics(verb, "--help").stdout
+        assert f"Example: palpate optics {verb}" in said
+        assert "[px]" in said

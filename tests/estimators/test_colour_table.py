@@ -1,0 +1,116 @@
+"""Colours of orders measured on a known specimen, and orders read by them."""
+
+import numpy as np
+import pytest
+from tests.fringe_fields import LED, beam, colours, disc
+
+from palpate.core.errors import InputError, LabelError, RangeError
+from palpate.estimators.fringe_light import Polariscope, one_line
+from palpate.estimators.fringe_map import (
+    ColourTable,
+    disc_orders,
+    line_orders,
+    measured_table,
+    order_from_colour,
+    read_table,
+    table_of,
+)
+from palpate.optics import assumed_camera
+
+OTHER = Polariscope(
+    assumed_camera(camera_peaks_nm=(607.0, 532.0, 465.0), camera_widths_nm=(32.0, 44.0, 27.0)),
+    550e-9,
+    "other",
+)
+
+
+def measured(lamp=LED, noise=0.01):
+    N = beam(3.2, 400, 120)
+    known = line_orders(N.shape, (60, 0, 60, 399), (-3.2, 3.2), 100.0)
+    return measured_table(colours(N, noise, lamp=lamp), known)
+
+
+def test_a_beam_s_photograph_gives_the_colours_that_its_lamp_makes():
+    table = measured()
+    assert table.greatest_order == pytest.approx(3.2, abs=0.02)
+    assert np.abs(table.light - LED.light(table.order)).max() < 5e-3
+    assert np.sqrt(np.mean((table.light - LED.light(table.order)) ** 2)) < 1.2e-3
+    assert table.error < 0.004
+
+
+def test_a_disc_s_photograph_gives_the_same():
+    N = disc_orders((160, 160), (80, 80, 150), 1.2)
+    table = measured_table(colours(np.nan_to_num(N), 0.01), N)
+    assert table.greatest_order > 2.5
+    assert np.abs(table.light - LED.light(table.order)).max() < 0.02
+
+
+def test_a_measured_table_reads_a_camera_that_no_assumed_curve_fits():
+    share, _, face = disc()
+    N = share * 1.2
+    frame = colours(N, 0.01, seed=7, lamp=OTHER)
+    found = order_from_colour(frame, measured(OTHER), noise=0.01, mask=face)
+    error = (found.order - N)[found.valid]
+    assert found.valid.sum() > 0.98 * face.sum()
+    assert np.abs(error).max() < 0.1
+    assert (error / found.sigma[found.valid]).std() == pytest.approx(1.0, abs=0.12)
+    assumed = order_from_colour(frame, table_of(LED), noise=0.01, mask=face)
+    assert assumed.summary()["misfit_median"] > 2 * found.summary()["misfit_median"]
+
+
+def test_orders_along_a_line_rise_from_its_one_end_to_the_other():
+    N = line_orders((20, 50), (5, 4, 45, 4), (-1.0, 3.0), 5.0)
+    np.testing.assert_allclose(N[4, 5:46], np.linspace(-1, 3, 41))
+    assert np.isnan(N[4, 4])
+    assert np.isnan(N[7, 20])
+    assert np.isfinite(N[6, 20])
+
+
+def test_a_disc_s_centre_has_the_stated_order_and_its_loads_none():
+    N = disc_orders((101, 101), (50, 50, 100), 0.7)
+    assert N[50, 50] == pytest.approx(0.7)
+    assert np.isnan(N[2, 50])
+    assert N[50, 30] > N[50, 20]
+
+
+def test_a_table_comes_back_from_its_file(tmp_path):
+    table = measured()
+    table.write(tmp_path / "beam.csv")
+    again = read_table(tmp_path / "beam.csv")
+    np.testing.assert_allclose(again.light, table.light, atol=1e-6)
+    assert again.error == pytest.approx(table.error, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("order,red,green\n0,0,0\n", "no column blue"),
+        ("order,red,green,blue\n0,0,0,0\n0.5,1,1,0.9\n1,0,0,0\n", "apart"),
+        ("order,red,green,blue\n0,0,0,0\n0.01,0,x,0\n0.02,0,0,0\n", "number"),
+        ("order,red,green,blue\n0.02,0,0,0\n0.01,1,1,1\n0,0,0,0\n", "rise"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused(tmp_path, text, said):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises((InputError, LabelError), match=said):
+        read_table(path)
+
+
+def test_what_shows_no_colours_of_orders_is_no_table():
+    with pytest.raises(InputError, match="grey at all orders"):
+        table_of(one_line(550e-9))
+    light = LED.light(np.arange(0, 2, 0.01))
+    with pytest.raises(InputError, match="in blue"):
+        ColourTable(light * [1, 1, 0], "a lamp without blue")
+    with pytest.raises(RangeError, match="greatest order"):
+        table_of(LED, 0.1)
+    frame, N = colours(beam(2.0)), beam(2.0)
+    with pytest.raises(InputError, match="begin at"):
+        measured_table(frame, np.where(N > 0.5, N, np.nan))
+    with pytest.raises(InputError, match="finite"):
+        measured_table(np.where(N[..., None] > 1.99, np.nan, frame), N)
+    with pytest.raises(InputError, match="differ"):
+        line_orders((20, 50), (5, 4, 45, 4), (1.0, 1.0), 5.0)
+    with pytest.raises(InputError, match="lie in the image"):
+        disc_orders((20, 50), (10, 10, 80), 1.0)

@@ -1,0 +1,166 @@
+"""Orders and axes by pixel from phase-stepped frames of known fields, made by Mueller matrices."""
+
+import numpy as np
+import pytest
+from tests.fringe_fields import disc, leaving, phases
+
+from palpate.core.errors import InputError
+from palpate.estimators.fringe_map import (
+    CAMERA,
+    SIX_STEPS,
+    CameraReader,
+    Untold,
+    best_place,
+    order_from_phases,
+    split_mosaic,
+)
+from palpate.optics.polariscope import linear_retarder, mueller
+
+SHARE, AXIS, FACE = disc()
+MIDDLE = 45
+
+
+def place_of(N, order):
+    """A place on the equator's left half where the disc has about this order."""
+    column = int(np.where(FACE[MIDDLE, :MIDDLE], np.abs(N[MIDDLE, :MIDDLE] - order), 9).argmin())
+    return MIDDLE, column, float(N[MIDDLE, column])
+
+
+def turned(found, axis):
+    """Angle between two axes, which are the same after half a turn [rad]."""
+    return (found - axis + np.pi / 2) % np.pi - np.pi / 2
+
+
+@pytest.mark.parametrize("at_centre", [0.4, 0.8, 1.2])
+def test_six_steps_give_order_and_axis_past_whole_orders_with_a_deviation_that_is_theirs(at_centre):
+    N = SHARE * at_centre
+    z = []
+    for seed in range(2):
+        frames = phases(N, AXIS, SIX_STEPS, seed=seed)
+        found = order_from_phases(frames, SIX_STEPS, place_of(N, 0.125), mask=FACE)
+        told = found.valid
+        error = (found.order - N)[told]
+        assert told.sum() > 0.88 * FACE.sum()
+        assert np.abs(error).max() < 0.1
+        assert np.sqrt(np.mean(error**2)) < 0.006
+        z.append(error / found.sigma[told])
+    z = np.concatenate(z)
+    assert abs(z.mean()) < 0.08
+    assert z.std() == pytest.approx(1.0, abs=0.05)
+    clear = told & (np.abs(np.sin(2 * np.pi * N)) > 0.5)
+    assert np.degrees(np.sqrt(np.mean(turned(found.axis_rad, AXIS)[clear] ** 2))) < 1.5
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.05])
+def test_a_wide_fold_is_crossed_as_the_axes_say(noise):
+    """A slow rise past half and whole orders: no pixel at a fold knows its axis, those behind it do."""
+    N = np.tile(np.linspace(0.1, 1.3, 240), (20, 1))
+    axis = np.full(N.shape, 0.4)
+    found = order_from_phases(phases(N, axis, SIX_STEPS, noise), SIX_STEPS, (10, 4, float(N[10, 4])))
+    assert np.abs(found.order - N)[found.valid].max() < 10 * noise
+    assert found.valid.mean() > 0.85
+
+
+def test_the_steps_are_those_of_a_polariscope_built_of_its_elements():
+    """Polariser and quarter-wave plate, specimen, quarter-wave plate and analyser, turned as published."""
+
+    def plate(angle):
+        return mueller(linear_retarder(0.25, angle))
+
+    def analyser(angle):
+        return np.array([1, np.cos(2 * angle), np.sin(2 * angle), 0]) / 2
+
+    given = plate(np.radians(135)) @ np.array([1, -1, 0, 0])  # polariser at 90 degrees
+    np.testing.assert_allclose(given, [1, 0, 0, given[3]], atol=1e-12)
+    hand = np.sign(given[3])
+    turns = [(0, 45 * hand), (0, -45 * hand), (0, 0), (45, 45), (90, 90), (135, 135)]
+    rows = [analyser(np.radians(b)) @ plate(np.radians(q)) for q, b in turns]
+    for N, axis in ((0.13, 0.3), (0.4, -0.7), (0.9, 1.2)):
+        light = [row @ mueller(linear_retarder(N, axis)) @ given for row in rows]
+        s = leaving(np.array(N), np.array(axis)) * hand
+        signs = SIX_STEPS * [1, 1, hand]
+        np.testing.assert_allclose(light, (1 + signs @ s) / 2, atol=1e-12)
+
+
+def test_light_of_the_other_hand_turns_all_axes_by_a_right_angle_and_no_order():
+    N = SHARE * 0.8
+    place = place_of(N, 0.125)
+    frames = phases(N, AXIS, SIX_STEPS)
+    one = order_from_phases(frames, SIX_STEPS, place, mask=FACE)
+    other = order_from_phases(frames[[0, 1, 4, 5, 2, 3]], SIX_STEPS, place, mask=FACE)
+    both = one.valid & other.valid & (np.abs(np.sin(2 * np.pi * N)) > 0.5)
+    np.testing.assert_allclose(one.order[both], other.order[both], atol=1e-5)
+    assert np.abs(np.abs(turned(one.axis_rad, other.axis_rad)[both]) - np.pi / 2).max() < 1e-4
+
+
+def test_a_polarisation_camera_tells_orders_below_a_quarter_and_says_nothing_beyond():
+    N = SHARE * 0.8
+    found = order_from_phases(phases(N, AXIS, CAMERA), CAMERA, place_of(N, 0.125), mask=FACE)
+    told = found.valid
+    assert told.sum() > 0.5 * (FACE & (N < 0.17) & (np.arange(90) < 45)).sum()
+    assert not told[N > 0.2].any(), "beyond the fold a falling phase would read as a falling order"
+    assert np.sqrt(np.mean((found.order - N)[told] ** 2)) < 0.01
+    small = SHARE * 0.06
+    whole = order_from_phases(phases(small, AXIS, CAMERA), CAMERA, place_of(small, 0.05), mask=FACE)
+    error = (whole.order - small)[whole.valid]
+    assert whole.valid.sum() > 0.95 * FACE.sum()
+    assert (error / whole.sigma[whole.valid])[small[whole.valid] > 0.02].std() == pytest.approx(1, abs=0.08)
+
+
+def test_a_camera_s_raw_frame_holds_its_four_polarisers():
+    raw = np.arange(24, dtype=np.uint8).reshape(4, 6)
+    at_0, at_45, at_90, at_135 = split_mosaic(raw)
+    assert (raw[1, 1], raw[0, 1], raw[0, 0], raw[1, 0]) == (
+        at_0[0, 0],
+        at_45[0, 0],
+        at_90[0, 0],
+        at_135[0, 0],
+    )
+    assert at_45.shape == (2, 3)
+    with pytest.raises(InputError, match="even size"):
+        split_mosaic(raw[:3])
+
+
+def test_a_camera_s_frames_are_followed_from_place_to_place():
+    before = None
+    for load in (0.04, 0.06, 0.08):
+        N = SHARE * load
+        frames = np.rint(250 * phases(N, AXIS, CAMERA, 0.005)).clip(0, 253).astype(np.uint8)
+        raw = np.zeros((180, 180), np.uint8)
+        raw[1::2, 1::2], raw[::2, 1::2], raw[::2, ::2], raw[1::2, ::2] = frames
+        reader = CameraReader(place_of(SHARE * 0.04, 0.03), mask=FACE)
+        before = reader.read(raw, before)
+        assert np.abs(before.order - N)[before.valid].max() < 0.03
+        assert before.valid.sum() > 0.9 * FACE.sum()
+
+
+def test_a_saturated_pixel_and_one_that_is_no_retarder_are_not_told():
+    N = SHARE * 0.4
+    frames = phases(N, AXIS, SIX_STEPS)
+    frames[:, 40:44, 40:44] = 0.5  # light without polarisation
+    burnt = np.zeros(N.shape, bool)
+    burnt[60:62, 60:62] = True
+    found = order_from_phases(frames, SIX_STEPS, place_of(N, 0.125), mask=FACE, saturated=burnt)
+    assert (found.why[41:43, 41:43] == Untold.UNLIKE).all()
+    assert (found.why[burnt] == Untold.SATURATED).all()
+    row, column, order = best_place(found)
+    assert order == pytest.approx(N[row, column], abs=0.03)
+
+
+def test_what_cannot_be_read_is_refused():
+    N = SHARE * 0.8
+    frames, place = phases(N, AXIS, SIX_STEPS), place_of(N, 0.125)
+    with pytest.raises(InputError, match="fold"):
+        order_from_phases(frames, SIX_STEPS, place_of(N, 0.5), mask=FACE)
+    with pytest.raises(InputError, match="analysers"):
+        order_from_phases(frames[:3], SIX_STEPS[:3], place)
+    with pytest.raises(InputError, match="reference"):
+        order_from_phases(frames, SIX_STEPS, (90, 0, 0.1))
+    with pytest.raises(InputError, match=r"0 to 0\.25"):
+        order_from_phases(frames[2:], CAMERA, (45, 45, 0.8))
+    with pytest.raises(InputError, match="another order"):
+        order_from_phases(frames[[1, 0, 2, 3, 4, 5]], SIX_STEPS, place)
+    with pytest.raises(InputError, match="NaN"):
+        order_from_phases(np.where(np.arange(6)[:, None, None] == 2, np.nan, frames), SIX_STEPS, place)
+    with pytest.raises(InputError, match="dark"):
+        order_from_phases(0 * frames, SIX_STEPS, place)
