@@ -74,6 +74,15 @@ def test_one_grey_channel_reads_half_an_order_and_folds_beyond():
     assert rms(order_from_colour(colours(large), TABLE, noise=0.02).order - large) < 0.01
 
 
+@pytest.mark.parametrize("along", [0, 1])
+def test_a_line_of_a_colour_that_two_orders_share_is_not_outvoted_by_itself(along):
+    """At order 1.16 the colour is nearly that of 2.13, all along a row or a column."""
+    N = np.moveaxis(beam(1.2), 0, along)
+    for seed in range(3):
+        found = order_from_colour(colours(N, seed=seed), TABLE, noise=0.02)
+        assert np.abs(found.order - N)[np.abs(N - 1.16) < 0.02].max() < 0.2
+
+
 def test_the_index_finds_what_setting_every_colour_against_every_row_finds():
     reader = ColourReader(TABLE, noise=0.02)
     reader.read(colours(beam(3.2)))
@@ -83,7 +92,7 @@ def test_the_index_finds_what_setting_every_colour_against_every_row_finds():
     slow = kernels.by_scan(flat, known.table, False)
     best = [
         np.take_along_axis(row, np.where(np.arange(5) < n[:, None], chi, np.inf).argmin(1)[:, None], 1)
-        for row, chi, n in (fast, slow[:3])
+        for row, chi, n in (fast, slow)
     ]
     assert np.mean(best[0] == best[1]) > 0.999
 
@@ -167,14 +176,17 @@ def test_noise_is_measured_from_the_frame_in_the_dark_and_by_light():
 
 
 def test_a_frame_goes_on_from_the_one_before_where_colours_alone_do_not_tell():
-    light = colours(beam(3.6), 0.12)
-    alone = order_from_colour(light, TABLE, noise=0.12)
+    N = np.full((30, 30), 2.13)  # nearly of the colour of order 1.15
+    light = colours(N, 0.08)
+    before = order_from_colour(colours(N - 0.05, 0.005), TABLE, noise=0.005)
+    assert np.mean(np.abs(order_from_colour(light, TABLE, noise=0.08).order - N) > 0.2) > 0.5
+    found = ColourReader(TABLE, noise=0.08).read(light, before)
+    assert np.abs(found.order - N)[found.valid].max() < 0.2
+    assert found.valid.mean() > 0.9
+
+
+def test_a_load_that_jumped_is_not_held_back_by_the_frame_before():
     before = order_from_colour(colours(beam(3.5), 0.005), TABLE, noise=0.005)
-    found = ColourReader(TABLE, noise=0.12).read(light, before)
-    wrong = [np.mean(np.abs(one.order - beam(3.6))[one.valid] > 0.2) for one in (alone, found)]
-    assert wrong[1] <= wrong[0]
-    assert found.valid.mean() > alone.valid.mean()
-    # and a load that jumped is not held back
     jumped = ColourReader(TABLE, noise=0.01).read(colours(beam(1.0), 0.01), before)
     assert rms((jumped.order - beam(1.0))[jumped.valid]) < 0.01
     assert jumped.valid.mean() > 0.97

@@ -16,6 +16,8 @@ KEPT = 5  # valleys a pixel; at four orders of a white lamp more are never withi
 CAP = 30.0  # a cost beyond which more says nothing: dust, a scratch
 BOUND = 6.0  # natural log of the likelihood by which one neighbour may argue at most
 REACH = 20  # rows to each side over which a wide valley is integrated
+CLOSED = 4.0  # misfit at the ends of a valley that is one: two standard deviations
+OPEN = 1.0  # standard deviation of an order that may be any within reach
 NARROW = 1.0  # of a valley's second difference: below a standard deviation of 1.4 rows
 CHANCE = 3.0  # misfit over its freedom, which noise exceeds at one pixel in twenty
 SURE = 50.0  # natural log, where there is no second choice
@@ -137,155 +139,150 @@ def _worthwhile(row, chi, count):
 def by_scan(light, table, free):
     """The same by setting each colour against every row: the plain way.
 
-    `free`: each pixel's visibility is free, the best from 0.1 to 1, and is returned for each valley.
+    `free`: each pixel's visibility is free, up to 1.
     """
     pixels, rows = light.shape[0], table.shape[1]
     row = np.zeros((pixels, KEPT), np.int16)
     chi = np.zeros((pixels, KEPT), np.float32)
     count = np.zeros(pixels, np.uint8)
-    seen = np.ones((pixels, KEPT), np.float32)
-    every, gain = np.empty(rows, np.float32), np.ones(rows, np.float32)
-    square = np.maximum(table[0] ** 2 + table[1] ** 2 + table[2] ** 2, np.float32(1e-6))
+    every = np.empty(rows, np.float32)
     for p in range(pixels):
         a, b, c = light[p, 0], light[p, 1], light[p, 2]
-        if free:
-            for i in range(rows):
-                g = (a * table[0, i] + b * table[1, i] + c * table[2, i]) / square[i]
-                gain[i] = min(max(g, np.float32(0.1)), np.float32(1.0))
         for i in range(rows):
-            g = gain[i]
-            every[i] = (a - g * table[0, i]) ** 2 + (b - g * table[1, i]) ** 2 + (c - g * table[2, i]) ** 2
+            every[i] = _misfit(a, b, c, table[0, i], table[1, i], table[2, i], free)
         count[p] = _deepest(every, row[p])
         for k in range(count[p]):
             chi[p, k] = every[row[p, k]]
         count[p] = _worthwhile(row[p], chi[p], count[p])
-        for k in range(count[p]):
-            seen[p, k] = gain[row[p, k]]
-    return row, chi, count, seen
+    return row, chi, count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 @no_type_check
-def _told(cost, row, count, from_row, from_count, give, told):
-    """Put what a neighbour says of each order into `told`: at most `BOUND`, 0 for the one it likes best."""
-    least = cost[0]
-    for j in range(1, from_count):
-        least = min(least, cost[j])
-    for k in range(count):
+def _misfit(a, b, c, r, q, s, free):
+    """Squared distance of a colour to one of the table, or to what of it a free visibility leaves."""
+    g = np.float32(1.0)
+    if free:
+        g = (a * r + b * q + c * s) / max(r * r + q * q + s * s, np.float32(1e-6))
+        g = min(max(g, np.float32(0.0)), np.float32(1.0))
+    return (a - g * r) ** 2 + (b - g * q) ** 2 + (c - g * s) ** 2
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+@no_type_check
+def _pass_on(last, here, row, count, give, run, at, said):
+    """Put what the pixel `last` says of each order of `here` into `said`: at most `BOUND`, 0 for the best."""
+    least = run[at, 0]
+    for j in range(1, count[last]):
+        least = min(least, run[at, j])
+    for k in range(count[here]):
         best = np.float32(BOUND)
-        for j in range(from_count):
-            apart = np.float32(row[k] - from_row[j])
-            best = min(best, cost[j] - least + apart * apart * give)
-        told[k] = best
+        for j in range(count[last]):
+            apart = np.float32(row[here, k] - row[last, j])
+            best = min(best, run[at, j] - least + apart * apart * give)
+        said[k] = best
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def choose(row, chi, count, inside, weight, before, give, follow):
-    """Choose one order for each pixel: each row of pixels first, then along columns with what rows say.
+def _along(cost, row, count, inside, give, width, columns, total):
+    """Add to each pixel's total what the rest of its row says, or of its column; both ways, exactly."""
+    pixels, kept = cost.shape
+    height = pixels // width
+    lines, length = (height, width) if columns else (width, height)
+    stride = width if columns else 1
+    said, run = np.zeros(kept, np.float32), np.zeros((length, kept), np.float32)
+    for way in (1, -1):
+        for step in range(lines):  # a whole line at once: one pixel's wait for another's hides in it
+            line = step if way == 1 else lines - 1 - step
+            for at in range(length):
+                here = line * width + at if columns else at * width + line
+                last = here - way * stride
+                if count[here] == 1:  # it takes what it has, whatever is said
+                    run[at, 0] = cost[here, 0]
+                elif step > 0 and inside[last] and inside[here]:
+                    _pass_on(last, here, row, count, give, run, at, said)
+                    for k in range(count[here]):
+                        run[at, k] = cost[here, k] + said[k]
+                        total[here, k] += said[k]
+                else:
+                    for k in range(count[here]):
+                        run[at, k] = cost[here, k]
 
-    Each pixel's costs become the exact least costs of all choices on the tree of its column and all rows,
-    neighbours' orders being apart at (difference / standard deviation)^2 / 2 and never at more than `BOUND`.
 
-    Args: `row`, `chi` ``[h w k]``, `count` and `inside` ``[h w]``; `weight`, what the misfit counts, by
-    pixel; `before`, rows of the frame before, -1 without; `give` and `follow`, 1 / (2 variance) of the
-    difference between neighbours and between frames, in rows.
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def choose(row, chi, count, inside, weight, before, give, follow, width):
+    """Choose one order for each pixel, by its colour and by all others' through rows and columns.
+
+    The costs are the exact least ones of all choices on two trees: the pixel's column with all rows, and its
+    row with all columns. Neighbours' orders are apart at (difference / standard deviation)^2 / 2 and never at
+    more than `BOUND`. One tree alone would let a line of pixels, all of a colour that two orders share,
+    outvote what stands on its two sides.
+
+    Args: `row`, `chi` ``[pixels k]``, `count` and `inside` ``[pixels]``; `weight`, what the misfit counts;
+    `before`, rows of the frame before, -1 without; `give` and `follow`, 1 / (2 variance) of the difference
+    between neighbours and between frames, in rows; `width` of the image.
 
     Returns: the index chosen, -1 outside, and the second's lag behind it.
     """
-    h, w, kept = row.shape
-    cost = np.empty((h, w, kept), np.float32)
-    total = np.empty((h, w, kept), np.float32)
-    said = np.zeros(kept, np.float32)
-    run = np.zeros((w, kept), np.float32)
-    for y in range(h):
-        for x in range(w):
-            old = before[y, x]
-            for k in range(count[y, x]):
-                own = min(weight[y, x] * chi[y, x, k] / 2, np.float32(CAP))
-                if old >= 0:
-                    apart = np.float32(row[y, x, k] - old)
-                    own += min(np.float32(BOUND), apart * apart * follow)
-                cost[y, x, k] = own
-                total[y, x, k] = own
-        for way in (1, -1):
-            x = 0 if way == 1 else w - 1
-            for k in range(count[y, x]):
-                run[x, k] = cost[y, x, k]
-            for _ in range(w - 1):
-                last, x = x, x + way
-                if count[y, x] == 1:  # it takes what it has, whatever is said
-                    run[x, 0] = cost[y, x, 0]
-                    continue
-                linked = inside[y, last] and inside[y, x]
-                if linked:
-                    _told(run[last], row[y, x], count[y, x], row[y, last], count[y, last], give, said)
-                for k in range(count[y, x]):
-                    add = said[k] if linked else np.float32(0.0)
-                    run[x, k] = cost[y, x, k] + add
-                    total[y, x, k] += add
-    cost[:] = total  # with what the row of pixels says
-    for way in (1, -1):
-        y = 0 if way == 1 else h - 1
-        run[:] = cost[y]
-        for _ in range(h - 1):
-            last, y = y, y + way
-            for x in range(w):
-                if count[y, x] == 1:
-                    run[x, 0] = cost[y, x, 0]
-                    continue
-                linked = inside[last, x] and inside[y, x]
-                if linked:
-                    _told(run[x], row[y, x], count[y, x], row[last, x], count[last, x], give, said)
-                for k in range(count[y, x]):
-                    add = said[k] if linked else np.float32(0.0)
-                    run[x, k] = cost[y, x, k] + add
-                    total[y, x, k] += add
-    at = np.full((h, w), -1, np.int8)
-    lead = np.zeros((h, w), np.float32)
-    for y in range(h):
-        for x in range(w):
-            if not inside[y, x] or count[y, x] == 0:
-                continue
-            best = 0
-            for k in range(1, count[y, x]):
-                if total[y, x, k] < total[y, x, best]:
-                    best = k
-            lag = np.float32(SURE)
-            for k in range(count[y, x]):
-                if k != best:
-                    lag = min(lag, total[y, x, k] - total[y, x, best])
-            at[y, x], lead[y, x] = best, lag
-    _disown(row, at, give, lead)
+    pixels, kept = row.shape
+    cost = np.zeros((pixels, kept), np.float32)
+    for p in range(pixels):
+        for k in range(count[p]):
+            own = min(weight[p] * chi[p, k] / 2, np.float32(CAP))
+            if before[p] >= 0:
+                apart = np.float32(row[p, k] - before[p])
+                own += min(np.float32(BOUND), apart * apart * follow)
+            cost[p, k] = own
+    by_rows = cost.copy()
+    _along(cost, row, count, inside, give, width, False, by_rows)
+    by_columns = cost.copy()
+    _along(cost, row, count, inside, give, width, True, by_columns)
+    total = by_rows + by_columns
+    _along(by_rows, row, count, inside, give, width, True, total)
+    _along(by_columns, row, count, inside, give, width, False, total)
+    at = np.full(pixels, -1, np.int8)
+    lead = np.zeros(pixels, np.float32)
+    for p in range(pixels):
+        if not inside[p] or count[p] == 0:
+            continue
+        best = 0
+        for k in range(1, count[p]):
+            if total[p, k] < total[p, best]:
+                best = k
+        lag = np.float32(2 * SURE)
+        for k in range(count[p]):
+            if k != best:
+                lag = min(lag, total[p, k] - total[p, best])
+        at[p], lead[p] = best, lag / 2  # of two trees
+    _disown(row, at, give, width, lead)
     return at, lead
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _disown(row, at, give, lead):
+def _disown(row, at, give, width, lead):
     """Leave no lead to a pixel that fewer than two of its neighbours go on from: dust, or noise."""
-    h, w = at.shape
     far = np.float32(BOUND) / give
-    for y in range(h):
-        for x in range(w):
-            if at[y, x] < 0:
-                continue
-            near = 0
-            for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                v, u = y + dy, x + dx
-                if 0 <= v < h and 0 <= u < w and at[v, u] >= 0:
-                    apart = np.float32(row[y, x, at[y, x]] - row[v, u, at[v, u]])
-                    near += apart * apart < far
-            if near < 2:
-                lead[y, x] = 0
+    for p in range(at.size):
+        if at[p] < 0:
+            continue
+        near, x = 0, p % width
+        for q, there in ((p - width, True), (p + width, True), (p - 1, x > 0), (p + 1, x < width - 1)):
+            if there and 0 <= q < at.size and at[q] >= 0:
+                apart = np.float32(row[p, at[p]] - row[q, at[q]])
+                near += apart * apart < far
+        if near < 2:
+            lead[p] = 0
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
-def read_off(light, table, row, seen, at, weight, step, floor, freedom):
+def read_off(light, table, row, at, weight, step, floor, freedom, free):
     """Order between the rows, its standard deviation, and the misfit over its freedom; NaN where none.
 
-    `seen`, visibilities of the valleys, of no pixel where all are 1.
+    Where the valley does not close within `REACH`, the standard deviation is `OPEN`.
     """
     pixels, rows = light.shape[0], table.shape[1]
     order = np.full(pixels, np.nan, np.float32)
@@ -296,13 +293,12 @@ def read_off(light, table, row, seen, at, weight, step, floor, freedom):
         if at[p] < 0:
             continue
         i = int(row[p, at[p]])
-        g = seen[p, at[p]] if len(seen) > 0 else np.float32(1.0)
         a, b, c, count = light[p, 0], light[p, 1], light[p, 2], weight[p]
         first = max(0, min(i - REACH, rows - chi.size))
         many = min(chi.size, rows)
         for j in range(many):
-            r, q, s = table[0, first + j], table[1, first + j], table[2, first + j]
-            chi[j] = count * ((a - g * r) ** 2 + (b - g * q) ** 2 + (c - g * s) ** 2)
+            n = first + j
+            chi[j] = count * _misfit(a, b, c, table[0, n], table[1, n], table[2, n], free)
         k = i - first
         low, before, after = chi[k], chi[max(k - 1, 0)], chi[min(k + 1, many - 1)]
         bend = before - 2 * low + after
@@ -315,6 +311,10 @@ def read_off(light, table, row, seen, at, weight, step, floor, freedom):
         if between and bend > NARROW * wide:  # narrower than rows of the table tell
             order[p] = (i + (before - after) / (2 * bend)) * step
             sigma[p] = np.sqrt(2 * wide / bend * step * step + floor * floor)
+            continue
+        above, below = first + many < rows, first > 0  # there the table goes on
+        if (above and chi[many - 1] - chi[k] < CLOSED) or (below and chi[0] - chi[k] < CLOSED):
+            order[p], sigma[p] = i * step, OPEN
             continue
         total, mean, square = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for j in range(many):

@@ -41,6 +41,7 @@ MARGIN = 4.0  # standard deviations around the table that the index covers
 SAMPLE = 4000  # pixels by which a frame is judged
 COLOURED = 0.15  # order from which light has a colour
 MIN_COLOURED = 0.01  # share of pixels with one that judges a frame
+STRANGE = 5.0  # mean misfit over its freedom from which a frame's colours are not the table's
 DIM = 0.1  # of the other channels' light over the table's: a channel without lamp
 ALIKE = 0.005  # of light: channels that differ less in every pixel are one
 SMOOTHED = 9  # pixels
@@ -58,7 +59,7 @@ class ColourReader:
         leak: linear light of each channel that crossed polarisers let pass; by default 0.
         mask: where the specimen is.
         tone: of 8-bit frames.
-        isoclinics: the polariscope is plane, and each pixel's visibility (0.1 to 1) is free.
+        isoclinics: the polariscope is plane, and each pixel's visibility is free.
 
     Raises:
         InputError: a white image or a leak that does not fit.
@@ -156,38 +157,46 @@ class ColourReader:
         known = self._prepared
         assert known is not None
         if self.isoclinics:
-            row, chi, count, visible = kernels.by_scan(flat, known.table, True)
+            row, chi, count = kernels.by_scan(flat, known.table, True)
         else:
             row, chi, count = kernels.by_index(flat, known.table, known.index, known.low, known.size)
-            visible = np.ones((0, kernels.KEPT), np.float32)
         weight = self._weight(size)
         old = np.full(size, -1, np.float32)
         if before is not None:
             np.copyto(old, before.order / STEP, where=before.valid)
         at, lead = kernels.choose(
-            *(v.reshape(*size, -1) for v in (row, chi)),
-            count.reshape(size),
-            inside & ~saturated,
-            weight,
-            old,
+            row,
+            chi,
+            count,
+            (inside & ~saturated).ravel(),
+            weight.ravel(),
+            old.ravel(),
             np.float32(STEP**2 / (2 * GIVE**2)),
             np.float32(STEP**2 / (2 * FOLLOW**2)),
+            size[1],
         )
         freedom = len(CHANNELS) - 1 - self.isoclinics
         order, sigma, misfit = (
             v.reshape(size)
             for v in kernels.read_off(
-                flat, known.table, row, visible, at.ravel(), weight.ravel(), *known.fine, np.float32(freedom)
+                flat,
+                known.table,
+                row,
+                at,
+                weight.ravel(),
+                *known.fine,
+                np.float32(freedom),
+                self.isoclinics,
             )
         )
         why = np.zeros(size, np.uint8)
         why[order > self.table.greatest_order - END * STEP] = Untold.BEYOND
         why[sigma > MAX_SIGMA] = Untold.FAINT
-        why[lead < SURE] = Untold.RIVAL
+        why[lead.reshape(size) < SURE] = Untold.RIVAL
         why[misfit > UNLIKE] = Untold.UNLIKE
         why[saturated] = Untold.SATURATED
         why[~inside] = Untold.OUTSIDE
-        return OrderMap(order, sigma, lead, np.full(size, np.nan, np.float32), misfit, why)
+        return OrderMap(order, sigma, lead.reshape(size), np.full(size, np.nan, np.float32), misfit, why)
 
     def _light(self, image: ndarray) -> Float32[ndarray, "h w 3"]:
         """Light over the white image's, the leak taken out."""
@@ -227,9 +236,7 @@ class ColourReader:
                 )
 
     def _judge(self, light: Float32[ndarray, "p 3"]) -> bool:
-        """Whether the frame has colours enough to be judged; refuses light that is not of this table's "
-        "kind.
-        """
+        """Whether the frame has colours enough to be judged; light of another kind is refused."""
         known = self._prepared
         assert known is not None
         some = light[:: max(len(light) // SAMPLE, 1)]
@@ -241,6 +248,9 @@ class ColourReader:
                 "all three channels of the frame are the same: it is a grey picture stored as colour, and "
                 "grey repeats itself each order; give colour frames, or phase-stepped ones"
             )
+        as_given, row = self._misfit(bright, (0, 1, 2))
+        if as_given < STRANGE and not self.isoclinics:
+            return bool((row * STEP > COLOURED).mean() > MIN_COLOURED)
         share = np.quantile(bright, 0.98, axis=0) / self.table.light.max(axis=0)
         if share.min() < DIM * share.max():
             dark = " and ".join(c for c, s in zip(CHANNELS, share, strict=True) if s < DIM * share.max())
@@ -249,12 +259,9 @@ class ColourReader:
             )
         if self.isoclinics:
             return True
-        as_given, row = self._misfit(bright, (0, 1, 2))
-        if (row * STEP > COLOURED).mean() < 0.2:
-            return False
         swapped = {p: self._misfit(bright, p)[0] for p in list(permutations(range(3)))[1:]}
         best = min(swapped, key=lambda p: swapped[p])
-        if as_given > 2 * UNLIKE / 5 and swapped[best] < as_given / 2:
+        if swapped[best] < as_given / 2:
             names = ", ".join(CHANNELS[c] for c in best)
             raise InputError(
                 "the frame's channels are in another order than the calibration's: its colours fit when "
@@ -323,7 +330,7 @@ def order_from_colour(
 def nearest_colour(light: Float[ndarray, "h w 3"], table: ColourTable) -> Float[ndarray, "h w"]:
     """Baseline: the order whose colour is nearest, each pixel for itself."""
     flat = light.reshape(-1, 3).astype(np.float32)
-    row, chi, count, _ = kernels.by_scan(flat, np.ascontiguousarray(table.light.T.astype(np.float32)), False)
+    row, chi, count = kernels.by_scan(flat, np.ascontiguousarray(table.light.T.astype(np.float32)), False)
     chi = np.where(np.arange(chi.shape[1]) < count[:, None], chi, np.inf)
     found = np.take_along_axis(row, chi.argmin(axis=1)[:, None], 1)[:, 0]
     return np.asarray(STEP * found.reshape(light.shape[:2]))
