@@ -16,8 +16,10 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from tests.oracles.cracked_strip import CrackedStrip
 
 from palpate.calibration.stress_optic_fit import Strip, fit_stress_optic
+from palpate.core import InputError
 from palpate.estimators.field_order import fit_field
-from palpate.estimators.fringe_light import one_line
+from palpate.estimators.fringe_light import one_line, white_led
+from palpate.estimators.fringe_map import order_from_colour, table_of
 
 PLATE = Strip(52e-3, 5.7e-3)
 SODIUM = one_line(589.3e-9)  # the photographs are sodium yellow; the lamp is not on record
@@ -119,3 +121,10 @@ def test_three_dark_loops_stand_at_one_to_three_orders_and_not_where_the_authors
     np.testing.assert_allclose(loops / loops[0], [1, 2, 3], rtol=0.05)
     by_authors = 3.24e-11 * load[i] / (SODIUM.wavelength_m * PLATE.breadth_m) * loops
     assert np.abs(by_authors - np.rint(by_authors)).max() > 0.3  # no whole orders
+
+
+def test_yellow_light_is_refused_where_colours_are_asked_for(plate) -> None:
+    """One channel is dark and two are nearly one: nothing here validates orders from colour."""
+    frame = np.asarray(Image.open(plate / "load100kgf.jpg").convert("RGB"))
+    with pytest.raises(InputError, match="no light in blue"):
+        order_from_colour(frame, table_of(white_led()))

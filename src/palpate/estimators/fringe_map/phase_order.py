@@ -26,7 +26,7 @@ doi:10.1177/0309324711401501.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter
+from scipy.ndimage import label, maximum_filter, uniform_filter
 from scipy.stats import chi2
 
 from palpate.core import Bool, Float, Float32, InputError, UInt8, ndarray
@@ -49,6 +49,7 @@ QUARTER = 0.25
 FLAT = 0.9  # of the sine, where four frames fold
 DENSE = 0.15  # orders a pixel, from which fringes are too dense to be followed
 FOUR_DENSE = 0.04  # the same of four frames, whose folds show no step
+CHANCE = 4.0  # standard deviations of one component that the greatest of 50 steps reaches by noise
 CLOSE = 0.2  # of the Stokes vector, a step between neighbours that is easily followed
 FOLD = 0.05  # orders (and sine) by which a reference must tell its branch from the next
 CONTRAST = 0.3  # by which the Stokes vector's length may differ from 1
@@ -106,7 +107,7 @@ def order_from_phases(
     kept = (np.abs(length - 1) < CONTRAST) if whole else (length < 1 + CONTRAST)
     first = _branch(order[row, column], known, float(clear[row, column]), (row, column))
     step = _greatest_step(s.reshape(3, h, w), 3 if whole else 5)
-    dense = step > 2 * np.sin(np.pi * (DENSE if whole else FOUR_DENSE))
+    dense = step > 2 * np.sin(np.pi * (DENSE if whole else FOUR_DENSE)) + CHANCE * float(np.median(error))
     # Where fringes are dense a path may jump over a fold: it goes where steps are small first.
     quality = (0.2 + clear) / (1 + (step / CLOSE) ** 2)
     quality = np.where(inside & ~burnt & kept & ~dense, quality, np.float32(-1)).astype(np.float32)
@@ -120,15 +121,17 @@ def order_from_phases(
     spread = np.where(at >= 0, sigma.reshape(h, w), np.float32(np.nan))
     why = np.zeros((h, w), np.uint8)
     why[spread > MAX_SIGMA] = Untold.FAINT
-    why[(lead < LEAD) | (at < 0)] = Untold.RIVAL
+    why[lead < LEAD] = Untold.RIVAL
+    why[at < 0] = Untold.APART
     if not whole:
-        why[clear >= FLAT] = Untold.BEYOND
+        # By itself, and as the mean of nine: noise opens no gap in a fold, and a steep one closes.
+        why[(clear >= FLAT) | (uniform_filter(clear, 3) >= FLAT)] = Untold.BEYOND
     why[dense] = Untold.DENSE
     why[~kept] = Untold.UNLIKE
     why[burnt] = Untold.SATURATED
     why[~inside] = Untold.OUTSIDE
     # At a fold both choices lie close together, and either joins what is on its two sides.
-    joined = (why == Untold.TOLD) | ((why == Untold.RIVAL) & (at >= 0))
+    joined = (why == Untold.TOLD) | (why == Untold.RIVAL)
     why[(why == Untold.TOLD) & ~_within_reach(N, joined, row, column)] = Untold.APART
     return OrderMap(N, spread, lead, theta.astype(np.float32), misfit.reshape(h, w), why)
 
