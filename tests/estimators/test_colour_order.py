@@ -160,6 +160,16 @@ def test_a_saturated_pixel_an_order_beyond_the_table_and_a_scratch_are_not_told(
     assert found.valid[(N < 1.45) & (found.why != Untold.SATURATED)].mean() > 0.9
 
 
+@pytest.mark.parametrize("noise", [0.005, 0.02, 0.05])
+def test_orders_past_those_looked_for_are_not_told_as_lower_ones(noise):
+    share, _, face = disc(200, steepest=20.0)
+    N = share * 1.3
+    found = order_from_colour(colours(N, noise), TABLE, noise=noise, mask=face)
+    assert found.valid[face & (N > 4.1)].mean() < 0.03
+    error = np.abs(found.order - N)[found.valid & (N < 3.9)]
+    assert np.mean(error > 0.2) < 1e-3
+
+
 def test_noise_alone_tells_nothing():
     light = np.random.default_rng(1).uniform(0, 1, (60, 60, 3))
     assert order_from_colour(light, TABLE, noise=0.01).valid.mean() < 0.02

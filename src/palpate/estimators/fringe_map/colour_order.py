@@ -84,7 +84,9 @@ class ColourReader:
         tone: Tone = "srgb",
         isoclinics: bool = False,
     ) -> None:
-        self.table, self.mask, self.tone, self.isoclinics = table, mask, tone, isoclinics
+        # Where visibility is free, pale colours of the guard would be as good as dim ones of low orders.
+        self.table = table.unguarded() if isoclinics else table
+        self.mask, self.tone, self.isoclinics = mask, tone, isoclinics
         self.noise = FrameNoise(noise) if isinstance(noise, int | float) else noise
         self._leak = np.zeros(3) if leak is None else leak
         self._white = np.ones(3) if white is None else white - self._leak
@@ -330,7 +332,9 @@ def order_from_colour(
 def nearest_colour(light: Float[ndarray, "h w 3"], table: ColourTable) -> Float[ndarray, "h w"]:
     """Baseline: the order whose colour is nearest, each pixel for itself."""
     flat = light.reshape(-1, 3).astype(np.float32)
-    row, chi, count = kernels.by_scan(flat, np.ascontiguousarray(table.light.T.astype(np.float32)), False)
+    row, chi, count = kernels.by_scan(
+        flat, np.ascontiguousarray(table.unguarded().light.T.astype(np.float32)), False
+    )
     chi = np.where(np.arange(chi.shape[1]) < count[:, None], chi, np.inf)
     found = np.take_along_axis(row, chi.argmin(axis=1)[:, None], 1)[:, 0]
     return np.asarray(STEP * found.reshape(light.shape[:2]))

@@ -7,7 +7,7 @@ smoothed by local parabolas.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from palpate.recordings import read_labels
 
 STEP = 0.01  # orders between rows
 MIN_ORDER, MAX_ORDER = 0.2, 20.0
+GUARD = 150  # rows of a computed table past its greatest order
 SPREAD = 0.025  # orders, standard deviation of the weights of a local parabola
 MIN_BIN = 3  # pixels within one step of order
 MAX_GAP = 3  # steps without them
@@ -37,11 +38,13 @@ class ColourTable:
         light: by order and channel, 1 where a camera (or what it is divided by) is full.
         source: in words.
         error: standard deviation of an entry.
+        guard: rows at its end that only show what lies beyond.
     """
 
     light: Float[ndarray, "n 3"]
     source: str
     error: float = 0.0
+    guard: int = 0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.light).all() and self.error >= 0):
@@ -70,8 +73,12 @@ class ColourTable:
 
     @property
     def greatest_order(self) -> float:
-        """Order of the last row."""
-        return STEP * (len(self.light) - 1)
+        """Order of the last row but for the guard."""
+        return STEP * (len(self.light) - 1 - self.guard)
+
+    def unguarded(self) -> ColourTable:
+        """The same without its guard."""
+        return self if not self.guard else replace(self, light=self.light[: -self.guard], guard=0)
 
     def write(self, path: Path) -> None:
         """Write it as CSV.
@@ -80,8 +87,9 @@ class ColourTable:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        columns = {"order": self.order.round(6), **dict(zip(CHANNELS, self.light.T.round(6), strict=True))}
-        columns["error"] = np.full(len(self.light), round(self.error, 6))
+        one = self.unguarded()
+        columns = {"order": one.order.round(6), **dict(zip(CHANNELS, one.light.T.round(6), strict=True))}
+        columns["error"] = np.full(len(one.light), round(self.error, 6))
         with new_file(path) as building:
             pd.DataFrame(columns).to_csv(building, index=False)
 
@@ -95,8 +103,8 @@ def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float
     """
     if not MIN_ORDER <= greatest_order <= MAX_ORDER:
         raise RangeError(f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}")
-    light = polariscope.light(STEP * np.arange(round(greatest_order / STEP) + 1))
-    return ColourTable(light, polariscope.lamp, error)
+    light = polariscope.light(STEP * np.arange(round(greatest_order / STEP) + 1 + GUARD))
+    return ColourTable(light, polariscope.lamp, error, GUARD)
 
 
 def measured_table(
