@@ -12,7 +12,7 @@ from tests.fringe_fields import beam, colours, disc, phases
 from typer.testing import CliRunner
 
 from palpate.cli.optics_verbs import app
-from palpate.estimators.fringe_map import SIX_STEPS
+from palpate.estimators.fringe_map import CAMERA, SIX_STEPS
 from palpate.optics.colour import encode_srgb
 
 PARENT = typer.Typer(rich_markup_mode=None)
@@ -97,6 +97,22 @@ def test_six_steps_are_mapped_from_a_place_whose_order_is_known(pictures):
     assert line["told_share"] > 0.85
     assert line["order_greatest"] == pytest.approx(1.9, abs=0.1)
     assert "takes 6" in optics("fringe-order", *steps[:5], *words, status=2).stderr
+
+
+def test_a_polarisation_camera_s_raw_frames_are_mapped_one_after_the_other(tmp_path):
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for i, at_centre in enumerate((0.05, 0.07)):
+        frames = np.rint(250 * phases(SHARE * at_centre, AXIS, CAMERA, 0.005)).clip(0, 253).astype(np.uint8)
+        raw = np.zeros((180, 180), np.uint8)
+        raw[1::2, 1::2], raw[::2, 1::2], raw[::2, ::2], raw[1::2, ::2] = frames
+        Image.fromarray(raw).save(folder / f"{i}.png")
+    Image.fromarray((FACE * 255).astype(np.uint8)).save(tmp_path / "mask.png")
+    words = ["--calibration", "polarisation-camera", "--reference-px", "45,45,0.05", "--json", "--out"]
+    said = optics("fringe-order", folder, "--mask", tmp_path / "mask.png", *words, tmp_path / "out").stdout
+    assert all(json.loads(line)["told_share"] > 0.9 for line in said.splitlines())
+    for page, at_centre in zip(tifffile.imread(tmp_path / "out" / "order.tif"), (0.05, 0.07), strict=True):
+        assert np.nanmax(np.abs(page - SHARE * at_centre)) < 0.02
 
 
 @pytest.mark.parametrize(
