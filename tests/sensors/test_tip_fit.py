@@ -115,6 +115,16 @@ def test_terms_come_back_within_their_intervals_and_what_is_left_is_the_taps_own
     assert judged.motion_px > 5 * judged.residual_px
 
 
+@pytest.mark.slow
+def test_a_known_upright_course_is_followed_and_tells_the_lever_closer(fitted) -> None:
+    course = np.concatenate([upright(depth_mm=d) for d in (1.0, 2.5, 4.0, 5.5)])
+    off = {}
+    for name, known in (("with", (course, TIP.places_px(TRUE, course))), ("without", None)):
+        fit = fitted if known is None else fit_tip(TIP, *tapped(90), upright=known)
+        off[name] = np.abs(TIP.places_px(fit.terms, course) - TIP.places_px(TRUE, course)).max()
+    assert off["with"] < 0.1 < off["without"]
+
+
 def test_another_tip_does_not_fit_and_says_so_by_its_residual(fitted) -> None:
     at, places = tapped(40, 9)
     mirrored = places.copy()

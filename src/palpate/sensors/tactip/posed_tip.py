@@ -58,6 +58,7 @@ class TipTerms(NamedTuple):
             is half: the constant, its part of the contact's own angle, and the width over which it fades.
         twist_rad, twist_per_contact, twist_fade_rad: the same of twist.
         shear_far: share of shear that the whole tip takes.
+        seat_x_rad, seat_y_rad: turn of the contact where the plate is said to be upright.
     """
 
     lever_mm: float = 0.5
@@ -89,6 +90,8 @@ class TipTerms(NamedTuple):
     twist_per_contact: float = 0.5
     twist_fade_rad: float = 0.3
     shear_far: float = 0.0
+    seat_x_rad: float = 0.0
+    seat_y_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -233,6 +236,7 @@ def _plate(
     """Turn of the contact [rad], motion of the plate [m] and its twist [rad], in the image's axes."""
     tilts, twist = np.deg2rad(poses[:, 1:3]), np.deg2rad(poses[:, 5])
     turn = tilts @ np.array([[q.tilt_xx, q.tilt_xy], [q.tilt_yx, q.tilt_yy]]).T
+    turn = turn + np.array([q.seat_x_rad, q.seat_y_rad])
     moved = 1e-3 * poses[:, 3:5] @ np.array([[q.shear_xx, q.shear_xy], [q.shear_yx, q.shear_yy]]).T
     angle = q.shear_by_twist * twist
     moved = np.stack(

@@ -10,6 +10,7 @@ import numpy as np
 from palpate.core import Float, ndarray
 
 RIDGE = 1e-6  # of the taps: only keeps what no tap tells at 0
+TAPS_EACH = 3  # for each monomial, for a degree to be told
 ROUNDS = 3  # of filling missing pins by the polynomial itself
 
 
@@ -48,6 +49,13 @@ class PosePolynomial:
         """Places at other poses."""
         X = monomials((poses - self.middle) / self.spread, self.degree)
         return np.tensordot(X, self.weights, 1)
+
+
+def told_by(poses: Float[ndarray, "t q"], degree: int) -> int:
+    """The degree, or as high a one as so many taps tell."""
+    while degree > 1 and len(poses) < TAPS_EACH * monomials(poses[:1], degree).shape[1]:
+        degree -= 1
+    return degree
 
 
 def monomials(at: Float[ndarray, "n q"], degree: int) -> Float[ndarray, "n m"]:

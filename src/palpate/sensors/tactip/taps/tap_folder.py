@@ -27,7 +27,7 @@ from palpate.core import (
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import identified_taps, rest_layout, spots
-from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, fit_tip, judge_tip
+from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, fit_tip, judge_tip, upright_course
 
 TABLE, IMAGES = "labels.csv", "images"
 NAMES = ("image_file", "image", "file")
@@ -124,7 +124,9 @@ def fit_folder(
     upright = np.array([[shallow, 0, 0, 0, 0, 0]])
     rest = PosePolynomial.fitted(known.poses, known.places_px, SMOOTH).at(upright)[0]
     some = np.random.default_rng(seed).permutation(len(known.poses))[:taps]
-    fit = fit_tip(PosedTip(rest, shallow), known.poses[some], known.places_px[some], progress)
+    course = upright_course(known.poses, known.places_px)
+    tip = PosedTip(rest, shallow)
+    fit = fit_tip(tip, known.poses[some], known.places_px[some], progress, upright=course)
     return fit, judge_tip(fit, (known.poses, known.places_px), (new.poses, new.places_px)), (known, new)
 
 

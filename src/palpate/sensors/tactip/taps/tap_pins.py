@@ -12,14 +12,15 @@ pose by about a spacing, or lost a border of pins, or folded the lattice.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from palpate.core import Bool, Float, InputError, Int, UInt8, ndarray
-from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials
+from palpate.core import Bool, Float, InputError, UInt8, ndarray
+from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials, told_by
 
 Spots = Float[ndarray, "s 2"]
 Layout = Float[ndarray, "p 2"]
@@ -31,7 +32,6 @@ GATE = 0.45  # of a pin's distance to its neighbour: how far from where it shoul
 STAGES = ((0.05, 1), (0.1, 1), (0.2, 2), (0.4, 2), (0.7, 2), (1.0, 2), (1.0, 3), (1.0, 3))
 OWN_FIELD = (0, 1, 2, 3)  # degrees of a tap's own field, in turn
 MIN_SHARE = 0.95  # of pins that a well-labelled tap has
-TAPS_EACH = 3  # for each monomial of the pose
 MAX_SHIFT = 0.5  # of a spacing, by which a tap's whole field may be off its pose's
 
 
@@ -110,7 +110,10 @@ def identified(expected: Layout, found: Spots) -> Layout:
 
 
 def identified_taps(
-    found: list[Spots], poses: Float[ndarray, "t q"], rest: Layout, upright: Float[ndarray, " q"]
+    found: Sequence[Float[ndarray, "_ 2"]],
+    poses: Float[ndarray, "t q"],
+    rest: Layout,
+    upright: Float[ndarray, " q"],
 ) -> TapPins:
     """Pins of many taps.
 
@@ -132,20 +135,13 @@ def identified_taps(
         now = mild[: max(20, int(share * len(found)))]
         for tap in now:
             places[tap] = identified(expected[tap], found[tap])
-        expected = PosePolynomial.fitted(poses[now], places[now], _told_by(now, poses, degree)).at(poses)
+        expected = PosePolynomial.fitted(poses[now], places[now], told_by(poses[now], degree)).at(poses)
     for tap in range(len(found)):
         places[tap] = identified(expected[tap], found[tap])
     return TapPins(rest, places, expected)
 
 
-def _told_by(taps: Int[ndarray, " n"], poses: Float[ndarray, "t q"], degree: int) -> int:
-    """The degree, or as high a one as so many taps tell."""
-    while degree > 1 and len(taps) < TAPS_EACH * monomials(poses[:1], degree).shape[1]:
-        degree -= 1
-    return degree
-
-
-def rest_layout(found: list[Spots], count: int) -> Layout:
+def rest_layout(found: Sequence[Float[ndarray, "_ 2"]], count: int) -> Layout:
     """The pins of the first tap that shows exactly as many spots within their disc as there are pins [px].
 
     Raises:

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from palpate.core import Float, InputError, Progress, ndarray, silent
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
-from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
+from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 
 MIN_TAPS = 60
 TELLS = 10.0  # numbers that a tap tells
@@ -23,6 +23,10 @@ ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs t
 UNTOLD = 0.8  # of its prior spread, from which a term is not told
 TIED = 0.95  # correlation from which two terms cannot be told apart
 DEGREES = (2, 3, 4)
+UPRIGHT_PX = 0.2  # by which the pins of an upright tap are known, from all taps together
+COURSE = np.linspace(0.05, 0.95, 8)  # of the taps' depths
+COURSE_DEGREE = 4
+COURSE_SHARE = 0.1  # upright poses of the course together count as such a share of the taps, known so well
 ROUNDS = 60
 
 SPREAD = TipTerms(
@@ -32,6 +36,7 @@ SPREAD = TipTerms(
     depth_per_tilt=3.0, shear_per_turn=0.3, turn_per_shear=0.3, shear_per_tilt_x=0.5, shear_per_tilt_y=0.5,
     twist=1.0, shear_by_twist=0.5, slip_mm=1.0, slip_power=1.0, shear_rad=0.4, shear_per_contact=0.5,
     shear_fade_rad=0.15, twist_rad=0.5, twist_per_contact=1.0, twist_fade_rad=0.15, shear_far=0.1,
+    seat_x_rad=0.05, seat_y_rad=0.05,
 )  # fmt: skip
 """How far terms may lie from `TipTerms`' defaults before any tap is seen: standard deviations. Assumed."""
 _BOUNDS = [[d + side * 8 * sd for d, sd in zip(TipTerms(), SPREAD, strict=True)] for side in (-1, 1)]
@@ -43,6 +48,7 @@ MAX_TERMS = TipTerms(*_BOUNDS[1])._replace(lever_mm=6.0, distortion=0.4, edge_ra
 
 Poses = Float[ndarray, "t 6"]
 Places = Float[ndarray, "t p 2"]
+Course = tuple[Float[ndarray, "k 6"], Float[ndarray, "k p 2"]]
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,9 @@ class TipJudgement:
     by_pin_px: Float[ndarray, " p"]
 
 
-def fit_tip(tip: PosedTip, poses: Poses, places: Places, progress: Progress = silent) -> TipFit:
+def fit_tip(
+    tip: PosedTip, poses: Poses, places: Places, progress: Progress = silent, *, upright: Course | None = None
+) -> TipFit:
     """Fit the terms of a tip to taps.
 
     Args:
@@ -112,6 +120,8 @@ def fit_tip(tip: PosedTip, poses: Poses, places: Places, progress: Progress = si
         poses: of the taps, `POSE` in its units.
         places: of the taps' pins; NaN where one was not found [px].
         progress: called with rounds of the fit.
+        upright: as `upright_course` gives it of all taps there are, which the tip is to follow closely; None
+            for too few taps.
 
     Raises:
         InputError: fewer than 60 taps, shapes that do not fit, or poses that do not differ in something.
@@ -128,9 +138,14 @@ def fit_tip(tip: PosedTip, poses: Poses, places: Places, progress: Progress = si
     prior, spread = np.array(TipTerms()), np.array(SPREAD)
     rounds = 0
 
+    course, smooth = (poses[:0], places[:0]) if upright is None else upright
+    surely = weight * ERR_PX / UPRIGHT_PX * np.sqrt(COURSE_SHARE * len(poses) / len(COURSE))
+
     def rows(terms: ndarray) -> ndarray:
-        off = np.nan_to_num(weight * (tip.places_px(TipTerms(*terms), poses) - places))
-        return np.concatenate([off.ravel(), (terms - prior) / spread])
+        q = TipTerms(*terms)
+        off = np.nan_to_num(weight * (tip.places_px(q, poses) - places))
+        upright = surely * (tip.places_px(q, course) - smooth)
+        return np.concatenate([off.ravel(), upright.ravel(), (terms - prior) / spread])
 
     def slopes(terms: ndarray) -> ndarray:
         nonlocal rounds
@@ -149,17 +164,24 @@ def fit_tip(tip: PosedTip, poses: Poses, places: Places, progress: Progress = si
         ftol=1e-5,
         xtol=1e-6,
     )
-    J, n = found.jac, len(prior)
-    scores = np.einsum(
-        "tri,tr->ti", J[:-n].reshape(len(poses), -1, n), found.fun[:-n].reshape(len(poses), -1)
-    )
+    J, own = found.jac, places.size
+    by_tap = (len(poses), -1)
+    scores = np.einsum("tri,tr->ti", J[:own].reshape(*by_tap, len(prior)), found.fun[:own].reshape(by_tap))
     bread = np.linalg.inv(J.T @ J)
-    return TipFit(
-        tip,
-        TipTerms(*found.x.tolist()),
-        bread @ (scores.T @ scores + np.diag(spread**-2.0)) @ bread,
-        len(poses),
-    )
+    meat = scores.T @ scores + J[own:].T @ J[own:]
+    return TipFit(tip, TipTerms(*found.x.tolist()), bread @ meat @ bread, len(poses))
+
+
+def upright_course(poses: Poses, places: Places) -> Course | None:
+    """Upright poses over the taps' depths, and the pins there by smooth regression on all taps [px].
+
+    None where the taps are too few for the regression's degree.
+    """
+    if told_by(poses, COURSE_DEGREE) < COURSE_DEGREE:
+        return None
+    course = np.zeros((len(COURSE), poses.shape[1]))
+    course[:, 0] = np.quantile(poses[:, 0], COURSE)
+    return course, PosePolynomial.fitted(poses, places, COURSE_DEGREE).at(course)
 
 
 def judge_tip(
