@@ -1,6 +1,6 @@
 """Draw copies of a palm, fit each to presses of known force, and count how often intervals hold the truth.
 
-    python tools/palm_copies.py                  # twelve copies, a quarter of an hour of one core
+    python tools/palm_copies.py                  # eight copies, twenty minutes of one core
     python tools/palm_copies.py --copies 3 --presses 8
 
 Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way and read by the fast one.
@@ -113,7 +113,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--copies", type=int, default=12)
+    parser.add_argument("--copies", type=int, default=8)
     parser.add_argument("--presses", type=int, default=6)
     parser.add_argument("--smaller", type=int, default=14, help="times smaller than the full frame")
     parser.add_argument("--seed", type=int, default=1)

@@ -27,13 +27,22 @@ from palpate.core import (
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import identified_taps, rest_layout, spots
-from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, fit_tip, judge_tip, upright_course
+from palpate.sensors.tactip.taps.tip_fit import (
+    MIN_TAPS,
+    TipFit,
+    TipJudgement,
+    fit_tip,
+    judge_tip,
+    upright_course,
+)
 
 TABLE, IMAGES = "labels.csv", "images"
 NAMES = ("image_file", "image", "file")
 COVERED = 1.645  # standard deviations of a 90 % interval
 REST_FROM = 60  # mildest taps, of which one shows all pins
 SMOOTH = 4  # degree of the polynomial that gives the pins at rest
+MIN_PINS = 37
+MAX_OTHERS = 1.25  # times as many spots as pins, or as few
 MAX_LOST = 0.4  # of the taps, whose pins could not be named
 
 
@@ -65,12 +74,22 @@ def register_taps(folders: Sequence[Path], pins: int, progress: Progress = silen
         ImageError: an image that cannot be read.
         InputError: too few taps, or too many whose pins cannot be named.
     """
+    if pins < MIN_PINS:
+        raise InputError(f"a tip of {pins} pins; {MIN_PINS} or more are needed, 127 and 331 are usual")
     tables = [_table(folder) for folder in folders]
+    if (count := sum(len(files) for files, _ in tables)) < MIN_TAPS:
+        raise InputError(f"{count} taps in {len(tables)} folders; {MIN_TAPS} or more are needed to name pins")
     names = [(folder, name) for folder, (files, _) in zip(folders, tables, strict=True) for name in files]
     found = []
     for i, (folder, name) in enumerate(names):
         progress("reading taps", i, len(names))
         found.append(spots(_image(folder, name)))
+    usual = float(np.median([len(each) for each in found]))
+    if not pins / MAX_OTHERS < usual < pins * MAX_OTHERS:
+        raise InputError(
+            f"images show {usual:.0f} round bright spots in the median, for {pins} pins; give the number of "
+            "pins that the tip has, and binarised images with bright pins"
+        )
     poses = np.concatenate([poses for _, poses in tables])
     upright = np.zeros(len(POSE))
     upright[0] = poses[:, 0].min()
