@@ -10,9 +10,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
+import palpate
 from palpate.cli import app
 from palpate.core import ImageError, InputError, LabelError
+from palpate.sensors.tactip import fitted_tactip
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
+from palpate.sensors.tactip.skin_and_markers import lattice
 from palpate.sensors.tactip.taps import tip_fit
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials
 from palpate.sensors.tactip.taps.tap_folder import register_taps
@@ -223,3 +226,13 @@ def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monke
     (tmp_path / "val" / "images" / "3.png").unlink()
     with pytest.raises(ImageError, match="cannot be read"):
         register_taps([tmp_path / "val"], 91)
+
+
+def test_the_fitted_preset_is_the_terms_that_the_page_prints() -> None:
+    spec = palpate.sensor("tactip-331-fitted").spec
+    assert (spec.pins.count, spec.pins.length_m, spec.camera.height_m) == (331, 0.29e-3, 34.2e-3)
+    assert spec == fitted_tactip()
+    polar, _ = lattice(spec.pins, spec.inner_radius_m)
+    assert_allclose(polar.max(), 1.00, atol=0.01)  # the field's edge, as fitted
+    with pytest.raises(InputError, match="331-fitted"):
+        palpate.sensor("tactip-fitted")

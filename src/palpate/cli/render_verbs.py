@@ -124,6 +124,9 @@ def tactip(
     ] = 0.0,
     trials: Annotated[int, Option(min=1, max=999, help="Of each specimen.")] = 5,
     pins: Annotated[int, Option(help="127 or 331.")] = 127,
+    fitted: Annotated[
+        bool, Option("--fitted", help="331 pins, lever and camera as fitted to taps of a real tip.")
+    ] = False,
     tip: Annotated[str, Option(help="base, even, soft-skin or stiff-skin.")] = "base",
     speed_mm_s: Annotated[float, Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
     seed: Annotated[int, Option(min=0, help="Of seating and noise.")] = 0,
@@ -145,7 +148,8 @@ def tactip(
     refuse_existing(out)  # before solving for minutes
     own = _stiffnesses(specimen or [], rigid)
     stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
-    spec = replace(palpate.sensor(f"tactip-{pins}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    preset = "331-fitted" if fitted else f"{pins}"
+    spec = replace(palpate.sensor(f"tactip-{preset}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
         folder = record_trials(

@@ -10,6 +10,7 @@ from palpate.sensors.tactip.tactip_spec import (
     SeatingSpread,
     TacTipCamera,
     TacTipSpec,
+    fitted_tactip,
     tactip,
 )
 
@@ -23,6 +24,7 @@ __all__ = [
     "TacTipCamera",
     "TacTipSpec",
     "TipOnSpecimen",
+    "fitted_tactip",
     "pictured",
     "skin_places_m",
     "tactip",

@@ -49,6 +49,7 @@ from palpate.sensors.tactip.tactip_press import (
 )
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
+FITTED = "331-fitted"
 REGION = "pins"
 PLATE = "plate"
 MAX_LEAN = math.radians(2.0)
@@ -281,13 +282,17 @@ class TacTip:
 
 
 def tactip(preset: str = "127") -> TacTip:
-    """The TacTip with 127 or 331 pins.
+    """The TacTip with 127 or 331 pins, or "331-fitted", see `fitted_tactip`.
 
     Raises:
-        InputError: another number.
+        InputError: another one.
     """
+    if preset == FITTED:
+        return TacTip(specs.fitted_tactip())
     if not preset.isdecimal():
-        raise InputError(f"there is no TacTip {preset!r}; there are 127 and 331, by their number of pins")
+        raise InputError(
+            f"there is no TacTip {preset!r}; there are 127 and 331, by their number of pins, and {FITTED}"
+        )
     return TacTip(specs.tactip(int(preset)))
 
 

@@ -163,3 +163,18 @@ def tactip(pins: int = 127) -> TacTipSpec:
     if pins not in layouts:
         raise InputError(f"{pins} pins; there are layouts of 127 and 331, and `PinLayout` for others")
     return replace(TacTipSpec(), pins=layouts[pins])
+
+
+def fitted_tactip() -> TacTipSpec:
+    """The TacTip with 331 pins, its lever and camera as fitted to upright taps of a real one.
+
+    Fitted by `palpate tip fit` to another laboratory's recordings, a stand-in: a lever of 0.29 mm (0.26 to
+    0.33) and a pinhole 34.2 mm above the apex (33.5 to 34.8). The barrel distortion of that lens, 0.105 at
+    the edge of the pins, is not in this camera; tip, gel and all else stay assumed.
+    """
+    return replace(
+        tactip(331),
+        pins=replace(PINS_331, length_m=0.29e-3),
+        camera=TacTipCamera(height_m=34.2e-3),
+        name="virtual-tactip-fitted",
+    )
