@@ -91,6 +91,14 @@ def test_interleaved_blocks_hold_each_row_once_and_no_unit_in_parts(units) -> No
         assert np.sum(np.diff(fold) > 1) >= 6  # eight stretches each, spread over the whole recording
 
 
+def test_of_a_single_unit_the_rows_themselves_are_dealt_out() -> None:
+    folds = interleaved_blocks(np.zeros(30, np.int64))
+    assert len(folds) == 5
+    assert np.array_equal(np.sort(np.concatenate(folds)), np.arange(30))
+    values = np.linspace(0, 1, 30)[:, None]
+    assert np.isfinite(Kernels.of(values).held_out(values, folds)).all()
+
+
 def one_session(units: np.ndarray) -> RecordedUnits:
     return RecordedUnits(units, np.zeros(len(units), np.int64), "presses")
 

@@ -92,7 +92,8 @@ def interleaved_blocks(units: np.ndarray, folds: int = 5, rounds: int = 8) -> li
     """Short stretches of neighbouring rows, dealt to the folds in turn.
 
     Args:
-        units: ``[n]`` what each row belongs to; stretches end where a unit does.
+        units: ``[n]`` what each row belongs to; stretches end where a unit does. Where all rows belong to
+            one, they may end anywhere, since nothing else could be left to learn from.
         folds: how many.
         rounds: how many stretches each fold gets.
 
@@ -100,6 +101,7 @@ def interleaved_blocks(units: np.ndarray, folds: int = 5, rounds: int = 8) -> li
         Rows of each fold; those that would be empty are left out.
     """
     starts = np.flatnonzero(np.r_[True, units[1:] != units[:-1]])
+    starts = starts if len(starts) > 1 else np.arange(len(units))
     number = np.searchsorted(starts, np.arange(len(units)), side="right") - 1
     stretches = min(folds * rounds, len(starts))
     fold = (number * stretches // len(starts)) % folds
