@@ -138,6 +138,39 @@ def test_a_full_disk_leaves_the_last_whole_checkpoint(rng, tmp_path, monkeypatch
     assert int(np.load(kept)["epoch"]) == 1
 
 
+def test_a_budget_of_steps_is_kept_to_the_step_whatever_the_epochs(rng, tmp_path) -> None:
+    lesson, kept = levels(rng), tmp_path / "kept.npz"  # 36 rows to learn from: 5 steps an epoch
+    plan = TrainingLoop(1, 8, 1e-2, steps=13)
+    run = plan.run(small_network(), lesson, seed=5)
+    assert (run.record.steps, run.record.epochs, run.record.stopped) == (13, 3, False)
+    assert int(run.optimiser.state_dict()["state"][0]["step"]) == 13
+    with pytest.raises(Interrupted):
+        plan.train(small_network(), lesson, seed=5, progress=stop_after(2), checkpoint=kept)
+    assert same(plan.train(small_network(), lesson, seed=5, checkpoint=kept), run.kept())
+    by_epochs = TrainingLoop(2, 8, 1e-2).run(small_network(), lesson, seed=5)
+    assert same(by_epochs.kept(), TrainingLoop(7, 8, 1e-2, steps=10).train(small_network(), lesson, seed=5))
+
+
+def test_where_watched_rows_gain_no_more_the_step_falls_from_the_best_weights(rng, monkeypatch) -> None:
+    lesson, rates = levels(rng, noise=True), []
+    step = TrainingRun._step
+
+    def noted(self: TrainingRun, *given: object) -> torch.Tensor:
+        loss = step(self, *given)
+        rates.append(self.optimiser.param_groups[0]["lr"])
+        return loss
+
+    monkeypatch.setattr(TrainingRun, "_step", noted)
+    run = TrainingLoop(200, 8, 3e-2, patience=3, falls=2).run(small_network(), lesson, seed=1)
+    assert sorted(set(rates), reverse=True) == pytest.approx([3e-2, 9e-3, 2.7e-3])
+    assert run.record.stopped
+    assert run.record.steps == len(rates) < 200 * 5
+    assert 0 < run.record.best_step <= run.record.steps - 3 * 5
+    shorter = TrainingLoop(200, 8, 3e-2, patience=3).run(small_network(), lesson, seed=1)
+    assert shorter.record.steps < run.record.steps
+    assert run.best_loss <= shorter.best_loss  # the best is never given up
+
+
 def test_it_stops_when_watched_rows_gain_no_more_and_keeps_the_best(rng, monkeypatch) -> None:
     lesson, seen, told = levels(rng, noise=True), [], []
     watched = TrainingRun.watched_loss

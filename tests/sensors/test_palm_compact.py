@@ -102,6 +102,32 @@ def test_the_exported_network_answers_as_the_trained_one(fitted, data):
     assert (np.abs(exported - fitted.predict(inputs)) / span).max() < 1e-4
 
 
+def test_the_place_is_told_by_moments_unless_the_network_shall_and_the_rest_by_the_network(data):
+    inputs, recipe = data.fetch(np.arange(96, 120)), {"rendered": 0, "epochs": 1, "batch": 16}
+    by_moments, by_network = (
+        PalmCompact(**recipe, moments=moments).fit(data, np.arange(96), seed=0) for moments in (True, False)
+    )
+    ours, theirs = by_moments.predict(inputs), by_network.predict(inputs)
+    place = [TARGETS.index(name) for name in ("x_mm", "y_mm")]
+    rest = [TARGETS.index(name) for name in ("depth_mm", "force_N")]
+    np.testing.assert_array_equal(ours[:, rest], theirs[:, rest])
+    np.testing.assert_array_equal(ours[:, place], by_moments.place.predict(inputs))
+    assert np.abs(ours - theirs)[:, place].min() > 1e-3
+    for fitted, expected in ((by_moments, ours), (by_network, theirs)):
+        session = onnxruntime.InferenceSession(fitted.to_onnx().SerializeToString())
+        (exported,) = session.run(["value"], {"image": inputs})
+        np.testing.assert_allclose(exported, expected, rtol=1e-4, atol=1e-3)
+
+
+def test_watched_presses_end_its_learning_and_their_frames_are_not_learnt_from(data):
+    recipe = PalmCompact(rendered=0, epochs=60, batch=16, patience=1, watched=0.25, cosine=False)
+    fitted = recipe.fit(data, np.arange(96), seed=0)
+    assert fitted.training.stopped
+    assert 0 < fitted.training.best_step < fitted.training.steps
+    assert fitted.training.steps == 5 * fitted.training.epochs  # 12 of 16 presses, 72 frames
+    assert PalmCompact(rendered=0, steps=7).fit(data, np.arange(96), seed=0).training.steps == 7
+
+
 def test_the_same_seed_trains_the_same_network(data):
     recipe = PalmCompact(rendered=24, epochs=1, batch=16)
     one, same = (recipe.fit(data, np.arange(48), seed=3).predict(data.fetch(np.arange(8))) for _ in range(2))

@@ -21,8 +21,8 @@ from palpate.sensors.palm.networks.palm_report_networks import (  # noqa: E402
     TwoStageNetwork,
 )
 
-OURS = "palm-compact"  # which has settings, and a file of tests, of its own
-PALM = [name for name in MODELS if name.startswith("palm-") and name != OURS]
+OURS = ("palm-compact", "palm-moments")  # which have settings, and files of tests, of their own
+PALM = [name for name in MODELS if name.startswith("palm-") and name not in OURS]
 TORCH = [name for name in PALM if MODELS[name].costly]
 SHAPE = (1, 32, 64)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +28,7 @@ from palpate.calibration.training_data import LearningSet
 from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.card_ground import FileCard, RunCard
 from palpate.estimators.certified import CARD_FILE, checked_file
-from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrialCard
+from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrainingCard, TrialCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import (
@@ -45,7 +45,7 @@ from palpate.estimators.model_card import (
     sealed,
 )
 from palpate.estimators.networks import settings_of
-from palpate.estimators.networks.model_interface import Chooses, Fitted, TrainingData
+from palpate.estimators.networks.model_interface import Chooses, Fitted, LearnsInSteps, TrainingData
 from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run, Split
@@ -440,6 +440,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
         "options": settings_of(plan.model, plan.options),
         "coverage": plan.coverage,
         "choice": choice_card(result.fitted),
+        "training": training_card(result.fitted),
         "input": InputCard(
             frame_px=result.run.frame(0).image.shape[:2],
             size_px=preparation.size_px,
@@ -461,6 +462,11 @@ def choice_card(fitted: Fitted) -> ChoiceCard | None:
         for one in fitted.choice.trials
     ]
     return ChoiceCard(chosen=fitted.choice.chosen, trials=tuple(trials))
+
+
+def training_card(fitted: Fitted) -> TrainingCard | None:
+    """How long a network has learnt; None where it does not say."""
+    return TrainingCard(**asdict(fitted.training)) if isinstance(fitted, LearnsInSteps) else None
 
 
 def split_card(result: CalibrationResult) -> SplitCard:

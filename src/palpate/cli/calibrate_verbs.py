@@ -353,6 +353,8 @@ def _card_text(card: Any, out: Path) -> str:
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
     if card.choice is not None:
         lines += _choice_lines(card)
+    if card.training is not None:
+        lines.append(f"learnt in {card.training.sentence}")
     if card.order is not None:
         lines += [*_splits_table(card), card.order.text]
     lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]

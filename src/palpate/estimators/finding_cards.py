@@ -257,6 +257,23 @@ class ChoiceCard(CardPart):
     trials: tuple[TrialCard, ...]
 
 
+class TrainingCard(CardPart):
+    """How long the network that is kept has learnt; see `TrainingRecord`."""
+
+    steps: int
+    epochs: int
+    batch: int
+    best_step: int
+    stopped: bool
+
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        end = "until watched groups gained no more" if self.stopped else "to the end of its schedule"
+        kept = f"; kept are the weights after step {self.best_step:,}" if self.best_step else ""
+        return f"{self.steps:,} steps of up to {self.batch} rows ({self.epochs:,} epochs), {end}{kept}"
+
+
 class PerturbationCard(CardPart):
     """Held-out frames changed by one kind of perturbation at one size.
 

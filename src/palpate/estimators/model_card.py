@@ -19,6 +19,7 @@ from palpate.estimators.finding_cards import (
     OrderCard,
     RobustnessCard,
     SessionsCard,
+    TrainingCard,
 )
 from palpate.estimators.reading_steps import StepsCard, reading_steps
 from palpate.recordings.preparation import Preparation
@@ -374,6 +375,7 @@ class Card(SealedCard):
         interval_reset: what set the intervals anew; None where that were the rows held out.
         copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
         choice: what the model tried, and what it took; None where it had nothing to choose.
+        training: how long the network has learnt; None where the model does not say.
         robustness: against changes of the camera; None in cards of before, and in adapted ones.
         confounds: audit of what other than touch could have told the labels; None where none was made.
         classes: labels of classes, whose outputs stand behind the targets'; None where there are none.
@@ -381,7 +383,7 @@ class Card(SealedCard):
     """
 
     added: ClassVar[tuple[str, ...]] = (
-        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice",
+        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice", "training",
         "robustness", "confounds", "classes", "steps",
     )  # fmt: skip
 
@@ -411,6 +413,7 @@ class Card(SealedCard):
     interval_reset: IntervalResetCard | None = None
     copy_of: CopyCard | None = None
     choice: ChoiceCard | None = None
+    training: TrainingCard | None = None
     robustness: RobustnessCard | None = None
     confounds: ConfoundCard | None = None
     classes: tuple[ClassCard, ...] | None = None

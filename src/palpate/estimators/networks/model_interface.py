@@ -108,6 +108,33 @@ class Chooses(Protocol):
     choice: ModelChoice
 
 
+@dataclass(frozen=True, slots=True)
+class TrainingRecord:
+    """How long a network has learnt.
+
+    Attributes:
+        steps: of its optimiser.
+        epochs: passes over the rows learnt from, the last one perhaps in part.
+        batch: rows a step, at most.
+        best_step: after which the weights that are kept were reached; 0 where no rows were watched, and those
+            after the last step are kept.
+        stopped: whether it ended since watched rows gained no more, not since its steps were used up.
+    """
+
+    steps: int
+    epochs: int
+    batch: int
+    best_step: int = 0
+    stopped: bool = False
+
+
+@runtime_checkable
+class LearnsInSteps(Protocol):
+    """A fitted model that says how long it has learnt; for the card."""
+
+    training: TrainingRecord
+
+
 @runtime_checkable
 class TimeBoxed(Protocol):
     """A model that is given a time for all fits of a calibration together."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import onnx
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 18
+TREES_OPSET = 3  # of ai.onnx.ml, which trees are told in
 # The newest IR that the oldest onnxruntime allowed by the dependencies reads.
 IR_VERSION = 9
 
@@ -35,6 +37,38 @@ class OnnxGraph:
         self.nodes.append(helper.make_node(kind, [*inputs, *names], [name], **how))
         return name
 
+    def add_trees(self, forest: Any, at: str) -> str:
+        """The mean of scikit-learn's regression trees at float32 features ``[n f]``.
+
+        A threshold is brought to the next float32 that is not above it: features are float32 as well, so that
+        each goes to the very side it goes to in scikit-learn.
+        """
+        nodes: dict[str, list[np.ndarray]] = {name: [] for name in TREE_NODES}
+        leaves: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        for number, tree in enumerate(one.tree_ for one in forest.estimators_):
+            ids, leaf = np.arange(tree.node_count), tree.children_left < 0
+            for name, column in zip(TREE_NODES, _tree_columns(tree, number, ids, leaf), strict=True):
+                nodes[name].append(column)
+            weights = tree.value[leaf, :, 0] / len(forest.estimators_)
+            leaves.append((np.full(leaf.sum(), number), ids[leaf], weights))
+        targets = leaves[0][2].shape[1]
+        trees, ids, weights = (np.concatenate(part) for part in zip(*leaves, strict=True))
+        name = f"x{len(self.nodes)}"
+        modes = np.where(np.concatenate(nodes.pop("nodes_modes")), "LEAF", "BRANCH_LEQ")
+        self.nodes.append(
+            helper.make_node(
+                "TreeEnsembleRegressor", [at], [name], domain="ai.onnx.ml",
+                n_targets=targets, aggregate_function="SUM", post_transform="NONE",
+                nodes_modes=modes.tolist(),
+                target_treeids=np.repeat(trees, targets).tolist(),
+                target_nodeids=np.repeat(ids, targets).tolist(),
+                target_ids=np.tile(np.arange(targets), len(ids)).tolist(),
+                target_weights=weights.ravel().tolist(),
+                **{key: np.concatenate(parts).tolist() for key, parts in nodes.items()},
+            )
+        )  # fmt: skip
+        return name
+
     def centred(self, at: str, level: ArrayLike, contrast: ArrayLike) -> str:
         """(x - level) / contrast, each one number or one a feature."""
         at = self.add("Sub", [at], {"level": _row(level)})
@@ -48,6 +82,21 @@ class OnnxGraph:
     def model(self, shape: tuple[int, int, int], targets: int) -> onnx.ModelProto:
         """All of it as a model from ``image [n c h w]`` to ``value [n t]``; a node must be named `value`."""
         return image_to_value(self.nodes, self.constants, shape, targets)
+
+
+TREE_NODES = (
+    "nodes_treeids", "nodes_nodeids", "nodes_featureids", "nodes_values", "nodes_truenodeids",
+    "nodes_falsenodeids", "nodes_modes",
+)  # fmt: skip
+
+
+def _tree_columns(tree: Any, number: int, ids: np.ndarray, leaf: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A tree's columns of `TREE_NODES`; the last says which are leaves."""
+    above = tree.threshold.astype(np.float32)
+    above = np.where(above > tree.threshold, np.nextafter(above, np.float32(-np.inf)), above)
+    branches = (np.where(leaf, 0, column) for column in (tree.feature, above))
+    sides = (np.where(leaf, 0, column) for column in (tree.children_left, tree.children_right))
+    return (np.full_like(ids, number), ids, *branches, *sides, leaf)
 
 
 def _row(values: ArrayLike) -> np.ndarray:
@@ -75,8 +124,8 @@ def image_to_value(
         [helper.make_tensor_value_info("value", TensorProto.FLOAT, ["n", targets])],
         [numpy_helper.from_array(np.ascontiguousarray(v), k) for k, v in constants.items()],
     )
-    model = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="palpate"
-    )
+    domains = {"": OPSET} | {node.domain: TREES_OPSET for node in nodes if node.domain}
+    opsets = [helper.make_opsetid(domain, version) for domain, version in domains.items()]
+    model = helper.make_model(graph, opset_imports=opsets, ir_version=IR_VERSION, producer_name="palpate")
     onnx.checker.check_model(model, full_check=True)
     return model

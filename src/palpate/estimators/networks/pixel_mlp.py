@@ -10,8 +10,15 @@ import onnx
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core import Float, Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
+from palpate.estimators.networks.model_interface import (
+    Scaler,
+    TrainingData,
+    TrainingRecord,
+    scaled_errors,
+)
 from palpate.estimators.networks.onnx_graph import OnnxGraph
+
+NOT_TRAINED = TrainingRecord(0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +30,7 @@ class FittedPerceptron:
         level, contrast: that pixels are scaled by, as (x - level) / contrast.
         scaler: of the targets.
         layers: weights and bias of each.
+        training: how long it has learnt.
     """
 
     shape: tuple[int, int, int]
@@ -30,6 +38,7 @@ class FittedPerceptron:
     contrast: float
     scaler: Scaler
     layers: tuple[tuple[Float[np.ndarray, "_ _"], Float[np.ndarray, " _"]], ...] = ()
+    training: TrainingRecord = NOT_TRAINED
 
     def pixels(self, inputs: Tensor) -> Float[np.ndarray, "n k"]:
         """Scaled pixels of inputs, flat."""
@@ -64,6 +73,7 @@ class PixelMlp:
         batch: rows a step.
         learning_rate: Adam's step.
         penalty: L2 penalty on the weights.
+        steps: of Adam in all, to the next whole pass, in place of `epochs` and `patience`; 0 for none stated.
     """
 
     hidden: tuple[int, ...] = (128,)
@@ -73,13 +83,15 @@ class PixelMlp:
     batch: int = 64
     learning_rate: float = 5e-4
     penalty: float = 1e-2
+    steps: int = 0
 
     def __post_init__(self) -> None:
         whole = (self.epochs, self.patience, self.batch, *self.hidden)
-        if min(whole) < 1 or not (0 < self.watched < 1 and self.learning_rate > 0 and self.penalty >= 0):
+        positive = min(whole) >= 1 and self.learning_rate > 0
+        if not (positive and 0 < self.watched < 1 and self.penalty >= 0 and self.steps >= 0):
             raise InputError(
                 f"{self}: epochs, patience, batch and each of hidden are 1 or more, watched between 0 and 1, "
-                "the learning rate positive, the penalty 0 or more"
+                "the learning rate positive, the penalty and steps 0 or more"
             )
 
     def fit(
@@ -102,23 +114,28 @@ class PixelMlp:
             learning_rate_init=self.learning_rate,
             random_state=seed,
         )
-        best, best_error, since = None, np.inf, 0
-        for epoch in range(self.epochs):
+        best, best_error, since, each = None, np.inf, 0, -(-len(learn) // self.batch)
+        epochs = -(-self.steps // each) or self.epochs
+        patience = epochs if self.steps else self.patience
+        for epoch in range(epochs):
             self._pass(network, untrained, data, rng.permutation(learn))
-            progress("learning", epoch + 1, self.epochs)
+            progress("learning", epoch + 1, epochs)
             layers = zip(network.coefs_, network.intercepts_, strict=True)
             now = replace(untrained, layers=tuple((w.copy(), b.copy()) for w, b in layers))
             watched = scaled_errors(now, scaler, data, watch)
             error = float(np.mean(watched**2)) if len(watch) else float(network.loss_)
             if error < best_error:
-                best, best_error, since = now, error, 0
+                best, best_error, since, best_epoch = now, error, 0, epoch + 1
             else:
                 since += 1
-            if since >= self.patience:
+            if since >= patience:
                 break
-        progress("learning", self.epochs, self.epochs)
+        progress("learning", epochs, epochs)
         assert best is not None
-        return best
+        record = TrainingRecord(
+            each * (epoch + 1), epoch + 1, self.batch, each * best_epoch, since >= patience
+        )
+        return replace(best, training=record)
 
     def _pass(
         self, network: MLPRegressor, scales: FittedPerceptron, data: TrainingData, rows: Indices

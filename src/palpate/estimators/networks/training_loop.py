@@ -35,12 +35,14 @@ from palpate.estimators.networks.compact_cnn import (
     write_checkpoint,
 )
 from palpate.estimators.networks.distributed import ProcessGroup
+from palpate.estimators.networks.model_interface import TrainingRecord
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Vary = Callable[[Tensor, tuple[int, ...]], Tensor]
 PRECISIONS = ("auto", "float32")
 WATCHED_AT_ONCE = 64
 RISING = 100  # steps
+FALL = 0.3  # of Adam's step, where the watched rows gain no more
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ class TrainingLoop:
         learning_rate: Adam's step.
         patience: epochs without a smaller loss on the watched rows before it stops; the weights of the best
             epoch are kept.
+        falls: times that, instead of stopping, it goes on from the best epoch with a step 0.3 times as large.
+        steps: of Adam in all, whatever epochs they are; 0 for as many as the epochs have.
         precision: "auto" multiplies in bfloat16 where the processor does that fast, "float32" never.
         clip: greatest norm of the gradient; a longer one is shortened to it.
         cosine: let the step rise over the first hundred steps, then fall along a cosine to nothing, instead
@@ -89,23 +93,30 @@ class TrainingLoop:
     precision: str = "auto"
     clip: float = 5.0
     cosine: bool = False
+    falls: int = 0
+    steps: int = 0
 
     def __post_init__(self) -> None:
-        if self.epochs < 1 or self.batch < 2 or self.patience < 0:
+        if self.epochs < 1 or self.batch < 2 or min(self.patience, self.falls, self.steps) < 0:
             raise InputError(
-                f"epochs {self.epochs}, batch {self.batch}, patience {self.patience}: epochs are 1 or more, "
-                "a batch 2 rows or more, patience 0 (none) or more epochs"
+                f"epochs {self.epochs}, batch {self.batch}, patience {self.patience}, falls {self.falls}, "
+                f"steps {self.steps}: epochs are 1 or more, a batch 2 rows or more; patience (in epochs), "
+                "falls and steps are 0 (none) or more"
             )
         if not (0 < self.learning_rate < math.inf and self.clip > 0):
             raise InputError(f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive")
         if self.precision not in PRECISIONS:
             raise InputError(f"precision {self.precision!r} is not known; take auto or float32")
 
+    def steps_in_all(self, steps_an_epoch: int) -> int:
+        """Steps that it takes at most."""
+        return self.steps or self.epochs * steps_an_epoch
+
     def rate(self, step: int, steps_an_epoch: int) -> float:
-        """Adam's step at one of the steps."""
+        """Adam's step at one of the steps, before it has fallen."""
         if not self.cosine:
             return self.learning_rate
-        total = self.epochs * steps_an_epoch
+        total = self.steps_in_all(steps_an_epoch)
         return cosine_rate(self.learning_rate, step, total, min(RISING, total))
 
     def train(
@@ -117,7 +128,19 @@ class TrainingLoop:
         progress: Progress = silent,
         checkpoint: Path | None = None,
     ) -> nn.Module:
-        """Train the network given, and return it on the CPU, ready to answer.
+        """Train the network given, and return it on the CPU, ready to answer; see `run`."""
+        return self.run(network, task, seed=seed, progress=progress, checkpoint=checkpoint).kept()
+
+    def run(
+        self,
+        network: nn.Module,
+        task: TrainingTask,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> TrainingRun:
+        """Train the network given to the schedule's end.
 
         Args:
             network: from inputs to answers; changed in place.
@@ -141,16 +164,19 @@ class TrainingLoop:
             run.one_epoch()
             if checkpoint is not None and run.processes.first:
                 run.save(checkpoint)
-            show("learning", run.epoch, self.epochs)
-        show("learning", self.epochs, self.epochs)
-        return run.kept()
+            show("learning", run.epoch, run.epochs)
+        show("learning", run.epochs, run.epochs)
+        return run
 
 
 class TrainingRun:
     """A network in training: its optimiser, the best it has been, and how long ago that was."""
 
     def __init__(self, plan: TrainingLoop, network: nn.Module, task: TrainingTask, seed: int) -> None:
-        self.plan, self.task, self.seed, self.epoch = plan, task, seed, 0
+        self.plan, self.task, self.seed, self.epoch, self.step, self.falls = plan, task, seed, 0, 0, 0
+        each = len(_batches(task.learn, plan.batch))
+        self.steps = plan.steps_in_all(each)
+        self.epochs = math.ceil(self.steps / each)
         self.processes = ProcessGroup.of_environment()
         if plan.batch < 2 * self.processes.size:
             raise InputError(
@@ -163,15 +189,25 @@ class TrainingRun:
         self.network = self.processes.with_shared_statistics(self.plain)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=plan.learning_rate)
         self.best: dict[str, torch.Tensor] = {}
-        self.best_loss, self.since = math.inf, 0
+        self.best_loss, self.best_step, self.since = math.inf, 0, 0
 
     @property
     def stops_early(self) -> bool:
         return self.plan.patience > 0 and len(self.task.watch) > 0
 
     @property
+    def stopped(self) -> bool:
+        """Whether the watched rows gain no more, at the smallest step that is tried."""
+        return self.stops_early and self.since >= self.plan.patience and self.falls >= self.plan.falls
+
+    @property
     def ended(self) -> bool:
-        return self.epoch >= self.plan.epochs or (self.stops_early and self.since >= self.plan.patience)
+        return self.step >= self.steps or self.stopped
+
+    @property
+    def record(self) -> TrainingRecord:
+        """How long it has learnt."""
+        return TrainingRecord(self.step, self.epoch, self.plan.batch, self.best_step, self.stopped)
 
     def one_epoch(self) -> None:
         """See every row once, then look at the watched rows."""
@@ -180,11 +216,10 @@ class TrainingRun:
         self.network.train()
         # Anew each epoch: how gradients are bundled, and so rounded, then follows from the epoch alone.
         spread = self.processes.spread(self.network, self.device)
-        parts = [order[i : i + self.plan.batch] for i in range(0, len(order), self.plan.batch)]
-        parts = [part for part in parts if len(part) > 1]
-        before = self.epoch * len(parts)
-        losses = [self._step(spread, part, (before + i, len(parts))) for i, part in enumerate(parts)]
-        self.epoch += 1
+        parts = _batches(order, self.plan.batch)
+        taken = parts[: self.steps - self.step]
+        losses = [self._step(spread, part, (self.step + i, len(parts))) for i, part in enumerate(taken)]
+        self.epoch, self.step = self.epoch + 1, self.step + len(taken)
         self._require_a_number(self.processes.sum(torch.stack(losses).sum().item()))
         if self.stops_early:
             self._remember(
@@ -195,7 +230,7 @@ class TrainingRun:
         """One step down, the `at[0]`-th of `at[1]` an epoch, by this process's share of the rows."""
         mine, weight = self.processes.share(part)
         for group in self.optimiser.param_groups:
-            group["lr"] = self.plan.rate(*at)
+            group["lr"] = self.plan.rate(*at) * FALL**self.falls
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._uses_bfloat16()):
             answer = spread(self._on_device(self._varied(mine, at[0])))
         loss = weight * self.task.loss(answer.float(), self._wanted(mine))
@@ -240,9 +275,12 @@ class TrainingRun:
         self._require_a_number(loss)
         if loss < self.best_loss:
             self.best = {k: v.detach().cpu().clone() for k, v in self.network.state_dict().items()}
-            self.best_loss, self.since = loss, 0
-        else:
-            self.since += 1
+            self.best_loss, self.best_step, self.since = loss, self.step, 0
+            return
+        self.since += 1
+        if self.since >= self.plan.patience and self.falls < self.plan.falls:
+            self.plain.load_state_dict(self.best)
+            self.falls, self.since = self.falls + 1, 0
 
     def _require_a_number(self, loss: float) -> None:
         if not math.isfinite(loss):
@@ -260,7 +298,7 @@ class TrainingRun:
 
     def save(self, path: Path) -> None:
         """Keep all of it, in one step."""
-        counts = {"seed": self.seed, "epoch": self.epoch, "best_loss": self.best_loss, "since": self.since}
+        counts = {name: getattr(self, name) for name in ("seed", *COUNTS, "best_loss")}
         states = {"network": self.network.state_dict(), "best": self.best}
         write_checkpoint(path, counts, states, self.optimiser)
 
@@ -298,16 +336,26 @@ class TrainingRun:
             raise ValueError("the optimiser's state is not whole")
         if int(arrays["seed"]) != self.seed:
             raise ValueError("the checkpoint is of another seed")
-        epoch, since = int(arrays["epoch"]), int(arrays["since"])
-        self.best_loss = float(arrays["best_loss"])
+        counts, best_loss = {name: int(arrays[name]) for name in COUNTS}, float(arrays["best_loss"])
         self.network.load_state_dict(network)
         self.optimiser.load_state_dict(self.optimiser.state_dict() | {"state": states})
-        self.best, self.epoch, self.since = best, epoch, since
+        self.best, self.best_loss = best, best_loss
+        for name, count in counts.items():
+            setattr(self, name, count)
 
     def _require_fit(self, weights: dict[str, torch.Tensor]) -> None:
         shapes = {k: v.shape for k, v in self.network.state_dict().items()}
         if {k: v.shape for k, v in weights.items()} != shapes:
             raise ValueError("the weights are of another network")
+
+
+COUNTS = ("epoch", "step", "falls", "best_step", "since")
+
+
+def _batches(rows: Indices, size: int) -> list[Indices]:
+    """Rows, so many at a time; a last one by itself is left out."""
+    parts = [rows[i : i + size] for i in range(0, len(rows), size)]
+    return [part for part in parts if len(part) > 1]
 
 
 def _laid_out(state: torch.Tensor) -> torch.Tensor:

@@ -43,6 +43,14 @@ MODELS: dict[str, Kind] = {
         targets=("depth_mm", *PLACE, *FORCES, "force_magnitude_N"),
         regions=REGIONS,
     ),
+    "palm-moments": Kind(
+        f"{__name__}.palm_moments:PalmMoments",
+        96,
+        channels=1,
+        delta=True,
+        targets=("depth_mm", *PLACE, "force_N"),
+        regions=REGIONS,
+    ),
     "palm-compact": Kind(
         f"{__name__}.palm_compact:PalmCompact",
         96,

@@ -17,16 +17,19 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
+import onnx
 import torch
 from torch import nn
 from torch.nn import functional
 
-from palpate.core import Indices, InputError, Progress, Tensor, silent
+from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.estimators.guard import RenderedImages, thumbnails
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask
+from palpate.sensors.palm.networks import PLACE
+from palpate.sensors.palm.networks.palm_moments import MirrorPlace, features_of
 from palpate.sensors.palm.networks.palm_training import (
     SIDE_PX,
     FittedPalm,
@@ -106,9 +109,33 @@ def _grid(side: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class FittedCompact(FittedPalm):
-    """A trained network, and the rendered presses it has learnt from, for the novelty detector to know."""
+    """A trained network, and the rendered presses it has learnt from, for the novelty detector to know.
+
+    Attributes:
+        place: tells x and y in the network's stead; None where the network does.
+        at: which of the targets x and y are.
+    """
 
     rendered_images: RenderedImages | None
+    place: MirrorPlace | None
+    at: Indices
+
+    def predict(self, inputs: Tensor) -> Values:
+        values = super().predict(inputs)
+        if self.place is not None:
+            values[:, self.at] = self.place.predict(inputs)
+        return values
+
+    def to_onnx(self) -> onnx.ModelProto:
+        if self.place is None:
+            return super().to_onnx()
+        graph, count = TorchGraph(), len(self.network.order)
+        own = self.network.value_nodes(graph)
+        place = self.place.add_to_image(graph, self.shape)
+        order = np.arange(count)
+        order[self.at] = count + np.arange(len(self.at))
+        graph.add("Gather", [graph.joined(own, place)], {"order": order}, output="value", axis=1)
+        return graph.model(self.shape, count)
 
 
 @dataclass(frozen=True)
@@ -123,6 +150,12 @@ class PalmCompact:
         batch: rows a step.
         learning_rate: Adam's at its greatest; it falls along a cosine.
         precision: see `TrainingLoop`.
+        patience: epochs without gain on watched groups of recorded frames before it stops; 0 trains to the
+            end on all rows.
+        watched: share of the groups watched, where `patience` is not 0.
+        falls, steps, cosine: see `TrainingLoop`.
+        moments: whether x and y, where both are asked for, are told by ten moments of the mirror's difference
+            instead of by the network, see `MirrorPlace`; for differential crops.
         processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
         variation: strength of what a camera does from day to day, drawn into training images, see
             `two_view_variation`; 0 draws none.
@@ -136,6 +169,12 @@ class PalmCompact:
     precision: str = "auto"
     processes: int = 1
     variation: float = 0.0
+    patience: int = 0
+    watched: float = 0.1
+    falls: int = 0
+    steps: int = 0
+    cosine: bool = True
+    moments: bool = True
 
     targets: ClassVar[tuple[str, ...]] = TARGETS
 
@@ -151,7 +190,10 @@ class PalmCompact:
 
     def descent(self) -> TrainingLoop:
         """The training loop these options ask for."""
-        return TrainingLoop(self.epochs, self.batch, self.learning_rate, 0, self.precision, cosine=True)
+        return TrainingLoop(
+            self.epochs, self.batch, self.learning_rate, self.patience, self.precision,
+            cosine=self.cosine, falls=self.falls, steps=self.steps,
+        )  # fmt: skip
 
     def fit(
         self,
@@ -166,22 +208,32 @@ class PalmCompact:
         side = self._side(data.shape)
         rng = np.random.default_rng(seed)
         drawn = self._drawn(side, rng, progress)
-        scales = Scales.of(data, rows, columns, True, rng)
+        own, watch = data.inner_validation(rows, self.watched, rng) if self.patience else (rows, rows[:0])
+        scales = Scales.of(data, own, columns, True, rng)
         values = data.values[:, columns]
         if drawn is not None:
             values = np.concatenate([values, drawn.values.astype(np.float64)])
-            learnt = np.concatenate([data.values[np.ix_(rows, columns)], drawn.values])
+            learnt = np.concatenate([data.values[np.ix_(own, columns)], drawn.values])
             scales = replace(scales, targets=Scaler.of(learnt))
         union = _Union(data, drawn)
-        learn = np.concatenate([np.tile(rows, OFTEN if drawn else 1), union.drawn_rows])
+        learn = np.concatenate([np.tile(own, OFTEN if drawn else 1), union.drawn_rows])
         wanted = scales.targets.scaled(values).astype(np.float32)
         with seeded(seed):
             network = CompactPalmNetwork(data.shape[0], side, scales)
         vary = two_view_variation(self.variation, side)
-        lesson = TrainingTask(union.fetch, wanted, _loss, learn, rows[:0], vary)
-        trained = self.descent().train(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
+        lesson = TrainingTask(union.fetch, wanted, _loss, learn, watch, vary)
+        run = self.descent().run(network, lesson, seed=seed, progress=progress, checkpoint=checkpoint)
         also = None if drawn is None else _seen(drawn, data.shape[0])
-        return FittedCompact(trained, data.shape, also)
+        place, at = self._place(data, rows)
+        return FittedCompact(run.kept(), data.shape, run.record, also, place, at)
+
+    def _place(self, data: TrainingData, rows: Indices) -> tuple[MirrorPlace | None, Indices]:
+        """What tells the place in the network's stead, and which of the targets that is."""
+        if not self.moments or not set(PLACE) <= set(data.names):
+            return None, np.arange(0)
+        at = np.array([data.names.index(name) for name in PLACE])
+        moments = np.concatenate([features_of(inputs)[0] for _, inputs in data.batches(rows)])
+        return MirrorPlace.fit(moments, data.values[np.ix_(rows, at)], data.groups[rows]), at
 
     def _columns(self, asked: Sequence[str]) -> Indices:
         """Rendered presses have labels of four kinds; without them anything may be asked."""

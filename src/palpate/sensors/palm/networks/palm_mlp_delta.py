@@ -15,7 +15,7 @@ import onnx
 from onnx import helper, numpy_helper
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.model_interface import TrainingData
+from palpate.estimators.networks.model_interface import TrainingData, TrainingRecord
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.estimators.networks.pixel_mlp import FittedPerceptron, PixelMlp
 from palpate.sensors.palm.networks import FORCES
@@ -30,6 +30,11 @@ class FittedPalmMlp:
 
     perceptron: FittedPerceptron
     shape: tuple[int, int, int]
+
+    @property
+    def training(self) -> TrainingRecord:
+        """How long it has learnt."""
+        return self.perceptron.training
 
     def predict(self, inputs: Tensor) -> Values:
         return self.perceptron.predict(np.ascontiguousarray(inputs[..., : half_width(self.shape)]))
@@ -61,12 +66,16 @@ class PalmMlpDelta:
     watched: float = 0.1
     learning_rate: float = 1e-3
     penalty: float = 1e-4
+    steps: int = 0
 
     targets: ClassVar[tuple[str, ...]] = FORCES
 
     def __post_init__(self) -> None:
-        if self.epochs < 1 or self.patience < 1:
-            raise InputError(f"epochs {self.epochs}, patience {self.patience}: both are 1 or more")
+        if min(self.epochs, self.patience, self.steps + 1) < 1:
+            raise InputError(
+                f"epochs {self.epochs}, patience {self.patience}, steps {self.steps}: epochs and patience "
+                "are 1 or more, steps 0 (none stated) or more"
+            )
 
     def fit(
         self,

@@ -25,7 +25,7 @@ from torch import nn
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.compact_cnn import seeded
-from palpate.estimators.networks.model_interface import Scaler, TrainingData
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, TrainingRecord
 from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask, Vary
@@ -193,6 +193,11 @@ class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
     def to_onnx(self, shape: tuple[int, int, int]) -> onnx.ModelProto:
         """`values` as ONNX, for images of this shape."""
         graph = TorchGraph()
+        self.value_nodes(graph, "value")
+        return graph.model(shape, len(self.order))
+
+    def value_nodes(self, graph: TorchGraph, output: str = "") -> str:
+        """Add `values` to a graph, from its image on."""
         edges = (0, self.half, 2 * self.half)
         views = [
             graph.centred(graph.columns("image", edges[i], edges[i + 1]), self.level[i], self.contrast[i])
@@ -200,8 +205,7 @@ class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
         ]
         own = self.draw(graph, *views)
         asked = graph.picked(own, self.order)
-        graph.restored(asked, self.scale[self.order], self.mean[self.order], output="value")
-        return graph.model(shape, len(self.order))
+        return graph.restored(asked, self.scale[self.order], self.mean[self.order], output=output)
 
 
 class TwoTrunks(PalmNetwork):
@@ -234,6 +238,7 @@ class FittedPalm:
 
     network: PalmNetwork
     shape: tuple[int, int, int]
+    training: TrainingRecord
 
     def predict(self, inputs: Tensor) -> Values:
         with torch.no_grad():
@@ -258,6 +263,9 @@ class PalmModel(ABC):
         precision: "auto" multiplies in bfloat16 where that is fast, "float32" never.
         patience: epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
         watched: share of the groups watched, where `patience` is not 0.
+        falls: times that Adam's step falls before it stops; see `TrainingLoop`.
+        steps: of Adam in all, instead of epochs; 0 for none stated.
+        cosine: whether Adam's step falls along a cosine; see `TrainingLoop`.
         variation: strength of what a camera does from day to day, drawn into training images, see
             `two_view_variation`; 0 draws none.
     """
@@ -271,6 +279,9 @@ class PalmModel(ABC):
     patience: int = 0
     watched: float = 0.1
     variation: float = 0.0
+    falls: int = 0
+    steps: int = 0
+    cosine: bool = False
 
     targets: ClassVar[tuple[str, ...]] = ()
 
@@ -291,7 +302,10 @@ class PalmModel(ABC):
     def descent(self) -> TrainingLoop:
         """The training loop these options ask for."""
         rate = self.learning_rate if self.learning_rate is not None else 1e-4 if self.weights else 1e-3
-        return TrainingLoop(self.epochs, self.batch, rate, self.patience, self.precision)
+        return TrainingLoop(
+            self.epochs, self.batch, rate, self.patience, self.precision,
+            cosine=self.cosine, falls=self.falls, steps=self.steps,
+        )  # fmt: skip
 
     def fit(
         self,
@@ -316,8 +330,8 @@ class PalmModel(ABC):
         def report(what: str, done: int, total: int) -> None:
             progress(f"{what} {begun}", done, total)
 
-        trained = self.descent().train(network, lesson, seed=seed, progress=report, checkpoint=checkpoint)
-        return FittedPalm(trained, data.shape)
+        run = self.descent().run(network, lesson, seed=seed, progress=report, checkpoint=checkpoint)
+        return FittedPalm(run.kept(), data.shape, run.record)
 
     def _begun(self, channels: int, scales: Scales, seed: int) -> PalmNetwork:
         with seeded(seed):
