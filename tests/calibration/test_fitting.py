@@ -334,6 +334,36 @@ def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path
     assert found["x_mm"].in_unit("mm").value == pytest.approx(table["estimate:x_mm"][0], rel=1e-3, abs=1e-4)
 
 
+def test_the_card_says_in_how_many_steps_a_network_has_learnt(record_spots, tmp_path) -> None:
+    run, given = record_spots("run", 20), {"split": "group:press", "size_px": (12, 16), "scored_folds": 1}
+    plan = CalibrationPlan(("x_mm",), "pixel-mlp", options={"epochs": 3, "batch": 16, "patience": 9}, **given)
+    training = read_card(calibrate(run, plan, tmp_path / "mlp")).training
+    assert training is not None
+    # Of 80 rows learnt from, those of 2 in 16 presses are watched: 5 batches a pass.
+    assert (training.steps, training.epochs, training.batch, training.stopped) == (15, 3, 16, False)
+    assert training.best_step in (5, 10, 15)
+    assert training.sentence.startswith("15 steps of up to 16 rows (3 epochs), to the end of its schedule")
+    card = read_card(calibrate(run, CalibrationPlan(("x_mm",), "pca-ridge", **given), tmp_path / "ridge"))
+    assert card.training is None
+
+
+def test_models_of_other_targets_are_scored_on_the_same_rows_where_the_fold_is_chosen_by_the_same_labels(
+    record_spots, tmp_path
+) -> None:
+    run = record_spots("run", 20)
+    scored = {}
+    for fold_by in ((), ("x_mm", "height_mm")):
+        for target in ("x_mm", "height_mm"):
+            plan = CalibrationPlan(
+                (target,), "pca-ridge", "group:press", size_px=(24, 32), scored_folds=1, fold_by=fold_by
+            )
+            out = calibrate(run, plan, tmp_path / f"{target}-{len(fold_by)}")
+            scored[fold_by, target] = set(read_table(out / "predictions.csv.gz")["press"])
+    both = ("x_mm", "height_mm")
+    assert scored[both, "x_mm"] == scored[both, "height_mm"]
+    assert scored[(), "x_mm"] != scored[(), "height_mm"]  # else this run could not tell
+
+
 def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:
     values = np.r_[np.zeros(30), np.linspace(0, 1, 30), np.ones(30)][:, None]
     folds = tuple(np.array_split(np.arange(90), 3))

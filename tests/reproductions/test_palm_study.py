@@ -5,15 +5,16 @@ from dataclasses import replace
 import pytest
 
 from palpate.core.errors import ExistsError, InputError
-from palpate.estimators.networks import model_kind
+from palpate.estimators.networks import make_model, model_kind
 from palpate.reproductions.palm import Scale, reproduce_palm, scale_of
 from palpate.reproductions.palm.palm_conditions import record_loads
 from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
-from palpate.reproductions.palm.palm_reproduction import study_folder, write_up
-from palpate.reproductions.palm.palm_setup import MODELS, noisier
+from palpate.reproductions.palm.palm_reproduction import beside, study_folder, write_up
+from palpate.reproductions.palm.palm_setup import MODELS, NETWORKS, PUBLISHED, noisier
 from palpate.reproductions.palm.palm_summary import summary_of
 
 SHORT = {"epochs": 1}
+BRIEF = {"epochs": 1, "rendered": 24}
 TINY = Scale(
     "tiny",
     side_px=32,
@@ -30,15 +31,17 @@ TINY = Scale(
         "palm-force-conditioned": SHORT,
         "palm-two-stage": {"epochs": 1, "patience": 0},
         "palm-mlp-delta": {"epochs": 3},
-        "palm-compact": {"epochs": 1, "rendered": 24},
+        "palm-compact": BRIEF,
     },
-    small={"rendered": 0, "epochs": 1, "batch": 32},
+    common={"palm-two-stage": {"patience": 0}, "palm-compact": BRIEF},
+    steps=2,
+    control_steps=2,
     loads=2,
 )
 
 
 def test_what_is_printed_is_of_targets_that_the_models_have():
-    assert set(TABLE_2) < set(NAMES) == set(MODELS)
+    assert set(TABLE_2) == set(PUBLISHED) < set(NAMES) == set(MODELS)
     for model, target in {**MAE, **R2}:
         assert target == "place_mm" or target in model_kind(model).targets
 
@@ -55,7 +58,7 @@ def test_small_presses_the_sources_grid_and_about_900_frames():
     frames = len(plan.places.places()) * plan.cycles * len(plan.depths_um()) * plan.frames
     assert len(plan.places.places()) == 37
     assert 800 <= frames <= 1000
-    with pytest.raises(InputError, match="small, full"):
+    with pytest.raises(InputError, match="small, small-five-folds, full"):
         scale_of("large")
 
 
@@ -125,7 +128,29 @@ def test_writing_up_that_was_stopped_begins_anew(tmp_path):
     assert "Virtual." in (study.folder / "report.html").read_text()
 
 
+def test_a_network_is_ahead_only_where_the_intervals_over_places_do_not_overlap():
+    low, high = ({"mae_low": a, "mae_high": a + 0.1} for a in (0.1, 0.21))
+    between = {"mae_low": 0.15, "mae_high": 0.25}
+    assert beside(low, high) == "the network is ahead"
+    assert beside(high, low) == "the network is behind"
+    for one, other in ((low, between), (between, low), (high, between)):
+        assert beside(one, other) == "their intervals overlap"
+
+
+def test_every_network_of_a_study_has_the_same_number_of_steps_where_that_is_promised(tmp_path):
+    for scale in (scale_of("small"), scale_of("full")):
+        study = study_folder(tmp_path / scale.name, scale, 0)
+        assert set(study.common_setups) == set(NETWORKS)
+        for setup in study.common_setups.values():
+            model = make_model(setup.model, setup.options)
+            assert model.steps == scale.steps
+            assert getattr(model, "patience", 0) == 0 or setup.model == "palm-mlp-delta"
+        for name in NETWORKS:  # and goes on until watched places gain no more where that is
+            assert make_model(name, study.setups[name].options).patience > 0
+
+
 @pytest.mark.slow
+@pytest.mark.timeout(1500)
 def test_a_tiny_study_runs_from_end_to_end(tmp_path):
     """Every part, at a size at which no model learns anything: that it runs, goes on, and is written up."""
     out = tmp_path / "study"

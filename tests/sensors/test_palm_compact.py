@@ -72,18 +72,18 @@ def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_ask
 
 @pytest.fixture(scope="module")
 def fitted(data):
-    recipe = PalmCompact(rendered=240, epochs=14, batch=16)
+    recipe = PalmCompact(rendered=120, epochs=12, batch=16)
     return recipe.fit(data, np.arange(96), seed=0)
 
 
 def test_it_tells_the_guard_of_the_presses_that_it_was_shown(fitted, data):
     also = fitted.rendered_images
-    assert len(also.thumbs) == len(also.groups) == 240 + 20
-    assert len(np.unique(also.groups)) == 20
+    assert len(also.thumbs) == len(also.groups) == 120 + 10
+    assert len(np.unique(also.groups)) == 10
     # Of the size of recorded inputs, and as light as a palm: dark fringes, a brighter mirror.
     assert also.thumbs.shape[1:] == thumbnail(np.zeros((SIDE, 2 * SIDE, 3), np.uint8)).shape
     half = also.thumbs.shape[2] // 2
-    assert also.thumbs[240:, :, :half].mean() < also.thumbs[240:, :, half:].mean()
+    assert also.thumbs[120:, :, :half].mean() < also.thumbs[120:, :, half:].mean()
     assert PalmCompact(rendered=0, epochs=1).fit(data, np.arange(96), seed=0).rendered_images is None
 
 

@@ -80,8 +80,7 @@ def test_it_reads_presses_it_has_not_seen_and_nothing_where_labels_are_shuffled(
     assert (control.mean(axis=0) > 0.8 * by_mean).all()
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("names", [TARGETS, TARGETS[2:] + TARGETS[:2]])
+@pytest.mark.parametrize(("channels", "names"), [(1, TARGETS), (3, TARGETS[2:] + TARGETS[:2])])
 def test_the_exported_model_is_the_fitted_one_in_the_order_asked_for(rng, channels, names):
     data = presses(40, rng, channels)
     order = [TARGETS.index(name) for name in names]

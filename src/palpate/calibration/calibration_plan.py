@@ -71,6 +71,8 @@ class CalibrationPlan:
             costly to train.
         scored_folds: how many of them are held out in turn; None takes all, or one where the model is costly
             to train and one fold gives scores enough. With one, the model that was scored is the one kept.
+        fold_by: label columns by which the one fold that is scored is chosen, as the part most like all rows;
+            empty takes the targets. Models of other targets are then scored on the same rows.
         seed: of everything random.
         size_px: (height, width) of the network's input [px]; None takes the model's own.
         channels: 1 for grey, 3 for RGB.
@@ -109,6 +111,7 @@ class CalibrationPlan:
     split: Any = "auto"
     folds: int | None = None
     scored_folds: int | None = None
+    fold_by: tuple[str, ...] = ()
     seed: int = 0
     size_px: tuple[int, int] | None = None
     channels: Literal[1, 3] = 1
@@ -229,7 +232,7 @@ class CalibrationPlan:
             "instruments": {k: v.model_dump() for k, v in self.instruments.items()},
             "lens": None if self.lens is None else self.lens.card(),
         }
-        later = ("circular", "vectors", "instruments", "classes", "lens")
+        later = ("fold_by", "circular", "vectors", "instruments", "classes", "lens")
         return {k: v for k, v in plain.items() if v or k not in later}
 
 

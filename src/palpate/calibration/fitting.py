@@ -343,6 +343,8 @@ def _confounds(
 def _scored(learning: LearningSet, fits: FoldFits) -> ScoredModel:
     count = folds_to_score(fits.plan, fits.parts)
     values = fits.data.values if fits.plan.classes else learning.data.values
+    if fits.plan.fold_by:
+        values = target_values(learning.packed.table, fits.plan.fold_by, "fold_by", constant=True)
     return fits.scored(count, representative_fold(fits.parts, values))
 
 

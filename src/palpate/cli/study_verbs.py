@@ -39,13 +39,15 @@ app = group("Reproduce published studies on virtual sensors.")
 @app.command()
 def palm(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
-    scale: Annotated[str, Option(help="small: for two cores. full: for a GPU.")] = "small",
+    scale: Annotated[
+        str, Option(help="small: for two cores. small-five-folds: a night on them. full: for a GPU.")
+    ] = "small",
     part: Annotated[str, Option(help="all, or headline for the comparison of the models alone.")] = "all",
     seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare the palm's four published networks with ours.
+    """Compare the palm's four networks with ours and with what needs none.
 
     Records the virtual palm, trains the networks and writes it up: report.html and summary.json.
     Interrupted, the same command goes on from where it was.
@@ -56,9 +58,7 @@ def palm(
 
     with progress_bar(quiet) as progress:
         entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
-    warning = (
-        "Virtual sensor, and models trained with unequal budgets: neither a sensor's accuracy nor a ranking."
-    )
+    warning = "Virtual sensor: models compared on one simulator, not how good a sensor is."
     print_found(entries, _beside_the_source(warning, entries, out), json_)
 
 

@@ -16,7 +16,7 @@ from palpate.core import UInt8, ndarray
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, drawn, styled_panels
 from palpate.reports.compliance_figures import Course, Courses, boxes, trial_lines
 
-COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT)
+COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT, "#b03060", "#1b2a33")
 """One a model, in the order in which they are compared."""
 
 

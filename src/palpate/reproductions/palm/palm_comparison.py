@@ -1,4 +1,4 @@
-"""The five models on places that they have not learnt from: the source's tables 2 and 3, and its figures.
+"""The networks beside what they have to beat, on places not learnt from: tables 2 and 3, and figures.
 
 What the source leaves open: leakage by grouping, representation against architecture, the mirror.
 
@@ -18,14 +18,14 @@ import pandas as pd
 from palpate.calibration.quantisation import times_in_turn
 from palpate.core import Frame
 from palpate.estimators.certified import Estimator, read_card
-from palpate.estimators.networks import model_kind
+from palpate.estimators.model_card import Card
 from palpate.recordings.run_reader import Run
 from palpate.reproductions.palm.palm_published import scores_of
 from palpate.reproductions.palm.palm_setup import (
     LOCATIONS,
-    MODELS,
     CalibrationSetup,
     StudyFolder,
+    baseline_setup,
     pressed_rows,
 )
 
@@ -59,12 +59,13 @@ def headline(study: StudyFolder, model: str) -> dict[str, Any]:
     setup = study.setups[model]
     table, card = study.held_out(setup), read_card(study.calibrated(setup))
     new = study.estimated(study.calibrated(setup), study.run("new-places"), "new places")
-    columns = model_kind(model).targets
+    columns = setup.columns
     return {
         "calibration": card.id,
         "seconds": card.seconds,
         "rows_learnt": card.split.rows_learnt,
         "options": card.options,
+        "training": training_of(card),
         "grid": scores_of(table, columns),
         "new": scores_of(new, columns),
         "new_valid": float(new["valid"].mean()),
@@ -99,24 +100,37 @@ def one_frame(study: StudyFolder) -> dict[str, Any]:
     }
 
 
-def small_setup(study: StudyFolder, name: str, **changes: Any) -> CalibrationSetup:
-    """The architecture that is trained many times over, on recorded presses alone."""
-    return CalibrationSetup(name, "palm-compact", **{"options": dict(study.scale.small), **changes})
+def common_budget(study: StudyFolder) -> list[dict[str, Any]]:
+    """Every network once more, all with the same number of steps and a rate that falls as a cosine.
+
+    The MLP, which is scikit-learn's, keeps its rate as it is.
+    """
+    return [{"model": model, **_on_both(study, setup)} for model, setup in study.common_setups.items()]
 
 
-SMALL = "small-network"
 GROUPINGS = {
     "(row, column)": "group:location",
     "(row, column, cycle)": "group:location,cycle",
     "row of the table": "random",
 }
-
 MIRROR_SIGHTS: dict[str, dict[str, Any]] = {
     "visible": {},
-    "occluded": {"probe_in_mirror": False},
+    "out of the mirror": {"probe_in_mirror": False},
+    "out of both views": {"probe_in_mirror": False, "probe_edge_on": False},
     "opaque underside": {"opaque_underside": True},
 }
-"""How the mirror sees the probe: through the membrane, not at all with the skin's dimple left, or nothing."""
+"""How the probe is seen: through the membrane, not at all with the skin's dimple left, or nothing below."""
+CONTROLS = ("palm-moments", "kernel-ridge")
+"""Models of recorded presses alone that no network of recorded presses alone is ahead of."""
+NETWORK_ALONE = "palm-compact-network"
+
+
+def network_setup(study: StudyFolder, tag: str = "", **changes: Any) -> CalibrationSetup:
+    """palm-compact's network alone, which tells the place too: where it is trained many times over."""
+    options = {
+        **study.scale.common.get("palm-compact", {}), "steps": study.scale.control_steps, "moments": False,
+    }  # fmt: skip
+    return CalibrationSetup(f"{NETWORK_ALONE}{tag}", "palm-compact", **{"options": options, **changes})
 
 
 def leakage(study: StudyFolder) -> list[dict[str, Any]]:
@@ -124,9 +138,9 @@ def leakage(study: StudyFolder) -> list[dict[str, Any]]:
     results = []
     for grouping, split in GROUPINGS.items():
         tag = "" if split == LOCATIONS else f"-by-{split.partition(':')[2].replace(',', '-') or split}"
-        small = small_setup(study, f"{SMALL}{tag}", split=split)
-        mlp = replace(study.setups["palm-mlp-delta"], split=split)
-        for model, setup in (("small network", small), ("MLP", replace(mlp, name=f"{mlp.name}{tag}"))):
+        setups = {m: baseline_setup(m, f"{m}{tag}", split=split) for m in CONTROLS}
+        setups[NETWORK_ALONE] = network_setup(study, tag, split=split)
+        for model, setup in setups.items():
             results.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
     return results
 
@@ -137,13 +151,13 @@ def factorial(study: StudyFolder) -> list[dict[str, Any]]:
     for colour, channels in (("RGB", 3), ("grey", 1)):
         for seen, delta in (("raw", False), ("delta", True)):
             tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
-            setup = small_setup(study, f"{SMALL}{tag}", channels=channels, delta=delta)
+            setup = network_setup(study, tag, channels=channels, delta=delta)
             results.append({"colour": colour, "seen": seen, **_on_both(study, setup)})
     return results
 
 
 def mirror(study: StudyFolder) -> list[dict[str, Any]]:
-    """One architecture, learning and tested with the probe in sight, out of sight, and nothing in sight.
+    """Models without a network, learning and tested with the probe in sight, out of sight, nothing in sight.
 
     Each setup of seeing is learnt from and tested on all of them: a model that was taught with the probe in
     sight, and is tested without, tells what it had relied on; one taught without tells what is left.
@@ -157,27 +171,32 @@ def mirror(study: StudyFolder) -> list[dict[str, Any]]:
             study.recorded(f"new-places-{tag}", plan, spec=spec, seed=study.seed + NEW_PLACES_SEED)
         runs[name] = f"-{tag}" if fields else ""
     results = []
-    for taught, tag in runs.items():
-        setup = small_setup(study, f"{SMALL}{tag}", run=f"protocol{tag}")
-        for tested, other in runs.items():
-            run = study.run(f"new-places{other}")
-            results.append(
-                {"taught": taught, "tested": tested, **study.scored(study.calibrated(setup), run, tested)}
-            )
+    for model in CONTROLS:
+        for taught, tag in runs.items():
+            setup = baseline_setup(model, f"{model}{tag}", run=f"protocol{tag}")
+            for tested, other in runs.items():
+                scores = study.scored(study.calibrated(setup), study.run(f"new-places{other}"), tested)
+                results.append({"model": model, "taught": taught, "tested": tested, **scores})
     return results
 
 
 def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
     """Scores on held-out rows, and on places off the grid, which no split has touched."""
-    table, columns = study.held_out(setup), model_kind(setup.model).targets
     card = read_card(study.calibrated(setup))
     new = study.scored(study.calibrated(setup), study.run("new-places"), "new places")
     return {
-        "held_out": scores_of(table, columns),
+        "held_out": scores_of(study.held_out(setup), setup.columns),
         "new": new["targets"],
         "clean": card.split.clean,
         "audit": card.split.audit,
+        "training": training_of(card),
+        "seconds": card.seconds,
     }
+
+
+def training_of(card: Card) -> dict[str, Any] | None:
+    """How long a network has learnt; None for what learns without steps."""
+    return None if card.training is None else card.training.model_dump()
 
 
 ROUNDS, EACH = 20, 10
@@ -190,12 +209,12 @@ def latency(study: StudyFolder) -> dict[str, Any]:
     untouched = run.frame(int(np.flatnonzero(run.labels["reference"].astype(bool))[0])).image
     frame = run.frame(int(pressed_rows(run)[-1]))
     jobs: dict[tuple[str, str], Callable[[], Any]] = {}
-    for model, setup in study.setups.items():
+    for model, setup in study.sensing_setups.items():
         estimator = Estimator.open(study.calibrated(setup), threads=THREADS)
         jobs[model, "network"] = _network(estimator)
         jobs[model, "reading"] = _reading(estimator, frame, untouched)
     times = times_in_turn(list(jobs.values()), ROUNDS, EACH, partial(study.progress, "timing"))
-    results: dict[str, Any] = {model: {} for model in MODELS}
+    results: dict[str, Any] = {model: {} for model in study.sensing_setups}
     for (model, part), seconds in zip(jobs, times, strict=True):
         p50, p95 = (round(1e3 * float(p), 3) for p in np.percentile(seconds, [50, 95]))
         results[model][part] = {"median_ms": p50, "p95_ms": p95}

@@ -4,9 +4,9 @@ A user's own copy of the palm: what a calibration is worth on it as it is, and a
 
 Contacts that the source has none of: pulled, twisted, leaning, of other shapes, several at once.
 
-Each kind is drawn for itself. The five models, calibrated on one upright ball, read it as it comes: what they
-say of the force, and whether they stand by it. Then the study's small network learns from the kind's own
-pictures what the source could not: forces and moments that were put in on purpose.
+Each kind is drawn for itself. The models, calibrated on one upright ball, read it as it comes: what they say
+of the force, and whether they stand by it. Then a kernel ridge learns from the kind's own pictures what the
+source could not: forces and moments that were put in on purpose.
 
 Whether a calibration stands by the frames that it should, and by no others.
 """
@@ -36,9 +36,16 @@ from palpate.estimators.certified import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.label_tables import own_column
 from palpate.recordings.manifest import LabelKind
-from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED, small_setup
+from palpate.reproductions.palm.palm_comparison import NEW_PLACES_SEED
 from palpate.reproductions.palm.palm_published import scores_of
-from palpate.reproductions.palm.palm_setup import CalibrationSetup, Scale, StudyFolder, noisier, pressed_rows
+from palpate.reproductions.palm.palm_setup import (
+    CalibrationSetup,
+    Scale,
+    StudyFolder,
+    baseline_setup,
+    noisier,
+    pressed_rows,
+)
 from palpate.rig.plans import Dwell, Listed, StepHold
 from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors.palm import PalmSpec
@@ -58,8 +65,16 @@ def only(**fields: Any) -> Change:
     return lambda spec: (replace(spec, **fields), Variation())
 
 
-def _scaled(name: str, by: float) -> Change:
-    return lambda spec: (replace(spec, **{name: getattr(spec, name) * by}), Variation())
+def _stiffer(by: float) -> Change:
+    return lambda spec: (replace(spec, youngs_modulus_pa=by * spec.youngs_modulus_pa), Variation())
+
+
+def _more_birefringent(by: float) -> Change:
+    def change(spec: PalmSpec) -> tuple[PalmSpec, Variation]:
+        law = replace(spec.stress_optic, coefficient_per_pa=by * spec.stress_optic.coefficient_per_pa)
+        return replace(spec, stress_optic=law), Variation()
+
+    return change
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +100,10 @@ CONDITIONS: tuple[PalmCondition, ...] = (
     PalmCondition("unchanged", "as calibrated"),
     PalmCondition("again", "the grid's own places, in cycles not seen", campaign=2000, where="own"),
     PalmCondition("beyond", "places beyond the grid, 23 mm from the middle", where="beyond"),
-    PalmCondition("stiffer", "a membrane 10 % stiffer", _scaled("youngs_modulus_pa", 1.1)),
-    PalmCondition("softer", "a membrane 10 % softer", _scaled("youngs_modulus_pa", 0.9)),
+    PalmCondition("stiffer", "E 15 % higher", _stiffer(1.15)),
+    PalmCondition("softer", "E 15 % lower", _stiffer(0.85)),
+    PalmCondition("higher-c", "C 15 % higher", _more_birefringent(1.15)),
+    PalmCondition("lower-c", "C 15 % lower", _more_birefringent(0.85)),
     PalmCondition("brighter", "the lamp 5 % brighter", only(lamp_gain=1.05)),
     PalmCondition("dimmer", "the lamp 20 % dimmer", only(lamp_gain=0.8)),
     PalmCondition("warmer", "the lamp warmer by 30 mired", only(lamp_mired=30.0)),
@@ -96,7 +113,10 @@ CONDITIONS: tuple[PalmCondition, ...] = (
     PalmCondition(
         "yellowed", "a yellowed membrane (absorbance 0.1 at 450 nm)", only(wear=Wear(yellowing=0.1))
     ),
-    PalmCondition("occluded", "the probe out of the mirror's sight", only(probe_in_mirror=False)),
+    PalmCondition("no-mirror-probe", "the probe out of the mirror's sight", only(probe_in_mirror=False)),
+    PalmCondition(
+        "no-probe", "the probe out of sight in both views", only(probe_in_mirror=False, probe_edge_on=False)
+    ),
     PalmCondition("opaque", "an opaque underside", only(opaque_underside=True)),
 )
 
@@ -133,7 +153,9 @@ def record_condition(study: StudyFolder, one: PalmCondition) -> Run:
 
 def _models(study: StudyFolder, one: PalmCondition) -> dict[str, Any]:
     run = record_condition(study, one)
-    return {m: study.scored(study.calibrated(setup), run, one.said) for m, setup in study.setups.items()}
+    return {
+        m: study.scored(study.calibrated(setup), run, one.said) for m, setup in study.sensing_setups.items()
+    }
 
 
 def _plan(scale: Scale, seed: int, one: PalmCondition) -> StepHold:
@@ -168,7 +190,7 @@ def sustained(study: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
 
 def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
     results: dict[str, Any] = {}
-    for model, setup in study.setups.items():
+    for model, setup in study.sensing_setups.items():
         table = study.estimated(study.calibrated(setup), run, "a press held")
         held = table[table["phase"] == "hold"]
         names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
@@ -178,7 +200,7 @@ def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
     return results
 
 
-COPIED = ("palm-two-stage", "palm-compact")
+COPIED = ("palm-moments", "palm-compact")
 ADAPTATION_PRESSES = (10, 20, 50)  # presses
 COPY = 4000  # added to the seed for all that is recorded of the copy
 
@@ -285,12 +307,12 @@ def _write(study: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> Non
 
 
 def loads(study: StudyFolder) -> dict[str, Any]:
-    """Results of each kind: what the five models make of it, and what a network can learn of it."""
+    """Results of each kind: what the models make of it, and what a kernel ridge can learn of it."""
     results: dict[str, Any] = {}
     for kind in KINDS:
         run = record_loads(study, kind)
         results[kind] = {
-            "models": {m: _as_it_comes(study, setup, run, kind) for m, setup in study.setups.items()},
+            "models": {m: _as_it_comes(study, setup, run, kind) for m, setup in study.sensing_setups.items()},
             "learnt": _learnt(study, kind),
         }
     results["shapes"]["told apart"] = shape_classification(study.run("loads-shapes"))
@@ -312,7 +334,8 @@ def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: st
 def _learnt(study: StudyFolder, kind: str) -> dict[str, Any]:
     if kind not in LOAD_PRESSES:
         return {}
-    setup = small_setup(study, f"small-network-{kind}", run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
+    name = f"kernel-ridge-{kind}"
+    setup = baseline_setup("kernel-ridge", name, run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
     table = study.held_out(setup)
     spread = {c: float(np.abs(table[c] - table[c].mean()).mean()) for c in LOAD_PRESSES[kind]}
     return {"targets": scores_of(table, LOAD_PRESSES[kind]), "spread": spread}
@@ -361,9 +384,15 @@ def validity(study: StudyFolder) -> list[dict[str, Any]]:
     runs = [("places off the grid", True, study.run("new-places"))]
     runs += [(said, False, record_loads(study, kind)) for kind, said in SEVERAL.items()]
     runs += [(one.said, False, record_condition(study, one)) for one in FOREIGN]
-    rows = [("held-out places of the grid", True, {m: _held_out(study, s) for m, s in study.setups.items()})]
+    rows = [
+        (
+            "held-out places of the grid",
+            True,
+            {m: _held_out(study, s) for m, s in study.sensing_setups.items()},
+        )
+    ]
     rows += [
-        (said, good, {m: _flags(study, setup, run) for m, setup in study.setups.items()})
+        (said, good, {m: _flags(study, setup, run) for m, setup in study.sensing_setups.items()})
         for said, good, run in runs
     ]
     return [

@@ -15,7 +15,6 @@ import pandas as pd
 
 from palpate.calibration.coverage.grouped_rates import group_sizes, grouped_coverage_interval
 from palpate.core import Float, InputError, Shaped, ndarray, split_column
-from palpate.estimators.networks import model_kind
 from palpate.reproductions.study_results import Published
 
 
@@ -34,6 +33,9 @@ NAMES: Mapping[str, str] = {
     "palm-mlp-delta": "MLP (flattened fringe delta, grey)",
     "palm-two-stage": "Two-stage (differential grey)",
     "palm-compact": "palm-compact (ours, differential RGB)",
+    "palm-moments": "Moments and trees (differential grey)",
+    "kernel-ridge": "Kernel ridge (differential grey)",
+    "mean": "Always the mean",
 }
 
 TABLE_2: Mapping[str, Training] = {
@@ -79,10 +81,9 @@ R2: Mapping[tuple[str, str], Published] = {
 }
 
 
-def targets_with_place(model: str) -> tuple[str, ...]:
-    """A model's targets, and the place as a whole where it has one."""
-    targets = model_kind(model).targets
-    return (*targets, PLACE) if "x_mm" in targets else targets
+def targets_with_place(targets: Sequence[str]) -> tuple[str, ...]:
+    """Targets, and the place as a whole where it is among them."""
+    return (*targets, PLACE) if "x_mm" in targets else tuple(targets)
 
 
 class Peer(NamedTuple):

@@ -5,7 +5,7 @@ The page reads like the results section of a paper, and goes beyond the source's
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,15 @@ from palpate.reproductions.palm.palm_published import (
     TABLE_2,
     targets_with_place,
 )
-from palpate.reproductions.palm.palm_setup import MODELS, Scale, StudyFolder
+from palpate.reproductions.palm.palm_setup import (
+    BASELINES,
+    MODELS,
+    NETWORKS,
+    PUBLISHED,
+    SENSING,
+    Scale,
+    StudyFolder,
+)
 from palpate.reproductions.palm.palm_summary import summary_of
 from palpate.reproductions.study_results import (
     REPORT_FILE,
@@ -49,7 +57,9 @@ SAID = {
     "y_mm": "y",
     "place_mm": "place (distance)",
 }
-INITIALS = dict(zip(MODELS, ("joint", "cond.", "MLP", "2-st.", "ours"), strict=True))
+INITIALS = dict(
+    zip(MODELS, ("joint", "cond.", "MLP", "2-st.", "compact", "moments", "kernel", "mean"), strict=True)
+)
 HEADLINE = (FORCE, PLACE, DEPTH)
 Panels = dict[str, dict[str, tuple[list[float], list[float]]]]
 LIGHT, DARK = "#35c46a", "#3d7bff"
@@ -65,6 +75,7 @@ def write_up(study: StudyFolder, found: Mapping[str, Any]) -> None:
 def palm_page(study: StudyFolder, found: Mapping[str, Any]) -> str:
     """The report's HTML."""
     scores = {m: found[f"headline-{m}"] for m in MODELS if f"headline-{m}" in found}
+    targets = {m: targets_with_place(setup.columns) for m, setup in study.setups.items()}
     return filled_template(
         "palm_study.html",
         scale=study.scale,
@@ -76,9 +87,11 @@ def palm_page(study: StudyFolder, found: Mapping[str, Any]) -> str:
         models=MODELS,
         names=NAMES,
         said=SAID,
-        targets={m: targets_with_place(m) for m in MODELS},
+        targets=targets,
         headline=HEADLINE,
-        by_target={t: [m for m in MODELS if t in targets_with_place(m)] for t in HEADLINE},
+        sensing=SENSING,
+        by_target={t: [m for m in SENSING if t in targets[m]] for t in HEADLINE},
+        networks=NETWORKS,
         short=INITIALS,
         printed=MAE,
         printed_r2=R2,
@@ -91,23 +104,40 @@ def palm_page(study: StudyFolder, found: Mapping[str, Any]) -> str:
 
 
 def verdicts(scores: Mapping[str, Any]) -> list[str]:
-    """Sentences made from the headline's numbers."""
-    ours = scores.get("palm-compact")
-    others = {m: s for m, s in scores.items() if m != "palm-compact"}
-    if not ours or not others:
+    """Sentences made from the headline's numbers: of each target, who is ahead off the grid."""
+    if len(scores) < len(MODELS):
         return []
-    lines = []
-    for target in HEADLINE:
-        known = {m: s["new"][target] for m, s in others.items() if target in s["new"]}
-        best = min(known, key=lambda m: known[m]["mae"])
-        mine, theirs = ours["new"][target], known[best]
-        overlap = mine["mae_low"] <= theirs["mae_high"] and theirs["mae_low"] <= mine["mae_high"]
-        lines.append(
-            f"{SAID[target]}, off the grid: the best of the four is {SHORT[best]} with {theirs['mae']:.3g} "
-            f"{theirs['unit']}; palm-compact is off by {mine['mae']:.3g} {mine['unit']}"
-            f"{' (their intervals over places overlap)' if overlap else ''}."
-        )
-    return lines
+    return [
+        line
+        for target in HEADLINE
+        for line in (_ahead(scores, target, PUBLISHED), _ahead(scores, target, ("palm-compact",)))
+    ]
+
+
+def _ahead(scores: Mapping[str, Any], target: str, networks: Sequence[str]) -> str:
+    """The best of some networks beside the best of the models without one."""
+    network, baseline = (_best(scores, target, group) for group in (networks, BASELINES))
+    ours, theirs = scores[network]["new"][target], scores[baseline]["new"][target]
+    which = "" if len(networks) == 1 else "the best of the published networks, "
+    return (
+        f"{SAID[target]}, off the grid: {which}{SHORT[network]}, has {ours['mae']:.3g} {ours['unit']}; the "
+        f"best model without a network, {SHORT[baseline]}, has {theirs['mae']:.3g} {theirs['unit']}: "
+        f"{beside(ours, theirs)}."
+    )
+
+
+def _best(scores: Mapping[str, Any], target: str, models: Sequence[str]) -> str:
+    known = {m: scores[m]["new"][target]["mae"] for m in models if target in scores[m]["new"]}
+    return min(known, key=lambda m: known[m])
+
+
+def beside(network: Mapping[str, float], baseline: Mapping[str, float]) -> str:
+    """Whether a network's error is below a baseline's, by 95 % intervals over places that do not overlap."""
+    if network["mae_high"] < baseline["mae_low"]:
+        return "the network is ahead"
+    if baseline["mae_high"] < network["mae_low"]:
+        return "the network is behind"
+    return "their intervals overlap"
 
 
 def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
@@ -145,13 +175,13 @@ def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
 
 
 def _clouds(scores: Mapping[str, Any], target: str) -> list[draw.Cloud]:
-    points = {m: s["points"] for m, s in scores.items() if f"estimate:{target}" in s["points"]}
+    points = {m: scores[m]["points"] for m in SENSING if f"estimate:{target}" in scores[m]["points"]}
     return [draw.Cloud(SHORT[m], p[target], p[f"estimate:{target}"]) for m, p in points.items()]
 
 
 def _places(scores: Mapping[str, Any]) -> str:
     names = ("x_mm", "y_mm", "estimate:x_mm", "estimate:y_mm")
-    points = {m: s["points"] for m, s in scores.items() if names[2] in s["points"]}
+    points = {m: scores[m]["points"] for m in SENSING if names[2] in scores[m]["points"]}
     return draw.places([SHORT[m] for m in points], [[p[n] for n in names] for p in points.values()])
 
 
@@ -166,7 +196,7 @@ def _against(rows: list[dict[str, Any]], across: str) -> Panels:
     panels: Panels = {}
     for target in HEADLINE:
         lines = {}
-        for model in MODELS:
+        for model in SENSING:
             known = [row for row in rows if target in row["models"][model]["targets"]]
             if known:
                 y = [row["models"][model]["targets"][target]["mae"] for row in known]
@@ -177,7 +207,7 @@ def _against(rows: list[dict[str, Any]], across: str) -> Panels:
 
 def _stood_by(rows: list[dict[str, Any]]) -> Panels:
     across = [row["presses"] for row in rows]
-    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in MODELS}
+    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in SENSING}
     return {"frames accepted [%]": lines}
 
 
@@ -198,6 +228,7 @@ Stages = dict[str, Callable[[StudyFolder], Any]]
 HEADLINE_STAGES: Stages = {
     "recorded": comparison.record_both,
     **{f"headline-{model}": partial(comparison.headline, model=model) for model in MODELS},
+    "common-budget": comparison.common_budget,
     "one-frame": comparison.one_frame,
 }
 STAGES: Stages = HEADLINE_STAGES | {
@@ -229,7 +260,7 @@ def reproduce_palm(
         out: folder to make; must not exist. It appears when everything is done.
         scale: how large.
         seed: of everything random: the rig's noise, which places are held out, the networks' beginnings.
-        part: "all", or "headline" for the comparison of the five models alone.
+        part: "all", or "headline" for the comparison of the models alone.
         progress: called with what is being done.
 
     Returns:

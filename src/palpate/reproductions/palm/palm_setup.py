@@ -34,15 +34,22 @@ from palpate.sensors.palm import PalmSpec
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.workflows.certification import REPORT_FILE, certify
 
-MODELS = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage", "palm-compact")
-"""The source's four, in its order, and ours."""
+PUBLISHED = ("palm-joint-raw", "palm-force-conditioned", "palm-mlp-delta", "palm-two-stage")
+"""The source's four networks, in its order."""
+NETWORKS = (*PUBLISHED, "palm-compact")
+BASELINES = ("palm-moments", "kernel-ridge", "mean")
+"""What a network has to beat: moments and trees, a kernel on pixels, and always the mean."""
+MODELS = (*NETWORKS, *BASELINES)
+SENSING = MODELS[:-1]
+"""Those that look at the picture."""
+POSE_AND_FORCE = ("depth_mm", "x_mm", "y_mm", "force_N")
 
 WITHIN_MM, PROBE_MM = 20.5, 10.0
 """How far from the middle the places off the grid lie. The grid ends at 21 mm: farther out a reading
 is beyond the calibrated range, and marked so."""
 
-SMALL_NETWORK: Mapping[str, Any] = {"rendered": 0, "epochs": 60, "batch": 32}
-"""palm-compact on recorded presses alone: where one architecture is trained many times over."""
+STOPPED: Mapping[str, Any] = {"epochs": 100, "patience": 8, "falls": 2, "watched": 0.15}
+"""Schedule of a residual network that learns until watched places gain no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +63,13 @@ class Scale:
         cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `StepHold`.
         places: off the grid, pressed once each in a campaign of their own, every `new_step_mm`; for the many
             conditions that are only tested under, every `coarse_step_mm`.
-        options: model -> settings that are not its defaults.
-        small: settings of the architecture that is trained many times over.
+        options: model -> settings with which it learns until watched places gain no more.
+        common: settings of every network where all are given the same number of steps.
+        steps: that number.
+        control_steps: of `palm-compact`, where it is trained many times over.
         loads: pictures of each kind of contact that is not one upright ball.
-        folds: parts that the grid's places are dealt into; one is held out.
+        folds: parts that the grid's places are dealt into.
+        scored_folds: how many of them are held out in turn.
     """
 
     name: str
@@ -73,9 +83,12 @@ class Scale:
     new_step_mm: float
     coarse_step_mm: float
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    small: Mapping[str, Any] = field(default_factory=lambda: SMALL_NETWORK)
+    common: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    steps: int = 600
+    control_steps: int = 1500
     loads: int = 60
     folds: int = 5
+    scored_folds: int = 1
 
     def protocol(self) -> StepHold:
         """The palm's, at its 37 places."""
@@ -109,6 +122,30 @@ class Scale:
         )
 
 
+def _stopped(epochs: int, compact: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Settings with which every network learns until watched places gain no more."""
+    residual = {**STOPPED, "epochs": epochs}
+    return {
+        "palm-joint-raw": residual,
+        "palm-force-conditioned": residual,
+        "palm-two-stage": residual,
+        "palm-mlp-delta": {"epochs": 3000, "patience": 150},
+        "palm-compact": {"patience": 3, "falls": 2, "watched": 0.15, "cosine": False, **compact},
+    }
+
+
+def _common(compact: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Settings of every network but the number of steps, where that is the same for all."""
+    falling = {"patience": 0, "cosine": True}
+    return {
+        "palm-joint-raw": falling,
+        "palm-force-conditioned": falling,
+        "palm-two-stage": falling,
+        "palm-mlp-delta": {},
+        "palm-compact": {**falling, **compact},
+    }
+
+
 SMALL = Scale(
     name="small",
     side_px=96,
@@ -120,9 +157,11 @@ SMALL = Scale(
     places=24,
     new_step_mm=0.4,
     coarse_step_mm=1.2,
-    options={"palm-compact": {"processes": 2}},
+    options=_stopped(100, {"epochs": 30, "processes": 2}),
+    common=_common({"processes": 2}),
     loads=240,
 )
+FIVE_FOLDS = replace(SMALL, name="small-five-folds", scored_folds=5)
 FULL = Scale(
     name="full",
     side_px=128,
@@ -134,12 +173,16 @@ FULL = Scale(
     places=60,
     new_step_mm=0.2,
     coarse_step_mm=0.5,
-    options={"palm-compact": {"rendered": 60_000, "epochs": 30, "processes": 8}},
+    options=_stopped(100, {"rendered": 60_000, "epochs": 40, "processes": 8}),
+    common=_common({"rendered": 60_000, "processes": 8}),
+    steps=20_000,
+    control_steps=20_000,
     loads=1000,
+    scored_folds=5,
 )
-SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (SMALL, FULL)}
-"""`small` is for two cores, `full` for a GPU. The source records 25 frames at each depth; they
-differ by the camera's noise alone, and `full` takes five."""
+SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (SMALL, FIVE_FOLDS, FULL)}
+"""`small` is for two cores, `small-five-folds` for a night on them, `full` for a GPU. The source records 25
+frames at each depth; they differ by the camera's noise alone, and `full` takes five."""
 
 
 def scale_of(name: str) -> Scale:
@@ -167,7 +210,7 @@ class CalibrationSetup:
         split: how rows are held out.
         channels, delta: what it sees; None for what the model was made for.
         options: the model's own settings.
-        targets: what it shall estimate; empty for what the model was made for.
+        targets: what it shall estimate; empty for what the model was made for, or depth, place and force.
     """
 
     name: str
@@ -178,6 +221,11 @@ class CalibrationSetup:
     delta: bool | None = None
     options: dict[str, Any] = field(default_factory=dict)
     targets: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Targets that it estimates."""
+        return self.targets or model_kind(self.model).targets or POSE_AND_FORCE
 
 
 @dataclass(frozen=True)
@@ -205,9 +253,24 @@ class StudyFolder:
 
     @property
     def setups(self) -> dict[str, CalibrationSetup]:
-        """A setup for each model, as the scale trains it."""
+        """A setup for each model; networks learn until watched places gain no more."""
         options = self.scale.options
-        return {name: CalibrationSetup(name, name, options=dict(options.get(name, {}))) for name in MODELS}
+        return {name: baseline_setup(name, options=dict(options.get(name, {}))) for name in MODELS}
+
+    @property
+    def sensing_setups(self) -> dict[str, CalibrationSetup]:
+        """`setups` of those that look at the picture."""
+        return {name: self.setups[name] for name in SENSING}
+
+    @property
+    def common_setups(self) -> dict[str, CalibrationSetup]:
+        """A setup for each network, all with the same number of steps."""
+        return {
+            name: CalibrationSetup(
+                f"{name}-common", name, options={**self.scale.common.get(name, {}), "steps": self.scale.steps}
+            )
+            for name in NETWORKS
+        }
 
     def run(self, name: str) -> Run:
         """A recording of the study."""
@@ -247,11 +310,12 @@ class StudyFolder:
         run, kind = self.run(setup.run), model_kind(setup.model)
         first, beside = model_regions(run.manifest, ("fringes", "mirror"))
         plan = CalibrationPlan(
-            targets=setup.targets or kind.targets,
+            targets=setup.columns,
             model=setup.model,
             split=setup.split,
             folds=self.scale.folds,
-            scored_folds=1,
+            scored_folds=self.scale.scored_folds,
+            fold_by=POSE_AND_FORCE if set(POSE_AND_FORCE) <= set(run.labels.columns) else (),
             seed=self.seed,
             size_px=(self.scale.side_px, 2 * self.scale.side_px),
             channels=setup.channels or kind.channels or 1,  # type: ignore[arg-type]
@@ -287,6 +351,12 @@ class StudyFolder:
     def seconds(self) -> dict[str, float]:
         """Time that each result took [s]."""
         return kept_seconds(self.folder)
+
+
+def baseline_setup(model: str, name: str = "", **changes: Any) -> CalibrationSetup:
+    """A model as the study asks for it: what was made for any sensor sees grey differences."""
+    general = {} if model_kind(model).regions else {"channels": 1, "delta": True}
+    return CalibrationSetup(**{"name": name or model, "model": model, **general, **changes})
 
 
 def pressed_rows(run: Run) -> Indices:

@@ -42,6 +42,9 @@ def _headline(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
                     yield entry(f"{name}, half-width over MAE", one["half_width"] / one["mae"], "1")
         yield entry(f"{model}: frames stood by, {WHERE['new']}", scores["new_valid"], "1")
         yield entry(f"{model}: time to train and score", scores["seconds"], "s")
+        if scores["training"]:
+            steps = scores["training"]["steps"]
+            yield entry(f"{model}: steps until watched places gained no more", steps, "1")
 
 
 def _of_targets(name: str, targets: Mapping[str, Any]) -> Iterator[StudyEntry]:
@@ -58,6 +61,7 @@ def _stood_by(name: str, scores: Mapping[str, Any]) -> Iterator[StudyEntry]:
 def _variants(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     """Other splits, other inputs, and the mirror seen otherwise."""
     for stage, name in (
+        ("common-budget", "the same number of steps, {model}"),
         ("leakage", "split by {grouping}, {model}"),
         ("factorial", "one architecture, {colour} {seen}"),
     ):
@@ -65,7 +69,8 @@ def _variants(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
             yield from _of_targets(f"{name.format(**row)}, held out", row["held_out"])
             yield from _of_targets(f"{name.format(**row)}, {WHERE['new']}", row["new"])
     for row in results.get("mirror", []):
-        yield from _of_targets(f"mirror, taught {row['taught']}, tested {row['tested']}", row["targets"])
+        name = f"mirror, {row['model']}, taught {row['taught']}, tested {row['tested']}"
+        yield from _of_targets(name, row["targets"])
 
 
 def _conditions(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
