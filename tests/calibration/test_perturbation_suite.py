@@ -111,6 +111,23 @@ def test_frames_of_another_run_are_judged_as_the_card_says(spots, record_spots, 
     assert np.mean(["shifted" in why for why in moved]) >= 0.5
 
 
+def test_where_one_fold_is_scored_frames_learnt_from_are_known_to_be_unchanged_too(
+    spots, record_spots, tmp_path
+) -> None:
+    """Else a touch between the few scored ones is taken for a camera that has moved."""
+    plan = replace(PLAN, folds=3, scored_folds=1)
+    estimator = Estimator.open(calibrate(spots[0], plan, tmp_path / "one"))
+    changes = NoveltyDetector.load(tmp_path / "one" / "guard.npz").changes
+    assert estimator.card.split.rows_scored < np.sum(changes.kind == 0) == 200
+    assert not changes.harm[changes.kind == 0].any()
+    other = record_spots("other", 40, seed=9)
+    frames = np.flatnonzero(~other.labels["reference"].astype(bool))
+    accepted = [all(r.valid for r in estimator.read(other.frame(int(i))).values()) for i in frames]
+    assert np.mean(accepted) > 0.9
+    table = cells(estimator.card)
+    assert np.mean([cell.silent for cell in table.values()]) <= estimator.card.robustness.beyond + 0.02
+
+
 def test_a_model_that_sees_nothing_is_harmed_by_nothing(spots, tmp_path) -> None:
     """The negative control: always saying the mean costs no change anything, so that known ones pass."""
     calibrate(spots[0], replace(PLAN, model="mean"), tmp_path / "cal")

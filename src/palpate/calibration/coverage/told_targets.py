@@ -10,13 +10,18 @@ from palpate.calibration.coverage.circular_scores import (
     shortest,
     uninformative_width,
 )
-from palpate.core import Bool, Values
+from palpate.core import Bool, Float, Values
 from palpate.estimators.model_card import NO_BETTER
 from palpate.estimators.target_layout import Outputs, TargetLayout
 
 
 def told_targets(
-    held_out: Outputs, true: Values, learnt: Values, widths: Values, layout: TargetLayout, coverage: float
+    held_out: Outputs,
+    true: Values,
+    learnt: Float[np.ndarray, "m t"],
+    widths: Values,
+    layout: TargetLayout,
+    coverage: float,
 ) -> Bool[np.ndarray, " t"]:
     """Tell which targets beat always saying the mean, with intervals that are shorter than their range.
 

@@ -148,18 +148,21 @@ def try_changes(
     rng = np.random.default_rng([suite.plan.seed, OWN_STREAM])
     rows = np.sort(rng.permutation(scored)[:MAX_UNCHANGED])
     tried = _tried(suite, rows, rng, progress)
+    learnt = np.setdiff1d(np.arange(len(suite.held_out)), scored)
+    learnt = np.sort(rng.permutation(learnt)[:MAX_UNCHANGED])
     unchanged = _errors(suite, rows, np.zeros((len(rows), 1)))
     changed = _errors(suite, tried.row, tried.moved)
     before = _errors(suite, tried.row, np.zeros((len(tried.row), 1)))
     turns = _turns([suite.plan.layout.periods[j] for j in suite.read], changed)
     harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half, turns)
     progress("learning which changes cost", 0, 1)
-    every, registration = _examples(suite, detector, rows, tried, harm)
+    every, registration = _examples(suite, detector, rows, tried, harm, learnt)
     for examples in (every.without_local(), every):
         verdicts = cross_fitted(examples, registration, _parts(suite, rows))
         atypicality = np.array([verdict.atypicality for verdict in verdicts])
         known, factor = rescaled(fit_known_changes(examples, registration), atypicality[: len(rows)])
         refused = atypicality / factor > 1
+        refused = refused[: len(rows) + len(tried.row)]
         silent_share = np.mean(changed.beyond & ~refused[len(rows) :, None])
         if silent_share <= unchanged.beyond.mean() + MAX_SILENT:
             break  # what sees more also takes a good session for another one more often
@@ -287,26 +290,36 @@ def _shortest(error: Values, turn: Float[np.ndarray, " t"]) -> Values:
 
 
 def _examples(
-    suite: Suite, detector: NoveltyDetector, rows: Indices, tried: Tried, harm: Float[np.ndarray, " m"]
+    suite: Suite,
+    detector: NoveltyDetector,
+    rows: Indices,
+    tried: Tried,
+    harm: Float[np.ndarray, " m"],
+    learnt: Indices,
 ) -> tuple[ChangeExamples, Registration]:
-    """Features and novelty of unchanged and changed frames, each beside thumbnails of other folds alone."""
-    frame = np.concatenate([rows, tried.row])
-    prepared = [*_prepared(suite, rows), *tried.prepared]
+    """Features and novelty of unchanged and changed frames, each beside thumbnails of other folds alone.
+
+    Frames that were learnt from and not scored are unchanged, too. Where few places are scored, a touch
+    between them would else be taken for a change, since only changed frames are anywhere near it.
+    """
+    frame = np.concatenate([rows, tried.row, learnt])
+    prepared = [*_prepared(suite, rows), *tried.prepared, *_prepared(suite, learnt)]
     thumbs = [thumbnail(image) for image in prepared]
-    registration = Registration.fit(np.stack(thumbs[: len(rows)]))
+    changed = slice(len(rows), len(rows) + len(tried.row))
+    registration = Registration.fit(np.delete(np.stack(thumbs), changed, axis=0))
     novelty, unlike = _novelty(suite, detector, frame, thumbs)
     features = [
         frame_features(image, thumb, registration, other)
         for image, thumb, other in zip(prepared, thumbs, unlike, strict=True)
     ]
     names = tuple(dict.fromkeys(tried.kind.tolist()))
-    kind = [0] * len(rows) + [names.index(name) + 1 for name in tried.kind]
-    no_harm = np.zeros(len(rows))
+    kind, all_harm = np.zeros(len(frame), np.int64), np.zeros(len(frame))
+    kind[changed], all_harm[changed] = [names.index(name) + 1 for name in tried.kind], harm
     examples = ChangeExamples(
         np.stack(features),
         frame,
-        np.array(kind),
-        np.concatenate([no_harm, harm]),
+        kind,
+        all_harm,
         novelty,
         names,
         local=True,
