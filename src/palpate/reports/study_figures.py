@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -39,46 +40,62 @@ class Cloud(NamedTuple):
 
 
 def bars(all_bars: Sequence[Bar], label: str) -> str:
-    """Printed and found side by side; the found with their intervals."""
-    with styled_panels(8.2, 3.3) as (figure, (axes,)):
+    """Printed above found, a line a model; the found with their intervals."""
+    with styled_panels(8.2, 0.5 * len(all_bars) + 0.9) as (figure, (axes,)):
         for i, bar in enumerate(all_bars):
             if bar.printed is not None:
-                axes.bar(i - 0.2, bar.printed, 0.36, color=BAND, edgecolor=INK, lw=0.6)
-                axes.text(i - 0.2, bar.printed, f"{bar.printed:.3g}", ha="center", va="bottom", fontsize=7)
+                axes.barh(i - 0.2, bar.printed, 0.36, color=BAND, edgecolor=INK, lw=0.6)
+                axes.text(bar.printed, i - 0.2, f" {bar.printed:.3g}", va="center", fontsize=7)
             if bar.found is not None:
                 reach = [[max(bar.found - bar.low, 0)], [max(bar.high - bar.found, 0)]]
-                axes.bar(i + 0.2, bar.found, 0.36, color=ACCENT, yerr=reach, error_kw={"lw": 1})
-                axes.text(i + 0.2, bar.high, f"{bar.found:.3g}", ha="center", va="bottom", fontsize=7)
-        axes.set_xticks(range(len(all_bars)), [bar.name.replace(" (", "\n(") for bar in all_bars], fontsize=7)
-        axes.set_ylabel(label)
+                axes.barh(i + 0.2, bar.found, 0.36, color=ACCENT, xerr=reach, error_kw={"lw": 1})
+                axes.text(bar.high, i + 0.2, f" {bar.found:.3g}", va="center", fontsize=7)
+        axes.set_yticks(range(len(all_bars)), [bar.name for bar in all_bars], fontsize=8)
+        axes.invert_yaxis()
+        axes.margins(x=0.08)
+        axes.set_xlabel(label)
         swatches = [Rectangle((0, 0), 1, 1, color=colour) for colour in (BAND, ACCENT)]
         axes.legend(swatches, ["printed, real sensor", "found, virtual sensor"], frameon=False, fontsize=8)
         return drawn(figure)
 
 
+ACROSS = 4  # panels in a row
+
+
+@contextmanager
+def _panel_each(count: int, side: float) -> Iterator[tuple[Figure, np.ndarray]]:
+    """A panel a model, some in a row."""
+    columns = min(count, ACROSS)
+    rows = -(-count // columns)
+    with styled_panels(side * columns, side * rows, rows, columns) as (figure, panels):
+        for spare in panels[count:]:
+            spare.set_visible(False)
+        yield figure, panels[:count]
+
+
 def clouds(all_clouds: Sequence[Cloud], label: str) -> str:
     """Estimate against truth, a panel a model."""
-    with styled_panels(3.1 * len(all_clouds), 3.1, columns=len(all_clouds)) as (figure, panels):
+    with _panel_each(len(all_clouds), 3.1) as (figure, panels):
         every = [value for cloud in all_clouds for value in cloud.true]
         ends = [min(every), max(every)]
-        for axes, cloud in zip(panels, all_clouds, strict=True):
+        for i, (axes, cloud) in enumerate(zip(panels, all_clouds, strict=True)):
             axes.plot(ends, ends, color=INK, lw=0.8, ls="--")
             axes.scatter(cloud.true, cloud.estimate, s=8, color=ACCENT, alpha=0.55, linewidths=0)
             axes.set(title=cloud.title, xlabel=f"true {label}")
-        panels[0].set_ylabel(f"estimated {label}")
+            axes.set_ylabel("" if i % ACROSS else f"estimated {label}")
         return drawn(figure)
 
 
 def places(titles: Sequence[str], at: Sequence[Sequence[Sequence[float]]]) -> str:
     """Places of contacts and their estimates, a panel a model: x, y, x estimated, y estimated."""
-    with styled_panels(3.3 * len(titles), 3.5, columns=len(titles)) as (figure, panels):
-        for axes, title, (x, y, x_seen, y_seen) in zip(panels, titles, at, strict=True):
+    with _panel_each(len(titles), 3.4) as (figure, panels):
+        for i, (axes, title, (x, y, x_seen, y_seen)) in enumerate(zip(panels, titles, at, strict=True)):
             for ends in zip(x, x_seen, y, y_seen, strict=True):
                 axes.plot(ends[:2], ends[2:], color=BAD, lw=0.5, alpha=0.5)
             axes.scatter(x_seen, y_seen, s=9, color=ACCENT, alpha=0.6, linewidths=0, label="estimated")
             axes.scatter(x, y, s=16, color=INK, marker="+", lw=0.9, label="true")
             axes.set(title=title, xlabel="x [mm]", xlim=(-30, 30), ylim=(-30, 30), aspect="equal")
-        panels[0].set_ylabel("y [mm]")
+            axes.set_ylabel("" if i % ACROSS else "y [mm]")
         panels[0].legend(frameon=False, fontsize=7, loc="upper right")
         return drawn(figure)
 

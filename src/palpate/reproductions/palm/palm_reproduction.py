@@ -166,8 +166,8 @@ def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, 
 
 def _bars(scores: Mapping[str, Any], target: str) -> list[draw.Bar]:
     rows = []
-    for model, found in scores.items():
-        printed, one = MAE.get((model, target)), found["grid"].get(target)
+    for model in SENSING:
+        printed, one = MAE.get((model, target)), scores[model]["grid"].get(target)
         if one is not None:
             ends = one["mae_low"], one["mae_high"]
             rows.append(draw.Bar(NAMES[model], printed.value if printed else None, one["mae"], *ends))
