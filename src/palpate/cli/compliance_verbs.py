@@ -184,12 +184,16 @@ def compare(
     out: Annotated[Path, Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
     calibration: Calibration = None,
     pooled: Annotated[bool, Option(help="Also test pooled samples as the report did; warns of it.")] = False,
+    group: Annotated[
+        list[str] | None,
+        Option(help="Column of trials.csv that trials share, e.g. session; a second one is nested in it."),
+    ] = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare several specimens, a value a trial.
 
-    Gives means, rank tests and box plots.
+    Gives means, rank tests and box plots; with --group also a linear mixed model of every cue.
 
     Example: palpate compliance compare experiment --calibration tip.npz --out compared
     """
@@ -198,7 +202,9 @@ def compare(
 
     refuse_existing(out)
     with progress_bar(quiet) as progress:
-        comparison = compare_specimens(folder, calibration=calibration, pooled=pooled, progress=progress)
+        comparison = compare_specimens(
+            folder, calibration=calibration, pooled=pooled, groups=group or [], progress=progress
+        )
         write_comparison(out, comparison)
     record = comparison.record | {"out": str(out)}
     print_found(record, _compared(record), json_)
@@ -308,6 +314,7 @@ def _compared(record: dict[str, Any]) -> str:
             f"{len(record['cues'])} cues); least apart {worst['first']}, {worst['second']}: rank-sum p "
             f"{worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
         )
+        lines += _mixed(one.get("mixed_model"))
         if "interval_90_with_calibration" in one:
             ends = one["interval_90_with_calibration"].items()
             told = ", ".join(f"{name} {_ends(low, high)}" for name, (low, high) in ends)
@@ -326,7 +333,60 @@ def _compared(record: dict[str, Any]) -> str:
             f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
         )
         lines += [f"warning: {warning}" for warning in pooled["warnings"]]
+    if "groups" in record:
+        groups = record["groups"]
+        lines.append(
+            f"mixed models: {groups['model']}, by {groups['variances']}; 95 % intervals, degrees of freedom "
+            f"(df): {groups['degrees_of_freedom']}; all pairs: differences.csv"
+        )
+        lines.append(f"warning: {groups['warning']}")
     lines.append(
         f"means with Student's 95 % intervals over trials; trials, tests and picture: {record['out']}"
     )
     return "\n".join(lines)
+
+
+def _mixed(model: dict[str, Any] | None) -> list[str]:
+    """What a mixed model says of one cue."""
+    if model is None:
+        return []
+    if "why_not" in model:
+        return [f"    no mixed model: {model['why_not']}"]
+    if not model["converged"]:
+        return [f"    no mixed model: {note}" for note in model["notes"]]
+    means = ", ".join(f"{name} {_estimated(one)}" for name, one in model["means"].items())
+    least = max(model["pairs"], key=lambda pair: pair["difference"]["p"])
+    told = least["difference"]
+    p = f"{told['p']:.2g} ({told['p_all_cues']:.2g} for all pairs of all cues)"
+    units = ", ".join(f"{count} of {level}" for level, count in model["units"].items())
+    return [
+        f"    mixed model, {units}: {means}",
+        f"    least apart {least['second']} - {least['first']}: {_estimated(told)}, p {p}",
+        f"    variance {_variances(model)}",
+        *(f"    note: {note}" for note in model["notes"]),
+    ]
+
+
+def _estimated(one: dict[str, Any]) -> str:
+    return f"{one['value']:.3g} ({_ends(one['low'], one['high'])}, {one['freedom']:.3g} df)"
+
+
+def _variances(model: dict[str, Any]) -> str:
+    """Each variance with its share as an intraclass correlation."""
+    parts = []
+    for level, variance in model["variance"].items():
+        if level == "within":
+            parts.append(f"within {variance:.2g}")
+            continue
+        share = model["correlation"][level]
+        parts.append(
+            f"between units of {level} "
+            + ("not told" if variance is None else f"{variance:.2g}")
+            + ("" if share is None else f" (intraclass correlation {share:.2f}{_share_ends(model)})")
+        )
+    return ", ".join(parts)
+
+
+def _share_ends(model: dict[str, Any]) -> str:
+    ends = model["correlation_interval"]
+    return "" if ends is None else f", {ends[0]:.2f} to {ends[1]:.2f}"

@@ -44,6 +44,8 @@ def write_press_readings(
 def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
     """Write a comparison as a folder of ``trials.csv``, ``comparison.json`` and ``comparison.png``.
 
+    Where trials were grouped there is ``differences.csv`` as well, the mixed models' row a cue and pair.
+
     Raises:
         ExistsError: `out` exists.
         StorageError: the disk refused.
@@ -51,6 +53,8 @@ def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
     text = json.dumps(comparison.record, indent=1, allow_nan=False) + "\n"
     with new_folder(out) as building, storage_errors(out):
         comparison.table.to_csv(building / "trials.csv", index=False)
+        if comparison.differences is not None:
+            comparison.differences.to_csv(building / "differences.csv", index=False)
         (building / "comparison.json").write_text(text)
         comparison_figure(comparison).savefig(building / "comparison.png")
 

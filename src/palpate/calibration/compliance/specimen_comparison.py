@@ -18,10 +18,21 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
 from palpate.core import InputError, Progress, silent
-from palpate.psychophysics import compare, corrected_by_holm, mean_interval
-from palpate.recordings.exchange.press_folder import press_folder
+from palpate.psychophysics import (
+    compare,
+    compare_grouped,
+    corrected_by_holm,
+    mean_interval,
+    refuse_confounded,
+)
+from palpate.psychophysics.grouped_trials import DEGREES_OF_FREEDOM
+from palpate.recordings.exchange.press_folder import PressFolder, press_folder, trial_groups
 
 BESIDE = ("frames", "series_adjusted_r2")  # in the table, but no cues
+IGNORES_GROUPS = (
+    "ranks, Student's intervals and Kolmogorov and Smirnov's test take every trial as independent, which "
+    "trials of one {} are not: use the mixed model"
+)
 LABELS = {
     "stiffness_N_per_mm": "stiffness by touch [N/mm]",
     "stiffness_both_cues_N_per_mm": "stiffness, both cues [N/mm]",
@@ -42,6 +53,7 @@ class SpecimenComparison:
     Attributes:
         groups: cues of every trial, by specimen.
         table: one row a trial, see `trials_table`.
+        differences: one row a cue and pair of specimens, by the mixed model; None where no groups were named.
         calibration: the one used; None for cues that need none.
         record: tests and means in plain numbers, as ``comparison.json`` holds them.
     """
@@ -50,10 +62,16 @@ class SpecimenComparison:
     table: pd.DataFrame
     calibration: ComplianceCalibration | None
     record: dict[str, Any]
+    differences: pd.DataFrame | None = None
 
 
 def compare_specimens(
-    folder: Path, *, calibration: Path | None = None, pooled: bool = False, progress: Progress = silent
+    folder: Path,
+    *,
+    calibration: Path | None = None,
+    pooled: bool = False,
+    groups: Sequence[str] = (),
+    progress: Progress = silent,
 ) -> SpecimenComparison:
     """Compare the specimens of an experiment's folder.
 
@@ -61,29 +79,39 @@ def compare_specimens(
         folder: see `recordings.exchange.press_folder`.
         calibration: of the sensor; None for the cues that need none.
         pooled: also test the report's pooled samples, with a warning.
+        groups: columns of ``trials.csv`` for a mixed model, the outer one first; see
+            `psychophysics.compare_grouped`.
         progress: called with how many presses are read.
 
     Raises:
-        InputError: fewer than two specimens; and as a press cannot be read.
+        InputError: fewer than two specimens; groups that hold one specimen each; and as a press cannot be
+            read.
+        LabelError: ``trials.csv`` does not tell the groups of every press.
     """
     known = None if calibration is None else ComplianceCalibration.load(calibration)
     experiment = press_folder(folder)
     if len(experiment.specimens) < 2:
         raise InputError(f"{folder} holds one specimen; two or more can be compared")
-    groups = read_presses(experiment.specimens, cues_of, progress)
-    table = trials_table(groups, known)
+    shared = _shared_by_trials(experiment, groups)
+    presses = read_presses(experiment.specimens, cues_of, progress)
+    table = trials_table(presses, known)
     record: dict[str, Any] = {
         "calibration": None if known is None else known.id,
-        "references": [] if known is None else [name for name in groups if name in known.names],
-        "trials": {name: len(each) for name, each in groups.items()},
+        "references": [] if known is None else [name for name in presses if name in known.names],
+        "trials": {name: len(each) for name, each in presses.items()},
         "cues": cue_tests(table),
     }
+    if shared is not None:
+        add_mixed_models(record, table, shared)
+        table = pd.concat(
+            [table.iloc[:, :2], shared.drop(columns="specimen", errors="ignore"), table.iloc[:, 2:]], axis=1
+        )
     if known is not None:
         record["specimens"] = {
             name: [
                 reading_record(one) for one in read_touch(known, [c.trial.press for c in each], name).readings
             ]
-            for name, each in groups.items()
+            for name, each in presses.items()
         }
         for cue, test in record["cues"].items():
             told = {name: _interval_of(cue, each) for name, each in record["specimens"].items()}
@@ -92,10 +120,12 @@ def compare_specimens(
     if pooled:
         late = {
             name: [c.reported.summed[c.reported.force_n >= LATE_N] for c in each]
-            for name, each in groups.items()
+            for name, each in presses.items()
         }
         record["pooled_sums"] = asdict(compare(late, pooled=True))
-    return SpecimenComparison(groups, table, known, _plain(record))
+    return SpecimenComparison(
+        presses, table, known, _plain(record), differences_table(record) if groups else None
+    )
 
 
 def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float] | None:
@@ -143,6 +173,74 @@ def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
     for pair, p in zip(pairs, corrected_by_holm([pair["rank_sum_p"] for pair in pairs]), strict=True):
         pair["rank_sum_p_all_cues"] = p
     return tests
+
+
+def _shared_by_trials(experiment: PressFolder, columns: Sequence[str]) -> pd.DataFrame | None:
+    """Groups of every press, before any is opened; None where no columns are named."""
+    if not columns:
+        return None
+    if len(set(columns)) < len(columns) or "trial" in columns:
+        raise InputError(
+            f"groups by {', '.join(columns)}: name one column, or two different ones, none a trial"
+        )
+    shared = trial_groups(experiment, columns)
+    specimens = [one.name for one in experiment.specimens for _ in one.presses]
+    if columns[0] != "specimen":
+        refuse_confounded(specimens, {columns[0]: list(shared[columns[0]])})
+    return shared
+
+
+def add_mixed_models(record: dict[str, Any], table: pd.DataFrame, shared: pd.DataFrame) -> None:
+    """Add to every cue's tests what a linear mixed model says, in place.
+
+    Args:
+        record: with ``cues``, as `cue_tests` has them.
+        table: one row a trial.
+        shared: groups of the same rows, a column a level, the outer one first.
+    """
+    levels = [str(one) for one in shared.columns]
+    random = [f"(1 | {':'.join(levels[: i + 1])})" for i in range(len(levels))]
+    record["groups"] = {
+        "levels": levels,
+        "model": " + ".join(["specimen", *random]),
+        "variances": "restricted maximum likelihood",
+        "degrees_of_freedom": DEGREES_OF_FREEDOM,
+        "warning": IGNORES_GROUPS.format(levels[0]),
+    }
+    for cue, test in record["cues"].items():
+        rows = (np.isfinite(table[cue]) & table["specimen"].isin(list(test["mean"]))).to_numpy()
+        try:
+            found = compare_grouped(
+                list(table[cue][rows]),
+                [str(one) for one in table["specimen"][rows]],
+                {level: list(shared[level][rows]) for level in levels},
+            )
+        except InputError as e:
+            test["mixed_model"] = {"why_not": str(e)}
+        else:
+            test["mixed_model"] = asdict(found)
+    pairs = [pair for _, pair in _mixed_pairs(record)]
+    for pair, p in zip(pairs, corrected_by_holm([one["difference"]["p"] for one in pairs]), strict=True):
+        pair["difference"]["p_all_cues"] = p
+
+
+def _mixed_pairs(record: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Pairs of all mixed models, each with its cue."""
+    return [
+        (cue, pair) for cue, one in record["cues"].items() for pair in one["mixed_model"].get("pairs", [])
+    ]
+
+
+def differences_table(record: Mapping[str, Any]) -> pd.DataFrame:
+    """One row a cue and pair of specimens: the second's mean less the first's, with its interval."""
+    columns = [
+        "cue", "first", "second", "shared", "value", "low", "high", "freedom", "p", "p_all_cues",
+    ]  # fmt: skip
+    rows = [
+        {"cue": cue, **{k: pair[k] for k in ("first", "second", "shared")}, **pair["difference"]}
+        for cue, pair in _mixed_pairs(record)
+    ]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _plain(value: Any) -> Any:

@@ -5,11 +5,14 @@
                         where it is not known), and any further columns
 ``S1/01.tif``           frames of one press, a multi-page TIFF
 ``S1/01.csv``           its table, of the same name: see `press_table`
+``trials.csv``          a row a press: ``specimen``, ``trial`` (``01``), and columns of what trials share,
+                        such as ``session``, ``copy``, ``tip`` or ``operator``
 ======================  ==================================================================================
 
 A run that was recorded on specimens holds such a folder, ``presses``, and is read as it.
 
-`specimens.csv` may be left out; then no stiffness is known. Further columns and other files are passed over,
+`specimens.csv` may be left out; then no stiffness is known. `trials.csv` is read where groups
+are asked for. Further columns and other files are passed over,
 and so are folders within a specimen's, such as runs made of its presses.
 """
 
@@ -17,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,8 +42,9 @@ from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST
 
 SPECIMENS = "specimens.csv"
+TRIALS = "trials.csv"
 PRESSES = "presses"  # within a run, where its presses lie as such a folder
-NAME, STIFFNESS = "specimen", "stiffness_N_per_mm"
+NAME, STIFFNESS, TRIAL = "specimen", "stiffness_N_per_mm", "trial"
 DIGITS = "%.9g"  # a nanometre in a metre, more than any device of a rig says
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -97,6 +101,57 @@ def press_folder(path: Path) -> PressFolder:
         return PressFolder(
             path, tuple(PressedSpecimen(name, known[name], _presses(folders[name])) for name in known)
         )
+
+
+def trial_groups(folder: PressFolder, columns: Sequence[str]) -> pd.DataFrame:
+    """Read from `trials.csv` what presses share.
+
+    Args:
+        folder: as it was found.
+        columns: of the table, e.g. ``session``; ``specimen`` may be one.
+
+    Returns:
+        A row a press, in the order of specimens and their presses, with these columns as text.
+
+    Raises:
+        LabelError: no such table or column; a press without a row, with two, or with an empty cell; or a row
+            without a press.
+    """
+    path = folder.path / TRIALS
+    if not path.is_file():
+        raise LabelError(
+            f"{path} is not there; to group trials write one with the columns "
+            f"{','.join(dict.fromkeys([NAME, TRIAL, *columns]))} and a row a press, e.g. S1,01,monday"
+        )
+    table = read_labels(path, kinds=dict.fromkeys([NAME, TRIAL, *columns], "text"))
+    for column in [NAME, TRIAL, *columns]:
+        if column not in table.columns:
+            raise LabelError(f"{path} has no column {column!r}; it has {', '.join(map(str, table.columns))}")
+    rows = [tuple(str(row[one]).strip() for one in (NAME, TRIAL)) for _, row in table.iterrows()]
+    keys = [(name, _plain_number(trial)) for name, trial in rows]
+    presses = {
+        (one.name, _plain_number(frames.stem)): frames
+        for one in folder.specimens
+        for frames, _ in one.presses
+    }
+    for key, row in zip(keys, rows, strict=True):
+        if keys.count(key) > 1:
+            raise LabelError(f"{path} names press {'/'.join(row)} more than once; a press has one row")
+        if key not in presses:
+            raise LabelError(f"{path} names press {'/'.join(row)}, which is not in {folder.path}")
+    left = [f"{key[0]}/{frames.stem}" for key, frames in presses.items() if key not in keys]
+    if left:
+        raise LabelError(f"{path} has no row for {', '.join(left)}; add one, or move the press away")
+    found = table.iloc[[keys.index(key) for key in presses]][list(columns)].reset_index(drop=True)
+    found = found.map(lambda cell: "" if pd.isna(cell) else str(cell).strip())
+    for i, column in np.argwhere((found == "").to_numpy()):
+        raise LabelError(f"{path}: {'/'.join(list(presses)[i])} has no {columns[column]}; fill the cell")
+    return found
+
+
+def _plain_number(name: str) -> str:
+    """A trial's name without leading zeros, which a spreadsheet drops."""
+    return name.lstrip("0") or "0" if name.isdecimal() else name
 
 
 def write_specimens(folder: Path, stiffness_n_m: Mapping[str, float]) -> Path:
