@@ -155,6 +155,67 @@ def test_a_comparison_is_told_in_words(experiment, tmp_path) -> None:
     assert "least apart" in said
 
 
+def test_grouped_trials_are_compared_by_a_mixed_model(experiment, tmp_path) -> None:
+    """Two sessions: differences with intervals, and that the variance between them cannot be told."""
+    presses = grouped(
+        experiment, tmp_path / "presses", "specimen,trial,day", lambda name, k: f"{name},{k},d{k}"
+    )
+    out = tmp_path / "compared"
+    result = compliance("compare", presses, "--out", out, "--group", "day", "--quiet")
+    said = " ".join(result.output.split())
+    assert "mixed model, 2 of day: rigid" in said
+    assert "variance between units of day not told, within" in said
+    assert "specimen + (1 | day)" in said
+    assert "warning: ranks, Student's intervals" in said
+    held = strict((out / "comparison.json").read_text())
+    model = held["cues"]["series_stiffness_N_per_mm"]["mixed_model"]
+    assert model["variance"]["day"] is None
+    told = next(one for one in model["pairs"] if (one["first"], one["second"]) == ("S1", "S3"))["difference"]
+    assert told["low"] <= told["value"] <= told["high"] < 0
+    assert told["p"] <= told["p_all_cues"]
+    rows = pd.read_csv(out / "differences.csv").set_index(["cue", "first", "second"])
+    assert math.isclose(rows.loc[("series_stiffness_N_per_mm", "S1", "S3"), "low"], told["low"])
+    assert list(pd.read_csv(out / "trials.csv")["day"]) == ["d1", "d2"] * 3
+
+
+def grouped(experiment, copy, header, row):
+    """The experiment again, with a table of what its presses share."""
+    shutil.copytree(experiment, copy)
+    rows = [row(name, k) for name in ("rigid", "S1", "S3") for k in (1, 2)]
+    (copy / "trials.csv").write_text("\n".join([header, *filter(None, rows)]) + "\n")
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("row", "words", "says"),
+    [
+        (lambda name, k: f"{name},{k},of-{name}", ("day",), "two specimens or more in each day"),
+        (lambda name, k: f"{name},{k},d{k}", ("tip",), "no column 'tip'"),
+        (lambda name, k: f"{name},{k},d{k}", ("day", "day"), "two different ones"),
+        (
+            lambda name, k: f"{name},{k}," + "d" * k if name == "S1" or k == 2 else f"{name},{k},",
+            ("day",),
+            "no day",
+        ),
+        (lambda name, k: f"{name},{k},d" if k == 1 else "", ("day",), "no row for rigid/02, S1/02, S3/02"),
+        (lambda name, k: f"{name},1,d", ("day",), "more than once"),
+        (lambda name, k: f"{name},{k + 7},d", ("day",), "which is not in"),
+    ],
+)
+def test_groups_that_cannot_be_used_are_refused_before_a_press_is_read(
+    experiment, tmp_path, row, words, says
+) -> None:
+    presses = grouped(experiment, tmp_path / "presses", "specimen,trial,day", row)
+    more = [one for word in words for one in ("--group", word)]
+    one_line(compliance("compare", presses, "--out", tmp_path / "out", *more, status=2), says)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_grouped_comparison_asks_for_its_table(experiment, tmp_path) -> None:
+    result = compliance("compare", experiment, "--out", tmp_path / "out", "--group", "day", status=2)
+    one_line(result, "specimen,trial,day", "S1,01,monday")
+
+
 @pytest.mark.parametrize("verb", [(), ("read",), ("calibrate",), ("compare",)])
 def test_help_has_an_example(verb) -> None:
     assert "Example: palpate compliance" in " ".join(compliance(*verb, "--help").output.split())

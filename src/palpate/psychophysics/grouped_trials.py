@@ -170,7 +170,7 @@ def compare_grouped(
     z = (y - middle) / scale
     _refuse_untold(X, V, list(random))
     theta, converged = _reml(z, X, V)
-    solved = _Solved.of(z, X, V, theta)
+    solved = _LeastSquaresAt.of(z, X, V, theta)
     rows = np.eye(X.shape[1])
     most = _freedom_between(levels, random)
     means = {n: solved.estimate(rows[i], coverage, most).moved(middle, scale) for i, n in enumerate(names)}
@@ -272,7 +272,7 @@ def _spread(y: Values, X: Matrix) -> float:
 def _freedom_between(
     levels: Mapping[str, Int[ndarray, " n"]], random: Mapping[str, Int[ndarray, " n"]]
 ) -> float:
-    """Units of the outermost level that has a variance, less the units that hold them; infinite without one."""
+    """Units of the outermost level that has a variance, less those that hold them; infinite without one."""
     if not random:
         return np.inf
     counts = [len(np.unique(each)) for each in levels.values()]
@@ -286,7 +286,7 @@ def _shared(specimens: Sequence[str], units: Int[ndarray, " n"], a: str, b: str)
 
 def _refuse_untold(X: Matrix, V: Sequence[Square], levels: Sequence[str]) -> None:
     """Refuse a design whose information on the variances is singular."""
-    info = _Solved.of(np.zeros(len(X)), X, V, np.ones(len(V))).information
+    info = _LeastSquaresAt.of(np.zeros(len(X)), X, V, np.ones(len(V))).information
     size = np.sqrt(np.maximum(np.diag(info), 1e-300))
     if np.linalg.eigvalsh(info / np.outer(size, size)).min() < MIN_TOLD:
         raise InputError(
@@ -296,7 +296,7 @@ def _refuse_untold(X: Matrix, V: Sequence[Square], levels: Sequence[str]) -> Non
 
 
 @dataclass(frozen=True)
-class _Solved:
+class _LeastSquaresAt:
     """Generalised least squares at given variances, and the restricted likelihood there.
 
     Attributes:
@@ -317,7 +317,7 @@ class _Solved:
     information: Float[ndarray, "k k"]
 
     @classmethod
-    def of(cls, y: Values, X: Matrix, V: Sequence[Square], theta: Float[ndarray, " k"]) -> _Solved:
+    def of(cls, y: Values, X: Matrix, V: Sequence[Square], theta: Float[ndarray, " k"]) -> _LeastSquaresAt:
         whole = sum(t * v for t, v in zip(theta, V, strict=True))
         inverse = np.linalg.inv(whole)
         VX = inverse @ X
@@ -352,7 +352,7 @@ def _reml(y: Values, X: Matrix, V: Sequence[Square]) -> tuple[Float[ndarray, " k
     least = np.zeros(len(V))
     least[-1] = MIN_WITHIN
     theta = np.full(len(V), 1 / len(V))
-    here = _Solved.of(y, X, V, theta)
+    here = _LeastSquaresAt.of(y, X, V, theta)
     for _ in range(MAX_STEPS):
         free = (theta > least) | (here.score > 0)
         step = np.zeros(len(V))
@@ -361,7 +361,7 @@ def _reml(y: Values, X: Matrix, V: Sequence[Square]) -> tuple[Float[ndarray, " k
             return theta, True
         length = 1.0
         while True:
-            there = _Solved.of(y, X, V, trial := np.maximum(theta + length * step, least))
+            there = _LeastSquaresAt.of(y, X, V, trial := np.maximum(theta + length * step, least))
             if there.log_likelihood > here.log_likelihood:
                 break
             length /= 2
