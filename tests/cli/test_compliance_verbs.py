@@ -266,3 +266,50 @@ def test_one_specimen_cannot_be_compared(experiment, tmp_path) -> None:
     (tmp_path / "presses").mkdir()
     shutil.copytree(experiment / "S1", tmp_path / "presses" / "S1")
     one_line(compliance("compare", tmp_path / "presses", "--out", tmp_path / "out", status=2), "two or more")
+
+
+@pytest.fixture(scope="module")
+def there_and_back(tmp_path_factory):
+    """Presses that come back, by a camera late by 60 ms: two of S1 and a rigid plate's two."""
+    out = tmp_path_factory.mktemp("late") / "presses"
+    spec = replace(tactip(), speed_m_s=12e-3)
+    faces = specimens_at(spec, {"rigid": math.inf, "S1": 7.6e3})
+    record_trials(out, spec, faces, 2, seed=3, back=True, late_s=0.06)
+    return out
+
+
+@pytest.mark.slow
+def test_the_latency_of_a_camera_is_told_by_presses_that_come_back_and_taken_off(
+    there_and_back, tmp_path
+) -> None:
+    out = tmp_path / "latency.json"
+    found = strict(compliance("latency", there_and_back, "--out", out, "--quiet", "--json").output)
+    assert found["valid"]
+    assert found["low_ms"] < 60 < found["high_ms"]
+    assert found["high_ms"] - found["low_ms"] < 5
+    assert "one speed" in found["flags"][0]
+    late, corrected = tmp_path / "late.npz", tmp_path / "corrected.npz"
+    compliance("calibrate", there_and_back, "--out", late, "--quiet")
+    said = compliance(
+        "calibrate", there_and_back, "--out", corrected, "--latency", out, "--quiet", "--json"
+    ).output
+    record = strict(said)
+    assert record["latency_ms"] == pytest.approx(60, abs=3)
+    assert record["nuisances"]["late_ms"] == pytest.approx(found["standard_uncertainty_ms"])
+    press = (there_and_back / "S1" / "01.tif", "--force", there_and_back / "S1" / "01.csv", "--json")
+    both = strict(compliance(*press, "--calibration", corrected, "--latency", out).output)
+    assert both["nuisances"]["late_ms"] == pytest.approx(2**0.5 * found["standard_uncertainty_ms"])
+    apart = strict(compliance(*press, "--calibration", late, "--latency", out).output)
+    assert any("were not corrected" in flag for flag in apart["flags"])
+    assert not any(one["valid"] for one in apart["readings"])
+    other = strict(compliance(*press, "--calibration", corrected).output)
+    assert any("read with --latency" in flag for flag in other["flags"])
+
+
+def test_a_press_without_its_way_back_tells_no_latency(experiment, tmp_path) -> None:
+    said = compliance("latency", experiment / "S3", "--quiet", status=2)
+    assert "no press tells a latency" in said.stderr
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text('{"valid": true}')
+    said = compliance("calibrate", experiment, "--out", tmp_path / "t.npz", "--latency", wrong, status=2)
+    assert "is no latency of a camera" in said.stderr

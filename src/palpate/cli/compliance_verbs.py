@@ -41,6 +41,11 @@ Calibration = Annotated[
 ]
 
 
+LatencyFile = Annotated[
+    Path | None, Option("--latency", help="Camera's latency, by `compliance latency --out`: taken off.")
+]
+
+
 @app.callback()
 def start() -> None:
     """Measure softness in N/mm from presses of a camera-based tip.
@@ -61,6 +66,7 @@ def read(
     position_column: PositionColumn = None,
     rate_hz: ForceRate = None,
     lens: Annotated[Path | None, Option(help="Lens file of the camera: adds A_c0 in mm².")] = None,
+    latency_file: LatencyFile = None,
     json_: Json = False,
 ) -> None:
     """Read one press: stiffness, contact area, spread rate and E*.
@@ -69,13 +75,14 @@ def read(
 
     Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
     """
-    from palpate.calibration.compliance import press_record, read_press
+    from palpate.calibration.compliance import CameraLatency, press_record, read_press
 
     if out is not None:
         refuse_existing(out)
     cues, touch = read_press(
         press, force, calibration=calibration,
         force_column=force_column, position_column=position_column, rate_hz=rate_hz,
+        latency=None if latency_file is None else CameraLatency.load(latency_file),
     )  # fmt: skip
     record = press_record(cues, touch)
     if lens is not None:
@@ -109,6 +116,7 @@ def calibrate(
     nuisance: Annotated[
         list[str] | None, Option(help="NAME=SIZE of what later presses may differ by, e.g. lever=0; repeat.")
     ] = None,
+    latency_file: LatencyFile = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -116,12 +124,14 @@ def calibrate(
 
     Example: palpate compliance calibrate references --out tip.npz
     """
-    from palpate.calibration.compliance import calibrate_folder
+    from palpate.calibration.compliance import CameraLatency, calibrate_folder
 
+    camera = None if latency_file is None else CameraLatency.load(latency_file)
     with progress_bar(quiet) as progress:
         record = calibrate_folder(
-            folder, out, tilt_deg=tilt_deg, note=note, nuisances=nuisance or [], progress=progress
-        )
+            folder, out, tilt_deg=tilt_deg, note=note, nuisances=nuisance or [],
+            latency=None if camera is None else (camera.seconds, camera.sd_s), progress=progress,
+        )  # fmt: skip
     names = ", ".join(
         f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
         for one in record["references"]
@@ -134,7 +144,57 @@ def calibrate(
         _area_error(record["area_known"], record["area_error"]),
         "intervals contain, as standard deviations: " + _sizes(record["nuisances"]),
     ]
+    if camera is not None:
+        lines.append(f"frames late by {record['latency_ms']:.3g} ms: taken off")
     print_found(record, "\n".join(lines), json_)
+
+
+@app.command()
+def latency(
+    press: Annotated[
+        list[Path], Argument(help="Frames of presses there and back, each table beside; or folders of them.")
+    ],
+    force: Annotated[
+        Path | None, Option(help="Table of the one press, where its name is not that of the frames.")
+    ] = None,
+    out: Annotated[Path | None, Option(help="JSON to make, for --latency of the other verbs.")] = None,
+    force_column: ForceColumn = None,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure by how much the camera's frames are late, from presses.
+
+    A press must come back within its record: late frames show more motion on the way up than on the way down
+    at the same force. Above 0, a frame shows an earlier moment than its row says.
+
+    Example: palpate compliance latency presses/S1/01.tif presses/S1/02.tif --out latency.json
+    """
+    from palpate.calibration.compliance import measure_latency
+
+    with progress_bar(quiet) as progress:
+        record = measure_latency(press, out, force=force, force_column=force_column, progress=progress)
+    print_found(record, _latency(record), json_)
+
+
+def _latency(record: dict[str, Any]) -> str:
+    lines = [
+        f"{name}: {one['latency_ms']:.3g} ms ({one['low_ms']:.3g} to {one['high_ms']:.3g}), force rises by "
+        f"{one['force_rate_N_per_s']:.3g} N/s"
+        for name, one in record["presses"].items()
+    ]
+    lines += [f"{name}: not used: {why}" for name, why in record["not_used"].items()]
+    lines.append(
+        f"frames late by {record['latency_ms']:.3g} ms ({record['low_ms']:.3g} to {record['high_ms']:.3g}, "
+        f"95 %), by {len(record['presses'])} presses; of one press to "
+        f"{record['standard_uncertainty_ms']:.2g} ms (standard uncertainty)"
+    )
+    if "speeds" in record:
+        speeds = record["speeds"]
+        lines.append(f"slow presses {speeds['slow_ms']:.3g} ms, fast ones {speeds['fast_ms']:.3g} ms")
+    lines += [f"flag: {flag}" for flag in record["flags"]]
+    if not record["valid"]:
+        lines.append(f"NOT VALID: {record['why']}")
+    return "\n".join(lines + ([f"latency: {record['out']}"] if "out" in record else []))
 
 
 @app.command()
@@ -188,6 +248,7 @@ def compare(
         list[str] | None,
         Option(help="Column of trials.csv that trials share, e.g. session; a second one is nested in it."),
     ] = None,
+    latency_file: LatencyFile = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -197,13 +258,19 @@ def compare(
 
     Example: palpate compliance compare experiment --calibration tip.npz --out compared
     """
-    from palpate.calibration.compliance import compare_specimens
+    from palpate.calibration.compliance import CameraLatency, compare_specimens
     from palpate.reports.compliance_figures import write_comparison
 
     refuse_existing(out)
+    camera = None if latency_file is None else CameraLatency.load(latency_file)
     with progress_bar(quiet) as progress:
         comparison = compare_specimens(
-            folder, calibration=calibration, pooled=pooled, groups=group or [], progress=progress
+            folder,
+            calibration=calibration,
+            pooled=pooled,
+            groups=group or [],
+            latency=camera,
+            progress=progress,
         )
         write_comparison(out, comparison)
     record = comparison.record | {"out": str(out)}

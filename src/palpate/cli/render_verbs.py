@@ -131,6 +131,8 @@ def tactip(
     speed_mm_s: Annotated[float, Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
     seed: Annotated[int, Option(min=0, help="Of seating and noise.")] = 0,
     runs: Annotated[bool, Option("--runs", help="Also write each press as a run.")] = False,
+    back: Annotated[bool, Option("--back", help="Also record the way back up.")] = False,
+    late_ms: Annotated[float, Option(help="By which frames show earlier moments than they say [ms].")] = 0.0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -153,8 +155,9 @@ def tactip(
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
         folder = record_trials(
-            out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, progress=progress
-        )
+            out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, back=back,
+            late_s=1e-3 * late_ms, progress=progress,
+        )  # fmt: skip
     result, text = _trials_text(folder, stiffness, tilt_deg, runs)
     print_found(result, text, json_)
 

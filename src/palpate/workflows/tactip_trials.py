@@ -1,7 +1,8 @@
 """Presses of the virtual TacTip by the virtual rig's devices, with their truth, and written as a rig's files.
 
 A press goes down at a steady speed onto the tables' cylinder, of a stiffness kappa = E pi r^2 / h (slow
-loading over its whole top), or onto a rigid plate. Stage, force sensor, seating and their noise are those of
+loading over its whole top), or onto a rigid plate; where it is asked for, also back up, by a camera that is
+late. Stage, force sensor, seating and their noise are those of
 `rig.virtual`; the frames are of the force samples nearest to the middle of the camera's exposures.
 """
 
@@ -46,7 +47,7 @@ from palpate.rig.virtual.virtual_force import VirtualForce
 from palpate.rig.virtual.virtual_stage import VirtualStage
 from palpate.rig.virtual.virtual_world import Touch, World
 from palpate.sensors.tactip import TacTipSpec
-from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate.sensors.tactip.tactip_press import TipOnSpecimen, modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.version import __version__
 
@@ -78,6 +79,8 @@ class VirtualPress:
         position_m: of the stage, from the first sample [m].
         touches: state of the contact at every sample.
         frame_sample: index of the sample of every frame.
+        shown_sample: index of the sample that every frame shows, another one where the camera is late; None
+            for the same.
     """
 
     sensor: TacTip
@@ -88,6 +91,7 @@ class VirtualPress:
     position_m: Float[ndarray, " s"]
     touches: tuple[Touch, ...]
     frame_sample: Int[ndarray, " f"]
+    shown_sample: Int[ndarray, " f"] | None = None
 
     @cached_property
     def true_force_n(self) -> Float[ndarray, " s"]:
@@ -107,26 +111,34 @@ class VirtualPress:
     @property
     def pose(self) -> Pose:
         """The deepest."""
-        return self._contact(-1).pose
+        return self._contact(self.deepest).pose
+
+    @property
+    def deepest(self) -> int:
+        """Sample at which the tip is deepest."""
+        return int(np.argmax(self.true_approach_m))
 
     @property
     def seating(self) -> Seating:
         """Lamp and shift of the image."""
-        approach = self.touches[-1].approach
+        approach = self.touches[self.deepest].approach
         return Seating(approach.lamp_gain, approach.shift_px)
 
     def points_px(self, frame: int) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
         """True centres (x, y) and radii of the markers in one frame, the middle pin first [px]."""
-        return self.sensor.markers_px(self._contact(int(self.frame_sample[frame])), self.seating)
+        return self.sensor.markers_px(self._contact(self._shown(frame)), self.seating)
 
     def frame(self, frame: int) -> UInt8[ndarray, "h w"]:
         """One image, the same at every call."""
         rng = np.random.default_rng([self.seed, frame])
-        return self.sensor.render(self._contact(int(self.frame_sample[frame])), rng, self.seating).image
+        return self.sensor.render(self._contact(self._shown(frame)), rng, self.seating).image
 
     def frames(self) -> Iterator[UInt8[ndarray, "h w"]]:
         """All images, in order."""
         return (self.frame(i) for i in range(len(self.frame_sample)))
+
+    def _shown(self, frame: int) -> int:
+        return int((self.frame_sample if self.shown_sample is None else self.shown_sample)[frame])
 
     def _contact(self, sample: int) -> Contact:
         touch, sensor = self.touches[sample], self.sensor
@@ -134,18 +146,25 @@ class VirtualPress:
         return sensor.press(sensor.probe(self.words), pose, sensor.specimen(self.words))
 
 
-def record_press(spec: TacTipSpec, words: str, seed: int) -> VirtualPress:
+def record_press(
+    spec: TacTipSpec, words: str, seed: int, *, back: bool = False, late_s: float = 0.0
+) -> VirtualPress:
     """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
 
     Args:
         spec: the sensor and its rig.
         words: what is pressed, see `TacTip.probe`.
         seed: of everything random, 0 or more.
+        back: go to the depth of the greatest force, and record the way back up as well, at the same speed,
+            until the tip stands in the air.
+        late_s: by which frames show an earlier moment than their times say, to a whole sample [s].
 
     Raises:
         InputError: the words name no specimen.
-        RangeError: the specimen's table ends before the greatest force.
+        RangeError: the specimen's table ends before the greatest force, or `late_s` is not finite.
     """
+    if not math.isfinite(late_s):
+        raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
     sensor, rate_hz = TacTip(spec), spec.force.rate_hz
     variation = replace(Variation(), **sensor.variation())
     world = World(sensor, ManualClock(), CARRYING, ORIGIN_M, variation, rate_hz, seed, ())
@@ -158,21 +177,32 @@ def record_press(spec: TacTipSpec, words: str, seed: int) -> VirtualPress:
     _follow(world, touches, until_s=world.motion.ends_s)
     tare_s = world.now_s
     _follow(world, touches, until_s=tare_s + TARE_S)
-    stage.move_to((0.0, 0.0, sensor.on(words).deepest_m + LEAD_M), speed)
+    tip = sensor.on(words)
+    stage.move_to((0.0, 0.0, _depth_m(tip, MAX_N) if back else tip.deepest_m + LEAD_M), speed)
     motion = world.motion
-    while touches[-1].force_n[2] < MAX_N and stage.moving():
+    while stage.moving() and (back or touches[-1].force_n[2] < MAX_N):
         _follow(world, touches, until_s=world.now_s + POLL_S)
+    moves = [motion]
+    if back:
+        stage.move_to(motion.start_m, speed)
+        moves.append(world.motion)
+        _follow(world, touches, until_s=world.motion.ends_s + TARE_S)
     normal, time_s = np.array([t.force_n[2] for t in touches]), np.array([t.time_s for t in touches])
-    if normal.max() < MAX_N:
+    if normal.max() < MAX_N and not back:
         raise RangeError(f"the table ends at {normal.max():.3g} N; a press goes to {MAX_N} N")
     world.clock.sleep(1.0)  # until the last sample has arrived
     samples = np.array([wrench.force_n[2] for wrench in force.drain()])[: len(touches)]
-    end = int(np.argmax(normal >= MAX_N)) + 1
+    end = len(normal) if back else int(np.argmax(normal >= MAX_N)) + 1
     frame_sample = _nearest(sensor, time_s[:end])
     frame_sample = frame_sample[time_s[frame_sample] > motion.begun_s + speed / CARRYING.acceleration_m_s2]
     part = slice(int(frame_sample[0]), end)
     air = (time_s > tare_s) & (time_s < motion.begun_s)
-    z_m = motion.at(time_s[part])[:, 2]
+    z_m = moves[0].at(time_s[part])[:, 2]
+    for move in moves[1:]:
+        z_m = np.where(time_s[part] < move.begun_s, z_m, move.at(time_s[part])[:, 2])
+    frame_sample = frame_sample - frame_sample[0]
+    shown = frame_sample - round(late_s * rate_hz)
+    inside = shown < len(z_m)
     return VirtualPress(
         sensor,
         words,
@@ -181,8 +211,15 @@ def record_press(spec: TacTipSpec, words: str, seed: int) -> VirtualPress:
         samples[part] - samples[air].mean(),
         z_m - z_m[0],
         tuple(touches[part]),
-        frame_sample - frame_sample[0],
+        frame_sample[inside],
+        np.maximum(shown[inside], 0) if late_s else None,
     )
+
+
+def _depth_m(tip: TipOnSpecimen, force_n: float) -> float:
+    """Approach at which a contact has a force [m]."""
+    approach_m = np.linspace(0.0, tip.deepest_m, 200)
+    return float(np.interp(force_n, tip.force_n(approach_m), approach_m))
 
 
 def _follow(world: World, touches: list[Touch], until_s: float) -> None:
@@ -252,6 +289,8 @@ def record_trials(
     seed: int = 0,
     unknown: Collection[str] = (),
     runs: bool = False,
+    back: bool = False,
+    late_s: float = 0.0,
     progress: Progress = silent,
 ) -> PressFolder:
     """Press every specimen several times and write what a rig would, see `press_folder`; whole or not at all.
@@ -268,6 +307,7 @@ def record_trials(
         seed: of everything random, 0 or more.
         unknown: names whose stiffness `specimens.csv` leaves empty; `virtual.json` has it.
         runs: also write each press as a run, in a folder of the press's name.
+        back, late_s: see `record_press`.
         progress: called with how many presses are done.
 
     Raises:
@@ -287,12 +327,13 @@ def record_trials(
         write_specimens(building, {n: math.nan if n in unknown else k for n, k in stiffness.items()})
         for i, (name, words) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
-                press, number = record_press(spec, words, _seed(seed, name, k)), f"{k:0{digits}d}"
+                press = record_press(spec, words, _seed(seed, name, k), back=back, late_s=late_s)
+                number = f"{k:0{digits}d}"
                 _write(building / name, number, press, runs)
                 truths[name][number] = _truth(press)
                 progress("pressing", i * trials + k, len(specimens) * trials)
         with new_file(building / TRUTH) as path:
-            about = _about(spec, specimens, seed, truths)
+            about = _about(spec, specimens, seed, truths) | ({"late_ms": 1e3 * late_s} if late_s else {})
             path.write_text(json.dumps(about, indent=1, allow_nan=False) + "\n")
     return press_folder(out)
 
@@ -319,9 +360,10 @@ def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
 
 def _truth(press: VirtualPress) -> dict[str, Any]:
     """Seed and seating of a press."""
+    down = press.deepest + 1
     return {
         "seed": press.seed,
-        "touch_s": float(np.interp(0.0, press.true_approach_m, press.time_s)),
+        "touch_s": float(np.interp(0.0, press.true_approach_m[:down], press.time_s[:down])),
         "shift_px": list(press.seating.shift_px),
         "lean_deg": np.rad2deg(press.sensor.lean_rad(press.pose)).tolist(),
         "light_ratio": press.seating.light,

@@ -1,8 +1,17 @@
 """Compliance by touch from recorded presses: calibrate on references, read a press, compare specimens."""
 
 from palpate.calibration.compliance.compliance_calibration import calibrate_folder
+from palpate.calibration.compliance.latency_file import CameraLatency, measure_latency
 from palpate.calibration.compliance.press_cues import press_record, read_press
 from palpate.calibration.compliance.specimen_comparison import compare_specimens
 from palpate.calibration.compliance.specimen_stiffness import plate_stiffness
 
-__all__ = ["calibrate_folder", "compare_specimens", "plate_stiffness", "press_record", "read_press"]
+__all__ = [
+    "CameraLatency",
+    "calibrate_folder",
+    "compare_specimens",
+    "measure_latency",
+    "plate_stiffness",
+    "press_record",
+    "read_press",
+]

@@ -99,6 +99,7 @@ class ComplianceCalibration:
             contain the references' own scatter only.
         rigid_plate: stretch of the middle by the ring's radius on a rigid plate; None without one, and in
             calibrations of before.
+        latency_s: of the camera, which the references' frames were corrected for; None for none [s].
     """
 
     names: tuple[str, ...]
@@ -119,6 +120,7 @@ class ComplianceCalibration:
     seat: Seat | None = None
     nuisances: Nuisances | None = None
     rigid_plate: RigidPlateStretch | None = None
+    latency_s: float | None = None
 
     @property
     def id(self) -> str:
@@ -333,8 +335,15 @@ def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -
     return ReferenceTrial(press, area)
 
 
-def load_references(folder: PressFolder, progress: Progress = silent) -> list[ReferenceSpecimen]:
+def load_references(
+    folder: PressFolder, progress: Progress = silent, *, latency_s: float = 0.0
+) -> list[ReferenceSpecimen]:
     """The specimens of known stiffness, in the folder's order.
+
+    Args:
+        folder: of the experiment.
+        progress: called with how many presses are read.
+        latency_s: of the camera, taken off [s].
 
     Raises:
         InputError: fewer than two have a known stiffness; and as a press cannot be read.
@@ -345,20 +354,31 @@ def load_references(folder: PressFolder, progress: Progress = silent) -> list[Re
             f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
             "write two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
         )
-    trials = read_presses(list(known), reference_trial, progress)
+    trials = read_presses(list(known), reference_trial, progress, latency_s)
     return [ReferenceSpecimen(one.name, kappa, tuple(trials[one.name])) for one, kappa in known.items()]
 
 
 def read_presses(
-    specimens: Sequence[PressedSpecimen], read: Callable[[FrameSequence, PressTable], T], progress: Progress
+    specimens: Sequence[PressedSpecimen],
+    read: Callable[[FrameSequence, PressTable], T],
+    progress: Progress,
+    latency_s: float = 0.0,
 ) -> dict[str, list[T]]:
-    """Every press of some specimens, by their names, as `read` gives it from its frames and its table."""
+    """Every press of some specimens, by their names, as `read` gives it from its frames and its table.
+
+    Args:
+        specimens: of an experiment.
+        read: what is made of a press.
+        progress: called with how many are read.
+        latency_s: of the camera, taken off [s].
+    """
     done, total = 0, sum(len(one.presses) for one in specimens)
     results: dict[str, list[T]] = {one.name: [] for one in specimens}
     for one in specimens:
         for frames, table in one.presses:
             with open_sequence(frames) as sequence:
-                results[one.name].append(read(sequence, read_press_table(table, len(sequence))))
+                rows = read_press_table(table, len(sequence)).earlier(latency_s)
+                results[one.name].append(read(sequence, rows))
             done += 1
             progress("presses", done, total)
     return results
@@ -371,6 +391,7 @@ def calibrate_folder(
     tilt_deg: float = 0.0,
     note: str = "",
     nuisances: Sequence[str] = (),
+    latency: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Calibrate on the specimens of known stiffness in a folder, and return what was fitted in plain numbers.
@@ -381,6 +402,8 @@ def calibrate_folder(
         tilt_deg: of the specimens' tops [deg].
         note: kept with the calibration.
         nuisances: sizes that are not the standard ones, as `Nuisances.named` has them.
+        latency: of the camera and its standard uncertainty, of which the first is taken off and the second is
+            the size of `late_ms` unless that is named; None for frames as they are [s].
         progress: called with how many presses are read.
 
     Raises:
@@ -389,11 +412,14 @@ def calibrate_folder(
     if out.suffix != ".npz":
         raise InputError(f"{out} is not an .npz file; name the calibration e.g. tip.npz")
     refuse_existing(out)
-    sizes = Nuisances.named(nuisances)
-    references = load_references(press_folder(folder), progress)
+    sizes, late_s = Nuisances.named(nuisances), None if latency is None else latency[0]
+    if latency is not None and not any(one.startswith("late_ms=") for one in nuisances):
+        sizes = replace(sizes, late_s=latency[1])
+    references = load_references(press_folder(folder), progress, latency_s=late_s or 0.0)
     calibration = calibrate_compliance(
         references, tilt_rad=float(np.deg2rad(tilt_deg)), note=note, nuisances=sizes
     )
+    calibration = replace(calibration, latency_s=late_s)
     calibration.save(out)
     both, area = calibration.both, calibration.area
     return {
@@ -414,6 +440,7 @@ def calibrate_folder(
         "area_error": None if area is None else finite_or_none(area.spread),
         "tilt_deg": tilt_deg,
         "nuisances": sizes.at_edge(),
+        "latency_ms": None if late_s is None else 1e3 * late_s,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
 from palpate.calibration.compliance.contact_shape import contact_shape
+from palpate.calibration.compliance.latency_file import CameraLatency, with_latency
 from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import InputError, Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
@@ -96,6 +97,7 @@ def read_press(
     force_column: str | None = None,
     position_column: str | None = None,
     rate_hz: float | None = None,
+    latency: CameraLatency | None = None,
 ) -> tuple[PressCues, PressReading | None]:
     """Cues of a press in files, and its readings where a calibration is given.
 
@@ -103,16 +105,22 @@ def read_press(
         frames, force: of the press.
         calibration: of the sensor; None for the cues that need none.
         force_column, position_column, rate_hz: see `read_press_table`.
+        latency: of the camera, taken off; None for frames as they are.
 
     Raises:
         PalpateError: a file that cannot be read.
     """
-    tip = None if calibration is None else ComplianceCalibration.load(calibration)
+    tip, flag = None, ""
+    if calibration is not None:
+        tip, flag = with_latency(ComplianceCalibration.load(calibration), latency)
     with open_sequence(frames) as sequence:
         table = read_press_table(
             force, len(sequence), force_column=force_column, position_column=position_column, rate_hz=rate_hz
         )
-        cues = cues_of(sequence, table)
+        cues = cues_of(sequence, table.earlier(0.0 if latency is None else latency.seconds))
+    if flag:
+        press = replace(cues.trial.press, flaws=(*cues.trial.press.flaws, flag))
+        cues = replace(cues, trial=replace(cues.trial, press=press))
     return cues, None if tip is None else read_touch(tip, [cues.trial.press], frames.name)
 
 

@@ -16,6 +16,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     read_presses,
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.latency_file import CameraLatency, with_latency
 from palpate.calibration.compliance.press_cues import LATE_N, PressCues, cues_of, reading_record
 from palpate.core import InputError, Progress, silent
 from palpate.psychophysics import (
@@ -71,6 +72,7 @@ def compare_specimens(
     calibration: Path | None = None,
     pooled: bool = False,
     groups: Sequence[str] = (),
+    latency: CameraLatency | None = None,
     progress: Progress = silent,
 ) -> SpecimenComparison:
     """Compare the specimens of an experiment's folder.
@@ -81,19 +83,25 @@ def compare_specimens(
         pooled: also test the report's pooled samples, with a warning.
         groups: columns of ``trials.csv`` for a mixed model, the outer one first; see
             `psychophysics.compare_grouped`.
+        latency: of the camera, taken off; None for frames as they are.
         progress: called with how many presses are read.
 
     Raises:
-        InputError: fewer than two specimens; groups that hold one specimen each; and as a press cannot be
-            read.
+        InputError: fewer than two specimens; groups that hold one specimen each; a calibration that does
+            not go with the latency; and as a press cannot be read.
         LabelError: ``trials.csv`` does not tell the groups of every press.
     """
-    known = None if calibration is None else ComplianceCalibration.load(calibration)
+    known = None
+    if calibration is not None:
+        known, apart = with_latency(ComplianceCalibration.load(calibration), latency)
+        if apart:
+            raise InputError(apart)
     experiment = press_folder(folder)
     if len(experiment.specimens) < 2:
         raise InputError(f"{folder} holds one specimen; two or more can be compared")
     shared = _shared_by_trials(experiment, groups)
-    presses = read_presses(experiment.specimens, cues_of, progress)
+    late_s = 0.0 if latency is None else latency.seconds
+    presses = read_presses(experiment.specimens, cues_of, progress, late_s)
     table = trials_table(presses, known)
     record: dict[str, Any] = {
         "calibration": None if known is None else known.id,

@@ -10,13 +10,13 @@ a rig measured beside the sensor, by ink or by light. Cells without one are left
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from palpate.core import Float, Int, LabelError, has_unit, ndarray, split_column
+from palpate.core import Float, Int, LabelError, RangeError, has_unit, ndarray, split_column
 from palpate.recordings.label_tables import label_kinds, read_labels, rows_text
 
 FORCES = ("force_raw_N", "force_N", "Fz_N", "fz_N")
@@ -53,6 +53,41 @@ class PressTable:
     position_column: str | None
     area_column: str | None
     turned: bool
+
+    def earlier(self, latency_s: float) -> PressTable:
+        """The table for frames that are late: force and position of that time before, at the same samples.
+
+        Between samples they go straight; before the first they rest. Frames whose moment lies beyond the last
+        sample, of a latency below 0, are left out. Areas are shifted where each sample has one, as a
+        simulator's are; those of single frames stay with their frames.
+
+        Args:
+            latency_s: by which frames show an earlier moment than that of their sample [s].
+
+        Raises:
+            RangeError: a latency that is not finite, or as long as the press.
+        """
+        if not abs(latency_s) < self.time_s[-1] - self.time_s[0]:
+            raise RangeError(f"frames late by {latency_s} s in a press of {self.time_s[-1]:.3g} s")
+        if latency_s == 0:
+            return self
+        at = self.time_s - latency_s
+        at = at[at <= self.time_s[-1] + 1e-9]
+
+        def shifted(values: Samples) -> Float[ndarray, " k"]:
+            return np.interp(at, self.time_s, values)
+
+        area = self.area_m2
+        if area is not None:
+            area = shifted(area) if np.isfinite(area).all() else area[: len(at)]
+        return replace(
+            self,
+            time_s=self.time_s[: len(at)],
+            force_n=shifted(self.force_n),
+            position_m=None if self.position_m is None else shifted(self.position_m),
+            area_m2=area,
+            frame_sample=self.frame_sample[self.frame_sample < len(at)],
+        )
 
 
 def read_press_table(
