@@ -40,7 +40,7 @@ from palpate.core import Float, InputError, Int, RangeError, ndarray
 from palpate.estimators.compliance.press_force import CONTACT_N, without_spikes
 
 COVERAGE = 0.95
-MOST_S = 0.25  # of the latencies looked for, to either side
+MAX_LATENCY_S = 0.25  # of the latencies looked for, to either side
 STEP_S = 4e-3  # of the first, coarse search
 PIECES, ORDER = 6, 4  # of the law's spline: polynomials of degree 3
 MIN_FRAMES = 20  # for eight coefficients and an interval
@@ -136,7 +136,7 @@ def press_latency(
     frame_sample: Int[ndarray, " _"],
     motion_px: Series,
     *,
-    most_s: float = MOST_S,
+    most_s: float = MAX_LATENCY_S,
 ) -> PressLatency:
     """The latency of the frames of one press that goes down and comes back.
 
@@ -270,7 +270,7 @@ def _check(
     if not (np.diff(time) > 0).all() or not (np.diff(frame_sample) > 0).all():
         raise InputError("times of samples and frames must rise; sort the rows")
     if not 0 < most_s < math.inf:
-        raise RangeError(f"latencies of up to {most_s} s; above 0, {MOST_S} s if in doubt")
+        raise RangeError(f"latencies of up to {most_s} s; above 0, {MAX_LATENCY_S} s if in doubt")
 
 
 def _check_press(force: Samples, motion: Frames) -> None:
