@@ -42,6 +42,15 @@ def test_a_rigid_plate_other_pins_and_runs_in_json(tmp_path) -> None:
     assert json.loads((out / "virtual.json").read_text())["spec"]["pins"]["rings"] == 10
 
 
+def test_a_linear_rig_is_chosen_by_name(tmp_path) -> None:
+    out = tmp_path / "presses"
+    render(str(out), "--rigid", "--rig", "linear", "--quiet", *FAST)
+    assert json.loads((out / "virtual.json").read_text())["rig"]["name"] == "linear"
+    said = render(str(tmp_path / "b"), "--rigid", "--rig", "belt", *FAST, status=2).stderr
+    assert "there are ideal, linear" in said
+    assert not (tmp_path / "b").exists()
+
+
 def test_the_example_of_the_help_is_of_this_verb() -> None:
     said = " ".join(render("--help").output.split())
     assert "Example: palpate render tactip presses --specimen S1=7.6" in said

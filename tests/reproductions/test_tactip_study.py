@@ -26,6 +26,7 @@ from palpate.reproductions.tactip.tactip_setup import (
     stiffness_line,
     under_plate,
 )
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press
 
@@ -38,6 +39,7 @@ def upright(tmp_path_factory):
     out, told = tmp_path_factory.mktemp("study") / "tactip", []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "TILTS", (0,))
+        patch.setattr(study, "CONTROLS", ("as assumed", "linear rig"))
         entries = reproduce_tactip(out, trials=2, progress=lambda *said: told.append(said))
     return out, entries, told
 
@@ -146,6 +148,33 @@ def test_a_specimen_under_a_rigid_plate_has_the_stiffness_it_was_given() -> None
         # the force sensor's steps
         assert_allclose(plate.force_n % 0.0625, 0, atol=1e-9)
     assert kappa_n_m("rigid") == np.inf
+
+
+def test_on_the_linear_rig_the_encoder_has_the_stiffness_and_the_command_the_droop_in_series() -> None:
+    """The command for the encoder is the negative control: 1/Kp comes in as false compliance."""
+    for name in NAMES:
+        kappa, Kp = kappa_n_m(name), LINEAR_RIG.stiffness_n_m
+        encoder, command = (
+            np.mean([line.slope for line in under_plate(tactip(), name, 5, 5, LINEAR_RIG, over).lines])
+            for over in study.OVER
+        )
+        assert_allclose(encoder, kappa, rtol=0.005)
+        assert_allclose(1 / command - 1 / encoder, 1 / Kp, rtol=0.05)
+        assert_allclose(command, kappa * Kp / (kappa + Kp), rtol=0.005)
+        (ideal,) = under_plate(tactip(), name, 1, 5, over="command").lines
+        assert_allclose(ideal.slope, kappa, rtol=0.02)
+
+
+def test_the_linear_rig_is_a_condition_of_the_study(upright) -> None:
+    out, entries, _ = upright
+    at = "linear rig: stiffness of S1 by a rigid plate, over the"
+    assert_allclose(number(entries, f"{at} encoder's displacement"), 7.6, rtol=0.01)
+    found = number(entries, f"{at} commanded displacement")
+    assert_allclose(found, number(entries, f"{at} commanded displacement, by 1/kappa + 1/Kp"), rtol=0.01)
+    assert found < 5
+    ranked = "0 degrees, linear rig: secant over the disc, softest over stiffest, concordance"
+    assert number(entries, ranked) > 0.8
+    assert "1/κ + 1/Kp" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_trial_has_the_table_that_its_files_would_hold() -> None:

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -14,6 +15,7 @@ from palpate.recordings import Run
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import HeadOn, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined
 from palpate.sensors.tactip.tactip_press import modulus_pa
@@ -74,6 +76,65 @@ def test_half_the_speed_gives_twice_the_frames() -> None:
     slow = record_press(replace(tactip(), speed_m_s=2.5e-3), "S1=7.6", seed=5)
     fast = record_press(tactip(), "S1=7.6", seed=5)
     assert_allclose(len(slow.frame_sample) / len(fast.frame_sample), 2, rtol=0.06)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A press on the linear rig at the report's speed."""
+    return record_press(tactip(), "S1=7.6", seed=3, rig=LINEAR_RIG)
+
+
+def test_on_the_linear_rig_frames_and_force_are_of_where_the_tip_really_is(driven) -> None:
+    """And the encoder tells where, to half a step to either side."""
+    ideal, rig = record_press(tactip(), "S1=7.6", seed=3), LINEAR_RIG
+    force = driven.sensor.on("S1=7.6").force_n(driven.true_approach_m)
+    # the world's law is read along straight lines
+    assert_allclose(driven.true_force_n, force, atol=2e-3)
+    off = driven.position_m - driven.true_approach_m
+    assert np.ptp(off) <= rig.quantum_m * (1 + 1e-9)
+    steps = driven.position_m / rig.quantum_m
+    assert_allclose(steps, np.rint(steps), atol=1e-6)
+    assert_allclose(np.diff(driven.desired_m), 5e-3 / 200, rtol=1e-9)
+    assert driven._contact(-1).pose.depth_m == driven.true_approach_m[-1]
+    # from the air to the end of the press it comes to lag by the closed form, of its speeds and the load
+    air, behind = int(np.argmax(driven.true_approach_m > 0)) - 1, driven.desired_m - driven.position_m
+    speeds = [(driven.true_approach_m[i] - driven.true_approach_m[i - 20]) * 10 for i in (air, -1)]
+    assert_allclose(speeds[0], 5e-3, rtol=0.02)
+    expected = rig.lag_m(speeds[1], driven.true_force_n[-1]) - rig.lag_m(speeds[0])
+    assert_allclose(behind[-1] - behind[air], expected, atol=2 * rig.quantum_m)
+    assert len(driven.frame_sample) > len(ideal.frame_sample)  # the tip comes later to the same force
+    assert_array_equal(ideal.desired_m, ideal.position_m)
+    assert_array_equal(record_press(tactip(), "S1=7.6", 3, LINEAR_RIG).raw_n, driven.raw_n)
+
+
+def test_the_command_in_the_encoders_place_makes_the_droop_a_false_compliance(driven) -> None:
+    """Of 1/Kp, from 1 to 5 N."""
+    part = (driven.true_force_n > 1) & (driven.true_force_n < 5)
+    force = driven.true_force_n[part]
+    real, encoder, command = (
+        np.polyfit(force, place[part], 1)[0]
+        for place in (driven.true_approach_m, driven.position_m, driven.desired_m)
+    )
+    assert_allclose(encoder, real, rtol=0.002)
+    assert_allclose(command - encoder, 1 / LINEAR_RIG.stiffness_n_m, rtol=0.05)
+
+
+def test_a_motor_too_weak_for_a_press_is_told_of() -> None:
+    with pytest.raises(RangeError, match=r"rig 'linear' or the table ends at [34]\.\d* N"):
+        record_press(tactip(), "S1=7.6", 3, replace(LINEAR_RIG, stall_n_m=0.7e-3))
+    with pytest.raises(InputError, match="whole number"):
+        record_press(tactip(), "S1=7.6", 3, replace(LINEAR_RIG, control_hz=300.0))
+
+
+def test_files_of_the_linear_rig_hold_both_displacements_and_its_numbers(spec, folder, tmp_path) -> None:
+    record_trials(tmp_path / "a", spec, specimens_at(spec, {"S1": 7.6e3}), 1, seed=4, rig=LINEAR_RIG)
+    rig = json.loads((tmp_path / "a" / "virtual.json").read_text())["rig"]
+    assert rig["encoder_bits"] == 12
+    assert_allclose(rig["stiffness_n_m"], LINEAR_RIG.stiffness_n_m)
+    assert json.loads((folder / "virtual.json").read_text())["rig"] == {"name": "ideal"}
+    rows, ideal = (pd.read_csv(one / "S1" / "01.csv") for one in (tmp_path / "a", folder))
+    assert (rows["desired_mm"] - rows["actual_mm"]).iloc[-1] > 0.5
+    assert_array_equal(ideal["desired_mm"], ideal["actual_mm"])
 
 
 def test_frames_force_position_and_area_come_back(spec, folder) -> None:

@@ -129,6 +129,13 @@ def tactip(
     ] = False,
     tip: Annotated[str, Option(help="base, even, soft-skin or stiff-skin.")] = "base",
     speed_mm_s: Annotated[float, Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
+    rig: Annotated[
+        str,
+        Option(
+            help="ideal: the tip is where it is asked to be. linear: driven as in the compliance report, it "
+            "lags and droops; actual_mm is its 12-bit encoder's, desired_mm what was asked for."
+        ),
+    ] = "ideal",
     seed: Annotated[int, Option(min=0, help="Of seating and noise.")] = 0,
     runs: Annotated[bool, Option("--runs", help="Also write each press as a run.")] = False,
     back: Annotated[bool, Option("--back", help="Also record the way back up.")] = False,
@@ -145,9 +152,11 @@ def tactip(
     Example: palpate render tactip presses --specimen S1=7.6 --specimen S2=3.1 --trials 3
     """
     from palpate.core.files import refuse_existing
+    from palpate.rig.virtual.linear_rig import rig_named
     from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
 
     refuse_existing(out)  # before solving for minutes
+    drive = rig_named(rig)
     own = _stiffnesses(specimen or [], rigid)
     stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
     preset = "331-fitted" if fitted else f"{pins}"
@@ -156,7 +165,7 @@ def tactip(
         pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
         folder = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, back=back,
-            late_s=1e-3 * late_ms, progress=progress,
+            late_s=1e-3 * late_ms, rig=drive, progress=progress,
         )  # fmt: skip
     result, text = _trials_text(folder, stiffness, tilt_deg, runs)
     print_found(result, text, json_)

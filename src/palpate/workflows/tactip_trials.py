@@ -2,8 +2,10 @@
 
 A press goes down at a steady speed onto the tables' cylinder, of a stiffness kappa = E pi r^2 / h (slow
 loading over its whole top), or onto a rigid plate; where it is asked for, also back up, by a camera that is
-late. Stage, force sensor, seating and their noise are those of
-`rig.virtual`; the frames are of the force samples nearest to the middle of the camera's exposures.
+late. Stage, force sensor, seating and their noise are those of `rig.virtual`; the frames are of the force
+samples nearest to the middle of the camera's exposures. On an ideal rig the tip is where it is asked to be. A
+linear rig lags and droops under the load, and frames, forces and the encoder's positions are of where it
+really is, see `rig.virtual.linear_rig`.
 """
 
 from __future__ import annotations
@@ -42,8 +44,10 @@ from palpate.recordings.exchange.press_folder import PressFolder, press_folder, 
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows
 from palpate.rig.virtual.disturbances import Variation
+from palpate.rig.virtual.driven_world import DrivenWorld
+from palpate.rig.virtual.linear_rig import LinearRig, rig_record
 from palpate.rig.virtual.virtual_bench import CARRYING, ORIGIN_M
-from palpate.rig.virtual.virtual_force import VirtualForce
+from palpate.rig.virtual.virtual_force import RANGE_N, VirtualForce
 from palpate.rig.virtual.virtual_stage import VirtualStage
 from palpate.rig.virtual.virtual_world import Touch, World
 from palpate.sensors.tactip import TacTipSpec
@@ -76,9 +80,10 @@ class VirtualPress:
         seed: of everything random.
         time_s: of the force sensor's samples, from the first [s].
         raw_n: force by the sensor, less its reading in the air before [N].
-        position_m: of the stage, from the first sample [m].
+        position_m: of the stage, as its encoder has it, from the first sample [m].
         touches: state of the contact at every sample.
         frame_sample: index of the sample of every frame.
+        desired_m: position asked for, from the first sample; on an ideal rig the stage's own [m].
         shown_sample: index of the sample that every frame shows, another one where the camera is late; None
             for the same.
     """
@@ -91,6 +96,7 @@ class VirtualPress:
     position_m: Float[ndarray, " s"]
     touches: tuple[Touch, ...]
     frame_sample: Int[ndarray, " f"]
+    desired_m: Float[ndarray, " s"]
     shown_sample: Int[ndarray, " f"] | None = None
 
     @cached_property
@@ -147,7 +153,13 @@ class VirtualPress:
 
 
 def record_press(
-    spec: TacTipSpec, words: str, seed: int, *, back: bool = False, late_s: float = 0.0
+    spec: TacTipSpec,
+    words: str,
+    seed: int,
+    rig: LinearRig | None = None,
+    *,
+    back: bool = False,
+    late_s: float = 0.0,
 ) -> VirtualPress:
     """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
 
@@ -155,21 +167,25 @@ def record_press(
         spec: the sensor and its rig.
         words: what is pressed, see `TacTip.probe`.
         seed: of everything random, 0 or more.
+        rig: that drives the tip; None for an ideal one.
         back: go to the depth of the greatest force, and record the way back up as well, at the same speed,
-            until the tip stands in the air.
+            until the tip stands in the air; on an ideal rig alone.
         late_s: by which frames show an earlier moment than their times say, to a whole sample [s].
 
     Raises:
-        InputError: the words name no specimen.
-        RangeError: the specimen's table ends before the greatest force, or `late_s` is not finite.
+        InputError: the words name no specimen, the force's rate does not fit the rig's control, or a press
+            on a linear rig is to come back.
+        RangeError: the specimen's table ends before the greatest force, the rig does not come to it, or
+            `late_s` is not finite.
     """
     if not math.isfinite(late_s):
         raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
+    if back and rig is not None:
+        raise InputError(f"a press on the rig {rig.name!r} that comes back; give back or the rig, not both")
     sensor, rate_hz = TacTip(spec), spec.force.rate_hz
-    variation = replace(Variation(), **sensor.variation())
-    world = World(sensor, ManualClock(), CARRYING, ORIGIN_M, variation, rate_hz, seed, ())
+    world = _world(sensor, rig, seed)
     world.mount(words)
-    stage, force = VirtualStage(world), VirtualForce(world)
+    stage, force = VirtualStage(world), VirtualForce(world, _range_n(rig))
     speed, run_up_m = spec.speed_m_s, spec.speed_m_s**2 / (2 * CARRYING.acceleration_m_s2)
     phase_m = np.random.default_rng(seed).uniform(0, speed / sensor.rate_hz)
     stage.move_to((0.0, 0.0, -(LEAD_M + phase_m + run_up_m)), CARRYING.top_speed_m_s)
@@ -178,7 +194,8 @@ def record_press(
     tare_s = world.now_s
     _follow(world, touches, until_s=tare_s + TARE_S)
     tip = sensor.on(words)
-    stage.move_to((0.0, 0.0, _depth_m(tip, MAX_N) if back else tip.deepest_m + LEAD_M), speed)
+    behind_m = 0.0 if rig is None else rig.lag_m(speed, MAX_N)
+    stage.move_to((0.0, 0.0, _depth_m(tip, MAX_N) if back else tip.deepest_m + LEAD_M + behind_m), speed)
     motion = world.motion
     while stage.moving() and (back or touches[-1].force_n[2] < MAX_N):
         _follow(world, touches, until_s=world.now_s + POLL_S)
@@ -189,7 +206,8 @@ def record_press(
         _follow(world, touches, until_s=world.motion.ends_s + TARE_S)
     normal, time_s = np.array([t.force_n[2] for t in touches]), np.array([t.time_s for t in touches])
     if normal.max() < MAX_N and not back:
-        raise RangeError(f"the table ends at {normal.max():.3g} N; a press goes to {MAX_N} N")
+        what = "the table ends" if rig is None else f"rig {rig.name!r} or the table ends"
+        raise RangeError(f"{what} at {normal.max():.3g} N; a press goes to {MAX_N} N")
     world.clock.sleep(1.0)  # until the last sample has arrived
     samples = np.array([wrench.force_n[2] for wrench in force.drain()])[: len(touches)]
     end = len(normal) if back else int(np.argmax(normal >= MAX_N)) + 1
@@ -197,9 +215,10 @@ def record_press(
     frame_sample = frame_sample[time_s[frame_sample] > motion.begun_s + speed / CARRYING.acceleration_m_s2]
     part = slice(int(frame_sample[0]), end)
     air = (time_s > tare_s) & (time_s < motion.begun_s)
-    z_m = moves[0].at(time_s[part])[:, 2]
+    asked_m = moves[0].at(time_s[part])[:, 2]
     for move in moves[1:]:
-        z_m = np.where(time_s[part] < move.begun_s, z_m, move.at(time_s[part])[:, 2])
+        asked_m = np.where(time_s[part] < move.begun_s, asked_m, move.at(time_s[part])[:, 2])
+    z_m = world.encoder_m(time_s[part]) if isinstance(world, DrivenWorld) else asked_m
     frame_sample = frame_sample - frame_sample[0]
     shown = frame_sample - round(late_s * rate_hz)
     inside = shown < len(z_m)
@@ -212,6 +231,7 @@ def record_press(
         z_m - z_m[0],
         tuple(touches[part]),
         frame_sample[inside],
+        asked_m - asked_m[0],
         np.maximum(shown[inside], 0) if late_s else None,
     )
 
@@ -220,6 +240,26 @@ def _depth_m(tip: TipOnSpecimen, force_n: float) -> float:
     """Approach at which a contact has a force [m]."""
     approach_m = np.linspace(0.0, tip.deepest_m, 200)
     return float(np.interp(force_n, tip.force_n(approach_m), approach_m))
+
+
+def _world(sensor: TacTip, rig: LinearRig | None, seed: int) -> World:
+    """The tip on the rig's stage."""
+    vary, rate_hz, clock = (
+        replace(Variation(), **sensor.variation()),
+        sensor.spec.force.rate_hz,
+        ManualClock(),
+    )
+    if rig is None:
+        return World(sensor, clock, CARRYING, ORIGIN_M, vary, rate_hz, seed, ())
+    return DrivenWorld(rig, sensor, clock, CARRYING, ORIGIN_M, vary, rate_hz, seed)
+
+
+def _range_n(rig: LinearRig | None) -> tuple[float, float, float]:
+    """Range of the force sensor [N]."""
+    if rig is None:
+        return RANGE_N
+    along, across = rig.cell_n
+    return across, across, along
 
 
 def _follow(world: World, touches: list[Touch], until_s: float) -> None:
@@ -289,6 +329,7 @@ def record_trials(
     seed: int = 0,
     unknown: Collection[str] = (),
     runs: bool = False,
+    rig: LinearRig | None = None,
     back: bool = False,
     late_s: float = 0.0,
     progress: Progress = silent,
@@ -307,7 +348,7 @@ def record_trials(
         seed: of everything random, 0 or more.
         unknown: names whose stiffness `specimens.csv` leaves empty; `virtual.json` has it.
         runs: also write each press as a run, in a folder of the press's name.
-        back, late_s: see `record_press`.
+        rig, back, late_s: see `record_press`.
         progress: called with how many presses are done.
 
     Raises:
@@ -327,13 +368,14 @@ def record_trials(
         write_specimens(building, {n: math.nan if n in unknown else k for n, k in stiffness.items()})
         for i, (name, words) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
-                press = record_press(spec, words, _seed(seed, name, k), back=back, late_s=late_s)
+                press = record_press(spec, words, _seed(seed, name, k), rig, back=back, late_s=late_s)
                 number = f"{k:0{digits}d}"
                 _write(building / name, number, press, runs)
                 truths[name][number] = _truth(press)
                 progress("pressing", i * trials + k, len(specimens) * trials)
         with new_file(building / TRUTH) as path:
-            about = _about(spec, specimens, seed, truths) | ({"late_ms": 1e3 * late_s} if late_s else {})
+            about = _about(spec, specimens, seed, truths) | {"rig": rig_record(rig)}
+            about |= {"late_ms": 1e3 * late_s} if late_s else {}
             path.write_text(json.dumps(about, indent=1, allow_nan=False) + "\n")
     return press_folder(out)
 
@@ -350,8 +392,8 @@ def _seed(seed: int, name: str, number: int) -> int:
 
 
 def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
-    z_m = press.position_m
-    rows = press_rows(press.time_s, press.raw_n, z_m, z_m, press.frame_sample, press.true_area_m2)
+    places = (press.desired_m, press.position_m)
+    rows = press_rows(press.time_s, press.raw_n, *places, press.frame_sample, press.true_area_m2)
     tiff, table = write_press(folder, number, press.frames(), rows)
     if runs:
         name = press.sensor.spec.name

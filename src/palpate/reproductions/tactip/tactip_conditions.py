@@ -26,6 +26,7 @@ from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spr
 from palpate.estimators.flow.flow_sequence import course
 from palpate.estimators.flow.horn_schunck import divergence
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
+from palpate.rig.virtual.linear_rig import LINEAR_RIG, LinearRig
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec
 from palpate.sensors.tactip.skin_and_markers import HeadOnSkin
 from palpate.sensors.tactip.tactip_camera import projected
@@ -94,7 +95,7 @@ def true_divergence(spec: TacTipSpec, press: HeadOnPress, force_n: Float[ndarray
 
 
 def recorded(
-    spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None
+    spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None, rig: LinearRig | None = None
 ) -> tuple[VirtualPress, Steps]:
     """A trial with only its frames from 0.5 to 5 N, and their smoothed forces [N].
 
@@ -102,9 +103,11 @@ def recorded(
         spec: the sensor; its speed counts.
         kappa_n_m: of the specimen [N/m].
         seed: of seating and noise.
-        steps: None for the frames that there are; else that many even steps of approach for any specimen.
+        steps: None for the frames that there are; else that many even steps of time for any specimen, which
+            are even steps of approach on an ideal rig.
+        rig: that drives the tip; None for an ideal one.
     """
-    trial = record_press(spec, f"specimen={1e-3 * kappa_n_m:.15g}", seed)
+    trial = record_press(spec, f"specimen={1e-3 * kappa_n_m:.15g}", seed, rig)
     force = moving_average(trial.raw_n)
     samples = within(force, loading(force, LOW_N), LOW_N, HIGH_N)
     if steps is None:
@@ -164,9 +167,11 @@ class FlowCues:
     casr_m2_n: float
 
 
-def cues(spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None) -> FlowCues:
-    """Cues of one press by Horn and Schunck's flow, and by the true markers."""
-    trial, force = recorded(spec, kappa_n_m, seed, steps)
+def cues(
+    spec: TacTipSpec, kappa_n_m: float, seed: int, steps: int | None = None, rig: LinearRig | None = None
+) -> FlowCues:
+    """Cues of one press by Horn and Schunck's flow, and by the true markers; see `recorded`."""
+    trial, force = recorded(spec, kappa_n_m, seed, steps, rig)
     press, true_n = head_on(spec, kappa_n_m).press, trial.true_force_n[trial.frame_sample]
     circles = circles_px(spec, press, true_n)
     values = {
@@ -233,10 +238,16 @@ def concordance(by_specimen: Sequence[Float[ndarray, " t"]]) -> float:
 
 @dataclass(frozen=True)
 class TacTipCondition:
-    """The sensor, and the steps of a press: equal for all specimens, or None for the camera's frames."""
+    """The sensor, and the steps of a press: equal for all specimens, or None for the camera's frames.
+
+    Attributes:
+        spec, steps: sensor and steps.
+        rig: that drives the tip; None for an ideal one.
+    """
 
     spec: TacTipSpec
     steps: int | None = None
+    rig: LinearRig | None = None
 
 
 ASSUMED = TacTipSpec()
@@ -265,6 +276,7 @@ CONDITIONS: dict[str, TacTipCondition] = {
     "soft-skin tip": TacTipCondition(replace(ASSUMED, tip="soft-skin")),
     "stiff-skin tip": TacTipCondition(replace(ASSUMED, tip="stiff-skin")),
     "even tip": TacTipCondition(replace(ASSUMED, tip="even")),
+    "linear rig": TacTipCondition(ASSUMED, rig=LINEAR_RIG),
 }
 
 
@@ -275,7 +287,8 @@ def compared(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = ra
 
 def _rows(name: str, condition: TacTipCondition, seeds: Sequence[int]) -> Iterator[Row]:
     trials = [
-        [cues(condition.spec, kappa, seed, condition.steps) for seed in seeds] for kappa in KAPPA_N_M.values()
+        [cues(condition.spec, kappa, seed, condition.steps, condition.rig) for seed in seeds]
+        for kappa in KAPPA_N_M.values()
     ]
     for key in trials[0][0].values:
         yield row_of((name, *key), [np.array([t.values[key] for t in some]) for some in trials])

@@ -31,12 +31,15 @@ from palpate.reproductions.tactip.tactip_setup import (
     NAMES,
     NEW,
     RANK_SUM_P,
+    Displacement,
     Experiment,
     Plate,
+    kappa_n_m,
     press_all,
     stiffness_line,
     under_plate,
 )
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import tactip
 from palpate.version import __version__
 
@@ -51,17 +54,29 @@ CUES = {
 }
 
 
-CONTROLS = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop")
+CONTROLS = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop", "linear rig")
 """Of `controls`: what equation (12) says when frames, and not specimens, change."""
+
+OVER: tuple[Displacement, ...] = ("encoder", "command")
+"""Displacements over which force is set on the linear rig."""
 
 SHOWN = (("disc", "paper"), ("contact", "paper"), ("disc", "secant"), ("contact", "secant"))
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that was made."""
+    """All that was made.
+
+    Attributes:
+        plates: specimens under a rigid plate on an ideal rig.
+        driven: the same on the linear rig, by the displacement over which force is set.
+        experiments: by tilt [deg].
+        controls: of divergence.
+        seed, trials, seconds: as asked for, and what it took.
+    """
 
     plates: Mapping[str, Plate]
+    driven: Mapping[Displacement, Mapping[str, Plate]]
     experiments: Mapping[int, Experiment]
     controls: tuple[Row, ...]
     seed: int
@@ -92,6 +107,10 @@ def reproduce_tactip(
     refuse_existing(out)
     began, spec = time.perf_counter(), tactip()
     plates = {name: under_plate(spec, name, trials, seed) for name in NAMES}
+    driven = {
+        over: {name: under_plate(spec, name, trials, seed, LINEAR_RIG, over) for name in NAMES}
+        for over in OVER
+    }
     experiments = {
         tilt: press_all(spec, tilt, seed, calibrating=trials, testing=trials, progress=progress)
         for tilt in TILTS
@@ -100,7 +119,7 @@ def reproduce_tactip(
     for i, name in enumerate(CONTROLS):
         controls += compared((name,), range(trials))
         progress("controls of divergence", i + 1, len(CONTROLS))
-    study = Study(plates, experiments, tuple(controls), seed, trials, time.perf_counter() - began)
+    study = Study(plates, driven, experiments, tuple(controls), seed, trials, time.perf_counter() - began)
     entries = list(entries_of(study))
     with new_folder(out) as building:
         write_results(building, entries, tactip_page(study, entries))
@@ -110,6 +129,7 @@ def reproduce_tactip(
 def entries_of(study: Study) -> Iterator[StudyEntry]:
     """Every number."""
     yield from _plate_entries(study.plates)
+    yield from _driven_entries(study)
     for experiment in study.experiments.values():
         yield from _tilt_entries(experiment)
     for row in shown_controls(study):
@@ -137,6 +157,29 @@ def _plate_entries(plates: Mapping[str, Plate]) -> Iterator[StudyEntry]:
     by_trial = compare({n: [1e-3 * line.slope for line in p.lines] for n, p in plates.items() if n != NEW})
     p = max(pair.rank_sum_p for pair in by_trial.pairs)
     yield entry("rank-sum p of these, one value a trial, worst pair", p, "1", RANK_SUM_P, RANK_WHY)
+
+
+def _driven_entries(study: Study) -> Iterator[StudyEntry]:
+    yield entry("linear rig: droop at 5 N", 1e3 * LINEAR_RIG.droop_m(5.0), "mm")
+    for name, (by_encoder, by_command, expected) in driven_kappa(study).items():
+        at = f"linear rig: stiffness of {name} by a rigid plate"
+        yield entry(f"{at}, over the encoder's displacement", by_encoder, "N/mm")
+        yield entry(f"{at}, over the commanded displacement", by_command, "N/mm")
+        yield entry(f"{at}, over the commanded displacement, by 1/kappa + 1/Kp", expected, "N/mm")
+
+
+def driven_kappa(study: Study) -> dict[str, tuple[float, float, float]]:
+    """Stiffness of every specimen on the linear rig [N/mm].
+
+    Over the encoder's displacement, over the commanded one, and what the latter is expected to be: the
+    droop is a spring Kp in series.
+    """
+    result = {}
+    for name in NAMES:
+        found = [1e-3 * np.mean([line.slope for line in study.driven[over][name].lines]) for over in OVER]
+        expected = 1e-3 / (1 / kappa_n_m(name) + 1 / LINEAR_RIG.stiffness_n_m)
+        result[name] = (float(found[0]), float(found[1]), expected)
+    return result
 
 
 def _tilt_entries(one: Experiment) -> Iterator[StudyEntry]:
@@ -252,6 +295,8 @@ def tactip_page(study: Study, entries: Sequence[StudyEntry]) -> str:
         tests={t: {cue: rank_tests_of(one, cue) for cue in CUES} for t, one in study.experiments.items()},
         areas={t: area_errors(one) for t, one in study.experiments.items()},
         controls=shown_controls(study),
+        driven=driven_kappa(study),
+        rig={"stiffness": 1e-3 * LINEAR_RIG.stiffness_n_m, "droop": 1e3 * LINEAR_RIG.droop_m(5.0)},
         calibration={t: one.calibration for t, one in study.experiments.items()},
         figures=_figures(study),
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,7 @@ from palpate.core import Float, Progress, ndarray
 from palpate.psychophysics import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.reproductions.study_results import Published
+from palpate.rig.virtual.linear_rig import LinearDrive, LinearRig
 from palpate.sensors.tactip import TacTipSpec
 from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
 
@@ -137,6 +139,9 @@ def press_all(
     return Experiment(tilt_deg, cues, calibration, touch, table)
 
 
+PLATE_N = 5.5  # to which a specimen is pressed under the plate
+
+
 @dataclass(frozen=True)
 class Plate:
     """A specimen under a rigid plate: lines of its trials, and the samples of the first."""
@@ -146,29 +151,63 @@ class Plate:
     force_n: Float[ndarray, " s"]
 
 
-def under_plate(spec: TacTipSpec, name: str, trials: int, seed: int) -> Plate:
-    """Force over deformation between 0.5 and 5 N at the rig's speed, rates and noise; F = kappa d."""
+Displacement = Literal["encoder", "command"]
+
+
+def under_plate(
+    spec: TacTipSpec,
+    name: str,
+    trials: int,
+    seed: int,
+    rig: LinearRig | None = None,
+    over: Displacement = "encoder",
+) -> Plate:
+    """Force over deformation between 0.5 and 5 N at the rig's speed, rates and noise; F = kappa d.
+
+    Args:
+        spec: the sensor, of whose rig are speed, force sensor and seating.
+        name: of the specimen.
+        trials: presses.
+        seed: of everything random.
+        rig: that drives the plate; None for an ideal one, whose encoder has what was asked for.
+        over: deformation as the encoder has it, or as it was asked for.
+    """
     lines, tables = [], []
     for k in range(trials):
-        tables.append(_plate_table(spec, kappa_n_m(name), np.random.default_rng([seed, k])))
+        rng = np.random.default_rng([seed, k])
+        tables.append(_plate_table(spec, kappa_n_m(name), rng, rig, over))
         lines.append(series_line(tables[-1]))
     position = tables[0].position_m
     assert position is not None
     return Plate(tuple(lines), position, tables[0].force_n)
 
 
-def _plate_table(spec: TacTipSpec, kappa: float, rng: np.random.Generator) -> PressTable:
+def _plate_table(
+    spec: TacTipSpec, kappa: float, rng: np.random.Generator, rig: LinearRig | None, over: Displacement
+) -> PressTable:
     sensor, step = spec.force, spec.force.resolution_n
     start = -1e-3 - rng.uniform(0, spec.speed_m_s / spec.camera.rate_hz)
-    n = int((5.5 / kappa - start) / spec.speed_m_s * sensor.rate_hz)
+    behind = 0.0 if rig is None else rig.lag_m(spec.speed_m_s, PLATE_N)
+    n = int((PLATE_N / kappa + behind - start) / spec.speed_m_s * sensor.rate_hz)
     time = np.arange(n) / sensor.rate_hz
-    depth = start + spec.speed_m_s * time
+    asked = start + spec.speed_m_s * time
+    depth = asked if rig is None else _driven(rig, asked, kappa, sensor.rate_hz)
     force = kappa * np.maximum(depth, 0) + sensor.noise_n * rng.standard_normal(n)
-    encoder = depth + spec.seating.position_m * rng.standard_normal()
+    read = asked if rig is None or over == "command" else rig.read_m(depth)
+    displacement = read + spec.seating.position_m * rng.standard_normal()
     steps_n = step * np.rint(force / step)
     return PressTable(
-        time, steps_n, encoder, None, np.arange(n), "force_raw_N", "actual_mm", None, False
+        time, steps_n, displacement, None, np.arange(n), "force_raw_N", "actual_mm", None, False
     )  # fmt: skip
+
+
+def _driven(
+    rig: LinearRig, asked_m: Float[ndarray, " s"], kappa: float, rate_hz: float
+) -> Float[ndarray, " s"]:
+    """Depths of a plate at samples, each place asked for until the next sample [m]."""
+    ticks, drive = rig.ticks_in(rate_hz), LinearDrive(rig, float(asked_m[0]))
+    places = drive.follow(np.repeat(asked_m[:-1], ticks), np.array([0.0, 1.0]), np.array([0.0, kappa]))
+    return np.concatenate([asked_m[:1], places[ticks - 1 :: ticks]])
 
 
 def stiffness_line(experiment: Experiment, cue: str) -> tuple[Line, float]:

@@ -27,10 +27,16 @@ Axes = Float[ndarray, "3"]
 
 
 class VirtualForce:
-    """Implements `core.ForceSensor`, in the skin's own axes."""
+    """Implements `core.ForceSensor`, in the skin's own axes.
 
-    def __init__(self, world: World) -> None:
+    Args:
+        world: whose contact it feels.
+        range_n: to either side along each axis, beyond which it saturates [N].
+    """
+
+    def __init__(self, world: World, range_n: Triple = RANGE_N) -> None:
         self._world = world
+        self._range_n = range_n
         self._rng = np.random.default_rng([world.seed & 0xFFFFFFFF, 0xF0])
         self._drift = np.zeros(3)
         self._ready: deque[Wrench] = deque(maxlen=KEPT)
@@ -51,7 +57,7 @@ class VirtualForce:
     @property
     def range_n(self) -> tuple[float, float, float]:
         """Range to either side [N]."""
-        return RANGE_N
+        return self._range_n
 
     def latest(self) -> Wrench:
         """The newest sample that has arrived."""
@@ -114,7 +120,9 @@ class VirtualForce:
         if on("force-spike", at_ns) and not self._spiked:
             self._spiked = True
             force[2] += SPIKE_N
-        saturated = on("force-saturates", at_ns) or (not self._spiked and (np.abs(force) > RANGE_N).any())
+        saturated = on("force-saturates", at_ns) or (
+            not self._spiked and (np.abs(force) > self._range_n).any()
+        )
         arrives_ns = at_ns + round(LATENCY_S * NS_PER_S)
         fault = "saturated" if saturated else ""
         fault = fault if touch.known else UNKNOWN
