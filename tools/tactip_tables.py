@@ -30,12 +30,17 @@ from palpate.reproductions.tactip.tactip_conditions import (
     compared,
     order,
 )
+from palpate.reproductions.tactip.tactip_setup import KAPPA, under_plate
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
 
 SHOWN_N = (1.0, 3.0, 5.0)
 REGIONS = ("contact", "middle", "disc")
 FLOW = ("as assumed", "wider pins", "tight crop")
-COUNTED = ("as assumed", "half the speed", "twice the speed", "20 frames each", "tight crop, 20 frames each")
+COUNTED = (
+    "as assumed", "half the speed", "twice the speed", "linear rig", "20 frames each",
+    "tight crop, 20 frames each",
+)  # fmt: skip
 MM2 = 1e6
 
 
@@ -184,11 +189,26 @@ def model_costs() -> Iterator[str]:
         yield f"area at 30 degrees and 5 N, friction {friction:g}: {four(MM2 * area for area in areas)} mm²"
 
 
+def driven() -> Iterator[str]:
+    """Stiffness under a plate on the linear rig, by its encoder and by the command; steps and secants."""
+    for over in ("encoder", "command"):
+        plates = [under_plate(TacTipSpec(), name, 5, 0, LINEAR_RIG, over) for name in KAPPA]
+        yield line(over, four(1e-3 * float(np.mean([one.slope for one in plate.lines])) for plate in plates))
+    series = [1e-3 / (1e-3 / one.value + 1 / LINEAR_RIG.stiffness_n_m) for one in KAPPA.values()]
+    yield line("by 1/kappa + 1/Kp", four(series))
+    yield f"droop at 5 N: {1e3 * LINEAR_RIG.droop_m(5.0):.2f} mm"
+    rows = conditions()
+    for name in ("as assumed", "linear rig"):
+        cells = [cell(rows[name, "flow", region, "secant"], MM2) for region in ("contact", "disc")]
+        yield line(name, cell(rows[name, "camera", "", "steps"]), *cells)
+
+
 PARTS = {
     "truth": true_values,
     "sensitivity": sensitivities,
     "flow": flow,
     "counted": counted,
+    "rig": driven,
     "contours": growths,
     "shares": seen_shares,
     "costs": model_costs,
