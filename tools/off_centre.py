@@ -38,7 +38,9 @@ ITERATIONS = 30
 MAX_MOVE = 0.2  # R, of one Newton step
 SHORTEST_STEP = 5e-3  # R of depth
 DENSE_TO = 1.05  # R from the sphere's axis, before loading
-OFFSETS = (0.0, 1.4, 2.8, 3.96, 4.2, 4.427)  # 0, 7, 14, 19.8, 21 and 22.14 mm under a sphere of 5 mm
+MAX_DENSE = 0.8  # of a ray's length, where the rim is nearer than that
+OFFSETS = (0.0, 1.4, 2.8, 3.96, 4.2, 4.427, 4.7)  # 0, 7, 14, 19.8, 21, 22.14, 23.5 mm if R is 5 mm
+BETWEEN = 4.6  # solved to see what reading between them costs
 THICKNESSES = (2.0, 4.0)
 DEPTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
 STEPS = (0.05, 0.1, *DEPTHS)
@@ -122,10 +124,11 @@ class HalfDisc:
         size = DENSE_TO / n.under
         angle = np.linspace(0.0, np.pi, 2 * n.around + 1)
         length = np.sqrt(DISC_RADIUS**2 - (c * np.sin(angle)) ** 2) - c * np.cos(angle)
-        dense = np.linspace(0.0, DENSE_TO, n.under + 1)
+        dense = np.linspace(0.0, 1.0, n.under + 1)
+        reach = np.minimum(DENSE_TO, MAX_DENSE * length)
         rays = [
-            np.concatenate([dense, DENSE_TO + stretched(far - DENSE_TO, 1.25 * size, n.outside)[1:]])
-            for far in length
+            np.concatenate([to * dense, to + stretched(far - to, 1.25 * size, n.outside)[1:]])
+            for to, far in zip(reach, length, strict=True)
         ]
         rho = with_middles(np.stack(rays, axis=1))
         z = with_middles(stretched(self.thickness, size, n.deep))
@@ -377,10 +380,11 @@ def presses(thickness: float, offset: float, cells: Cells = MAIN) -> Iterator[di
 
 
 def main() -> int:
-    """Solve every place, and one of them on a finer mesh."""
+    """Solve every place, some of them on a finer mesh, and one between them."""
     jobs = [(h, c, "presses", MAIN) for h in THICKNESSES for c in OFFSETS]
-    jobs += [(2.0, c, "finer", FINE) for c in (0.0, 4.2)]
-    made: dict[str, list[dict[str, float]]] = {"presses": [], "finer": []}
+    jobs += [(h, BETWEEN, "between", MAIN) for h in THICKNESSES]
+    jobs += [(2.0, c, "finer", FINE) for c in (0.0, 4.2, 4.7)]
+    made: dict[str, list[dict[str, float]]] = {"presses": [], "finer": [], "between": []}
     for thickness, offset, name, cells in jobs:
         for row in presses(thickness, offset, cells):
             print(row, flush=True)

@@ -73,7 +73,8 @@ def study(design: PalmSpec, copies: int, presses: int, seed: int) -> Iterator[di
     """Errors of every copy: of its constants, and of new presses by what is known of it."""
     for k in range(copies):
         rng = np.random.default_rng([seed, k])
-        copy = drawn_palm(design, rng)
+        # As the design, which the readers know: what the rim does is no difference between copies.
+        copy = replace(drawn_palm(design, rng), rim=design.rim)
         told, new = ([pressed(copy, rng) for _ in range(n)] for n in (presses, NEW))
         errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
         designed, one = designed_copy(design), [told[0][0]]

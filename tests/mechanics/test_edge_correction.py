@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable, edge_correction
+from palpate.mechanics.axisymmetric.sphere_table import (
+    OFF_CENTRE,
+    SphereTable,
+    edge_correction,
+    edge_correction_held,
+    edge_reach,
+)
 
 THICKNESSES = (2.0, 4.0)
 DEPTHS = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -46,7 +52,7 @@ def test_in_the_middle_nothing_is_missed(thickness: float) -> None:
 @pytest.mark.parametrize("thickness", THICKNESSES)
 @pytest.mark.parametrize("depth", DEPTHS)
 def test_towards_the_rim_the_disc_gives_way_and_pushes_the_ball_out(thickness: float, depth: float) -> None:
-    found = [edge_correction(c, depth, thickness) for c in np.linspace(0.0, 4.427, 23)]
+    found = [edge_correction(c, depth, thickness) for c in np.linspace(0.0, 4.7, 23)]
     force, side = np.array(found).T
     assert (np.diff(force) < 1e-9).all()
     # Under a thick disc and a shallow press the push is below the solver's rounding until near the rim.
@@ -60,10 +66,52 @@ def test_a_ball_21_mm_out_and_5_mm_deep_carries_7_percent_less() -> None:
     assert effect.side_ratio == pytest.approx(0.041, abs=2e-3)
 
 
+@pytest.mark.parametrize("row", [r for r in rows("presses") if r["depth"] >= 0.2])
+def test_at_the_places_that_were_solved_the_ratios_are_the_solutions_own(row: dict[str, float]) -> None:
+    same = ("thickness", "depth")
+    [middle] = [r for r in rows("presses") if r["offset"] == 0 and all(r[p] == row[p] for p in same)]
+    effect = edge_correction(row["offset"], row["depth"], row["thickness"])
+    assert effect.force_ratio == pytest.approx(row["force"] / middle["force"], rel=1e-9)
+    assert effect.side_ratio == pytest.approx(-row["side_force"] / middle["force"], abs=1e-9)
+
+
+@pytest.mark.parametrize("row", [r for r in rows("between") if r["depth"] >= 0.2])
+def test_between_places_a_press_that_was_solved_there_is_met(row: dict[str, float]) -> None:
+    same = ("thickness", "depth")
+    [middle] = [r for r in rows("presses") if r["offset"] == 0 and all(r[p] == row[p] for p in same)]
+    effect = edge_correction(row["offset"], row["depth"], row["thickness"])
+    # Found: 5e-4 of the force, the push to as much of it.
+    assert effect.force_ratio == pytest.approx(row["force"] / middle["force"], abs=1e-3)
+    assert effect.side_ratio == pytest.approx(-row["side_force"] / middle["force"], abs=1e-3)
+
+
+@pytest.mark.parametrize("thickness", THICKNESSES)
+def test_work_saved_near_the_rim_is_the_work_of_the_push_on_the_way_there(thickness: float) -> None:
+    """Frictionless contact has an energy U(c, d): its force is dU/dd, its push outwards -dU/dc."""
+    table = SphereTable.load(f"sphere-h{thickness:g}-mu0")
+    depth, offset = np.linspace(0.0, 1.0, 201), np.linspace(0.0, 4.7, 201)
+    force, side = table.force_at(depth), edge_correction_held(offset, np.ones(201), thickness)[1]
+    pushed = np.trapezoid(side * force[-1], offset)
+    ratio, _ = edge_correction_held(np.full(201, 4.7), depth, thickness)
+    saved = np.trapezoid((1 - ratio) * force, depth)
+    assert pushed == pytest.approx(saved, rel=0.03)  # 0.5 and 2 %, most of it of depths below 0.2 R
+
+
+def test_beyond_what_was_solved_the_nearest_press_is_held_where_that_is_asked() -> None:
+    reach = edge_reach(2.0)
+    assert reach == (4.7, 1.0)
+    far, deep = np.array([4.7, 5.6, 4.2, 4.2]), np.array([0.6, 0.6, 1.0, 1.2])
+    ratio, side = edge_correction_held(far, deep, 2.0)
+    assert (ratio[0], side[0], ratio[2], side[2]) == (ratio[1], side[1], ratio[3], side[3])
+    assert (ratio[0], side[0]) == pytest.approx(edge_correction(4.7, 0.6, 2.0), rel=1e-12)
+    with pytest.raises(RangeError, match="2 R and 4 R"):
+        edge_correction_held(far, deep, 3.0)
+
+
 @pytest.mark.parametrize(
     ("offset", "depth", "thickness"),
     [
-        (4.5, 0.5, 2.0),
+        (4.75, 0.5, 2.0),
         (-0.1, 0.5, 2.0),
         (1.0, 1.1, 2.0),
         (1.0, -0.1, 2.0),

@@ -35,7 +35,7 @@ def test_copies_differ_by_the_stated_spread_and_by_nothing_else(rng) -> None:
     E, C = (np.array([c.youngs_modulus_pa for c in copies]),
             np.array([c.stress_optic.coefficient_per_pa for c in copies]))  # fmt: skip
     assert abs(np.corrcoef(np.log(E), np.log(C))[0, 1]) < 0.15
-    assert drawn_palm(SPEC, rng, NOWHERE) == replace(SPEC, chain=ImageChain(jpeg_quality=95))
+    assert drawn_palm(SPEC, rng, NOWHERE) == replace(SPEC, rim="applied", chain=ImageChain(jpeg_quality=95))
 
 
 def test_warmth_changes_the_force_and_not_the_picture() -> None:

@@ -40,6 +40,9 @@ def palm(
         str, Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
     ] = "palm",
     exact: Annotated[bool, Option("--exact", help="March every ray anew: slower.")] = False,
+    rim: Annotated[
+        str, Option(help="What the membrane's free rim does to the ball's press: applied or stated.")
+    ] = "stated",
     seed: Annotated[int, Option(min=0, help="Of the camera's noise.")] = 0,
     presses: Annotated[
         float, Option(help="How many presses the membrane has had: an assumed law of its wear.")
@@ -88,6 +91,7 @@ def palm(
         spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
     spec = replace(
         spec,
+        rim=rim,
         wear=_wear(presses, haze, scratches, yellowing),
         ambient=ambient,
         lamp_mired=lamp_mired,

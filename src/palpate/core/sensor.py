@@ -12,9 +12,9 @@ package (group ``palpate.sensors``), and checks it with `palpate.check.check_sen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy import ndarray
@@ -74,26 +74,49 @@ class ImageAxes:
         return xx * x_m + xy * y_m, yx * x_m + yy * y_m
 
 
+class PlaceEffect(NamedTuple):
+    """What places on a skin do to a force law that was found in its middle.
+
+    Attributes:
+        ratio: normal force over the law's.
+        lateral_ratio: force of the probe on the skin along x and y, over the normal force there.
+    """
+
+    ratio: Float[ndarray, " n"]
+    lateral_ratio: Float[ndarray, "n 2"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceLaw:
-    """Force of the relaxed skin on a probe, over depth.
+    """Force of the relaxed skin on a probe, over depth, in the middle of the skin.
 
     Attributes:
         depth_m: ascending from 0, to the deepest that is known [m].
         force_n: normal force at each [N].
         radius_m: of the contact, or of a circle as large [m].
         lateral_n_m: force that builds up for a small shift along the skin, while the probe sticks [N/m].
+        by_place: what places do to the force, at arrays of x, y and depth [m]; None for a skin that is
+            everywhere the same.
     """
 
     depth_m: Knots
     force_n: Knots
     radius_m: Knots
     lateral_n_m: Knots
+    by_place: Callable[[ndarray, ndarray, ndarray], PlaceEffect] | None = None
 
     @property
     def greatest_m(self) -> float:
         """The deepest that is known [m]."""
         return float(self.depth_m[-1])
+
+    def at_places(
+        self, x_m: Float[ndarray, " n"], y_m: Float[ndarray, " n"], depth_m: Float[ndarray, " n"]
+    ) -> PlaceEffect:
+        """What places do to the force at depths; nothing where the skin is everywhere the same."""
+        if self.by_place is None:
+            return PlaceEffect(np.ones(len(depth_m)), np.zeros((len(depth_m), 2)))
+        return self.by_place(x_m, y_m, depth_m)
 
 
 @runtime_checkable

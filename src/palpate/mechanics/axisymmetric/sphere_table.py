@@ -311,7 +311,7 @@ def _fits(table: SphereTable, pose: Pose, R: float, disc_radius_m: float) -> Non
 
 OFF_CENTRE = resources.files("palpate.mechanics") / "tables" / "off_centre.json"
 SLACK = 1e-3  # a place named in whole millimetres may lie a hair beyond
-_FINE = 61  # offsets at which the smooth curve through the solved ones is kept
+_FINE = 61  # offsets, beside the solved ones, at which the smooth curve through these is kept
 
 
 class EdgeCorrection(NamedTuple):
@@ -331,7 +331,7 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
     """Correction of a centred press for a place nearer to the rim.
 
     Args:
-        offset: of the ball from the disc's axis, to 4.427 R (22.1 mm under a ball of 5 mm) [R].
+        offset: of the ball from the disc's axis, to 4.7 R (23.5 mm under a ball of 5 mm, all of it over the disc) [R].
         depth: 0 to 1 R.
         thickness: of the disc: 2 or 4 R.
 
@@ -339,19 +339,63 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
         >>> round(edge_correction(4.2, 1.0, 2.0).force_ratio, 3)
         0.927
     """
+    table, greatest = _corrections(thickness), edge_reach(thickness)
+    if not (0 <= offset <= greatest.offset * (1 + SLACK) and 0 <= depth <= greatest.depth * (1 + SLACK)):
+        raise RangeError(
+            f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest.offset:g} R and 0 to "
+            f"{greatest.depth:g} R, where presses were solved"
+        )
+    at = min(offset, greatest.offset), min(depth, greatest.depth)
+    force_ratio, side_ratio = table(at).tolist()
+    return EdgeCorrection(force_ratio, side_ratio)
+
+
+class EdgeReach(NamedTuple):
+    """Greatest offset of the ball from the disc's axis and greatest depth that were solved, both in R."""
+
+    offset: float
+    depth: float
+
+
+def edge_reach(thickness: float) -> EdgeReach:
+    """How far out and how deep presses off the centre were solved.
+
+    Args:
+        thickness: of the disc: 2 or 4 R.
+
+    Raises:
+        RangeError: another thickness.
+    """
+    offset, depth = (float(axis[-1]) for axis in _corrections(thickness).grid)
+    return EdgeReach(offset, depth)
+
+
+def edge_correction_held(
+    offset: Float[ndarray, " n"], depth: Float[ndarray, " n"], thickness: float
+) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"]]:
+    """Force ratio and side ratio of many presses; beyond `edge_reach` those of the nearest solved press hold.
+
+    Args:
+        offset: of the ball from the disc's axis [R].
+        depth: of the press; below 0 as at 0 [R].
+        thickness: of the disc: 2 or 4 R.
+
+    Raises:
+        RangeError: another thickness.
+    """
+    table, reach = _corrections(thickness), edge_reach(thickness)
+    at = np.clip(offset, 0.0, reach.offset), np.clip(depth, 0.0, reach.depth)
+    force_ratio, side_ratio = np.moveaxis(table(np.stack(at, axis=-1)), -1, 0)
+    return force_ratio, side_ratio
+
+
+def _corrections(thickness: float) -> RegularGridInterpolator:
     tables = _off_centre()
     if thickness not in tables:
         raise RangeError(
             f"no press off the centre of a disc {thickness:g} R thick was solved; 2 R and 4 R were"
         )
-    greatest = tables[thickness].grid[0][-1], tables[thickness].grid[1][-1]
-    if not (0 <= offset <= greatest[0] * (1 + SLACK) and 0 <= depth <= greatest[1] * (1 + SLACK)):
-        raise RangeError(
-            f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest[0]:g} R and 0 to "
-            f"{greatest[1]:g} R, where presses were solved"
-        )
-    at = min(offset, greatest[0]), min(depth, greatest[1])
-    return EdgeCorrection(*(float(value) for value in tables[thickness](at)))
+    return tables[thickness]
 
 
 @lru_cache(maxsize=1)
@@ -368,7 +412,7 @@ def _curves(rows: list[dict[str, float]]) -> RegularGridInterpolator:
     forces = {(row["offset"], row["depth"]): [row["force"], row["side_force"]] for row in rows}
     force, side = np.moveaxis(np.array([[forces[c, d] for d in depths] for c in offsets]), -1, 0)
     ratios = np.stack([force / force[0], -side / force[0]], axis=-1)
-    fine = np.linspace(offsets[0], offsets[-1], _FINE)
+    fine = np.union1d(np.linspace(offsets[0], offsets[-1], _FINE), offsets)
     smooth = PchipInterpolator(offsets, ratios)(fine)
     return RegularGridInterpolator(
         (fine, np.append(0.0, depths)), np.concatenate([smooth[:, :1], smooth], axis=1)

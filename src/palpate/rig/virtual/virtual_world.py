@@ -54,9 +54,15 @@ class ViscoelasticSkin:
         self._reached_m = np.zeros(len(relaxation))
         self._last = 0.0
 
-    def force(self, depth_m: Series, step_s: float) -> tuple[Series, Series]:
-        """Force on the probe, and the elastic part of it, at samples `step_s` apart [N]."""
-        elastic = np.interp(depth_m, self.law.depth_m, self.law.force_n, left=0.0)
+    def force(self, depth_m: Series, step_s: float, ratio: Series | float = 1.0) -> tuple[Series, Series]:
+        """Force on the probe, and the elastic part of it, at samples `step_s` apart [N].
+
+        Args:
+            depth_m: below first touch.
+            step_s: from sample to sample.
+            ratio: elastic force over the law's, of the place.
+        """
+        elastic = ratio * np.interp(depth_m, self.law.depth_m, self.law.force_n, left=0.0)
         change = np.diff(elastic, prepend=self._last)
         total = elastic.copy()
         for i, (share, time_s) in enumerate(self._branches):
@@ -110,7 +116,8 @@ class Touch:
         depth_m: below first touch; negative in the air.
         x_m, y_m: of the probe on the skin.
         force_n: along x, y, z, positive z in compression.
-        pulled_n: what of the lateral force a shift of the probe has made; the rest is its lean.
+        pulled_n: what of the lateral force a shift of the probe has made; the rest is its lean, and the
+            skin's own push at this place.
         shift_m: of the probe along x and y since it touched.
         stiffening: normal force over that of the relaxed skin at this depth.
         approach: what is particular to it.
@@ -279,7 +286,10 @@ class World:
             depth = np.where(times * NS_PER_S >= gone, -FAR_M, depth)
         greatest = self._skin.law.greatest_m
         known = depth <= greatest
-        normal, elastic = self._skin.force(np.minimum(depth, greatest), self._step_s)
+        aside = self._approach.aside_m
+        x, y = relative[:, 0] + aside[0], relative[:, 1] + aside[1]
+        here = self._skin.law.at_places(x, y, np.minimum(depth, greatest))
+        normal, elastic = self._skin.force(np.minimum(depth, greatest), self._step_s, here.ratio)
         if depth[-1] < -LIFTED_M and not self._lifted:
             self._lifted, self._stuck_at = True, None
             left_m, pressed_m = self._skin.leave(), max(self._pressed_m, 0.0)
@@ -289,16 +299,15 @@ class World:
                 self._hook()
         self._pressed_m = max(self._pressed_m, float(depth.max()))
         pulled, shift = self._pulled(relative, depth, normal)
-        lateral = pulled + normal[:, None] * np.array(self._approach.lean)
-        aside = self._approach.aside_m
+        lateral = pulled + normal[:, None] * (np.array(self._approach.lean) + here.lateral_ratio)
         for i, time_s in enumerate(times.tolist()):
             stiff = float(normal[i] / elastic[i]) if elastic[i] > 0 else 1.0
             touches.append(
                 Touch(
                     time_s,
                     float(depth[i]),
-                    float(relative[i, 0] + aside[0]),
-                    float(relative[i, 1] + aside[1]),
+                    float(x[i]),
+                    float(y[i]),
                     (float(lateral[i, 0]), float(lateral[i, 1]), float(normal[i])),
                     (float(pulled[i, 0]), float(pulled[i, 1])),
                     stiff,

@@ -8,20 +8,19 @@ The numbers of a contact that belong beside its picture are here too.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from palpate.core import Contact, Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.sphere_table import edge_correction
+from palpate.core import Contact, Float, ndarray
 from palpate.mechanics.layers.stack_field import field_below
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
-from palpate.sensors.palm.palm_press import field_of, pressed, stack_of, table_of
+from palpate.sensors.palm.palm_press import field_of, pressed, stack_of
 from palpate.sensors.palm.palm_render import is_ball
+from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
 
 WAVELENGTH_M = 550e-9
@@ -82,8 +81,10 @@ def integrated(
 def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
     """Force, contact, pressure and fringes, each named with its unit.
 
-    `rim_force_percent` is by how much the force would differ had the press been solved where it is, and not
-    in the middle; None where that is not known.
+    `rim_force_percent` is by how much the force of a press solved where it is differs from that of one solved
+    in the middle, and `rim_push_N` how hard the membrane then pushes the ball outwards; both None where
+    nothing was solved. `rim_applied` says whether the contact has them, `rim_solved` whether place and depth
+    lie within what was solved: beyond, both are those of the nearest solved press.
     """
     return {
         "force_N": contact.force_n,
@@ -95,7 +96,7 @@ def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
         "fringe_order_max": greatest_order(contact, spec),
         "youngs_modulus_Pa": spec.youngs_modulus_pa,
         "thickness_mm": spec.thickness_m * 1e3,
-        "rim_force_percent": _rim_percent(contact, spec),
+        **_rim_facts(contact, spec),
         "seen_edge_on": sees(spec, contact.pose.x_m, contact.pose.y_m, contact.radius_m),
         "model": contact.model,
     }
@@ -106,7 +107,7 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     if contact.force_n <= 0:
         return 0.0
     if is_ball(contact, spec):
-        return edge_on(spec, contact.pose.depth_m).greatest
+        return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
     shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
     field = field_below(
@@ -125,20 +126,23 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     return float(np.quantile(order, 0.999))
 
 
-def _rim_percent(contact: Contact, spec: PalmSpec) -> float | None:
-    R, pose = spec.indenter_radius_m, contact.pose
-    if pose.depth_m < 0 or not is_ball(contact, spec):
-        return None
-    if not math.isclose(spec.radius_m, table_of(spec).disc_radius * R):
-        return None
-    try:
-        effect = edge_correction(math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R, spec.thickness_m / R)
-    except RangeError:
-        return None
-    return 100 * (effect.force_ratio - 1)
+def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
+    applied = spec.rim == "applied"
+    known = contact.pose.depth_m >= 0 and is_ball(contact, spec) and rim_reach(spec) is not None
+    if not known:
+        return {"rim_force_percent": None, "rim_push_N": None, "rim_applied": False, "rim_solved": False}
+    effect = rim_effect(spec, contact.pose)
+    centred_n = contact.force_n / effect.force_ratio if applied else contact.force_n
+    return {
+        "rim_force_percent": 100 * (effect.force_ratio - 1),
+        "rim_push_N": effect.push_ratio * centred_n,
+        "rim_applied": applied,
+        "rim_solved": effect.solved,
+    }
 
 
 def _peak_pressure(contact: Contact, spec: PalmSpec) -> float:
     if is_ball(contact, spec) and contact.force_n > 0:
-        return float(pressed(spec, contact.pose.depth_m).peak_pressure * spec.youngs_modulus_pa)
+        press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)
+        return float(press.peak_pressure * spec.youngs_modulus_pa * effect.force_ratio)
     return float(contact.pressure_pa.max())

@@ -11,22 +11,24 @@ the ball stops.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from cachetools import LRUCache, cached
 
-from palpate.core import Float, Float32, Probe, ndarray
+from palpate.core import Float, Float32, Pose, Probe, ndarray
 from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.stress_optic import frozen_stress
 from palpate.optics.wall_refraction import ColumnRays, round_rim
 from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_rim import applied_rim
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
 
@@ -53,6 +55,7 @@ FINE_TO_RADII = 1.6  # ball radii up to which the step is fine
 COARSE = 8  # how much longer it is beyond
 LOOKS = 1001  # columns at which `sees` looks, equally spaced in the angle at which they meet the rim
 GRAZED = 1e-5  # share of its way in air from which a ray counts as having met the surface
+RATIO_STEP = 0.02  # of stress near the rim, between whose kept pictures the fast way mixes
 PICTURES_BYTES = 300_000_000
 MARCHES_BYTES = 50_000_000
 
@@ -87,6 +90,7 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 @cache_within(MARCHES_BYTES)
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
     """Light of every ray, marched from wall to wall; it is kept, and so cannot be written to."""
+    spec = _stressed(spec, applied_rim(spec, Pose(x_m, y_m, depth_m)).force_ratio)
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
@@ -103,9 +107,28 @@ def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Lig
     same = spec.unlit
     rays = columns_kept(same)
     offset, _, _ = rays.about(x_m, y_m)
-    light = picture_of(same, depth_m).at(offset)
+    light = _seen_at(same, depth_m, applied_rim(spec, Pose(x_m, y_m, depth_m)).force_ratio, offset)
     light[:, ~rays.visible] = spec.extinction
     return light
+
+
+def _seen_at(spec: PalmSpec, depth_m: float, stress_ratio: float, offset_m: Float[ndarray, " w"]) -> Light:
+    """Columns of the picture of a depth, all its stress taken times a ratio: between pictures of even ones."""
+    steps = (1.0 - stress_ratio) / RATIO_STEP
+    whole = math.floor(steps)
+    light = picture_of(_stressed(spec, 1.0 - RATIO_STEP * whole), depth_m).at(offset_m)
+    if (share := np.float32(steps - whole)) > 0:
+        lower = picture_of(_stressed(spec, 1.0 - RATIO_STEP * (whole + 1)), depth_m).at(offset_m)
+        light += share * (lower - light)
+    return light
+
+
+def _stressed(spec: PalmSpec, ratio: float) -> PalmSpec:
+    """A spec under which light meets a stress taken times a ratio: the phase knows only C times it."""
+    law = spec.stress_optic
+    if ratio == 1.0:
+        return spec
+    return replace(spec, stress_optic=replace(law, coefficient_per_pa=law.coefficient_per_pa * ratio))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

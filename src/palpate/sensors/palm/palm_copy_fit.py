@@ -33,6 +33,7 @@ from palpate.sensors.palm.mirror_view import contact_px
 from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, PressFound, Terms
 from palpate.sensors.palm.palm_press import press, table_of
 from palpate.sensors.palm.palm_render import housed, render_clean
+from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
 
 Pixels = Float[ndarray, " n"]
@@ -40,6 +41,7 @@ Place = Float[ndarray, " 3"]
 
 STEPS = np.array([0.0, 0.01, 0.01, 2e-3, 5e-3, 0.3, 0.3, 0.2, 0.2, 2e-3, 0.02, 1.0, 0.1, 2e-4, 2e-4, 0.03])
 """Of differences over `TERMS`, x [m], y [m] and ln(depth); a picture does not show E alone."""
+FORCE_STEPS = np.array([1e-4, 1e-4, 1e-3])  # of differences of the force over x, y [m] and ln(depth)
 SMOOTH = (1, 2, 3, 9, 10, 11)  # that move no edge, so that one side does
 BLUR_PX = 1.0  # by which pictures are softened before they are compared
 PIXEL_SD = 0.012  # of a pixel, where the pictures themselves do not say more; of white
@@ -187,7 +189,7 @@ def _state_at(known: PalmCopy, seen: Sequence[_Seen], looks: Sequence[Place], pr
     places, terms = np.stack(looks), known.terms.copy()
     terms[1] += product
     moduli = [
-        math.log(one.press.force_n) - _log_unit_force(known.spec, place[2])[0]
+        math.log(one.press.force_n) - _log_unit_force(known.spec, place)[0]
         for one, place in zip(seen, places, strict=True) if one.press.force_n is not None
     ]  # fmt: skip
     if moduli:
@@ -236,13 +238,16 @@ def _deepest_m(spec: PalmSpec) -> float:
     return table_of(spec).greatest_depth * spec.indenter_radius_m
 
 
-def _log_unit_force(spec: PalmSpec, log_depth: float) -> tuple[float, float]:
-    """Ln of the force at the design's modulus [ln N], and its slope over ln of the depth."""
+def _log_unit_force(spec: PalmSpec, place: Place) -> tuple[float, Place]:
+    """Ln of the force at the design's modulus [ln N], and its slopes over x, y [1/m] and ln of the depth."""
     table, R = table_of(spec), spec.indenter_radius_m
-    step = 1e-3
-    at = np.minimum(np.exp(log_depth + np.array([-step, 0.0, step])) / R, table.greatest_depth)
-    low, force, high = np.log(table.force_at(at) * spec.youngs_modulus_pa * R**2)
-    return float(force), float(high - low) / (2 * step)
+    steps = np.diag(FORCE_STEPS)
+    x, y, log_depth = np.concatenate([place[None], place - steps, place + steps]).T
+    depth = np.minimum(np.exp(log_depth) / R, table.greatest_depth)
+    by_place = rim_by_place(spec)
+    ratio = 1.0 if by_place is None else by_place(x, y, R * depth).ratio
+    force = np.log(table.force_at(depth) * spec.youngs_modulus_pa * R**2 * ratio)
+    return float(force[0]), (force[4:] - force[1:4]) / (2 * FORCE_STEPS)
 
 
 class _Estimate:
@@ -297,9 +302,9 @@ class _Estimate:
     def _found(self, state: _State, i: int, covariance: ndarray, off: float) -> PressFound:
         at = len(TERMS) + 3 * i
         x, y, log_depth = state.places[i]
-        log_force, slope = _log_unit_force(self._known.spec, log_depth)
+        log_force, slopes = _log_unit_force(self._known.spec, state.places[i])
         towards = np.zeros(self._size)
-        towards[0], towards[at + 2] = 1.0, slope
+        towards[0], towards[at : at + 3] = 1.0, slopes
         x_sd, y_sd, depth_sd = np.sqrt(np.diag(covariance)[at : at + 3])
         depth = math.exp(log_depth)
         force_share = math.sqrt(towards @ covariance @ towards)
@@ -380,9 +385,9 @@ class _Estimate:
                 J[first + k] = 1.0
                 yield J, at - state.places[i, k], 1 / one.place_sd_m**2
             if one.force_n is not None:
-                log_force, slope = _log_unit_force(self._known.spec, state.places[i, 2])
+                log_force, slopes = _log_unit_force(self._known.spec, state.places[i])
                 J = np.zeros(self._size)
-                J[0], J[first + 2] = 1.0, slope
+                J[0], J[first : first + 3] = 1.0, slopes
                 yield J, math.log(one.force_n) - log_force - state.terms[0], 1 / one.force_share**2
 
     def _moved(self, state: _State, step: ndarray) -> _State:

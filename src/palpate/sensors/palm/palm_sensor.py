@@ -36,6 +36,7 @@ from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, press_layers, table_of
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
+from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parse_probe
 
@@ -149,7 +150,10 @@ class Palm:
         return LINEAR_DEPTH_M if lateral or probe != self._ball else self.force_law(probe).greatest_m
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """The table's under the own ball, a curve through presses of linear layers under any other."""
+        """The table's under the own ball, a curve through presses of linear layers under any other.
+
+        Where the spec applies the rim, the own ball's knows what places do to it.
+        """
         return force_law_of(self.spec, probe)
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
@@ -262,7 +266,8 @@ def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     own = probe == Probe("sphere", spec.indenter_radius_m)
     depth, force, radius = _of_table(spec) if own else _of_layers(spec, probe)
     per_radius = tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
-    return ForceLaw(depth, force, radius, radius * per_radius)
+    by_place = rim_by_place(spec) if own else None
+    return ForceLaw(depth, force, radius, radius * per_radius, by_place)
 
 
 def _of_table(spec: PalmSpec) -> tuple[ndarray, ndarray, ndarray]:

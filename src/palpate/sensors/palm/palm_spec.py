@@ -79,6 +79,8 @@ FRINGES = View((380, 60, 1420, 420), 44e-6, (710.0, 110.0))
 MIRROR = View((700, 560, 700, 420), 100e-6, (350.0, 210.0))
 """Box from D; the pitch, at which places up to 20 mm from the axis are seen, is assumed."""
 
+RIMS = ("applied", "stated")
+
 
 @dataclass(frozen=True, slots=True)
 class PalmSpec:
@@ -96,6 +98,9 @@ class PalmSpec:
         frozen_birefringence, frozen_axis_rad: what is left without load, uniform; axis from x to z [rad].
             Assumed.
         indenter_radius_m: of the ball [m]. R: 10 mm diameter.
+        rim: whether a press of the ball near the free rim has the force, the lateral push and the stress that
+            the solutions in three dimensions give it ("applied"), or those of a press in the middle, with the
+            difference in the facts beside it ("stated").
         rim_refracts: whether the round rim bends the rays, as a cylindrical lens; False for flat windows.
         polariser_rad: of the first polariser, from x to z [rad]. Assumed; the report says only "crossed".
         extinction: crossed over parallel transmission of the polarisers. Assumed.
@@ -136,6 +141,7 @@ class PalmSpec:
     frozen_birefringence: float = 0.0
     frozen_axis_rad: float = 0.0
     indenter_radius_m: float = 5e-3
+    rim: str = "stated"
     rim_refracts: bool = True
     polariser_rad: float = math.pi / 4
     extinction: float = 0.01
@@ -175,6 +181,8 @@ class PalmSpec:
                 f"Poisson's ratio {self.poisson_ratio} must be below 0.5, at which layers have no solution; "
                 "silicones have 0.49"
             )
+        if self.rim not in RIMS:
+            raise InputError(f"the palm's rim is {self.rim!r}; it is one of {', '.join(RIMS)}")
         if min(self.rays_per_pixel) < 1:
             raise RangeError(f"{self.rays_per_pixel} rays a pixel; give 1 or more, across and down")
         for view in (self.fringes, self.mirror):

@@ -13,6 +13,7 @@ import numpy as np
 
 from palpate.core import RangeError
 from palpate.optics.image_chain import ImageChain
+from palpate.sensors.palm.palm_rim import rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 
 ROOM_K = 296.0
@@ -51,7 +52,7 @@ class CopySpread:
 
 
 def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | None = None) -> PalmSpec:
-    """One copy of a design.
+    """One copy of a design, whose skin gives way near its rim where that was solved.
 
     Args:
         design: what copies are made after.
@@ -73,6 +74,7 @@ def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | 
         fringes=_moved(design.fringes, s.region_px * z[6], s.region_px * z[7]),
         mirror=_moved(design.mirror, s.region_px * z[8], s.region_px * z[9]),
         ambient=design.ambient + s.ambient * abs(float(z[10])),
+        rim="applied" if rim_reach(design) is not None else design.rim,
         corner_loss=float(np.clip(design.corner_loss + s.corner_loss * z[11], 0.0, 1.0)),
         chain=ImageChain(
             blur_px=float(rng.uniform(*s.blur_px)),
