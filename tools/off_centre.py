@@ -1,6 +1,6 @@
 """A rigid sphere pressed off the centre of a bonded disc, in three dimensions at finite strain.
 
-    python tools/off_centre.py    # solve, and write off_centre.json; half an hour on one core
+    python tools/off_centre.py    # solve, and write off_centre.json; under an hour on one core
 
 The press tables are axisymmetric; palpate moves them to where the sphere is. This tells what that costs near
 the rim. Half the disc is meshed, up to the plane through its axis and the sphere's, with triquadratic bricks

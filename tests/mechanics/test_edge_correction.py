@@ -94,7 +94,9 @@ def test_work_saved_near_the_rim_is_the_work_of_the_push_on_the_way_there(thickn
     pushed = np.trapezoid(side * force[-1], offset)
     ratio, _ = edge_correction_held(np.full(201, 4.7), depth, thickness)
     saved = np.trapezoid((1 - ratio) * force, depth)
-    assert pushed == pytest.approx(saved, rel=0.03)  # 0.5 and 2 %, most of it of depths below 0.2 R
+    assert pushed == pytest.approx(
+        saved, rel=0.03
+    )  # 0.5 and 2 % were found; at 0.6 R, where less is saved, 7 and 1 %
 
 
 def test_beyond_what_was_solved_the_nearest_press_is_held_where_that_is_asked() -> None:

@@ -14,7 +14,7 @@ from oracles.palm import GRID_MM
 from oracles.shortcuts import FARTHEST, baseline
 
 from drawn import RIM, SPEC, H, R, outer_labels, sheet
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction, edge_reach
 from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
 from palpate.optics import round_rim
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK
@@ -146,11 +146,11 @@ def single_slice() -> Figure:
 def off_centre() -> Figure:
     """How much too high the force of a centred table is, by place."""
     figure, [[curve, plan]] = sheet(1, 2, (9.4, 4.0))
-    offsets = np.linspace(0, FARTHEST, 90)
+    solved = (0, 1.4, 2.8, 3.96, 4.2, FARTHEST, edge_reach(H / R).offset)
+    offsets = np.linspace(0, solved[-1], 90)
     shades = mpl.colormaps["viridis"](np.linspace(0.9, 0.1, 5))
     for depth, colour in zip(DEPTHS, shades, strict=True):
         curve.plot(offsets * R, [_too_high(c, depth) for c in offsets], color=colour, label=f"{depth} mm")
-    solved = (0, 1.4, 2.8, 3.96, 4.2, FARTHEST)
     for depth, colour in zip(DEPTHS, shades, strict=True):
         curve.plot([R * c for c in solved], [_too_high(c, depth) for c in solved], "o", ms=3, color=colour)
     curve.set(xlabel="ball's axis from the membrane's [mm]", ylabel="force too high by [%]", ylim=(0, None))

@@ -39,7 +39,7 @@ from palpate.sensors.palm.fringe_orders import integrated
 from palpate.sensors.palm.palm_press import depth_of_force, field_of, pressed
 
 GREEN_M = 550e-9
-FARTHEST = 4.427  # R from the axis that a press was solved at; the grid's outermost places are at 4.4272 R
+FARTHEST = 4.427  # R from the axis that a press was solved at, a hair inside the grid's outermost places
 
 
 def _midplane(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, float, tuple[ndarray, ndarray]]:

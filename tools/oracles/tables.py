@@ -126,7 +126,7 @@ def bricks() -> float:
 
 
 def finer_bricks() -> float:
-    """Those bricks' forces, in the middle and at 4.2 R, against a mesh of 1.8 times the unknowns."""
+    """Those bricks' forces, in the middle, at 4.2 and at 4.7 R, against a mesh of 1.8 times the unknowns."""
     at = ("thickness", "offset", "depth")
     coarse = {tuple(row[part] for part in at): row["force"] for row in _off_centre("presses")}
     fine = {tuple(row[part] for part in at): row["force"] for row in _off_centre("finer")}

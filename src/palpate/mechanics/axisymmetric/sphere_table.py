@@ -331,7 +331,7 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
     """Correction of a centred press for a place nearer to the rim.
 
     Args:
-        offset: of the ball from the disc's axis, to 4.7 R (23.5 mm under a ball of 5 mm, all of it over the disc) [R].
+        offset: of the ball from the disc's axis, to 4.7 R: 23.5 mm under a ball of 5 mm [R].
         depth: 0 to 1 R.
         thickness: of the disc: 2 or 4 R.
 
@@ -342,8 +342,8 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
     table, greatest = _corrections(thickness), edge_reach(thickness)
     if not (0 <= offset <= greatest.offset * (1 + SLACK) and 0 <= depth <= greatest.depth * (1 + SLACK)):
         raise RangeError(
-            f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest.offset:g} R and 0 to "
-            f"{greatest.depth:g} R, where presses were solved"
+            f"{offset:g} R from the axis and {depth:g} R deep lies outside 0 to {greatest.offset:g} R and "
+            f"0 to {greatest.depth:g} R, where presses were solved"
         )
     at = min(offset, greatest.offset), min(depth, greatest.depth)
     force_ratio, side_ratio = table(at).tolist()

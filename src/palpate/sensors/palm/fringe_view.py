@@ -113,7 +113,7 @@ def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Lig
 
 
 def _seen_at(spec: PalmSpec, depth_m: float, stress_ratio: float, offset_m: Float[ndarray, " w"]) -> Light:
-    """Columns of the picture of a depth, all its stress taken times a ratio: between pictures of even ones."""
+    """Columns of a depth's picture, all its stress times a ratio: mixed of the two nearest that are kept."""
     steps = (1.0 - stress_ratio) / RATIO_STEP
     whole = math.floor(steps)
     light = picture_of(_stressed(spec, 1.0 - RATIO_STEP * whole), depth_m).at(offset_m)
