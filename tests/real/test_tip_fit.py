@@ -9,31 +9,45 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def fitted(real_data):
+def found(real_data):
     folder = real_data / "tactip-surface"
     if not folder.is_dir():
         pytest.skip(f"no taps of a TacTip at {folder}")
     return fit_folder(folder / "train", folder / "val", taps=150)
 
 
-def test_pins_of_most_taps_are_named(fitted) -> None:
-    _, _, (known, new) = fitted
-    assert len(known.poses) > 0.85 * (len(known.poses) + known.lost)
-    assert len(new.poses) > 0.8 * (len(new.poses) + new.lost)
+def test_pins_of_most_taps_are_named_without_their_poses(found) -> None:
+    known, new = found.known, found.new
+    assert len(known.poses) > 0.9 * (len(known.poses) + known.lost)
+    assert len(new.poses) > 0.9 * (len(new.poses) + new.lost)
     assert np.isfinite(known.places_px).all(axis=2).mean() > 0.99
 
 
-def test_the_twin_leaves_little_more_than_the_taps_own_scatter(fitted) -> None:
-    _, judged, _ = fitted
-    print(judged.residual_px, judged.floor_px, judged.motion_px)
-    assert judged.residual_px < 1.6 * judged.floor_px
+def test_no_pin_bears_anothers_name(found) -> None:
+    """A field counted from another middle would be a spacing away from where its pose has it, some 20 px."""
+    off = found.reader.expected_px(found.new.poses) - found.new.places_px
+    shift = np.hypot(*np.nanmedian(off, axis=1).T)
+    assert shift.max() < 14
+
+
+def test_the_twin_leaves_little_more_than_the_taps_own_scatter(found) -> None:
+    judged = found.judged
+    print(judged.residual_px, found.learnt_px, judged.floor_px, judged.motion_px)
+    assert judged.residual_px < 1.7 * judged.floor_px
+    assert found.learnt_px < 1.2 * judged.floor_px
     assert judged.residual_px < 0.3 * judged.motion_px
 
 
-def test_upright_the_twin_moves_as_the_taps_do(fitted) -> None:
-    fit, _, (known, _) = fitted
-    depths, smooth, twin = upright_places(fit, known)
-    moved = smooth - fit.tip.rest_px
+def test_poses_are_read_from_images_of_taps_after_a_few_known_ones(found) -> None:
+    off = np.abs(found.readings.poses - found.new.poses)
+    print(off.mean(axis=0), (off <= found.readings.half_widths).mean(axis=0))
+    assert off.mean(axis=0)[0] < 0.2
+    assert (off.mean(axis=0)[1:3] < 1.7).all()
+
+
+def test_upright_the_twin_moves_as_the_taps_do(found) -> None:
+    depths, smooth, twin = upright_places(found.fit, found.known)
+    moved = smooth - found.fit.tip.rest_px
     for depth, told, seen in zip(depths[1:], (twin - smooth)[1:], moved[1:], strict=True):
         print(depth, np.sqrt((told**2).sum(1).mean()), np.sqrt((seen**2).sum(1).mean()))
         assert (told**2).sum() < 0.3**2 * (seen**2).sum()

@@ -26,7 +26,8 @@ class TipPicture:
         depths_mm: of upright taps.
         taps_px, twin_px: pins at these depths, by taps and by the twin ``[d p 2]`` [px].
         residual_px: of each pin, in taps that the twin was not fitted to ``[p]`` [px rms].
-        left_px: root mean squares by name, of such taps: motion, twin, smooth regression [px].
+        left_px: root mean squares by name, of such taps: motion, twin, smooth regression, and twin with its
+            learnt error [px].
     """
 
     rest_px: Float[ndarray, "p 2"]
@@ -37,8 +38,8 @@ class TipPicture:
     left_px: dict[str, float]
 
 
-def write_tip_files(out: Path, record: dict[str, Any], picture: TipPicture) -> None:
-    """Write a fitted tip as a folder of ``tip.json`` and ``tip.png``.
+def write_tip_files(out: Path, record: dict[str, Any], reader: dict[str, Any], picture: TipPicture) -> None:
+    """Write a fitted tip as a folder of ``tip.json``, ``reader.json`` and ``tip.png``.
 
     Raises:
         ExistsError: `out` exists.
@@ -47,6 +48,7 @@ def write_tip_files(out: Path, record: dict[str, Any], picture: TipPicture) -> N
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     with new_folder(out) as building, storage_errors(out):
         (building / "tip.json").write_text(text)
+        (building / "reader.json").write_text(json.dumps(reader, allow_nan=False) + "\n")
         tip_figure(picture).savefig(building / "tip.png")
 
 

@@ -79,23 +79,33 @@ class PinLattice:
         return self.share > SETTLED and (self.kind != "hexagonal" or self.filled > MIN_FILLED)
 
 
-def name_pins(places: Points, size: tuple[int, int]) -> PinLattice | None:
+def name_pins(places: Points, size: tuple[int, int], kind: PinLayoutKind | None = None) -> PinLattice | None:
     """The lattice that most marks stand on, those beyond its field left out; none where there is none.
 
     Args:
         places: of the marks ``[n 2]`` [px].
         size: height and width of the image [px].
+        kind: of the layout, where it is known; the others are then not tried.
     """
     whole = _whole(places, "hexagonal") or _whole(places, "rings")
-    if whole is not None:
+    if whole is not None and kind in (None, whole.kind):
         return whole
+    if kind == "rings":
+        return _sound(_of("rings", lay_rings(places, size), places), places)
     best = _hexagonal(places, size)
+    if kind == "hexagonal":
+        return _sound(best, places)
     if best is None or not best.settled:
         best = _better(best, _of("rings", lay_rings(places, size), places))
     if best is None or best.share < MIN_SHARE or _is_sheared(best, places):
         best = _better(_of("square", _largest(places, "square"), places), best)
-    sound = best is not None and best.share >= MIN_SHARE and len(best.marks) >= MIN_OF_ALL * len(places)
-    return best if sound else None
+    return _sound(best, places)
+
+
+def _sound(found: PinLattice | None, places: Points) -> PinLattice | None:
+    """A lattice that holds enough of the marks, or none."""
+    sound = found is not None and found.share >= MIN_SHARE and len(found.marks) >= MIN_OF_ALL * len(places)
+    return found if sound else None
 
 
 def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | None:
@@ -104,7 +114,7 @@ def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | 
     From the six around the middle outwards, each step's places follow from those known by a map of higher
     degree.
     """
-    rings = round((math.sqrt(12 * len(places) - 3) - 3) / 6)
+    rings = round((math.sqrt(12 * max(len(places), 1) - 3) - 3) / 6)
     if not (2 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
         return None
     tree, sites = cKDTree(places), ring_sites(kind)

@@ -1,5 +1,17 @@
-"""Separate taps of a TacTip: pins given their names, and a virtual tip fitted to them."""
+"""Separate taps of a TacTip: pins given their names, a virtual tip fitted to them, and poses read by it."""
 
-from palpate.sensors.tactip.taps.tap_folder import RegisteredTaps, fit_folder, register_taps
+from palpate.sensors.tactip.taps.tap_folder import FolderFit, RegisteredTaps, fit_folder, register_taps
+from palpate.sensors.tactip.taps.tip_reader import PoseReadings, TipReader
+from palpate.sensors.tactip.taps.tip_reader_file import load_reader, read_images, reader_record
 
-__all__ = ["RegisteredTaps", "fit_folder", "register_taps"]
+__all__ = [
+    "FolderFit",
+    "PoseReadings",
+    "RegisteredTaps",
+    "TipReader",
+    "fit_folder",
+    "load_reader",
+    "read_images",
+    "reader_record",
+    "register_taps",
+]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 
@@ -19,30 +18,26 @@ from palpate.core import (
     InputError,
     LabelError,
     Progress,
-    UInt8,
     ndarray,
     silent,
     storage_errors,
 )
-from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
+from palpate.sensors.tactip.posed_tip import POSE, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
-from palpate.sensors.tactip.taps.tap_pins import identified_taps, rest_layout, spots
+from palpate.sensors.tactip.taps.tap_pins import PinLayout, named_taps, read_image, spots
 from palpate.sensors.tactip.taps.tip_fit import (
     MIN_TAPS,
     TipFit,
     TipJudgement,
-    fit_tip,
     judge_tip,
-    upright_course,
 )
+from palpate.sensors.tactip.taps.tip_reader import PoseReadings, TipReader, fit_pins
 
 TABLE, IMAGES = "labels.csv", "images"
 NAMES = ("image_file", "image", "file")
 COVERED = 1.645  # standard deviations of a 90 % interval
-REST_FROM = 60  # mildest taps, of which one shows all pins
 SMOOTH = 4  # degree of the polynomial that gives the pins at rest
 MIN_PINS = 37
-MAX_OTHERS = 1.25  # times as many spots as pins, or as few
 MAX_LOST = 0.4  # of the taps, whose pins could not be named
 
 
@@ -54,20 +49,25 @@ class RegisteredTaps:
         poses: `POSE` in its units ``[t 6]``.
         places_px: of the pins, NaN where one was not found ``[t p 2]`` [px].
         lost: taps that were left out, since their pins could not be named for sure.
+        layout: in which the pins stand.
     """
 
     poses: Float[ndarray, "t 6"]
     places_px: Float[ndarray, "t p 2"]
     lost: int
+    layout: PinLayout
 
 
-def register_taps(folders: Sequence[Path], pins: int, progress: Progress = silent) -> list[RegisteredTaps]:
+def register_taps(
+    folders: Sequence[Path], pins: int, progress: Progress = silent, layout: PinLayout | None = None
+) -> list[RegisteredTaps]:
     """Name the pins of the taps of one sensor, in one or several folders.
 
     Args:
         folders: each with ``labels.csv`` (a file's name and `POSE`) and its images, binarised, in ``images``.
         pins: how many the tip has.
-        progress: called with how many images are read.
+        progress: called with how many images are read and named.
+        layout: of the tip's pins, where it is known.
 
     Raises:
         LabelError: no table, or one without a column or a value of the pose.
@@ -77,27 +77,21 @@ def register_taps(folders: Sequence[Path], pins: int, progress: Progress = silen
     if pins < MIN_PINS:
         raise InputError(f"a tip of {pins} pins; {MIN_PINS} or more are needed, 127 and 331 are usual")
     tables = [_table(folder) for folder in folders]
-    if (count := sum(len(files) for files, _ in tables)) < MIN_TAPS:
+    if layout is None and (count := sum(len(files) for files, _ in tables)) < MIN_TAPS:
         raise InputError(f"{count} taps in {len(tables)} folders; {MIN_TAPS} or more are needed to name pins")
     names = [(folder, name) for folder, (files, _) in zip(folders, tables, strict=True) for name in files]
-    found = []
+    found, size = [], (0, 0)
     for i, (folder, name) in enumerate(names):
         progress("reading taps", i, len(names))
-        found.append(spots(_image(folder, name)))
-    usual = float(np.median([len(each) for each in found]))
-    if not pins / MAX_OTHERS < usual < pins * MAX_OTHERS:
-        raise InputError(
-            f"images show {usual:.0f} round bright spots in the median, for {pins} pins; give the number of "
-            "pins that the tip has, and binarised images with bright pins"
-        )
-    poses = np.concatenate([poses for _, poses in tables])
-    upright = np.zeros(len(POSE))
-    upright[0] = poses[:, 0].min()
-    spread = poses.std(axis=0)
-    mild = np.argsort(np.linalg.norm((poses - upright) / np.where(spread > 0, spread, 1), axis=1))
-    rest = rest_layout([found[i] for i in mild[:REST_FROM]], pins)
-    taps = identified_taps(found, poses, rest, upright)
-    good = ~taps.mislabelled
+        image = read_image(_image_path(folder, name))
+        if i and image.shape != size:
+            raise ImageError(
+                f"{folder / name} has {image.shape} px, the first image {size}; give one sensor's"
+            )
+        size = (image.shape[0], image.shape[1])
+        found.append(spots(image))
+    places, layout = named_taps(found, size, pins, progress, layout)
+    good = np.isfinite(places[..., 0]).any(axis=1)
     if good.mean() < 1 - MAX_LOST:
         raise InputError(
             f"the pins of {int((~good).sum())} of {len(good)} taps could not be named; {MAX_LOST:.0%} are "
@@ -106,15 +100,32 @@ def register_taps(folders: Sequence[Path], pins: int, progress: Progress = silen
     first, parts = 0, []
     for files, own in tables:
         part = slice(first, first + len(files))
-        parts.append(_registered(own, taps.places_px[part], good[part]))
+        named = good[part]
+        lost = int((~named).sum())
+        parts.append(RegisteredTaps(own[named], places[part][named], lost, layout))
         first += len(files)
     return parts
 
 
-def _registered(
-    poses: Float[ndarray, "t 6"], places: Float[ndarray, "t p 2"], good: Bool[ndarray, " t"]
-) -> RegisteredTaps:
-    return RegisteredTaps(poses[good], places[good], int((~good).sum()))
+@dataclass(frozen=True)
+class FolderFit:
+    """A tip fitted to one folder of taps and judged by another.
+
+    Attributes:
+        reader: of poses, which holds the tip.
+        fit, judged: the tip and what it leaves.
+        learnt_px: what is left where the tip's learnt error is taken off as well [px rms].
+        known, new: the taps.
+        readings: of the new taps' poses.
+    """
+
+    reader: TipReader
+    fit: TipFit
+    judged: TipJudgement
+    learnt_px: float
+    known: RegisteredTaps
+    new: RegisteredTaps
+    readings: PoseReadings
 
 
 def fit_folder(
@@ -125,8 +136,8 @@ def fit_folder(
     taps: int = 400,
     seed: int = 0,
     progress: Progress = silent,
-) -> tuple[TipFit, TipJudgement, tuple[RegisteredTaps, RegisteredTaps]]:
-    """Fit a tip to taps of one folder and judge it by those of another.
+) -> FolderFit:
+    """Fit a tip to taps of one folder, learn to read poses from them, and judge both by another folder.
 
     Args:
         folder, judged_by: see `register_taps`; of the same sensor.
@@ -139,18 +150,20 @@ def fit_folder(
         LabelError, ImageError, InputError: as `register_taps` and `fit_tip`.
     """
     known, new = register_taps([folder, judged_by], pins, progress)
-    shallow = float(known.poses[:, 0].min())
-    upright = np.array([[shallow, 0, 0, 0, 0, 0]])
-    rest = PosePolynomial.fitted(known.poses, known.places_px, SMOOTH).at(upright)[0]
     some = np.random.default_rng(seed).permutation(len(known.poses))[:taps]
-    course = upright_course(known.poses, known.places_px)
-    tip = PosedTip(rest, shallow)
-    fit = fit_tip(tip, known.poses[some], known.places_px[some], progress, upright=course)
-    return fit, judge_tip(fit, (known.poses, known.places_px), (new.poses, new.places_px)), (known, new)
+    poses, places = known.poses[some], known.places_px[some]
+    fit = fit_pins(poses, places, progress)
+    progress("learning to read", 0, 1)
+    reader = TipReader.learnt(fit, poses, places, progress)
+    judged = judge_tip(fit, (known.poses, known.places_px), (new.poses, new.places_px))
+    off = reader.expected_px(new.poses) - new.places_px
+    learnt = float(np.sqrt(np.nanmean(np.sum(off**2, axis=2))))
+    return FolderFit(reader, fit, judged, learnt, known, new, reader.read(new.places_px))
 
 
-def tip_record(fit: TipFit, judged: TipJudgement, taps: Sequence[RegisteredTaps]) -> dict[str, Any]:
+def tip_record(found: FolderFit) -> dict[str, Any]:
     """A fitted tip in plain numbers."""
+    fit, judged = found.fit, found.judged
     return {
         "terms": {
             name: {"value": value, "low": value - COVERED * sd, "high": value + COVERED * sd}
@@ -160,8 +173,8 @@ def tip_record(fit: TipFit, judged: TipJudgement, taps: Sequence[RegisteredTaps]
         "untold": list(fit.untold),
         "tied": [list(pair) for pair in fit.tied],
         "taps_fitted": fit.taps,
-        "taps_registered": [len(one.poses) for one in taps],
-        "taps_left_out": [one.lost for one in taps],
+        "taps_registered": [len(one.poses) for one in (found.known, found.new)],
+        "taps_left_out": [one.lost for one in (found.known, found.new)],
         "residual_px": judged.residual_px,
         "floor_px": judged.floor_px,
         "floor": f"polynomial of the pose, degree {judged.floor_degree}, by all registered taps",
@@ -169,7 +182,31 @@ def tip_record(fit: TipFit, judged: TipJudgement, taps: Sequence[RegisteredTaps]
         "residual_over_floor": judged.residual_px / judged.floor_px,
         "residual_over_motion": judged.residual_px / judged.motion_px,
         "shift_px": judged.shift_px,
+        "residual_with_learnt_error_px": found.learnt_px,
+        "reading": reading_record(found.readings, found.new.poses, found.fit.taps),
     }
+
+
+def reading_record(read: PoseReadings, poses: Float[ndarray, "t 6"], taps: int) -> dict[str, Any]:
+    """Errors of readings of taps of known pose, and the share that intervals hold, each coordinate."""
+    valid, off = read.valid, np.abs(read.poses - poses)
+    held = off <= read.half_widths
+
+    def of(rows: Bool[ndarray, " t"]) -> dict[str, Any]:
+        if not rows.any():
+            return {"taps": 0}
+        columns = {
+            "mean_absolute_error": off[rows].mean(axis=0), "held_by_90_percent": held[rows].mean(axis=0),
+            "median_half_width": np.median(read.half_widths[rows], axis=0),
+        }  # fmt: skip
+        return {"taps": int(rows.sum())} | {
+            name: dict(zip(POSE, column.tolist(), strict=True)) for name, column in columns.items()
+        }
+
+    return {
+        "taps_learnt_from": taps, "all": of(np.isfinite(read.poses[:, 0])), "valid": of(valid),
+        "valid_share": float(valid.mean()),
+    }  # fmt: skip
 
 
 def upright_places(
@@ -205,12 +242,8 @@ def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
     return [str(name) for name in table[file]], poses
 
 
-def _image(folder: Path, name: str) -> UInt8[ndarray, "h w"]:
-    path = next((one for one in (folder / IMAGES / name, folder / name) if one.is_file()), None)
-    image = None
-    if path is not None:
-        with storage_errors(path):
-            image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise ImageError(f"{folder / IMAGES / name} cannot be read as an image")
-    return np.asarray(image, np.uint8)
+def _image_path(folder: Path, name: str) -> Path:
+    """The image's, in the folder of images or beside the table."""
+    return next(
+        (one for one in (folder / IMAGES / name, folder / name) if one.is_file()), folder / IMAGES / name
+    )

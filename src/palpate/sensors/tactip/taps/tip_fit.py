@@ -17,7 +17,7 @@ from palpate.core import Float, InputError, Progress, ndarray, silent
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 
-MIN_TAPS = 60
+MIN_TAPS = 10
 TELLS = 10.0  # numbers that a tap tells
 ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs taps against the prior
 UNTOLD = 0.8  # of its prior spread, from which a term is not told
