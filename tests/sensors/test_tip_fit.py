@@ -185,8 +185,11 @@ def test_another_tip_does_not_fit_and_says_so_by_its_residual(fitted) -> None:
 
 def test_too_few_taps_and_poses_that_do_not_differ_are_refused() -> None:
     at, places = tapped(90)
-    with pytest.raises(InputError, match="10 taps or more"):
-        fit_tip(TIP, at[:9], places[:9])
+    with pytest.raises(InputError, match="8 taps or more"):
+        fit_tip(TIP, at[:7], places[:7])
+    few = fit_tip(TIP, at[:9], places[:9])
+    with pytest.raises(InputError, match="9 taps to learn from; give 10 or more"):
+        tip_reader.TipReader.learnt(few, at[:9], places[:9])
     same = at.copy()
     same[:, 5] = 2.0
     with pytest.raises(InputError, match="the same twist"):

@@ -25,13 +25,8 @@ from palpate.core import (
 from palpate.sensors.tactip.posed_tip import POSE, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import PinLayout, named_taps, read_image, spots
-from palpate.sensors.tactip.taps.tip_fit import (
-    MIN_TAPS,
-    TipFit,
-    TipJudgement,
-    judge_tip,
-)
-from palpate.sensors.tactip.taps.tip_reader import PoseReadings, TipReader, fit_pins
+from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, judge_tip
+from palpate.sensors.tactip.taps.tip_reader import MIN_LEARNT, PoseReadings, TipReader, fit_pins
 
 TABLE, IMAGES = "labels.csv", "images"
 NAMES = ("image_file", "image", "file")
@@ -77,8 +72,10 @@ def register_taps(
     if pins < MIN_PINS:
         raise InputError(f"a tip of {pins} pins; {MIN_PINS} or more are needed, 127 and 331 are usual")
     tables = [_table(folder) for folder in folders]
-    if layout is None and (count := sum(len(files) for files, _ in tables)) < MIN_TAPS:
-        raise InputError(f"{count} taps in {len(tables)} folders; {MIN_TAPS} or more are needed to name pins")
+    if layout is None and (count := sum(len(files) for files, _ in tables)) < MIN_LEARNT:
+        raise InputError(
+            f"{count} taps in {len(tables)} folders; {MIN_LEARNT} or more are needed to name pins"
+        )
     names = [(folder, name) for folder, (files, _) in zip(folders, tables, strict=True) for name in files]
     found, size = [], (0, 0)
     for i, (folder, name) in enumerate(names):

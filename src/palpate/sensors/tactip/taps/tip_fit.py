@@ -17,7 +17,7 @@ from palpate.core import Float, InputError, Progress, ndarray, silent
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 
-MIN_TAPS = 10
+MIN_TAPS = 8  # of which the prior tells most
 TELLS = 10.0  # numbers that a tap tells
 ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs taps against the prior
 UNTOLD = 0.8  # of its prior spread, from which a term is not told
@@ -124,7 +124,7 @@ def fit_tip(
             for too few taps.
 
     Raises:
-        InputError: fewer than 60 taps, shapes that do not fit, or poses that do not differ in something.
+        InputError: fewer than 8 taps, shapes that do not fit, or poses that do not differ in something.
     """
     if len(poses) != len(places) or len(poses) < MIN_TAPS or places.shape[1:] != tip.rest_px.shape:
         raise InputError(

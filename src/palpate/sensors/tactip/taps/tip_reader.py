@@ -22,6 +22,7 @@ from palpate.sensors.tactip.taps.tip_fit import TipFit, fit_tip, upright_course
 from palpate.sensors.tactip.taps.twin_error import FieldModes, TwinError
 
 COVERAGE = 0.9
+MIN_LEARNT = 10  # taps: so many that a fold less still fits a tip
 STEPS = 12
 REST_DEGREE = 4
 MIN_MILD = 8  # taps that tell the pins at rest
@@ -82,7 +83,13 @@ class TipReader:
 
     @classmethod
     def learnt(cls, fit: TipFit, poses: Poses, places: Places, progress: Progress = silent) -> TipReader:
-        """A reader from a fitted tip and the taps that it was fitted to."""
+        """A reader from a fitted tip and the taps that it was fitted to.
+
+        Raises:
+            InputError: fewer than 10 taps.
+        """
+        if len(poses) < MIN_LEARNT:
+            raise InputError(f"{len(poses)} taps to learn from; give {MIN_LEARNT} or more")
         plain = cls.plain(fit, poses, places)
         read, spread, misfit = plain.told(places, np.arange(len(poses)))
         limit = float(np.quantile(misfit, UNLIKE))
