@@ -1,6 +1,20 @@
 """Statistics of specimens, stimuli and people."""
 
 from palpate.psychophysics.grouped_trials import GroupedComparison, compare_grouped, refuse_confounded
+from palpate.psychophysics.judgements import (
+    Condition,
+    Judgement,
+    Presentation,
+    Stimulus,
+    Task,
+    checked_code,
+    checked_judgements,
+    judgement_row,
+    read_judgements,
+    read_stimuli,
+    write_judgements,
+    write_stimuli,
+)
 from palpate.psychophysics.trial_statistics import (
     Comparison,
     Line,
@@ -12,12 +26,24 @@ from palpate.psychophysics.trial_statistics import (
 
 __all__ = [
     "Comparison",
+    "Condition",
     "GroupedComparison",
+    "Judgement",
     "Line",
+    "Presentation",
+    "Stimulus",
+    "Task",
+    "checked_code",
+    "checked_judgements",
     "compare",
     "compare_grouped",
     "corrected_by_holm",
     "fit_line",
+    "judgement_row",
     "mean_interval",
+    "read_judgements",
+    "read_stimuli",
     "refuse_confounded",
+    "write_judgements",
+    "write_stimuli",
 ]

@@ -1,0 +1,297 @@
+"""Stimuli of an experiment, and what participants said of them: the table that runner and analysis share.
+
+Two tables make an experiment. ``stimuli.csv`` has a row a stimulus: its name, the level by which it differs
+from the others, and the level's unit (softness rises or falls with the level, which the column ``softer``
+says). ``responses.csv`` has a row a judgement, in columns that spreadsheets, PsychoPy's and jsPsych's users
+read as they are:
+
+    participant, condition, presentation, task, block, trial, presented, answer, seconds, when
+
+``presented`` lists the stimuli's names in the order of presentation, separated by blanks. ``answer`` is the
+one that was called softer, or of a ranking all of them from the least soft to the softest. Nothing in it says
+which answer is right: that follows from the stimuli alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
+
+RESPONSES, STIMULI = "responses.csv", "stimuli.csv"
+RESPONSE_COLUMNS = (
+    "participant", "condition", "presentation", "task", "block", "trial", "presented", "answer", "seconds",
+    "when",
+)  # fmt: skip
+STIMULUS_COLUMNS = ("stimulus", "level", "unit", "softer")
+CODE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}\Z")
+CODE_SAID = "letters, digits, - and _, 1 to 32 of them, beginning with a letter or digit"
+
+
+class Condition(StrEnum):
+    """Which cues a participant has: both, the kinesthetic alone, or the cutaneous alone."""
+
+    INTEGRATED = "I"
+    KINESTHETIC = "K"
+    CUTANEOUS = "C"
+
+
+class Presentation(StrEnum):
+    """How a stimulus is presented: a specimen under the finger itself, or rendered by a display."""
+
+    DIRECT = "direct"
+    RENDERED = "rendered"
+
+
+class Task(StrEnum):
+    """What is asked: which of two is softer, or the order of all."""
+
+    PAIR = "pair"
+    RANK = "rank"
+
+
+def checked_code(word: str, what: str) -> str:
+    """A participant's or stimulus's code; never a name, a path, or anything that would be one.
+
+    Raises:
+        InputError: other characters, or too many.
+    """
+    if not CODE.match(word):
+        raise InputError(
+            f"{what} {word!r}: {CODE_SAID} are allowed, and no person's name; give a code such as P01"
+        )
+    return word
+
+
+@dataclass(frozen=True, slots=True)
+class Stimulus:
+    """One stimulus.
+
+    Attributes:
+        name: as the table of responses has it; participants do not see it.
+        level: by which stimuli differ.
+        softer: +1 where a greater level is softer, -1 where it is harder.
+        unit: of the level, such as ``kPa``.
+    """
+
+    name: str
+    level: float
+    softer: int
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        checked_code(self.name, "stimulus")
+        if not math.isfinite(self.level):
+            raise RangeError(f"stimulus {self.name}: a level of {self.level}; give a finite one")
+        if self.softer not in (1, -1):
+            raise InputError(
+                f"stimulus {self.name}: softer is {self.softer}; 1 (with the level) or -1 (against it)"
+            )
+
+    @property
+    def softness(self) -> float:
+        """The level, turned so that it rises with softness."""
+        return self.softer * self.level
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One answer of one participant.
+
+    Attributes:
+        participant: code.
+        condition, presentation, task: what was given and asked.
+        block, trial: when, counted from 1; together with the four before they are unique.
+        presented: names of the stimuli, in the order of presentation; of a pair the standard is among them.
+        answer: the name that was called softer; of a ranking all names, from the least soft to the softest.
+        seconds: from presentation to answer; NaN where it was not timed [s].
+        when: time of the answer in ISO 8601, or "".
+    """
+
+    participant: str
+    condition: Condition
+    presentation: Presentation
+    task: Task
+    block: int
+    trial: int
+    presented: tuple[str, ...]
+    answer: tuple[str, ...]
+    seconds: float = math.nan
+    when: str = ""
+
+    def __post_init__(self) -> None:
+        checked_code(self.participant, "participant")
+        if self.block < 1 or self.trial < 1:
+            raise InputError(f"{self.said}: block and trial count from 1")
+        if len(set(self.presented)) != len(self.presented) or len(self.presented) < 2:
+            raise InputError(
+                f"{self.said}: presented {' '.join(self.presented)!r}; two or more different stimuli are "
+                "needed"
+            )
+        if self.task is Task.PAIR and (
+            len(self.presented) != 2 or len(self.answer) != 1 or self.answer[0] not in self.presented
+        ):
+            raise InputError(
+                f"{self.said}: answer {' '.join(self.answer)!r} to the pair {' '.join(self.presented)!r}; "
+                "one of the two is needed"
+            )
+        if self.task is Task.RANK and sorted(self.answer) != sorted(self.presented):
+            raise InputError(
+                f"{self.said}: answer {' '.join(self.answer)!r} is no order of {' '.join(self.presented)!r}; "
+                "each has to stand in it once"
+            )
+
+    @property
+    def key(self) -> tuple[str, str, str, str, int, int]:
+        """What no second judgement may have."""
+        return (self.participant, self.condition, self.presentation, self.task, self.block, self.trial)
+
+    @property
+    def said(self) -> str:
+        """The judgement's place in words, for messages."""
+        given = f"{self.condition} {self.presentation} {self.task}"
+        return f"participant {self.participant}, {given}, block {self.block}, trial {self.trial}"
+
+    def right(self, stimuli: Mapping[str, Stimulus]) -> bool:
+        """Whether the softer of a pair was named; of a ranking, whether all of it is right.
+
+        Raises:
+            InputError: a stimulus that is not in the table, or two of one softness.
+        """
+        return self.answer == self.truth(stimuli)
+
+    def truth(self, stimuli: Mapping[str, Stimulus]) -> tuple[str, ...]:
+        """The right answer, from the stimuli alone."""
+        unknown = [one for one in self.presented if one not in stimuli]
+        if unknown:
+            raise InputError(f"{self.said}: {', '.join(unknown)} not among the stimuli {', '.join(stimuli)}")
+        order = sorted(self.presented, key=lambda one: stimuli[one].softness)
+        softness = [stimuli[one].softness for one in order]
+        if len(set(softness)) < len(softness):
+            raise InputError(f"{self.said}: two stimuli of one softness have no right answer")
+        return (order[-1],) if self.task is Task.PAIR else tuple(order)
+
+
+def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]:
+    """Judgements, none of them twice.
+
+    Raises:
+        LabelError: two with one participant, condition, presentation, task, block and trial.
+    """
+    seen: dict[tuple[str, str, str, str, int, int], Judgement] = {}
+    for one in judgements:
+        if one.key in seen:
+            raise LabelError(f"{one.said} stands twice in the table; leave the wrong one out")
+        seen[one.key] = one
+    return tuple(seen.values())
+
+
+def read_judgements(path: Path) -> tuple[Judgement, ...]:
+    """The judgements of a table, or of all tables ``*/responses.csv`` in a folder.
+
+    Raises:
+        LabelError: it is no such table, a row cannot be read, or stands twice.
+        StorageError: it cannot be read.
+    """
+    if path.is_dir():
+        tables = [path / RESPONSES] if (path / RESPONSES).is_file() else sorted(path.glob(f"*/{RESPONSES}"))
+        if not tables:
+            raise LabelError(f"{path} holds no {RESPONSES}, nor do the folders in it")
+        return checked_judgements(one for table in tables for one in read_judgements(table))
+    judgements = []
+    for i, row in enumerate(_rows(path, RESPONSE_COLUMNS), start=1):
+        try:
+            judgements.append(_judgement(row))
+        except (ValueError, InputError) as e:
+            raise LabelError(f"{path}, row {i}: {e}") from e
+    return checked_judgements(judgements)
+
+
+def _judgement(row: Mapping[str, str]) -> Judgement:
+    return Judgement(
+        row["participant"], Condition(row["condition"]), Presentation(row["presentation"]), Task(row["task"]),
+        int(row["block"]), int(row["trial"]), tuple(row["presented"].split()), tuple(row["answer"].split()),
+        float(row["seconds"]) if row["seconds"] else math.nan, row["when"],
+    )  # fmt: skip
+
+
+def judgement_row(one: Judgement) -> dict[str, str]:
+    """A judgement as the table has it."""
+    return {
+        "participant": one.participant, "condition": one.condition.value,
+        "presentation": one.presentation.value, "task": one.task.value,
+        "block": str(one.block), "trial": str(one.trial),
+        "presented": " ".join(one.presented), "answer": " ".join(one.answer),
+        "seconds": "" if math.isnan(one.seconds) else f"{one.seconds:.3f}", "when": one.when,
+    }  # fmt: skip
+
+
+def write_judgements(path: Path, judgements: Iterable[Judgement]) -> None:
+    """Write a new table, whole or not at all."""
+    _write(path, RESPONSE_COLUMNS, map(judgement_row, judgements))
+
+
+def read_stimuli(path: Path) -> dict[str, Stimulus]:
+    """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name.
+
+    Raises:
+        LabelError: it is no such table, a row cannot be read, or a name stands twice.
+        StorageError: it cannot be read.
+    """
+    table = path / STIMULI if path.is_dir() else path
+    stimuli: dict[str, Stimulus] = {}
+    for i, row in enumerate(_rows(table, STIMULUS_COLUMNS), start=1):
+        try:
+            one = Stimulus(row["stimulus"], float(row["level"]), int(row["softer"]), row["unit"])
+        except (ValueError, InputError) as e:
+            raise LabelError(f"{table}, row {i}: {e}") from e
+        if one.name in stimuli:
+            raise LabelError(f"{table}, row {i}: {one.name} stands twice")
+        stimuli[one.name] = one
+    if len({one.softer for one in stimuli.values()}) > 1:
+        raise LabelError(f"{table}: softer has to be the same in all rows")
+    if len({one.unit for one in stimuli.values()}) > 1:
+        raise LabelError(f"{table}: levels have several units; give one")
+    return stimuli
+
+
+def write_stimuli(path: Path, stimuli: Iterable[Stimulus]) -> None:
+    """Write a new table, whole or not at all."""
+    rows = (
+        {"stimulus": one.name, "level": f"{one.level:.12g}", "unit": one.unit, "softer": str(one.softer)}
+        for one in stimuli
+    )
+    _write(path, STIMULUS_COLUMNS, rows)
+
+
+def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    with storage_errors(path):
+        data = path.read_bytes()
+    try:
+        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
+        rows = list(reader)
+    except (UnicodeDecodeError, csv.Error) as e:
+        raise LabelError(f"{path} is no table: {e}") from e
+    missing = [name for name in columns if name not in (reader.fieldnames or ())]
+    if missing:
+        raise LabelError(f"{path} has no column {', '.join(missing)}; it needs {', '.join(columns)}")
+    for i, row in enumerate(rows, start=1):
+        if None in row or any(row[name] is None for name in columns):
+            raise LabelError(f"{path}, row {i}: {len(columns)} columns are needed")
+    return rows
+
+
+def _write(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, str]]) -> None:
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    with new_file(path) as part:
+        part.write_text(text.getvalue(), encoding="utf-8")
