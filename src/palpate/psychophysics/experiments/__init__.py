@@ -1,0 +1,51 @@
+"""Experiments on softness: design in a file, who is asked what in which order, what is kept of it."""
+
+from palpate.psychophysics.experiments.experiment_file import (
+    ExperimentDesign,
+    ExperimentFile,
+    read_design,
+)
+from palpate.psychophysics.experiments.experiment_presets import PRESETS, make_experiment
+from palpate.psychophysics.experiments.participant_record import ParticipantRecord, laterality_quotient
+from palpate.psychophysics.experiments.sitting import (
+    Enrolment,
+    Sitting,
+    enrol,
+    participant_folder,
+    records,
+)
+from palpate.psychophysics.experiments.sitting_dialogue import (
+    Answerer,
+    SittingDesk,
+    SittingDialogue,
+    SittingOutcome,
+    StimulusPresenter,
+    ask_enrolment,
+)
+from palpate.psychophysics.experiments.staircases import StaircaseRule
+from palpate.psychophysics.experiments.trial_schedule import PlannedTrial, Schedule, make_schedule
+
+__all__ = [
+    "PRESETS",
+    "Answerer",
+    "Enrolment",
+    "ExperimentDesign",
+    "ExperimentFile",
+    "ParticipantRecord",
+    "PlannedTrial",
+    "Schedule",
+    "Sitting",
+    "SittingDesk",
+    "SittingDialogue",
+    "SittingOutcome",
+    "StaircaseRule",
+    "StimulusPresenter",
+    "ask_enrolment",
+    "enrol",
+    "laterality_quotient",
+    "make_experiment",
+    "make_schedule",
+    "participant_folder",
+    "read_design",
+    "records",
+]

@@ -1,0 +1,309 @@
+"""An experiment's design in a folder: ``experiment.toml``, ``stimuli.csv``, objects that a display renders.
+
+The file says which conditions and presentations there are, of which stimuli each has, in what groups
+participants are, and what is asked of them in which order:
+
+    name = "five cups of jelly"
+    seed = 7
+    conditions = ["I"]                  # I: both cues; K: the arm's; C: the skin's
+
+    [[group]]
+    name = "direct"
+    participants = 5
+    presentations = ["direct"]
+
+    [[stimuli]]
+    presentation = "direct"
+    condition = "I"
+    names = ["cup1", "cup2", "cup3", "cup4", "cup5"]   # of stimuli.csv
+    standard = "cup3"
+    # objects = [...]                   # of rendered ones: a file for each name; see `softness.object_file`
+
+    [[task]]
+    method = "constant"                 # or "staircase", "bayesian", "rank"
+    repeats = 3
+
+In each condition the tasks come in the order of the file. Nothing in the file is changed by running it; a
+participant who has begun goes on by the same design alone, which digests of all its files see to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from palpate.core import InputError, LabelError, sha256_of
+from palpate.devices.file_fields import Part, read_toml, validated
+from palpate.psychophysics.judgements import (
+    STIMULI,
+    Condition,
+    Presentation,
+    Stimulus,
+    Task,
+    checked_code,
+    read_stimuli,
+)
+
+EXPERIMENT = "experiment.toml"
+Count = Annotated[int, Field(ge=1, le=1000)]
+Name = Annotated[str, Field(min_length=1, max_length=80)]
+
+
+class GroupPart(Part):
+    """Participants who meet the same presentations.
+
+    Attributes:
+        name: of the group.
+        participants: how many there shall be; whoever comes beyond all groups' sum begins the round again.
+        presentations: that they meet; of two, every other participant begins with the second.
+    """
+
+    name: Name
+    participants: Count
+    presentations: Annotated[tuple[Presentation, ...], Field(min_length=1)]
+
+
+class StimuliPart(Part):
+    """The stimuli of one presentation in one condition.
+
+    Attributes:
+        presentation, condition: where they are met.
+        names: as in ``stimuli.csv``.
+        standard: that pairs are compared with.
+        objects: of rendered ones a file for each name, in the experiment's folder.
+        layout: what the experimenter is told when the condition begins, such as which plate to put under.
+    """
+
+    presentation: Presentation
+    condition: Condition
+    names: Annotated[tuple[str, ...], Field(min_length=2, max_length=400)]
+    standard: str = ""
+    objects: tuple[str, ...] = ()
+    layout: Annotated[str, Field(max_length=400)] = ""
+
+    @field_validator("objects")
+    @classmethod
+    def _inside(cls, objects: tuple[str, ...]) -> tuple[str, ...]:
+        for one in objects:
+            if "\\" in one or PurePosixPath(one).is_absolute() or ".." in PurePosixPath(one).parts:
+                raise ValueError(
+                    f"{one!r} lies outside the experiment's folder; name a file in it, as objects/a.toml"
+                )
+        return objects
+
+    @model_validator(mode="after")
+    def _whole(self) -> StimuliPart:
+        if len(set(self.names)) < len(self.names):
+            raise ValueError("a name stands twice; give each stimulus once")
+        if self.standard and self.standard not in self.names:
+            raise ValueError(f"the standard {self.standard!r} is not among {', '.join(self.names)}")
+        wanted = len(self.names) if self.presentation is Presentation.RENDERED else 0
+        if len(self.objects) != wanted:
+            raise ValueError(
+                f"{len(self.objects)} objects for {len(self.names)} stimuli; a rendered set has a file for "
+                "each of its names, a direct one has none"
+            )
+        return self
+
+
+class ConstantPart(Part):
+    """Pairs by the method of constant stimuli: the standard against every other stimulus, `repeats` times."""
+
+    method: Literal["constant"]
+    repeats: Count
+
+
+class StaircasePart(Part):
+    """Pairs by interleaved transformed up-down staircases; see `staircases.StaircaseRule`.
+
+    Attributes:
+        sides: of the standard that have a track of their own.
+        right: answers in a row that bring the comparison nearer to the standard.
+        wrong: answers in a row that take it away.
+        steps: places in the order of stimuli; the next one after each reversal, and the last from then on.
+        up_ratio: how many times as far a step away is as one nearer (Kaernbach's weighted staircase).
+        reversals: that end a track.
+        max_trials: that end it too.
+    """
+
+    method: Literal["staircase"]
+    sides: Annotated[tuple[Literal["softer", "harder"], ...], Field(min_length=1)] = ("softer", "harder")
+    right: Annotated[int, Field(ge=1, le=10)] = 2
+    wrong: Annotated[int, Field(ge=1, le=10)] = 1
+    steps: Annotated[tuple[Count, ...], Field(min_length=1)] = (2, 1)
+    up_ratio: Annotated[int, Field(ge=1, le=10)] = 1
+    reversals: Annotated[int, Field(ge=2, le=100)] = 8
+    max_trials: Annotated[int, Field(ge=1, le=200)] = 60
+
+    @field_validator("sides")
+    @classmethod
+    def _once(cls, sides: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(sides)) < len(sides):
+            raise ValueError("a side stands twice; give each once")
+        return sides
+
+
+class BayesianPart(Part):
+    """Pairs placed where the answer is expected to tell most; see `bayesian_placement.Placement`.
+
+    Attributes:
+        trials: of the block.
+    """
+
+    method: Literal["bayesian"]
+    trials: Annotated[int, Field(ge=1, le=400)]
+
+
+class RankPart(Part):
+    """Rankings of the whole set."""
+
+    method: Literal["rank"]
+    repeats: Count
+
+
+TaskPart = Annotated[ConstantPart | StaircasePart | BayesianPart | RankPart, Field(discriminator="method")]
+
+
+class ExperimentFile(Part):
+    """The whole file.
+
+    Attributes:
+        name: of the experiment.
+        seed: of everything that is drawn.
+        conditions: that every participant meets.
+        group: groups of participants.
+        stimuli: a set for each presentation and condition.
+        task: what is asked, in this order.
+        handedness: whether ten activities are asked for, for a laterality quotient.
+        age: whether an age is asked for, as a number or as a band; an answer is never needed.
+        question: that the experimenter asks of a pair.
+        request: that the experimenter makes of a ranking.
+    """
+
+    name: Name
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)]
+    conditions: Annotated[tuple[Condition, ...], Field(min_length=1)]
+    group: Annotated[tuple[GroupPart, ...], Field(min_length=1)]
+    stimuli: tuple[StimuliPart, ...]
+    task: Annotated[tuple[TaskPart, ...], Field(min_length=1)]
+    handedness: bool = False
+    age: Literal["no", "years", "band"] = "no"
+    question: Annotated[str, Field(max_length=200)] = "Which of the two is softer, the first or the second?"
+    request: Annotated[str, Field(max_length=200)] = (
+        "Please put them in order, from the hardest to the softest."
+    )
+
+    @model_validator(mode="after")
+    def _whole(self) -> ExperimentFile:
+        if len(set(self.conditions)) < len(self.conditions):
+            raise ValueError("conditions: one stands twice; give each once")
+        if len({one.name for one in self.group}) < len(self.group):
+            raise ValueError("group: two of one name; give each a name of its own")
+        for group in self.group:
+            if len(set(group.presentations)) < len(group.presentations):
+                raise ValueError(f"group {group.name}: a presentation stands twice; give each once")
+        places = [(one.presentation, one.condition) for one in self.stimuli]
+        if len(set(places)) < len(places):
+            raise ValueError("stimuli: two sets for one presentation and condition; give one")
+        for presentation, condition in self.places():
+            if (presentation, condition) not in places:
+                raise ValueError(f"stimuli: no set for {presentation.value}, condition {condition.value}")
+            of_pairs = any(one.method != "rank" for one in self.task)
+            if of_pairs and not self.set_of(presentation, condition).standard:
+                raise ValueError(f"stimuli: {presentation.value} {condition.value} has no standard for pairs")
+        return self
+
+    def places(self) -> Iterator[tuple[Presentation, Condition]]:
+        """Presentations that any group meets, each in all conditions."""
+        for presentation in Presentation:
+            if any(presentation in group.presentations for group in self.group):
+                for condition in self.conditions:
+                    yield presentation, condition
+
+    def set_of(self, presentation: Presentation, condition: Condition) -> StimuliPart:
+        """The stimuli that are met there."""
+        return next(
+            one for one in self.stimuli if (one.presentation, one.condition) == (presentation, condition)
+        )
+
+
+def task_of(part: ConstantPart | StaircasePart | BayesianPart | RankPart) -> Task:
+    """What is asked by a method."""
+    return Task.RANK if part.method == "rank" else Task.PAIR
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentDesign:
+    """An experiment's folder, read and checked.
+
+    Attributes:
+        folder: where it lies.
+        file: what ``experiment.toml`` says.
+        stimuli: of ``stimuli.csv``, by name.
+        digests: SHA-256 of each part of the design, by file; of the two tables what they say, so that a
+            comment may change.
+    """
+
+    folder: Path
+    file: ExperimentFile
+    stimuli: Mapping[str, Stimulus]
+    digests: Mapping[str, str]
+
+    def softness(self, name: str) -> float:
+        """A stimulus's level, turned so that it rises with softness."""
+        return self.stimuli[name].softness
+
+
+def read_design(folder: Path) -> ExperimentDesign:
+    """Read an experiment's folder, and check all of it.
+
+    Raises:
+        InputError: there is none, or a field that is not one, or parts that do not fit each other.
+        LabelError: the table of stimuli is damaged.
+        StorageError: it cannot be read.
+    """
+    path = folder / EXPERIMENT
+    if not path.is_file():
+        raise InputError(f"{folder} has no {EXPERIMENT}; `palpate trial new` makes a folder with one")
+    file = validated(ExperimentFile, path, read_toml(path))
+    stimuli = read_stimuli(folder)
+    for part in file.stimuli:
+        _check_set(path, part, stimuli)
+    _check_words(path, file, stimuli)
+    digests = {EXPERIMENT: _digest(file.model_dump(mode="json"))}
+    digests[STIMULI] = _digest([[s.name, repr(s.level), s.softer, s.unit] for s in stimuli.values()])
+    for one in sorted({one for part in file.stimuli for one in part.objects}):
+        if not (folder / one).is_file():
+            raise InputError(f"{path}: there is no object's file {folder / one}")
+        digests[one] = sha256_of(folder / one)
+    return ExperimentDesign(folder, file, stimuli, digests)
+
+
+def _check_set(path: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -> None:
+    at = f"{path}: stimuli of {part.presentation.value} {part.condition.value}"
+    for name in part.names:
+        checked_code(name, "stimulus")
+        if name not in stimuli:
+            raise InputError(f"{at}: {name} is not in {STIMULI}, which has {', '.join(stimuli)}")
+    softness = [stimuli[name].softness for name in part.names]
+    if len(set(softness)) < len(softness):
+        raise LabelError(f"{at}: two of one level; of such a pair neither answer would be right")
+
+
+def _check_words(path: Path, file: ExperimentFile, stimuli: Mapping[str, Stimulus]) -> None:
+    """Refuse words for participants or experimenter that tell which stimulus is meant."""
+    for words in (file.question, file.request, *(part.layout for part in file.stimuli)):
+        said = {word.strip(".,;:()?!'\"").lower() for word in words.split()}
+        told = [name for name in stimuli if name.lower() in said]
+        if told:
+            raise InputError(f"{path}: {words!r} names the stimulus {told[0]}, so that nobody would be blind")
+
+
+def _digest(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=True).encode()).hexdigest()

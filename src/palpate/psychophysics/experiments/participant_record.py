@@ -1,0 +1,162 @@
+"""What is kept of a participant: a code, a number, and what they agreed to tell; nothing that names a person.
+
+Of the Edinburgh Handedness Inventory the ten activities are named and the laterality quotient is formed, LQ =
+100 (R - L) / (R + L), with two marks for a hand that alone is used, one mark for one that is preferred, and
+one for each where either will do. Reference: R. C. Oldfield, Neuropsychologia 9 (1971) 97,
+doi:10.1016/0028-3932(71)90067-4.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
+from palpate.psychophysics.experiments.experiment_file import ExperimentDesign, StimuliPart
+from palpate.psychophysics.experiments.trial_schedule import drawn_order
+from palpate.psychophysics.judgements import Condition, Presentation, checked_code
+
+PARTICIPANT = "participant.json"
+ACTIVITIES = (
+    "writing", "drawing", "throwing", "scissors", "toothbrush", "knife (without fork)", "spoon",
+    "broom (upper hand)", "striking a match", "opening a box (lid)",
+)  # fmt: skip
+MARKS = {"LL": (2, 0), "L": (1, 0), "B": (1, 1), "R": (0, 1), "RR": (0, 2), "": (0, 0)}
+"""Marks of the left and of the right hand by what is typed; nothing where there is no experience."""
+
+BAND = re.compile(r"(\d{1,3})(?:-(\d{1,3})|\+)\Z")
+MAX_AGE = 120
+LETTERS = "ABCDEFGHJKLMNPRTUVWXYZ"  # no I and O, which look like digits; no Q and S, which are keys
+
+
+def laterality_quotient(marks: Sequence[str]) -> float:
+    """Laterality quotient of ten activities, -100 left to 100 right.
+
+    Args:
+        marks: of each of `ACTIVITIES`: LL, L, B, R, RR, or nothing; see `MARKS`.
+
+    Returns:
+        It; NaN where no hand has a mark.
+
+    Raises:
+        InputError: another mark, or not ten.
+    """
+    if len(marks) != len(ACTIVITIES) or not set(marks) <= set(MARKS):
+        allowed = ", ".join(one for one in MARKS if one)
+        raise InputError(f"marks {' '.join(marks)!r}; ten of {allowed} or nothing are needed")
+    left, right = (sum(MARKS[mark][hand] for mark in marks) for hand in (0, 1))
+    return math.nan if left + right == 0 else 100 * (right - left) / (right + left)
+
+
+def checked_age(text: str, asked: str) -> str:
+    """An age as it may be kept: nothing, a number of years, or a band such as 20-29 or 60+.
+
+    Raises:
+        InputError: the other of the two, or neither.
+        RangeError: no age of a person.
+    """
+    if not text:
+        return ""
+    if asked == "years" and text.isascii() and text.isdigit():
+        years = [int(text)]
+    elif asked == "band" and (match := BAND.match(text)):
+        years = [int(one) for one in match.groups() if one]
+    else:
+        raise InputError(f"age {text!r}; " + ("whole years" if asked == "years" else "a band such as 20-29"))
+    if years != sorted(years) or years[-1] > MAX_AGE:
+        raise RangeError(
+            f"age {text!r}; 0 to {MAX_AGE} years are allowed, a band from the lower to the upper"
+        )
+    return text
+
+
+@dataclass(frozen=True, slots=True)
+class ParticipantRecord:
+    """What is kept of a participant.
+
+    Attributes:
+        participant: code.
+        consent: "yes" or "no"; "simulated" where there is no person.
+        number: in the order in which they came, from 1; 0 without consent.
+        group: that they are in.
+        laterality_quotient: -100 left to 100 right, or None.
+        age: whole years or a band, or "".
+        simulated: whether answers or display are not real.
+        seed: of the design.
+        design: digest of each of its files.
+        schedule: digest of the schedule.
+        version: of palpate.
+    """
+
+    participant: str
+    consent: str
+    number: int = 0
+    group: str = ""
+    laterality_quotient: float | None = None
+    age: str = ""
+    simulated: bool = False
+    seed: int = 0
+    design: Mapping[str, str] | None = None
+    schedule: str = ""
+    version: str = ""
+
+    def write(self, folder: Path) -> None:
+        """Write it into a participant's folder, which has none."""
+        with new_file(folder / PARTICIPANT) as part:
+            part.write_text(json.dumps(asdict(self), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, folder: Path) -> ParticipantRecord:
+        """Read it from a participant's folder.
+
+        Raises:
+            LabelError: it is damaged.
+            StorageError: it cannot be read.
+        """
+        path = folder / PARTICIPANT
+        with storage_errors(path):
+            data = path.read_bytes()
+        try:
+            record = cls(**json.loads(data))
+            checked_code(record.participant, "participant")
+            whole = isinstance(record.number, int) and isinstance(record.design, dict | None)
+        except (ValueError, TypeError) as e:
+            raise LabelError(f"{path} is damaged: {e}; put it back as it was written") from e
+        if not whole:
+            raise LabelError(f"{path} is damaged: number or design; put it back as it was written")
+        return record
+
+
+Place = tuple[Presentation, Condition, str]
+
+
+def letter_codes(design: ExperimentDesign, number: int) -> dict[Place, str]:
+    """A letter for each stimulus of each condition, drawn anew for each participant.
+
+    No letter is met twice by a participant, and none is the name of a stimulus.
+    """
+    names = {name.upper() for name in design.stimuli}
+    sets: list[StimuliPart] = [design.file.set_of(*place) for place in design.file.places()]
+    places = [(one.presentation, one.condition, name) for one in sets for name in one.names]
+    codes = [one for one in LETTERS if one not in names]
+    if len(codes) < len(places):
+        codes = [a + b for a in LETTERS for b in LETTERS if a + b not in names]
+    if len(codes) < len(places):
+        raise InputError(f"{len(places)} stimuli in all conditions; {len(codes)} have letters of their own")
+    drawn = drawn_order(codes, design.file.seed, number, "letters")
+    return dict(zip(places, drawn, strict=False))
+
+
+def key_text(codes: Mapping[Place, str]) -> str:
+    """The key as a table, for whoever labels the specimens: letter, presentation, condition, stimulus."""
+    rows = sorted((code, *place) for place, code in codes.items())
+    lines = ["letter,presentation,condition,stimulus"]
+    lines += [
+        f"{code},{presentation.value},{condition.value},{name}"
+        for code, presentation, condition, name in rows
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,101 @@
+"""The table of a participant's judgements as it grows: a row at a time, on disk before the next trial.
+
+Whoever holds it holds its lock. A row that a kill or a full disk cut short has no end of line; it is taken
+off when the table is opened again, so that at most the judgement that was being given is lost.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from palpate.core import Closing, LabelError, RecordingError, lock, storage_errors
+from palpate.psychophysics.judgements import (
+    RESPONSE_COLUMNS,
+    RESPONSES,
+    Judgement,
+    judgement_row,
+    read_judgements,
+)
+
+COLUMNS = (*RESPONSE_COLUMNS, "simulated")
+HEADER = ",".join(COLUMNS) + "\n"
+
+
+class ResponseLog(Closing):
+    """A participant's table, open for one writer.
+
+    Args:
+        folder: of the participant, with a table that has its header.
+        simulated: whether the rows are marked so.
+        fsync: that puts a file on disk; another one in tests.
+
+    Attributes:
+        judgements: in the table so far.
+        torn: bytes that an interrupted row had left, and that were taken off.
+
+    Raises:
+        RecordingError: another holds it.
+        LabelError: it is damaged.
+        StorageError: it cannot be opened.
+    """
+
+    def __init__(self, folder: Path, simulated: bool, fsync: Callable[[int], None] = os.fsync) -> None:
+        self._path, self._simulated, self._fsync = folder / RESPONSES, simulated, fsync
+        try:
+            self._file = lock(self._path)
+        except RecordingError as e:
+            raise RecordingError(
+                f"{folder.name} is being run in another terminal; end that sitting first, by q or Ctrl-C"
+            ) from e
+        try:
+            self.torn = self._take_off_torn()
+            self.judgements = list(read_judgements(self._path))
+            self._size = self._path.stat().st_size
+        except BaseException:
+            self._file.close()
+            raise
+
+    def append(self, judgement: Judgement) -> None:
+        """Put a judgement on disk; when this returns no kill can take it away.
+
+        Raises:
+            StorageError: the disk is full or refuses. The table is then as it was before, and the same
+                judgement can be appended again.
+            LabelError: somebody else has changed the table meanwhile.
+        """
+        text = io.StringIO(newline="")
+        row = judgement_row(judgement) | {"simulated": "yes" if self._simulated else "no"}
+        csv.DictWriter(text, COLUMNS, lineterminator="\n").writerow(row)
+        line, handle = text.getvalue().encode(), self._file.fileno()
+        with storage_errors(self._path):
+            if os.fstat(handle).st_size != self._size:
+                raise LabelError(f"{self._path} was changed while it was being written; put it back")
+            try:
+                os.lseek(handle, self._size, os.SEEK_SET)
+                written = 0
+                while written < len(line):
+                    written += os.write(handle, line[written:])
+                self._fsync(handle)
+            except OSError:
+                with suppress(OSError):
+                    os.ftruncate(handle, self._size)
+                raise
+        self._size += len(line)
+        self.judgements.append(judgement)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _take_off_torn(self) -> int:
+        with storage_errors(self._path):
+            data = self._path.read_bytes()
+            whole = data.rfind(b"\n") + 1
+            if whole and whole < len(data):
+                os.ftruncate(self._file.fileno(), whole)
+                os.fsync(self._file.fileno())
+        return len(data) - whole

@@ -1,0 +1,249 @@
+"""A participant's sitting: enrolled once, gone on with as often as needed, in one order, by one design.
+
+In the experiment's folder each participant has a folder of their own, ``sub-P01``, which appears whole:
+
+* ``participant.json``, as `ParticipantRecord` says, with digests of design and schedule;
+* ``responses.csv``, the judgements;
+* ``schedule.jsonl``, what is asked, for the archive, and ``key.csv``, the letter of each stimulus, for
+  whoever labels the specimens; neither is shown to anybody who meets the participant;
+* ``sittings.csv``, when sittings began, paused and why.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from palpate.core import (
+    Closing,
+    ExistsError,
+    InputError,
+    LabelError,
+    RecordingError,
+    lock,
+    new_folder,
+    storage_errors,
+)
+from palpate.psychophysics.experiments.experiment_file import EXPERIMENT, ExperimentDesign
+from palpate.psychophysics.experiments.participant_record import (
+    PARTICIPANT,
+    ParticipantRecord,
+    Place,
+    key_text,
+    letter_codes,
+)
+from palpate.psychophysics.experiments.response_log import HEADER, ResponseLog
+from palpate.psychophysics.experiments.trial_schedule import PlannedTrial, Schedule, make_schedule
+from palpate.psychophysics.judgements import RESPONSES, Judgement, checked_code
+from palpate.version import __version__
+
+SITTINGS, SCHEDULE, KEY = "sittings.csv", "schedule.jsonl", "key.csv"
+PREFIX = "sub-"
+WAIT_S = 5.0  # for another participant's enrolment
+Now = Callable[[], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Enrolment:
+    """What a participant has told before the first trial.
+
+    Attributes:
+        consent: whether they agreed.
+        laterality_quotient: -100 left to 100 right, NaN where it was not asked or nothing was told.
+        age: whole years or a band, or "".
+        simulated: that there is no participant, or no display that could be felt.
+    """
+
+    consent: bool
+    laterality_quotient: float = math.nan
+    age: str = ""
+    simulated: bool = False
+
+
+def participant_folder(design: ExperimentDesign, participant: str) -> Path:
+    """The folder of a participant, whether there is one yet or not.
+
+    Raises:
+        InputError: it is no code, or differs from another's by capitals alone.
+    """
+    checked_code(participant, "participant")
+    name = f"{PREFIX}{participant}"
+    with storage_errors(design.folder):
+        others = [one.name for one in design.folder.iterdir() if one.name.lower() == name.lower()]
+    if others and others != [name]:
+        raise InputError(f"participant {participant!r}; there is {others[0]!r} already: give another code")
+    return design.folder / name
+
+
+def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> ParticipantRecord:
+    """Give a participant a number, and make their folder; without consent there is neither number nor trial.
+
+    Raises:
+        InputError: the code is none.
+        ExistsError: the participant was enrolled before.
+        StorageError: the disk refused; nothing was made then.
+    """
+    folder = participant_folder(design, participant)
+    quotient = None if math.isnan(told.laterality_quotient) else told.laterality_quotient
+    with _enrolling(design):
+        if folder.exists():
+            raise ExistsError(f"participant {participant} was enrolled before; give another code")
+        if not told.consent:
+            record = ParticipantRecord(participant, "no", version=__version__)
+            with new_folder(folder) as part:
+                record.write(part)
+            return record
+        number = 1 + max((one.number for one in records(design)), default=0)
+        schedule = make_schedule(design, number)
+        record = ParticipantRecord(
+            participant, "simulated" if told.simulated else "yes", number, schedule.group.name, quotient,
+            told.age, told.simulated, design.file.seed, design.digests, schedule.digest, __version__,
+        )  # fmt: skip
+        with new_folder(folder) as part:
+            record.write(part)
+            (part / RESPONSES).write_text(HEADER, encoding="utf-8", newline="")
+            (part / SCHEDULE).write_text(schedule.text, encoding="utf-8", newline="")
+            key = key_text(letter_codes(design, number))
+            (part / KEY).write_text(key, encoding="utf-8", newline="")
+            (part / SITTINGS).write_text("when,event,why\n", encoding="utf-8", newline="")
+    return record
+
+
+def records(design: ExperimentDesign) -> list[ParticipantRecord]:
+    """Records of all participants, those without consent among them, in the order of their codes."""
+    with storage_errors(design.folder):
+        folders = sorted(path.parent for path in design.folder.glob(f"{PREFIX}*/{PARTICIPANT}"))
+    found = [ParticipantRecord.read(folder) for folder in folders]
+    for folder, one in zip(folders, found, strict=True):
+        if folder.name != f"{PREFIX}{one.participant}":
+            raise LabelError(f"{folder / PARTICIPANT} is of {one.participant}; put it back where it belongs")
+    return found
+
+
+def _enrolling(design: ExperimentDesign) -> BinaryIO:
+    """A lock, so that two participants who come at once have two numbers."""
+    end_s = time.monotonic() + WAIT_S
+    while True:
+        try:
+            return lock(design.folder / EXPERIMENT)
+        except RecordingError:
+            if time.monotonic() > end_s:
+                raise
+            time.sleep(0.05)
+
+
+class Sitting(Closing):
+    """A participant before the next trial.
+
+    Args:
+        design: of the experiment.
+        participant: code; enrolled.
+        now: time of day in ISO 8601.
+
+    Attributes:
+        design: of the experiment.
+        record: of the participant.
+        schedule: of the participant.
+        codes: a letter for each presentation, condition and stimulus.
+        next: the trial that comes; None when all is done.
+
+    Raises:
+        InputError: no consent; or design, schedule or key are not those that the participant began with.
+        LabelError: the judgements are not those that the schedule asks for.
+        RecordingError: another sitting of the participant goes on.
+        StorageError: the folder cannot be read or written.
+    """
+
+    def __init__(self, design: ExperimentDesign, participant: str, now: Now) -> None:
+        folder = participant_folder(design, participant)
+        self.design, self._folder, self._now = design, folder, now
+        self.record = ParticipantRecord.read(folder)
+        if self.record.consent not in ("yes", "simulated"):
+            raise InputError(f"participant {participant} has not consented, so that there is no trial")
+        _check_design(design, self.record)
+        self.schedule: Schedule = make_schedule(design, self.record.number)
+        self.codes: Mapping[Place, str] = letter_codes(design, self.record.number)
+        self._check_schedule()
+        self._log = ResponseLog(folder, self.record.simulated)
+        try:
+            self.next: PlannedTrial | None = self.schedule.next(self._log.judgements)
+            if self._log.torn:
+                self.note("cut", f"{self._log.torn} bytes of a row that was not finished; it is asked again")
+        except BaseException:
+            self._log.close()
+            raise
+
+    @property
+    def judgements(self) -> tuple[Judgement, ...]:
+        """What was answered so far."""
+        return tuple(self._log.judgements)
+
+    def take(self, answer: tuple[str, ...], seconds: float) -> Judgement:
+        """Keep the answer to the next trial, on disk, and go on to the one after it.
+
+        Args:
+            answer: names of stimuli, as of a judgement.
+            seconds: since it was presented [s].
+
+        Raises:
+            InputError: all was done, or the answer is none; nothing was kept.
+            StorageError: the disk refused; nothing was kept, and it can be given again.
+        """
+        if self.next is None:
+            raise InputError(
+                f"participant {self.record.participant} has answered all; there is no next trial"
+            )
+        one = self.next
+        judgement = Judgement(
+            self.record.participant, one.condition, one.presentation, one.task, one.block, one.trial,
+            one.presented, answer, seconds, self._now(),
+        )  # fmt: skip
+        self._log.append(judgement)
+        self.next = self.schedule.next(self._log.judgements)
+        return judgement
+
+    def note(self, event: str, why: str = "") -> None:
+        """Note what became of the sitting; it goes on without, where the disk refuses."""
+        text = io.StringIO(newline="")
+        csv.writer(text, lineterminator="\n").writerow([self._now(), event, " ".join(why.split())])
+        with suppress(OSError), (self._folder / SITTINGS).open("ab") as file:
+            file.write(text.getvalue().encode())
+            file.flush()
+            os.fsync(file.fileno())
+
+    def close(self) -> None:
+        self._log.close()
+
+    def _check_schedule(self) -> None:
+        whose, schedule = self.record.participant, self.schedule
+        if schedule.digest != self.record.schedule:
+            raise InputError(
+                f"the schedule of {whose} is not the one that was begun: {PARTICIPANT} was changed, or "
+                f"palpate {self.record.version} made another one than {__version__}; put back the file, or "
+                "that version"
+            )
+        for name, text in ((SCHEDULE, schedule.text), (KEY, key_text(self.codes))):
+            path = self._folder / name
+            with storage_errors(path):
+                same = path.read_bytes() == text.encode()
+            if not same:
+                raise InputError(f"{path} was changed since {whose} began; put it back as it was written")
+
+
+def _check_design(design: ExperimentDesign, record: ParticipantRecord) -> None:
+    begun = record.design or {}
+    changed = [one for one in sorted({*begun, *design.digests}) if begun.get(one) != design.digests.get(one)]
+    if changed:
+        raise InputError(
+            f"{', '.join(changed)} of {design.folder} changed since {record.participant} began, and a "
+            "participant goes on by one design alone; put it back as it was, or begin another experiment by "
+            "`palpate trial new`"
+        )

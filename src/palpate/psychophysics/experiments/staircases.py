@@ -1,0 +1,135 @@
+"""Transformed and weighted up-down staircases over an ordered set of stimuli, and where they settle.
+
+After `right` right answers in a row the comparison comes nearer to the standard, after `wrong` wrong ones in
+a row it goes away. A staircase settles where both are balanced: where one step nearer, times its chance, is
+as far as a step away times its own. With p the chance of a right answer, the chance that a run of n right
+ones comes before one of m wrong ones is
+
+    P(p) = p^(n-1) (1 - q^m) / (p^(n-1) + q^(m-1) - p^(n-1) q^(m-1)),   q = 1 - p
+
+and p follows from P(p) = u / (1 + u), where a step away is u times one nearer. One wrong answer, m = 1, gives
+p^n = u / (1 + u): 0.5, 0.707, 0.794, 0.841 for n = 1 to 4 with steps of one size.
+
+References: Levitt, J. Acoust. Soc. Am. 49 (1971) 467, doi:10.1121/1.1912375; Kaernbach, Percept. Psychophys.
+49 (1991) 227, doi:10.3758/BF03214307; the chance of runs: Feller, An Introduction to Probability Theory, 1,
+XIII.8.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from palpate.core import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class StaircaseRule:
+    """How a staircase goes.
+
+    Attributes:
+        right: right answers in a row for a step nearer to the standard, 1 or more.
+        wrong: wrong answers in a row for a step away, 1 or more.
+        steps: sizes of a step nearer, in places of the order of stimuli; the next one after each reversal,
+            and the last from then on.
+        up_ratio: how many times as far a step away is.
+        reversals: after how many the track ends.
+        max_trials: after how many trials it ends too.
+    """
+
+    right: int = 2
+    wrong: int = 1
+    steps: tuple[int, ...] = (2, 1)
+    up_ratio: int = 1
+    reversals: int = 8
+    max_trials: int = 60
+
+    def __post_init__(self) -> None:
+        counts = (self.right, self.wrong, self.up_ratio, self.max_trials, *self.steps)
+        if not self.steps or min(counts) < 1 or self.reversals < 2:
+            raise InputError(
+                f"{self}: counts and steps are 1 or more, and reversals 2 or more; give such numbers"
+            )
+
+    @property
+    def converges_to(self) -> float:
+        """Share of right answers where it settles, of small steps and no end of the set; 0 to 1."""
+        balance = self.up_ratio / (1 + self.up_ratio)
+        tiny = 1e-12
+        return float(brentq(lambda p: self.nearer_chance(p) - balance, tiny, 1 - tiny, xtol=1e-14))
+
+    def nearer_chance(self, p: float) -> float:
+        """Chance that the next step is nearer, where an answer is right with the chance `p`."""
+        runs, breaks = p ** (self.right - 1), (1 - p) ** (self.wrong - 1)
+        return runs * (1 - (1 - p) ** self.wrong) / (runs + breaks - runs * breaks)
+
+
+@dataclass(frozen=True, slots=True)
+class StaircaseState:
+    """How a track stands after some answers.
+
+    Attributes:
+        place: of the next comparison; 0 is nearest to the standard.
+        trials: so far.
+        reversals: places at which it turned.
+        way: of the last step, -1 nearer, +1 away, 0 before the first.
+        in_row: equal answers since the last step: right ones count up from 0, wrong ones down.
+        ended: whether it is over.
+    """
+
+    place: int
+    trials: int = 0
+    reversals: tuple[int, ...] = ()
+    way: int = 0
+    in_row: int = 0
+    ended: bool = False
+
+    @property
+    def threshold(self) -> float:
+        """Mean place of the reversals but the first, of an even number of them; NaN of too few.
+
+        An even number has as many turns above as below, which Levitt asks for.
+        """
+        kept = self.reversals[1:]
+        kept = kept[len(kept) % 2 :]
+        return math.nan if not kept else sum(kept) / len(kept)
+
+
+def begin_staircase(places: int) -> StaircaseState:
+    """The beginning of a track, at the comparison farthest from the standard.
+
+    Args:
+        places: how many comparisons there are.
+
+    Raises:
+        InputError: none.
+    """
+    if places < 1:
+        raise InputError("a staircase without a comparison; put a stimulus on that side of the standard")
+    return StaircaseState(places - 1)
+
+
+def step_staircase(rule: StaircaseRule, places: int, state: StaircaseState, right: bool) -> StaircaseState:
+    """How a track stands after one more answer. At an end of the set it stays there, which is no reversal.
+
+    Raises:
+        InputError: it was over.
+    """
+    if state.ended:
+        raise InputError(
+            f"an answer beyond the end of a staircase, at trial {state.trials + 1}; leave it out"
+        )
+    in_row = max(state.in_row, 0) + 1 if right else min(state.in_row, 0) - 1
+    place, way, reversals = state.place, state.way, state.reversals
+    if in_row in (rule.right, -rule.wrong):
+        turned = -1 if right else 1
+        if way == -turned:
+            reversals = (*reversals, place)
+        way, in_row = turned, 0
+        size = rule.steps[min(len(reversals), len(rule.steps) - 1)] * (1 if right else rule.up_ratio)
+        place = min(max(place + way * size, 0), places - 1)
+    trials = state.trials + 1
+    ended = len(reversals) >= rule.reversals or trials >= rule.max_trials
+    return StaircaseState(place, trials, reversals, way, in_row, ended)

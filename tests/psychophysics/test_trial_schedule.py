@@ -1,0 +1,252 @@
+"""Schedules: balanced, a pure function of design, seed and number, and the same on every machine."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from palpate.core import ExistsError, InputError, LabelError
+from palpate.psychophysics import Condition, Judgement, Presentation, Task
+from palpate.psychophysics.experiments import (
+    PRESETS,
+    ExperimentDesign,
+    Schedule,
+    make_experiment,
+    make_schedule,
+    read_design,
+)
+from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
+from palpate.psychophysics.experiments.trial_schedule import (
+    FixedBlock,
+    allocation,
+    drawn_order,
+    order_of_conditions,
+    tracks_of,
+    williams_rows,
+)
+from palpate.softness import read_object
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory) -> ExperimentDesign:
+    return make_experiment(tmp_path_factory.mktemp("report") / "study", "bianchi-2010", 11)
+
+
+@pytest.fixture(scope="module")
+def threshold(tmp_path_factory) -> ExperimentDesign:
+    return make_experiment(tmp_path_factory.mktemp("threshold") / "study", "threshold", 11)
+
+
+def answered(schedule: Schedule, answer) -> list[Judgement]:
+    """All judgements of a participant who answers by a rule."""
+    judgements: list[Judgement] = []
+    while (one := schedule.next(judgements)) is not None:
+        judgements.append(
+            Judgement(
+                "P01", one.condition, one.presentation, one.task, one.block, one.trial, one.presented,
+                answer(one.presented, one.task),
+            )
+        )  # fmt: skip
+    return judgements
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_a_williams_design_has_each_condition_in_each_place_and_after_each_other_equally_often(count) -> None:
+    rows = williams_rows(count)
+    places = Counter((k, one) for row in rows for k, one in enumerate(row))
+    follows = Counter(pair for row in rows for pair in itertools.pairwise(row))
+    assert all(sorted(row) == list(range(count)) for row in rows)
+    assert set(places.values()) == {len(rows) // count}
+    assert count == 1 or (len(set(follows.values())) == 1 and len(follows) == count * (count - 1))
+
+
+def test_fifteen_participants_are_five_a_group_with_conditions_balanced_over_places(report) -> None:
+    groups = Counter(report.file.group[allocation(report.file, n)[0]].name for n in range(1, 16))
+    assert groups == {"direct": 5, "rendered": 5, "both": 5}
+    first = [[c for _, c in order_of_conditions(report.file, n)][:3] for n in range(1, 16)]
+    places = Counter((k, one) for row in first for k, one in enumerate(row))
+    assert set(places.values()) == {5}, "each condition five times in each place"
+    assert {tuple(sorted(row)) for row in first} == {("C", "I", "K")}
+
+
+def test_of_two_presentations_each_comes_first_with_every_order_of_conditions(report) -> None:
+    alone = report.file.group[2].model_copy(update={"participants": 12})
+    file = report.file.model_copy(update={"group": (alone,)})
+    orders = Counter()
+    for n in range(1, 13):
+        (first, *_), *rest = order_of_conditions(file, n)
+        assert [one for one, _ in rest] == [first] * 2 + [p for p in Presentation if p is not first] * 3
+        orders[first, tuple(c for _, c in order_of_conditions(file, n))[:3]] += 1
+    assert len(orders) == 12
+    assert set(orders.values()) == {1}
+
+
+def test_the_next_participant_after_all_places_begins_the_round_again(report) -> None:
+    assert [allocation(report.file, n)[0] for n in range(16, 31)] == [
+        allocation(report.file, n)[0] for n in range(1, 16)
+    ]
+    assert allocation(report.file, 16)[1] == 5
+
+
+def test_a_direct_participant_of_the_report_has_its_trials(report) -> None:
+    number = next(n for n in range(1, 16) if allocation(report.file, n)[0] == 0)
+    trials = answered(
+        make_schedule(report, number), lambda shown, task: shown if task is Task.RANK else shown[:1]
+    )
+    assert len(trials) == 3 * (3 * 4 + 3)
+    for condition in Condition:
+        pairs = [one for one in trials if one.condition is condition and one.task is Task.PAIR]
+        against = Counter(next(n for n in one.presented if n != "SS3") for one in pairs)
+        assert against == {"SS1": 3, "SS2": 3, "SS4": 3, "SS5": 3}
+        assert all("SS3" in one.presented for one in pairs)
+        ranks = [one for one in trials if one.condition is condition and one.task is Task.RANK]
+        assert [sorted(one.presented) for one in ranks] == [[f"SS{k}" for k in range(1, 6)]] * 3
+    assert len({one.key for one in trials}) == len(trials)
+
+
+def test_the_standard_is_first_in_half_of_a_block_and_of_each_pair_in_two_blocks(report) -> None:
+    for number in range(1, 16):
+        blocks = [b for b in make_schedule(report, number).blocks if b.task is Task.PAIR]
+        for three in (blocks[k : k + 3] for k in range(0, len(blocks), 3)):
+            standard = "SS3" if three[0].presentation is Presentation.DIRECT else "SH3"
+            firsts = [{t[1]: True for t in b.trials if t[0] == standard} for b in three]
+            assert [len(one) for one in firsts] == [2, 2, 2]
+            assert not set(firsts[0]) & set(firsts[1]), "whatever came second comes first in the next block"
+
+
+def test_orders_are_drawn_evenly() -> None:
+    orders = Counter(tuple(drawn_order("abc", seed)) for seed in range(6000))
+    assert len(orders) == 6
+    chi_squared = sum((one - 1000) ** 2 / 1000 for one in orders.values())
+    assert chi_squared < 20.5  # the 99.9th percentile of 5 degrees of freedom
+
+
+def test_a_schedule_is_a_function_of_design_seed_and_number_alone(report, tmp_path) -> None:
+    again = make_experiment(tmp_path / "again", "bianchi-2010", 11)
+    other = make_experiment(tmp_path / "other", "bianchi-2010", 12)
+    digests = [make_schedule(report, n).digest for n in range(1, 16)]
+    assert digests == [make_schedule(again, n).digest for n in range(1, 16)]
+    assert len(set(digests)) == 15
+    assert not set(digests) & {make_schedule(other, n).digest for n in range(1, 16)}
+    # Pinned: a participant who began with an earlier version goes on with this one.
+    assert digests[0] == "5c0bf2b8fbd2eb8e4cf54618cba7a65a013e626740f61cd31a66bde355175240"
+
+
+def test_a_judgement_that_is_missing_or_stands_twice_is_refused(report) -> None:
+    schedule = make_schedule(report, 1)
+    whole = answered(schedule, lambda shown, task: shown if task is Task.RANK else shown[:1])
+    assert schedule.next(whole) is None
+    with pytest.raises(LabelError, match=r"judgement 4 .*missing, stands twice or was changed"):
+        schedule.next([*whole[:3], *whole[4:]])
+    with pytest.raises(LabelError, match="judgement 5 "):
+        schedule.next([*whole[:4], *whole[3:]])
+    with pytest.raises(LabelError, match=f"asks for {len(whole)}"):
+        schedule.next([*whole, replace(whole[-1], trial=9)])
+    turned = replace(whole[0], presented=whole[0].presented[::-1])
+    with pytest.raises(LabelError, match="judgement 1 "):
+        schedule.next([turned, *whole[1:]])
+
+
+def test_adaptive_trials_follow_the_answers_and_are_bounded(threshold) -> None:
+    schedule = make_schedule(threshold, 1)
+    never = answered(
+        schedule, lambda shown, task: (max(shown),)
+    )  # the hardest is called softer: always wrong
+    always = answered(schedule, lambda shown, task: (min(shown),))
+    assert len(always) <= schedule.max_trials
+    for judgements in (never, always):
+        assert schedule.next(judgements) is None
+        assert all("F11" in one.presented for one in judgements)
+        firsts = [one.presented[0] == "F11" for one in judgements if one.block == 1]
+        assert all(sum(firsts[k : k + 2]) == 1 for k in range(0, 40, 2)), "first in each two trials once"
+    farthest = Counter(next(n for n in one.presented if n != "F11") for one in never if one.block == 2)
+    assert set(farthest) == {"F01", "F21"}, "whoever is always wrong stays at the ends"
+    [(block, tracks)] = tracks_of(schedule, always)
+    assert [one.place for one in tracks] == [0, 0], "whoever is always right comes to the nearest"
+    assert block.sides[0][0] == "F10"
+    assert block.sides[1][0] == "F12"
+
+
+def test_presets_are_read_back_and_their_objects_can_be_rendered(tmp_path) -> None:
+    for name in PRESETS:
+        design = make_experiment(tmp_path / name, name, 1)
+        objects = {one for part in design.file.stimuli for one in part.objects}
+        assert len(objects) == {"jelly": 0, "bianchi-2010": 15, "threshold": 21}[name]
+        for one in sorted(objects)[::9]:
+            assert read_object(design.folder / one).greatest_n == pytest.approx(1.5)
+        with pytest.raises(ExistsError):
+            make_experiment(tmp_path / name, name, 1)
+    with pytest.raises(InputError, match="there are jelly"):
+        make_experiment(tmp_path / "x", "jam", 1)
+    with pytest.raises(InputError, match="five above 0"):
+        make_experiment(tmp_path / "x", "bianchi-2010", 1, (1.0, 2.0))
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("repeats = 3", "repeats = 0", "repeats"),
+        ("repeats = 3", "repeat = 3", "repeat"),
+        ('method = "rank"', 'method = "sort"', "task"),
+        ('standard = "cup3"', 'standard = "cup9"', "not among"),
+        ('standard = "cup3"', "", "no standard"),
+        ('"cup5"]', '"cup6"]', "not in stimuli.csv"),
+        ('"cup5"]', '"cup1"]', "stands twice"),
+        ('conditions = ["I"]', 'conditions = ["I", "K"]', "no set for direct, condition K"),
+        ('conditions = ["I"]', 'conditions = ["V"]', "conditions"),
+        ('presentation = "direct"', 'presentation = "screen"', "presentation"),
+        ('standard = "cup3"', 'standard = "cup3"\nobjects = ["a.toml"]', "a direct one has none"),
+        ('age = "no"', 'question = "Is cup3 softer?"', "blind"),
+        ("seed = 5", "seed = -5", "seed"),
+        ("seed = 5", "seed = ", "not TOML"),
+    ],
+)
+def test_a_design_that_cannot_be_is_refused_with_the_field(
+    old: str, new: str, said: str, tmp_path: Path
+) -> None:
+    folder = make_experiment(tmp_path / "jelly", "jelly", 5).folder
+    text = (folder / EXPERIMENT).read_text()
+    assert old in text
+    (folder / EXPERIMENT).write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=said):
+        read_design(folder)
+
+
+@pytest.mark.parametrize("path", ["../a.toml", "/a.toml", "..\\\\a.toml", "objects/none.toml"])
+def test_an_object_outside_the_folder_or_not_there_is_refused(path: str, tmp_path: Path) -> None:
+    folder = make_experiment(tmp_path / "study", "bianchi-2010", 5).folder
+    text = (folder / EXPERIMENT).read_text()
+    (folder / EXPERIMENT).write_text(text.replace("objects/SH1-I.toml", path))
+    with pytest.raises(InputError, match=r"outside the experiment|no object's file"):
+        read_design(folder)
+
+
+def test_two_stimuli_of_one_level_are_refused(tmp_path: Path) -> None:
+    folder = make_experiment(tmp_path / "jelly", "jelly", 5).folder
+    table = folder / "stimuli.csv"
+    table.write_text(table.read_text().replace("cup2,3.3", "cup2,2.7"))
+    with pytest.raises(LabelError, match="neither answer would be right"):
+        read_design(folder)
+
+
+def test_comments_may_change_and_nothing_else(tmp_path: Path) -> None:
+    folder = make_experiment(tmp_path / "study", "bianchi-2010", 5).folder
+    before = read_design(folder).digests
+    path = folder / EXPERIMENT
+    path.write_text("# a comment\n" + path.read_text())
+    assert read_design(folder).digests == before
+    path.write_text(path.read_text().replace("repeats = 3", "repeats = 4", 1))
+    (folder / "objects" / "SH1-I.toml").write_text("another")
+    after = read_design(folder).digests
+    assert {one for one in before if before[one] != after[one]} == {EXPERIMENT, "objects/SH1-I.toml"}
+
+
+def test_a_fixed_block_gives_nothing_after_its_last_trial() -> None:
+    block = FixedBlock(Presentation.DIRECT, Condition.INTEGRATED, Task.PAIR, 1, (("a", "b"),))
+    assert block.next([]) == ("a", "b")
+    assert block.next(["a"]) is None
