@@ -47,6 +47,7 @@ HEADINGS: dict[str, dict[str, str]] = {
     "Display": {
         "pairs": "softness_verbs:pairs_app",
         "display": "softness_verbs:display_app",
+        "trial": "trial_verbs:trial_app",
     },
     "Study": {
         "demo": "study_verbs:demo",

@@ -20,9 +20,12 @@ from palpate.psychophysics.experiments.sitting_dialogue import (
     SittingDialogue,
     SittingOutcome,
     StimulusPresenter,
+    UnrenderedStimuli,
     ask_enrolment,
+    noisy_answers,
 )
 from palpate.psychophysics.experiments.staircases import StaircaseRule
+from palpate.psychophysics.experiments.trial_export import ExportSummary, export_trials
 from palpate.psychophysics.experiments.trial_schedule import PlannedTrial, Schedule, make_schedule
 
 __all__ = [
@@ -31,6 +34,7 @@ __all__ = [
     "Enrolment",
     "ExperimentDesign",
     "ExperimentFile",
+    "ExportSummary",
     "ParticipantRecord",
     "PlannedTrial",
     "Schedule",
@@ -40,11 +44,14 @@ __all__ = [
     "SittingOutcome",
     "StaircaseRule",
     "StimulusPresenter",
+    "UnrenderedStimuli",
     "ask_enrolment",
     "enrol",
+    "export_trials",
     "laterality_quotient",
     "make_experiment",
     "make_schedule",
+    "noisy_answers",
     "participant_folder",
     "read_design",
     "records",

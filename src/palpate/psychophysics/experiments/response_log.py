@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +24,15 @@ from palpate.psychophysics.judgements import (
 
 COLUMNS = (*RESPONSE_COLUMNS, "simulated")
 HEADER = ",".join(COLUMNS) + "\n"
+
+
+def response_lines(judgements: Iterable[Judgement], simulated: bool) -> str:
+    """Rows of a table that has `HEADER` above them."""
+    text = io.StringIO(newline="")
+    marked = {"simulated": "yes" if simulated else "no"}
+    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    table.writerows(judgement_row(one) | marked for one in judgements)
+    return text.getvalue()
 
 
 class ResponseLog(Closing):
@@ -68,10 +77,7 @@ class ResponseLog(Closing):
                 judgement can be appended again.
             LabelError: somebody else has changed the table meanwhile.
         """
-        text = io.StringIO(newline="")
-        row = judgement_row(judgement) | {"simulated": "yes" if self._simulated else "no"}
-        csv.DictWriter(text, COLUMNS, lineterminator="\n").writerow(row)
-        line, handle = text.getvalue().encode(), self._file.fileno()
+        line, handle = response_lines([judgement], self._simulated).encode(), self._file.fileno()
         with storage_errors(self._path):
             if os.fstat(handle).st_size != self._size:
                 raise LabelError(f"{self._path} was changed while it was being written; put it back")

@@ -7,6 +7,9 @@ In the experiment's folder each participant has a folder of their own, ``sub-P01
 * ``schedule.jsonl``, what is asked, for the archive, and ``key.csv``, the letter of each stimulus, for
   whoever labels the specimens; neither is shown to anybody who meets the participant;
 * ``sittings.csv``, when sittings began, paused and why.
+
+Whoever is simulated has a folder in ``rehearsal``, is counted there alone, and so never comes among what was
+measured.
 """
 
 from __future__ import annotations
@@ -42,10 +45,11 @@ from palpate.psychophysics.experiments.participant_record import (
 )
 from palpate.psychophysics.experiments.response_log import HEADER, ResponseLog
 from palpate.psychophysics.experiments.trial_schedule import PlannedTrial, Schedule, make_schedule
-from palpate.psychophysics.judgements import RESPONSES, Judgement, checked_code
+from palpate.psychophysics.judgements import RESPONSES, STIMULI, Judgement, checked_code, write_stimuli
 from palpate.version import __version__
 
 SITTINGS, SCHEDULE, KEY = "sittings.csv", "schedule.jsonl", "key.csv"
+REHEARSAL = "rehearsal"
 PREFIX = "sub-"
 WAIT_S = 5.0  # for another participant's enrolment
 Now = Callable[[], str]
@@ -68,7 +72,12 @@ class Enrolment:
     simulated: bool = False
 
 
-def participant_folder(design: ExperimentDesign, participant: str) -> Path:
+def home_of(design: ExperimentDesign, simulated: bool) -> Path:
+    """The folder in which folders of participants lie, or of those who are simulated."""
+    return design.folder / REHEARSAL if simulated else design.folder
+
+
+def participant_folder(design: ExperimentDesign, participant: str, simulated: bool = False) -> Path:
     """The folder of a participant, whether there is one yet or not.
 
     Raises:
@@ -76,11 +85,12 @@ def participant_folder(design: ExperimentDesign, participant: str) -> Path:
     """
     checked_code(participant, "participant")
     name = f"{PREFIX}{participant}"
-    with storage_errors(design.folder):
-        others = [one.name for one in design.folder.iterdir() if one.name.lower() == name.lower()]
+    home = home_of(design, simulated)
+    with storage_errors(home):
+        others = [path.name for path in home.glob(f"{PREFIX}*") if path.name.lower() == name.lower()]
     if others and others != [name]:
         raise InputError(f"participant {participant!r}; there is {others[0]!r} already: give another code")
-    return design.folder / name
+    return home / name
 
 
 def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> ParticipantRecord:
@@ -91,7 +101,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
         ExistsError: the participant was enrolled before.
         StorageError: the disk refused; nothing was made then.
     """
-    folder = participant_folder(design, participant)
+    folder = participant_folder(design, participant, told.simulated)
     quotient = None if math.isnan(told.laterality_quotient) else told.laterality_quotient
     with _enrolling(design):
         if folder.exists():
@@ -101,8 +111,10 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
             with new_folder(folder) as part:
                 record.write(part)
             return record
-        number = 1 + max((one.number for one in records(design)), default=0)
+        number = 1 + max((one.number for one in records(design, told.simulated)), default=0)
         schedule = make_schedule(design, number)
+        if told.simulated and not (folder.parent / STIMULI).exists():
+            write_stimuli(folder.parent / STIMULI, design.stimuli.values())
         record = ParticipantRecord(
             participant, "simulated" if told.simulated else "yes", number, schedule.group.name, quotient,
             told.age, told.simulated, design.file.seed, design.digests, schedule.digest, __version__,
@@ -117,14 +129,26 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
     return record
 
 
-def records(design: ExperimentDesign) -> list[ParticipantRecord]:
-    """Records of all participants, those without consent among them, in the order of their codes."""
-    with storage_errors(design.folder):
-        folders = sorted(path.parent for path in design.folder.glob(f"{PREFIX}*/{PARTICIPANT}"))
+def records(design: ExperimentDesign, simulated: bool = False) -> list[ParticipantRecord]:
+    """Records of all participants, those without consent among them, in the order of their codes.
+
+    Args:
+        design: of the experiment.
+        simulated: those who are, in place of those who are not.
+
+    Raises:
+        LabelError: one that is damaged, or in a folder where it does not belong.
+        StorageError: one that cannot be read.
+    """
+    home = home_of(design, simulated)
+    with storage_errors(home):
+        folders = sorted(path.parent for path in home.glob(f"{PREFIX}*/{PARTICIPANT}"))
     found = [ParticipantRecord.read(folder) for folder in folders]
     for folder, one in zip(folders, found, strict=True):
-        if folder.name != f"{PREFIX}{one.participant}":
-            raise LabelError(f"{folder / PARTICIPANT} is of {one.participant}; put it back where it belongs")
+        if folder.name != f"{PREFIX}{one.participant}" or one.simulated != simulated:
+            raise LabelError(
+                f"{folder / PARTICIPANT} is of {one.participant}, simulated: {one.simulated}; put it back"
+            )
     return found
 
 
@@ -147,6 +171,7 @@ class Sitting(Closing):
         design: of the experiment.
         participant: code; enrolled.
         now: time of day in ISO 8601.
+        simulated: whether it is a rehearsal.
 
     Attributes:
         design: of the experiment.
@@ -162,14 +187,15 @@ class Sitting(Closing):
         StorageError: the folder cannot be read or written.
     """
 
-    def __init__(self, design: ExperimentDesign, participant: str, now: Now) -> None:
-        folder = participant_folder(design, participant)
+    def __init__(self, design: ExperimentDesign, participant: str, now: Now, simulated: bool = False) -> None:
+        folder = participant_folder(design, participant, simulated)
         self.design, self._folder, self._now = design, folder, now
         self.record = ParticipantRecord.read(folder)
+        if self.record.simulated != simulated:
+            raise InputError(f"{folder / PARTICIPANT} was changed: simulated; put it back as it was written")
         if self.record.consent not in ("yes", "simulated"):
             raise InputError(f"participant {participant} has not consented, so that there is no trial")
-        _check_design(design, self.record)
-        self.schedule: Schedule = make_schedule(design, self.record.number)
+        self.schedule: Schedule = schedule_of(design, self.record)
         self.codes: Mapping[Place, str] = letter_codes(design, self.record.number)
         self._check_schedule()
         self._log = ResponseLog(folder, self.record.simulated)
@@ -180,6 +206,11 @@ class Sitting(Closing):
         except BaseException:
             self._log.close()
             raise
+
+    @property
+    def key(self) -> Path:
+        """The file that says which letter is which stimulus, for whoever labels the specimens."""
+        return self._folder / KEY
 
     @property
     def judgements(self) -> tuple[Judgement, ...]:
@@ -223,22 +254,21 @@ class Sitting(Closing):
         self._log.close()
 
     def _check_schedule(self) -> None:
-        whose, schedule = self.record.participant, self.schedule
-        if schedule.digest != self.record.schedule:
-            raise InputError(
-                f"the schedule of {whose} is not the one that was begun: {PARTICIPANT} was changed, or "
-                f"palpate {self.record.version} made another one than {__version__}; put back the file, or "
-                "that version"
-            )
-        for name, text in ((SCHEDULE, schedule.text), (KEY, key_text(self.codes))):
+        for name, text in ((SCHEDULE, self.schedule.text), (KEY, key_text(self.codes))):
             path = self._folder / name
             with storage_errors(path):
                 same = path.read_bytes() == text.encode()
             if not same:
+                whose = self.record.participant
                 raise InputError(f"{path} was changed since {whose} began; put it back as it was written")
 
 
-def _check_design(design: ExperimentDesign, record: ParticipantRecord) -> None:
+def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule:
+    """The schedule that a participant began with.
+
+    Raises:
+        InputError: the design has changed since, or another schedule comes of it; which file it is.
+    """
     begun = record.design or {}
     changed = [one for one in sorted({*begun, *design.digests}) if begun.get(one) != design.digests.get(one)]
     if changed:
@@ -247,3 +277,11 @@ def _check_design(design: ExperimentDesign, record: ParticipantRecord) -> None:
             "participant goes on by one design alone; put it back as it was, or begin another experiment by "
             "`palpate trial new`"
         )
+    schedule = make_schedule(design, record.number)
+    if schedule.digest != record.schedule:
+        raise InputError(
+            f"the schedule of {record.participant} is not the one that was begun: {PARTICIPANT} was changed, "
+            f"or palpate {record.version} made another one than {__version__}; put back the file, or that "
+            "version"
+        )
+    return schedule

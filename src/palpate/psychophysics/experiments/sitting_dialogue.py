@@ -6,12 +6,15 @@ or level. Nothing is printed or read here but through the `SittingDesk` that is 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from palpate.core import NS_PER_S, Clock, InputError, PalpateError, StorageError
+import numpy as np
+
+from palpate.core import NS_PER_S, Clock, InputError, PalpateError, RangeError, StorageError
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign
 from palpate.psychophysics.experiments.participant_record import (
     ACTIVITIES,
@@ -31,6 +34,7 @@ Answerer = Callable[[PlannedTrial], tuple[str, ...]]
 """An observer in a program: the answer to a trial, names of stimuli as of a judgement."""
 
 
+@runtime_checkable
 class SittingDesk(Protocol):
     """Whoever sits before the keys."""
 
@@ -38,13 +42,20 @@ class SittingDesk(Protocol):
         """Show a line."""
 
     def ask(self, prompt: str) -> str:
-        """A line that is typed.
+        """Read a line that is typed.
 
         Raises:
             EOFError: nothing will be typed any more.
         """
 
+    def wait(self, prompt: str) -> str:
+        """Wait until something was done by hand; read what is typed, mostly nothing. Errors as of `ask`."""
 
+    def mend(self, prompt: str) -> str:
+        """Wait until a fault was mended; as `wait`, but where nobody is, nothing is mended: an EOFError."""
+
+
+@runtime_checkable
 class StimulusPresenter(Protocol):
     """Whatever shows rendered stimuli."""
 
@@ -68,6 +79,22 @@ class StimulusPresenter(Protocol):
         Raises:
             PalpateError: it has ended by itself.
         """
+
+
+class UnrenderedStimuli:
+    """Shows nothing, where answers come from a program or a file."""
+
+    simulated = True
+
+    def prepare(self, condition: Condition) -> str:
+        """What the experimenter has to know."""
+        return f"Condition {condition.value}: nothing is rendered, since nobody is there to feel it."
+
+    def show(self, condition: Condition, name: str, code: str) -> None:
+        """Show nothing."""
+
+    def check(self) -> None:
+        """Tell that nothing has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +198,8 @@ class SittingDialogue:
         """Ask until all is answered, or until it pauses; Ctrl-C leaves everything that was kept."""
         sitting = self._sitting
         sitting.note("goes on" if sitting.judgements else "begins")
+        if any(one.presentation is Presentation.DIRECT for one in sitting.schedule.blocks):
+            self._desk.tell(f"Specimens carry the letters of {sitting.key}; whoever labels them looks there.")
         why = ""
         fault: PalpateError | None = None
         try:
@@ -216,7 +245,7 @@ class SittingDialogue:
             elif self._presenter is not None and (said := self._presenter.prepare(trial.condition)):
                 self._desk.tell(said)
                 if self._answerer is None:
-                    self._command(self._desk.ask("Enter when that is done"))
+                    self._command(self._desk.wait("Enter when that is done"))
             self._place = place
         block = (*place, trial.task, trial.block)
         if block != self._block:
@@ -235,7 +264,7 @@ class SittingDialogue:
         if trial.presentation is Presentation.RENDERED:
             self._show(trial, 0)
         elif self._answerer is None:
-            self._command(self._desk.ask("Enter when they lie there"))
+            self._command(self._desk.wait("Enter when they lie there"))
         return self._clock.now_ns()
 
     def _show(self, trial: PlannedTrial, which: int) -> None:
@@ -285,7 +314,7 @@ class SittingDialogue:
         self._sitting.note("fault", str(fault))
         self._desk.tell(f"{fault}\nNothing is lost: {kept} judgements are kept, and {so}.")
         try:
-            self._command(self._desk.ask(AGAIN))
+            self._command(self._desk.mend(AGAIN))
         except (EOFError, _PausedError) as e:
             raise _PausedError(str(fault)) from (fault if isinstance(e, EOFError) else e)
 
@@ -295,6 +324,31 @@ class SittingDialogue:
 
     def _code(self, trial: PlannedTrial, name: str) -> str:
         return self._sitting.codes[(trial.presentation, trial.condition, name)]
+
+
+def noisy_answers(design: ExperimentDesign, participant: str, noise: float) -> Answerer:
+    """A simulated observer, who perceives softness with Gaussian noise, of each stimulus in each trial anew.
+
+    Args:
+        design: of the experiment.
+        participant: code; with the design's seed it makes the draws.
+        noise: standard deviation [unit of the levels], 0 or more.
+
+    Raises:
+        RangeError: another noise.
+    """
+    if not 0 <= noise < math.inf:
+        raise RangeError(f"a noise of {noise}; 0 or more, in the unit of the levels, is allowed")
+
+    def answer(trial: PlannedTrial) -> tuple[str, ...]:
+        words = (design.file.seed, participant, trial.presentation, trial.condition, trial.task)
+        place = "\0".join(map(str, (*words, trial.block, trial.trial)))
+        rng = np.random.default_rng(int.from_bytes(hashlib.sha256(place.encode()).digest(), "big"))
+        felt = {name: design.softness(name) + noise * rng.standard_normal() for name in trial.presented}
+        order = tuple(sorted(trial.presented, key=lambda name: felt[name]))
+        return order[-1:] if trial.task is Task.PAIR else order
+
+    return answer
 
 
 def _ordinal(k: int) -> str:

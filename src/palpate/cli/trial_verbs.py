@@ -1,0 +1,277 @@
+"""Verbs of experiments on people: a design's folder, a participant's sitting, tables for other programs."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, group, print_found
+
+if TYPE_CHECKING:
+    from palpate.psychophysics.experiments import (
+        Answerer,
+        ExperimentDesign,
+        Sitting,
+        SittingDesk,
+        SittingOutcome,
+        StimulusPresenter,
+    )
+
+trial_app = group("Run an experiment on softness: a design, participants one by one, tables for analysis.")
+Folder = Annotated[Path, Argument(help="Folder of the experiment.")]
+
+
+@trial_app.command()
+def new(
+    folder: Annotated[Path, Argument(help="Folder to make; must not exist.")],
+    preset: Annotated[str, Option(help="jelly, bianchi-2010 or threshold.")] = "jelly",
+    seed: Annotated[int | None, Option(help="Of everything that is drawn; else drawn itself.")] = None,
+    moduli_kpa: Annotated[
+        str | None, Option(help="Of bianchi-2010's five silicones, 0 to 45 % softener [kPa].")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Make an experiment's folder from a ready design, to be edited before the first participant.
+
+    jelly: five cups, pairs and a ranking, ten minutes. bianchi-2010: three conditions, direct and rendered,
+    fifteen participants. threshold: staircases and Bayesian placement on a display.
+
+    Example: palpate trial new jelly --preset jelly
+    """
+    from palpate.psychophysics.experiments import make_experiment, make_schedule
+
+    chosen = secrets.randbelow(1 << 31) if seed is None else seed
+    design = make_experiment(folder, preset, chosen, _moduli(moduli_kpa))
+    answer = {
+        "folder": str(folder),
+        "preset": preset,
+        "seed": chosen,
+        "participants": sum(one.participants for one in design.file.group),
+        "stimuli": len(design.stimuli),
+        "judgements_of_the_first": make_schedule(design, 1).max_trials,
+    }
+    text = (
+        f"{folder}: {design.file.name}, seed {chosen}, {answer['participants']} participants, "
+        f"{answer['judgements_of_the_first']} judgements at most of the first\n"
+        f"  put in your own levels in {folder / 'stimuli.csv'}, then: "
+        f"palpate trial run {folder} --participant P01"
+    )
+    print_found(answer, text, json_)
+
+
+@trial_app.command()
+def run(
+    folder: Folder,
+    participant: Annotated[str, Option(help="Code, such as P01; no name of a person.")],
+    bench: Annotated[Path | None, Option(help="TOML file of display and arm, for rendered stimuli.")] = None,
+    rehearse: Annotated[
+        bool, Option("--rehearse", help="Nobody is there: kept in rehearsal/, as simulated.")
+    ] = False,
+    answers: Annotated[
+        Path | None, Option(help="File of answers still to come, a line each: a rehearsal.")
+    ] = None,
+    noise: Annotated[
+        float | None, Option(help="Spread of a simulated observer, in the levels' unit: a rehearsal.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Run a participant's sitting, or go on with it: each answer is on disk before the next trial.
+
+    The experimenter reads letters and types 1 or 2, or an order; q pauses. After a pause, a crash or a kill
+    the same command goes on where it was. Rendered stimuli need --bench; with --rehearse the display may be
+    virtual, which nobody can feel, and with --answers or --noise alone nothing is rendered at all.
+
+    Example: palpate trial run jelly --participant P01
+
+    Example: palpate trial run jelly --participant R01 --noise 0.3
+    """
+    from palpate.psychophysics.experiments import read_design
+
+    design = read_design(folder)
+    simulated = rehearse or answers is not None or noise is not None
+    desk, answerer = _desk(answers, noise is not None), _observer(design, participant, noise)
+    with ExitStack() as stack:
+        sitting = _sitting(stack, design, participant, desk, simulated)
+        presenter = _presenter(stack, sitting, bench, rehearse)
+        outcome = _went(sitting, desk, presenter, answerer)
+    answer = {
+        "participant": participant,
+        "group": sitting.record.group,
+        "complete": outcome.complete,
+        "judgements": outcome.kept,
+        "paused": outcome.why or None,
+        "simulated": sitting.record.simulated,
+    }
+    print_found(answer, _text(answer, folder), json_)
+    if outcome.fault is not None:
+        raise outcome.fault
+
+
+@trial_app.command()
+def export(
+    folder: Folder,
+    out: Annotated[Path, Argument(help="Folder to make; must not exist.")],
+    rehearsal: Annotated[bool, Option("--rehearsal", help="Simulated participants instead.")] = False,
+    json_: Json = False,
+) -> None:
+    """Write all participants' judgements in the layout of BIDS, as tables with their columns described.
+
+    Example: palpate trial export jelly jelly-bids
+    """
+    from dataclasses import asdict
+
+    from palpate.psychophysics.experiments import export_trials, read_design
+
+    found = export_trials(read_design(folder), out, rehearsal)
+    text = (
+        f"{out}: {found.judgements} judgements of {len(found.participants)} participants, "
+        f"{len(found.complete)} of whom have answered all"
+    )
+    if found.simulated:
+        text += "\nsimulated: no measurement"
+    print_found(asdict(found) | {"folder": str(out)}, text, json_)
+
+
+class _Terminal:
+    """The experimenter's terminal: what is told goes to stderr, so that stdout has the answer alone."""
+
+    def tell(self, text: str) -> None:
+        typer.echo(text, err=True)
+
+    def ask(self, prompt: str) -> str:
+        typer.echo(f"{prompt} > ", err=True, nl=False)
+        line = sys.stdin.readline() if sys.stdin is not None and not sys.stdin.closed else ""
+        if not line:
+            raise EOFError
+        return line.rstrip("\n")
+
+    wait = mend = ask
+
+
+class _Script:
+    """Lines of a file in place of keys; nothing has to be done by hand, and nobody mends a fault."""
+
+    def __init__(self, lines: list[str]) -> None:
+        self._lines = iter(lines)
+
+    def tell(self, text: str) -> None:
+        typer.echo(text, err=True)
+
+    def ask(self, prompt: str) -> str:
+        for line in self._lines:
+            return line
+        raise EOFError
+
+    def wait(self, prompt: str) -> str:
+        return ""
+
+    def mend(self, prompt: str) -> str:
+        raise EOFError
+
+
+def _desk(answers: Path | None, observed: bool) -> SittingDesk:
+    from palpate.core import InputError, storage_errors
+
+    if answers is None:
+        return _Script([]) if observed else _Terminal()
+    with storage_errors(answers):
+        data = answers.read_bytes()
+    try:
+        return _Script(data.decode("utf-8-sig").splitlines())
+    except UnicodeDecodeError as e:
+        raise InputError(f"{answers} is no text: {e}") from e
+
+
+def _observer(design: ExperimentDesign, participant: str, noise: float | None) -> Answerer | None:
+    from palpate.psychophysics.experiments import noisy_answers
+
+    return None if noise is None else noisy_answers(design, participant, noise)
+
+
+def _presenter(
+    stack: ExitStack, sitting: Sitting, bench: Path | None, shown: bool
+) -> StimulusPresenter | None:
+    """What shows rendered stimuli; a person is never asked about what nobody can feel."""
+    from palpate.core import InputError
+    from palpate.psychophysics import Presentation
+    from palpate.psychophysics.experiments import UnrenderedStimuli
+
+    if not any(one.presentation is Presentation.RENDERED for one in sitting.schedule.blocks):
+        return None
+    if bench is None and not sitting.record.simulated:
+        raise InputError(
+            f"{sitting.record.participant} is in group {sitting.record.group}, who feel rendered stimuli: "
+            "name the display's file by --bench. Nobody can feel the virtual display; it is for --rehearse"
+        )
+    if bench is None and not shown:
+        return UnrenderedStimuli()
+    from palpate.softness.process import read_bench
+    from palpate.workflows.rendered_stimuli import RenderedStimuli
+
+    return stack.enter_context(RenderedStimuli(sitting.design, read_bench(bench)))
+
+
+def _sitting(
+    stack: ExitStack, design: ExperimentDesign, participant: str, desk: SittingDesk, simulated: bool
+) -> Sitting:
+    from palpate.core import InputError
+    from palpate.psychophysics.experiments import (
+        Enrolment,
+        Sitting,
+        ask_enrolment,
+        enrol,
+        participant_folder,
+    )
+
+    if not participant_folder(design, participant, simulated).exists():
+        try:
+            told = Enrolment(True, simulated=True) if simulated else ask_enrolment(design, desk)
+        except EOFError as e:
+            raise InputError("the input is closed, so that nobody can consent; nothing was made") from e
+        enrol(design, participant, told)
+    return stack.enter_context(Sitting(design, participant, _now, simulated))
+
+
+def _went(
+    sitting: Sitting, desk: SittingDesk, presenter: StimulusPresenter | None, answerer: Answerer | None
+) -> SittingOutcome:
+    from palpate.core import MonotonicClock
+    from palpate.psychophysics.experiments import SittingDialogue
+
+    try:
+        return SittingDialogue(sitting, desk, presenter, MonotonicClock(), answerer).run()
+    except KeyboardInterrupt as e:
+        kept = len(sitting.judgements)
+        typer.echo(f"\npalpate: paused; {kept} judgements are kept, and the same command goes on", err=True)
+        raise typer.Exit(130) from e
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _moduli(text: str | None) -> tuple[float, ...] | None:
+    from palpate.core import InputError
+
+    if text is None:
+        return None
+    try:
+        return tuple(float(one) for one in text.split(","))
+    except ValueError as e:
+        raise InputError(f"--moduli-kpa {text!r}; five numbers are needed, as in 800,500,300,150,100") from e
+
+
+def _text(answer: dict[str, Any], folder: Path) -> str:
+    code, kept = answer["participant"], answer["judgements"]
+    said = f"{code}: {kept} judgements are kept; "
+    said += "all is answered" if answer["complete"] else f"paused: {answer['paused']}"
+    if not answer["complete"]:
+        said += f"\n  palpate trial run {folder} --participant {code} goes on, with the same options"
+    return said + ("\nsimulated: no measurement" if answer["simulated"] else "")
