@@ -163,6 +163,7 @@ def turned_into_another(display: RenderedStimuli) -> bool:
     return False
 
 
+@pytest.mark.slow  # on a busy computer it is begun anew many times
 def test_a_virtual_display_renders_turns_into_another_and_its_end_is_told(tmp_path: Path) -> None:
     design = make_experiment(tmp_path / "study", "threshold", 3)
     with RenderedStimuli(design, read_bench(None)) as display:
