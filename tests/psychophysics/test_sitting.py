@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -412,3 +413,25 @@ def test_an_observer_without_noise_is_always_right_and_a_noise_below_zero_is_ref
     assert all(one.right(design.stimuli) for one in read_judgements(table(design)))
     with pytest.raises(RangeError, match="noise"):
         noisy_answers(design, "P01", -1.0)
+
+
+def test_participants_who_come_at_once_have_numbers_of_their_own(tmp_path) -> None:
+    design = make_experiment(tmp_path / "jelly", "jelly", 1)
+    with ThreadPoolExecutor(4) as pool:
+        enrolled = list(pool.map(lambda k: enrol(design, f"P{k}", Enrolment(True)), range(6)))
+    assert sorted(one.number for one in enrolled) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_full_disk_at_enrolment_leaves_nothing_and_takes_no_number(tmp_path, monkeypatch) -> None:
+    design = make_experiment(tmp_path / "jelly", "jelly", 1)
+    before = sorted(tmp_path.rglob("*"))
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", _full)
+        with pytest.raises(StorageError, match="no room left"):
+            enrol(design, "P01", Enrolment(True))
+    assert sorted(tmp_path.rglob("*")) == before
+    assert enrol(design, "P01", Enrolment(True)).number == 1
+
+
+def _full(handle: int) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")

@@ -64,6 +64,7 @@ def test_a_two_down_one_up_track_goes_as_by_hand() -> None:
     assert state.threshold == pytest.approx(3.5), "the first reversal is left out, and an even number kept"
     _, state = followed(rule, 10, "rrrrwrrwrwrr")
     assert state.reversals == (3, 4, 3, 5)
+    assert state.threshold == pytest.approx(4.0), "of 4, 3 and 5 the last two"
     assert state.ended
     with pytest.raises(InputError, match="beyond the end"):
         step_staircase(rule, 10, state, True)

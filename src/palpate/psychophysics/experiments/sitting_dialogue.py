@@ -259,8 +259,9 @@ class SittingDialogue:
         letters = ", ".join(
             f"{_ordinal(k)} {self._code(trial, name)}" for k, name in enumerate(trial.presented)
         )
-        done, most = len(self._sitting.judgements), self._sitting.schedule.max_trials
-        self._desk.tell(f"[{done + 1} of {most}] {letters}")
+        done, schedule = len(self._sitting.judgements), self._sitting.schedule
+        bound = "" if schedule.is_fixed else "at most "
+        self._desk.tell(f"[{done + 1} of {bound}{schedule.max_trials}] {letters}")
         if trial.presentation is Presentation.RENDERED:
             self._show(trial, 0)
         elif self._answerer is None:

@@ -277,6 +277,11 @@ class Schedule:
         """How many judgements there will be, or at most where staircases end by reversals."""
         return sum(block.max_trials for block in self.blocks)
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether there will be so many, since no staircase may end by its reversals."""
+        return not any(isinstance(block, StaircaseBlock) for block in self.blocks)
+
     def next(self, judgements: Sequence[Judgement]) -> PlannedTrial | None:
         """The trial after some judgements, all of which have to be those that the schedule asks for.
 
