@@ -24,7 +24,7 @@ from palpate.core import (
 )
 from palpate.sensors.tactip.posed_tip import POSE, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
-from palpate.sensors.tactip.taps.tap_pins import PinLayout, named_taps, read_image, spots
+from palpate.sensors.tactip.taps.tap_pins import NamedPins, named_taps, read_image, spots
 from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, judge_tip
 from palpate.sensors.tactip.taps.tip_reader import MIN_LEARNT, PoseReadings, TipReader, fit_pins
 
@@ -50,11 +50,11 @@ class RegisteredTaps:
     poses: Float[ndarray, "t 6"]
     places_px: Float[ndarray, "t p 2"]
     lost: int
-    layout: PinLayout
+    layout: NamedPins
 
 
 def register_taps(
-    folders: Sequence[Path], pins: int, progress: Progress = silent, layout: PinLayout | None = None
+    folders: Sequence[Path], pins: int, progress: Progress = silent, layout: NamedPins | None = None
 ) -> list[RegisteredTaps]:
     """Name the pins of the taps of one sensor, in one or several folders.
 

@@ -31,7 +31,7 @@ KIND_BY = 9  # taps that say what kind the layout is
 
 
 @dataclass(frozen=True)
-class PinLayout:
+class NamedPins:
     """How the pins of a tip stand, by which they are named in an image.
 
     Attributes:
@@ -124,8 +124,8 @@ def named_taps(
     size: tuple[int, int],
     pins: int,
     progress: Progress = silent,
-    layout: PinLayout | None = None,
-) -> tuple[Float[ndarray, "t p 2"], PinLayout]:
+    layout: NamedPins | None = None,
+) -> tuple[Float[ndarray, "t p 2"], NamedPins]:
     """Places of the pins of many taps, and the layout by which they were named.
 
     A tap of which fewer than 95 % of the pins were found is all NaN: one that lost a border may be counted
@@ -152,7 +152,7 @@ def named_taps(
         named.append(name_pins(spots_px, size, kind))
         progress("naming pins", i + 1, len(found))
     if layout is None:
-        layout = PinLayout(size, kind, tuple(pin_cells(named, pins)))
+        layout = NamedPins(size, kind, tuple(pin_cells(named, pins)))
     places = np.stack([placed(*each, layout.cells) for each in zip(found, named, strict=True)])
     places[np.isfinite(places[..., 0]).mean(axis=1) < MIN_SHARE] = np.nan
     return places, layout

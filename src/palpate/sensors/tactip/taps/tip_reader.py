@@ -109,7 +109,7 @@ class TipReader:
 
     @cached_property
     def modes(self) -> FieldModes:
-        """Of the field of pins."""
+        """Modes of the field of pins."""
         return FieldModes.over(self.tip.rest_px)
 
     @cached_property

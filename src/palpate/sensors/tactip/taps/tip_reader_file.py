@@ -12,7 +12,7 @@ import numpy as np
 from palpate.core import ImageError, InputError, Progress, silent, storage_errors
 from palpate.estimators.lattice.pin_lattice import PinLayoutKind, name_pins
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
-from palpate.sensors.tactip.taps.tap_pins import PinLayout, placed, read_image, spots
+from palpate.sensors.tactip.taps.tap_pins import NamedPins, placed, read_image, spots
 from palpate.sensors.tactip.taps.tip_reader import TipReader
 from palpate.sensors.tactip.taps.twin_error import PoseScale, TwinError
 
@@ -20,7 +20,7 @@ FORMAT = "palpate tip reader 1"
 FILE = "reader.json"
 
 
-def reader_record(reader: TipReader, layout: PinLayout) -> dict[str, Any]:
+def reader_record(reader: TipReader, layout: NamedPins) -> dict[str, Any]:
     """A reader and its pins' layout in plain numbers, as `load_reader` takes them."""
     error = reader.error
     return {
@@ -34,7 +34,7 @@ def reader_record(reader: TipReader, layout: PinLayout) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def load_reader(folder: Path) -> tuple[TipReader, PinLayout]:
+def load_reader(folder: Path) -> tuple[TipReader, NamedPins]:
     """A reader and its pins' layout from a fitted tip's folder.
 
     Raises:
@@ -54,7 +54,7 @@ def load_reader(folder: Path) -> tuple[TipReader, PinLayout]:
     return reader, layout
 
 
-def _made(record: dict[str, Any]) -> tuple[TipReader, PinLayout]:
+def _made(record: dict[str, Any]) -> tuple[TipReader, NamedPins]:
     if record["format"] != FORMAT:
         raise ValueError(f"its format is {record['format']!r}, not {FORMAT!r}")
     known, off, rest, widths, lengths = (
@@ -78,11 +78,11 @@ def _made(record: dict[str, Any]) -> tuple[TipReader, PinLayout]:
     reader = TipReader(
         tip, TipTerms(**record["terms"]), error, float(record["pixel_px"]), widths, float(record["limit"])
     )
-    return reader, PinLayout((height, width), record["kind"], cells)
+    return reader, NamedPins((height, width), record["kind"], cells)
 
 
 def read_images(
-    reader: TipReader, layout: PinLayout, paths: Sequence[Path], progress: Progress = silent
+    reader: TipReader, layout: NamedPins, paths: Sequence[Path], progress: Progress = silent
 ) -> list[dict[str, Any]]:
     """Poses of images of taps, each with its interval, whether it is valid, and why not.
 

@@ -75,7 +75,7 @@ class PoseScale:
 
     @classmethod
     def of(cls, poses: Poses) -> PoseScale:
-        """Of the poses given, their range."""
+        """The scale of some poses: their range."""
         low, high = poses.min(axis=0), poses.max(axis=0)
         return cls((low + high) / 2, (high - low) / 2)
 
@@ -133,7 +133,7 @@ class TwinError:
 
     @cached_property
     def weights(self) -> Modes:
-        """Of the known taps."""
+        """Weights of the known taps."""
         return np.asarray(self.inverse @ self.off)
 
     @cached_property
@@ -143,7 +143,7 @@ class TwinError:
 
     @cached_property
     def covariance(self) -> Float[ndarray, "m m"]:
-        """Of what neither tip nor poses tell, shrunk towards independent parts where taps are few [px^2]."""
+        """Covariance of what neither tip nor poses tell, shrunk where taps are few [px^2]."""
         off, count = self.left_out, len(self.left_out)
         C = off.T @ off / count
         share = SHRUNK_AS / (SHRUNK_AS + count)
