@@ -2,6 +2,7 @@
 
     python tools/tip_tables.py --out src/palpate/mechanics/tip_tables
     python tools/tip_tables.py --out tables --tip base
+    python tools/tip_tables.py --out src/palpate/mechanics/tip_tables --plate     # all tips, equally deep
     python tools/tip_tables.py --check mesh          # the mesh study, to tools/tip_mesh_study.json
 
 Needs scikit-fem. A press takes half a minute of one core.
@@ -32,6 +33,7 @@ STEP, MAX_N = 0.25, 5.6  # mm of approach; N
 FORCES_N = 5.5 * (np.arange(1, 41) / 40) ** 2  # of a table: dense where contact is young
 EVERY = 2  # of the skin's nodes is kept
 EDGE_TERMS = 5
+PLATE_MM = 6.75  # to which every tip is pressed on a rigid plate, for tips between the tables
 
 TIPS = {
     "base": Tip(skin_mpa=0.5, gel_mpa=0.015),
@@ -57,8 +59,8 @@ class State:
     energy: Float[ndarray, " n"]  # strain energy density on the skin's inside
 
 
-def pressed(press: TipPress) -> Iterator[State]:
-    """States until the greatest force."""
+def pressed(press: TipPress, max_n: float = MAX_N, max_mm: float = np.inf) -> Iterator[State]:
+    """States until the greatest force or approach."""
     inside = press.shell(press.tip.radius - press.tip.skin)
     for balanced in press.through(np.arange(STEP, 20.0, STEP)):
         u = balanced.u + np.array([0.0, balanced.approach])
@@ -68,7 +70,7 @@ def pressed(press: TipPress) -> Iterator[State]:
             balanced.approach, force, _edges(press, balanced), float(u[apex, 1]),
             (press.places + u)[inside], _energy(press, balanced, inside),
         )  # fmt: skip
-        if force > MAX_N:
+        if force > max_n or balanced.approach >= max_mm:
             return
 
 
@@ -168,6 +170,32 @@ def table(tip: str, processes: int) -> dict[str, ndarray]:
     }
 
 
+def plate_table() -> dict[str, ndarray]:
+    """All tips on a rigid plate, at the same depths."""
+    found: dict[str, list[ndarray]] = {}
+    for made in TIPS.values():
+        press = TipPress(made, None, cells=CELLS)
+        states = [state for state in pressed(press, np.inf, PLATE_MM)]
+        force, edges = np.array([s.force for s in states]), np.array([s.edges for s in states])
+        columns = {
+            "force_n": force,
+            "flattening_mm": np.array([s.flattening for s in states]),
+            "inside_mm": np.stack([s.inside for s in states])[:, ::EVERY],
+            "energy_mpa": np.stack([s.energy for s in states])[:, ::EVERY],
+            "radius_mm": smooth_edge(force, edges[:, 0], edges[:, 1], force),
+            "angle_rad": smooth_edge(force, edges[:, 2], edges[:, 3], force),
+        }
+        for name, values in columns.items():
+            found.setdefault(name, []).append(values)
+        print(f"skin {made.skin_mpa:g}, gel {made.gel_mpa:g} MPa: {force[-1]:.3g} N", flush=True)
+    stacked = {name: np.stack(values).astype(np.float32) for name, values in found.items()}
+    return stacked | {
+        "approach_mm": np.array([s.approach for s in states]),
+        "skin_mpa": np.array([made.skin_mpa for made in TIPS.values()]),
+        "gel_mpa": np.array([made.gel_mpa for made in TIPS.values()]),
+    }
+
+
 def mesh_study(path: Path) -> None:
     """What the mesh costs: area, approach and flattening at 1, 3 and 5 N on finer and finer cells."""
     found = {}
@@ -187,11 +215,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, help="folder for the tables")
     parser.add_argument("--tip", choices=sorted(TIPS), action="append", help="only this one")
+    parser.add_argument("--plate", action="store_true", help="all tips on a rigid plate, equally deep")
     parser.add_argument("--check", choices=["mesh"], help="study the mesh instead")
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     if asked.check:
         mesh_study(Path(__file__).parent / "tip_mesh_study.json")
+        return
+    if asked.plate:
+        np.savez_compressed(asked.out / "plate.npz", **plate_table())
         return
     for tip in asked.tip or TIPS:
         np.savez_compressed(asked.out / f"tip-{tip}.npz", **table(tip, asked.processes))

@@ -1,4 +1,4 @@
-"""Verbs of one TacTip's own constants, from taps of known pose."""
+"""Verbs of one TacTip's own constants, from taps of known pose; those of known force are `tip_copy_verbs`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
+from palpate.cli.tip_copy_verbs import calibrate, force, weigh
 from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
-app = group("Fit a virtual TacTip to taps of a real one, and read poses by it.")
+app = group("Fit a virtual TacTip to a real one: to taps of known pose, or to presses of known force.")
+for verb in (calibrate, force, weigh):
+    app.command()(verb)
 
 
 @app.command()

@@ -18,21 +18,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.sensors.tactip.tactip_camera import slopes
+from palpate.sensors.tactip.tip_view import InnerSkin, PinView, Share, TipOptics, rotations
 
 POSE = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
 """Columns of a pose."""
-SPACING = 45  # depths between which the skin is read
-MAX_POLAR_RAD = 1.35  # of pins' roots
 
 Poses = Float[ndarray, "t 6"]
 Places = Float[ndarray, "p 2"]
 Moved = Float[ndarray, "t p 2"]
-Share = Float[ndarray, "..."]
 
 
 class TipTerms(NamedTuple):
@@ -93,6 +89,11 @@ class TipTerms(NamedTuple):
     seat_x_rad: float = 0.0
     seat_y_rad: float = 0.0
 
+    @property
+    def optics(self) -> TipOptics:
+        """Lever, camera and lens."""
+        return TipOptics(self.lever_mm, self.camera_mm, self.distortion, self.edge_rad)
+
 
 @dataclass(frozen=True)
 class PosedTip:
@@ -123,8 +124,9 @@ class PosedTip:
 
     def places_px(self, terms: TipTerms, poses: Poses) -> Moved:
         """Places of the pins at poses, `POSE` in its units [px]; deeper than the table, as at its end."""
-        skin = _Skin.of(self.tip)
-        view = _View.of(skin, terms, self.gel_index)
+        table = tip_table(self.tip)
+        skin = InnerSkin.of(table.press(math.inf), table.radius_m)
+        view = PinView.of(skin, terms.optics, self.gel_index)
         at = (self.rest_px - self.middle_px) / self.edge_px
         polar = view.polar_of(np.hypot(*at.T))
         roots = np.stack(_sphere(polar, np.arctan2(at[:, 1], at[:, 0])), axis=-1)
@@ -133,79 +135,10 @@ class PosedTip:
         return self.rest_px + self.edge_px * (moved - untouched)
 
 
-@dataclass(frozen=True)
-class _Skin:
-    """The inside of the skin under a rigid plate, over approach [m] and polar angle [rad]."""
-
-    radius: RectBivariateSpline
-    height: RectBivariateSpline
-    dome_m: float
-    deepest_m: float
-    widest_rad: float
-
-    @classmethod
-    def of(cls, tip: str) -> _Skin:
-        table = tip_table(tip)
-        press = table.press(math.inf)
-        deepest = float(press.approach_m[-1])
-        approach = np.linspace(0, deepest, SPACING)
-        inside = press.at("inside_m", press.force_at(approach))
-        polar = press.polar_rad
-        r, z = (RectBivariateSpline(approach, polar, inside[..., i]) for i in (0, 1))
-        return cls(r, z, table.radius_m, deepest, float(polar[-1]))
-
-    def markers(self, approach_m: Share, polar: Share, lever_m: float) -> tuple[Share, Share]:
-        """Distance from the contact's axis and height of the pins' ends [m]."""
-        polar = np.clip(polar, 0, self.widest_rad)
-        dr, dz = (one.ev(approach_m, polar, dy=1) for one in (self.radius, self.height))
-        size = np.hypot(dr, dz)
-        r, z = (one.ev(approach_m, polar) for one in (self.radius, self.height))
-        return r - lever_m * dz / size, z + lever_m * dr / size
-
-
-@dataclass(frozen=True)
-class _View:
-    """The camera: where in the field of pins a place of the tip is seen, 1 being the field's edge."""
-
-    camera_m: float
-    base_m: float
-    gel_index: float
-    distortion: float
-    edge: float
-    polar: Float[ndarray, " n"]
-    seen: Float[ndarray, " n"]
-
-    @classmethod
-    def of(cls, skin: _Skin, terms: TipTerms, gel_index: float) -> _View:
-        polar = np.linspace(0, MAX_POLAR_RAD, 300)
-        r, z = skin.markers(np.zeros_like(polar), polar, 1e-3 * terms.lever_mm)
-        bare = cls(1e-3 * terms.camera_mm, skin.dome_m, gel_index, terms.distortion, 1.0, polar, polar)
-        tangent = bare.tangent(r, z)
-        edge = float(np.interp(terms.edge_rad, polar, tangent))
-        whole = cls(bare.camera_m, bare.base_m, gel_index, terms.distortion, edge, polar, polar)
-        return cls(bare.camera_m, bare.base_m, gel_index, terms.distortion, edge, polar, whole.lens(tangent))
-
-    def tangent(self, r: Share, z: Share) -> Share:
-        return np.asarray(slopes(r, self.base_m - z, self.camera_m - self.base_m, self.gel_index))
-
-    def lens(self, tangent: Share) -> Share:
-        u = tangent / self.edge
-        return np.asarray(u * (1 + self.distortion * u**2) / (1 + self.distortion))
-
-    def polar_of(self, seen: Float[ndarray, " p"]) -> Float[ndarray, " p"]:
-        """Polar angle of the roots of pins that are seen so far from the middle at rest."""
-        return np.interp(seen, self.seen, self.polar)
-
-    def image(self, places_m: Float[ndarray, "t p 3"]) -> Moved:
-        r = np.hypot(places_m[..., 0], places_m[..., 1])
-        scale = self.lens(self.tangent(r, places_m[..., 2])) / np.maximum(r, 1e-9)
-        return places_m[..., :2] * scale[..., None]
-
-
-def _seen(skin: _Skin, view: _View, q: TipTerms, roots: Float[ndarray, "p 3"], poses: Poses) -> Moved:
+def _seen(skin: InnerSkin, view: PinView, q: TipTerms, roots: Float[ndarray, "p 3"], poses: Poses) -> Moved:
     """Where pins are seen at poses."""
     turn, moved_m, twist = _plate(skin, q, poses)
-    rotation = _rotations(turn)
+    rotation = rotations(turn)
     x, y, z = np.moveaxis(np.einsum("pi,tij->tpj", roots, rotation), -1, 0)
     polar, azimuth = np.arccos(np.clip(-z, -1, 1)), np.arctan2(y, x)
     depth_mm = poses[:, 0] - q.depth_zero_mm - q.depth_per_tilt * (turn**2).sum(axis=1)
@@ -231,7 +164,7 @@ def _seen(skin: _Skin, view: _View, q: TipTerms, roots: Float[ndarray, "p 3"], p
 
 
 def _plate(
-    skin: _Skin, q: TipTerms, poses: Poses
+    skin: InnerSkin, q: TipTerms, poses: Poses
 ) -> tuple[Float[ndarray, "t 2"], Float[ndarray, "t 2"], Float[ndarray, " t"]]:
     """Turn of the contact [rad], motion of the plate [m] and its twist [rad], in the image's axes."""
     tilts, twist = np.deg2rad(poses[:, 1:3]), np.deg2rad(poses[:, 5])
@@ -261,14 +194,3 @@ def _within(beyond_rad: Share, fade_rad: float) -> Share:
 
 def _sphere(polar: Float[ndarray, " p"], azimuth: Float[ndarray, " p"]) -> tuple[ndarray, ndarray, ndarray]:
     return np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)
-
-
-def _rotations(turn: Float[ndarray, "t 2"]) -> Float[ndarray, "t 3 3"]:
-    """Rotations that take the apex by these angles towards +x and +y."""
-    angle = np.hypot(*turn.T)
-    x, y = (turn / np.maximum(angle, 1e-12)[:, None]).T
-    zero = np.zeros_like(x)
-    # The axis (-y, x, 0) turned the other way: the apex looks down.
-    cross = -np.array([[zero, zero, x], [zero, zero, y], [-x, -y, zero]]).transpose(2, 0, 1)
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * cross + (1 - c) * cross @ cross)

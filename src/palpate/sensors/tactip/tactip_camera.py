@@ -12,6 +12,7 @@ from palpate.core import Float, UInt8, ndarray
 from palpate.sensors.tactip.tactip_spec import TacTipCamera
 
 ITERATIONS = 30
+SETTLED = 1e-15  # of a tangent, below which a step is rounding
 
 Places = Float[ndarray, "p 3"]
 Points = Float[ndarray, "p 2"]
@@ -28,7 +29,10 @@ def slopes(r: ndarray, depth: ndarray, air: float, index: float) -> ndarray:
         sin_g = t / np.sqrt(1 + t**2) / index
         tan_g = sin_g / np.sqrt(1 - sin_g**2)
         slope = (1 + tan_g**2) ** 1.5 / (index * (1 + t**2) ** 1.5)
-        t = t - (depth * tan_g + air * t - r) / (depth * slope + air)
+        step = (depth * tan_g + air * t - r) / (depth * slope + air)
+        t = t - step
+        if np.abs(step).max(initial=0.0) < SETTLED:
+            break
     return t
 
 

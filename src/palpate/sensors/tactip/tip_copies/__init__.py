@@ -1,0 +1,23 @@
+"""Copies of the TacTip: constants found from a few presses of known force, forces read, weights checked."""
+
+from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress, known_presses, pins_between
+from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, TipCopy, designed_tip
+from palpate.sensors.tactip.tip_copies.tip_copy_fit import (
+    PlateReading,
+    TipCopyFit,
+    fit_tip_copy,
+    read_plate_press,
+)
+
+__all__ = [
+    "COPY_TERMS",
+    "PlatePress",
+    "PlateReading",
+    "TipCopy",
+    "TipCopyFit",
+    "designed_tip",
+    "fit_tip_copy",
+    "known_presses",
+    "pins_between",
+    "read_plate_press",
+]

@@ -1,0 +1,146 @@
+"""Check of a TacTip's copy by a known weight, which sees what an untouched frame cannot.
+
+Untouched pins stand where they stand, whatever the moduli of skin and gel are. Under a known weight the
+picture tells depth and shape, hence the force that the copy would have there, and the weight tells the one it
+has; the shape tells the ratio of skin and gel. The weight has to be level and at rest, on the tip alone: one
+that leans, slides or moves is refused. One that is held up elsewhere and is level all the same shows less
+depth, as on a stiffer tip, and no picture of it alone can tell the two apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.core import ImageError, InputError, Progress, RangeError, silent
+from palpate.estimators.known_terms import changed_since
+from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
+from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, TipCopy
+from palpate.sensors.tactip.tip_copies.tip_copy_fit import PlateReading, fit_tip_copy, read_plate_press
+
+GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
+WEIGHT_SHARE = 0.005
+NAMED = 2.6  # standard deviations from which a change is said: 1 in 100 by chance
+FLOOR = 0.015  # of the stiffness, by which no weight is trusted to be better: a share
+DAILY = 0.1  # of the spread from copy to copy, by which pins, camera and seat may change from day to day
+MAX_LEAN_RAD = math.radians(2.0)  # beside the copy's usual seat
+MAX_SLIDE_PX = 1.0  # of the whole field
+STILL_MM = 0.05  # that frames of one weight may differ in depth
+CHANGED = ("stiffness", "ratio")
+
+
+@dataclass(frozen=True, slots=True)
+class TipWeightCheck:
+    """What a known weight says of a calibrated copy.
+
+    Attributes:
+        force_n: of the weight [N].
+        read_n: that the copy reads from the frames [N].
+        depth_mm: of them.
+        stiffness_change, ratio_change: of all forces, and of the ratio of skin and gel, as shares.
+        stiffness_deviations, ratio_deviations: the same in standard deviations.
+        least_change: of the stiffness that would be said, as a share.
+    """
+
+    force_n: float
+    read_n: float
+    depth_mm: float
+    stiffness_change: float
+    ratio_change: float
+    stiffness_deviations: float
+    ratio_deviations: float
+    least_change: float
+
+    @property
+    def drifted(self) -> tuple[str, ...]:
+        """Names of what has changed, of `CHANGED`."""
+        found = zip(CHANGED, (self.stiffness_deviations, self.ratio_deviations), strict=True)
+        return tuple(name for name, deviations in found if abs(deviations) > NAMED)
+
+
+def check_tip_weight(
+    calibrated: TipCopy, presses: Sequence[PlatePress], mass_kg: float, progress: Progress = silent
+) -> TipWeightCheck:
+    """Lay a flat rigid object of known mass on the tip, level, and compare.
+
+    Args:
+        calibrated: the copy.
+        presses: one frame of it at rest or several, which then have to agree; forces and positions in them
+            are not used.
+        mass_kg: of all that rests on the tip [kg].
+        progress: called with rounds of the estimate.
+
+    Raises:
+        InputError: no frame.
+        RangeError: a mass that is not above 0.
+        ImageError: a weight that leans, slides or moves, another tip's frames, or no flat rigid object.
+    """
+    if not (math.isfinite(mass_kg) and mass_kg > 0):
+        raise RangeError(f"a mass of {mass_kg} kg; it has to be finite and above 0 kg")
+    if not presses:
+        raise InputError("no frame of the weight; give one or several")
+    unknown = [replace(one, force_n=None, position_m=None) for one in presses]
+    known = _by_now(calibrated)
+    read = [read_plate_press(known, one, progress) for one in unknown]
+    _refuse_unsteady(calibrated, read)
+    force_n = mass_kg * GRAVITY_M_S2
+    read_n = float(np.mean([one.force_n for one in read]))
+    share = math.hypot(read[0].force_share, WEIGHT_SHARE, FLOOR)
+    change = math.log(force_n / read_n)
+    ratio, ratio_sd = _ratio_change(known, unknown[0], force_n, progress)
+    return TipWeightCheck(
+        force_n,
+        read_n,
+        float(np.mean([one.depth_mm for one in read])),
+        math.expm1(change),
+        math.expm1(ratio),
+        change / share,
+        ratio / ratio_sd,
+        math.expm1(NAMED * share),
+    )
+
+
+def _by_now(calibrated: TipCopy) -> TipCopy:
+    """The copy, its pins, camera and seat a little less known."""
+    daily = np.array([DAILY * SPREADS[name] for name in COPY_TERMS])
+    daily[:2] = 0.0
+    return replace(calibrated, covariance=calibrated.covariance + np.diag(daily**2))
+
+
+def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
+    depths = [one.depth_mm for one in read]
+    if max(depths) - min(depths) > STILL_MM:
+        raise ImageError(
+            f"the weight's frames differ by {max(depths) - min(depths):.2f} mm of depth, and {STILL_MM:g} mm "
+            "are allowed: it rolls or rocks; wait until it rests"
+        )
+    usual = calibrated.terms[8:10]
+    for one in read:
+        lean = math.hypot(*(np.array(one.turn_rad) - usual))
+        if lean > MAX_LEAN_RAD:
+            raise ImageError(
+                f"the weight leans by {math.degrees(lean):.1f} degrees, and {math.degrees(MAX_LEAN_RAD):g} "
+                "are allowed: part of it rests elsewhere, or it rolls; lay it level, on the tip alone"
+            )
+        slide = math.hypot(*one.shift_px)
+        if slide > MAX_SLIDE_PX:
+            raise ImageError(
+                f"the field of pins is {slide:.1f} px aside, and {MAX_SLIDE_PX:g} px are allowed: the weight "
+                "slides or is pushed; let it rest on the tip alone"
+            )
+
+
+def _ratio_change(
+    known: TipCopy, press: PlatePress, force_n: float, progress: Progress
+) -> tuple[float, float]:
+    """Change of the ratio's logarithm, as if stiffness and ratio could both have, and its deviation."""
+    free = np.zeros_like(known.covariance)
+    free[0, 0], free[1, 1] = SPREADS["stiffness"] ** 2, SPREADS["ratio"] ** 2
+    freed = replace(known, covariance=known.covariance + free)
+    weighed = replace(press, force_n=force_n, force_sd_n=WEIGHT_SHARE * force_n)
+    now = fit_tip_copy(freed, [weighed], progress, advise=False).copy
+    change, spread = changed_since(now.terms - known.terms, free, known.covariance, now.covariance)
+    return float(change[1]), float(spread[1])

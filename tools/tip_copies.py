@@ -1,0 +1,285 @@
+"""Draw copies of a TacTip, calibrate each by presses of known force, and count how often intervals hold.
+
+    python tools/tip_copies.py --tables /tmp/tips                # twelve copies, some twenty minutes of one core
+    python tools/tip_copies.py --tables /tmp/tips --copies 3
+
+Copies are those of `tip_variation.drawn_tip`, each with a tip of its own ratio of skin and gel, solved here at
+finite strain (half a minute each, kept in the folder of tables), so that its truth is not the interpolation
+that reads it. Needs scikit-fem. Numbers stand in docs/how-to/find-a-tips-constants.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy import ndarray
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import tip_tables
+from finite_strain.tip import Tip, TipPress
+
+from palpate.core import PalpateError
+from palpate.mechanics.axisymmetric.tip_family import TipBetween, tip_between
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
+from palpate.sensors.tactip import tactip
+from palpate.sensors.tactip.tip_copies import (
+    COPY_TERMS,
+    PlatePress,
+    TipCopy,
+    designed_tip,
+    fit_tip_copy,
+    pins_between,
+    read_plate_press,
+)
+from palpate.sensors.tactip.tip_copies.tip_variation import VirtualTip, drawn_tip
+from palpate.sensors.tactip.tip_copies.tip_weight import GRAVITY_M_S2, check_tip_weight
+
+RATIOS = np.exp(np.random.default_rng(77).uniform(np.log(12), np.log(56), 16))
+FORCE_N = (0.4, 4.8)
+FORCE_SHARE, FORCE_SD_N = 0.005, 0.02  # to which forces are known
+POSITION_M = 20e-6
+NEW, FULL, CHECKED = 20, 300, 150  # presses that are read, of a full calibration, and of these left for its settings
+MASSES_G = (100.0, 200.0, 400.0)
+CHANGE = 0.15
+NORMAL = 1.645
+
+Tally = dict[str, list[tuple[float, bool]]]
+Features = Callable[[Sequence[PlatePress]], ndarray]
+
+
+def solved_tip(ratio: float, folder: Path) -> TipBetween:
+    """A tip of a ratio of skin's and gel's moduli on a rigid plate, solved at finite strain."""
+    gel = 0.085 / math.sqrt(ratio)
+    path = folder / f"{ratio:.3f}.npz"
+    if not path.exists():
+        press = TipPress(Tip(skin_mpa=gel * ratio, gel_mpa=gel), None, cells=tip_tables.CELLS)
+        np.savez(path, **tip_tables.tabulated(press))
+    found, like = dict(np.load(path)), tip_between(math.log(ratio))
+
+    def from_rest(name: str, scale: float = 1.0, first: ndarray | float = 0.0) -> ndarray:
+        values = scale * found[name]
+        return np.concatenate([np.broadcast_to(first, (1, *values.shape[1:])), values])
+
+    press = HeadOnPress(
+        np.append(0.0, tip_tables.FORCES_N), from_rest("approach_mm", 1e-3), from_rest("flattening_mm", 1e-3),
+        from_rest("radius_mm", 1e-3), from_rest("angle_rad"), like.press.polar_rad,
+        from_rest("inside_mm", 1e-3, like.press.inside_m[:1]), from_rest("energy_mpa", 1e6),
+    )  # fmt: skip
+    return TipBetween(like.radius_m, like.skin_m, 1e6 * gel * ratio, 1e6 * gel, press)
+
+
+def pressed(
+    tip: VirtualTip, force_n: float, rng: np.random.Generator, *, lean_rad: tuple[float, float] | None = None
+) -> tuple[PlatePress, float, float]:
+    """A press as it is known, its true force [N] and depth [m]."""
+    force_n = min(force_n, 0.98 * tip.force_n(tip.deepest_m))
+    depth = tip.depth_m(force_n)
+    pins = pins_between(*tip.frames(depth, rng, lean_rad), tip.spec.pins.count)
+    sd = math.hypot(FORCE_SHARE * force_n, FORCE_SD_N)
+    told = force_n + sd * float(rng.standard_normal())
+    at = depth + 7e-3 + POSITION_M * float(rng.standard_normal())
+    return PlatePress(*pins, told, sd, at), force_n, depth
+
+
+def truth(tip: VirtualTip, design: TipCopy) -> dict[str, float]:
+    """Terms of a virtual copy, but for its edge, which its scattered pins do not define."""
+    outer = tip.roots_rad[0, -6 * tip.spec.pins.rings :]
+    seen, _ = replace(tip, distortion=0.0, scale_px=1.0).places_px(0.0)
+    middle = (tip.spec.camera.size_px - 1) / 2
+    ring = float(np.hypot(*(seen - middle).T)[-6 * tip.spec.pins.rings :].mean()) / tip.edge
+    return {
+        "stiffness": math.log(tip.force_n(3e-3) / design.stated_force_n),
+        "ratio": math.log(tip.tip.skin_pa / tip.tip.gel_pa),
+        "lever_mm": 1e3 * tip.spec.pins.length_m, "camera_mm": 1e3 * tip.spec.camera.height_m,
+        "distortion": tip.distortion * ring**2, "edge_rad": float(outer.mean()),
+        "axis_x_mm": 1e3 * tip.axis_m[0], "axis_y_mm": 1e3 * tip.axis_m[1],
+        "seat_x_rad": float(tip.seat_rad[0]), "seat_y_rad": float(tip.seat_rad[1]),
+    }  # fmt: skip
+
+
+def ridge(known: Sequence[PlatePress]) -> Callable[[PlatePress], float]:
+    """Force by a line in the mean radial motion of the pins, a little shrunk."""
+    x, y = np.array([radial(one) for one in known]), np.array([one.force_n for one in known])
+    mean, scale = x.mean(), x.std()
+    z = (x - mean) / scale
+    slope = float(z @ (y - y.mean())) / (float(z @ z) + 1e-2)
+    return lambda one: float(y.mean() + slope * (radial(one) - mean) / scale)
+
+
+def radial(one: PlatePress) -> float:
+    """Mean outward motion of the pins [px]."""
+    out = one.rest_px - np.median(one.rest_px, axis=0)
+    out = out / np.maximum(np.hypot(*out.T), 1.0)[:, None]
+    return float(np.nanmean(np.sum(out * (one.moved_px - one.rest_px), axis=1)))
+
+
+def full_calibration(known: Sequence[PlatePress]) -> Callable[[PlatePress], float]:
+    """Force by kernel ridge on principal components of the pins' motions, its settings on presses left out."""
+    X = np.stack([np.nan_to_num(one.moved_px - one.rest_px).ravel() for one in known])
+    y = np.array([one.force_n for one in known])
+    mean = X.mean(axis=0)
+    _, _, V = np.linalg.svd(X - mean, full_matrices=False)
+    best: tuple[float, Callable[[ndarray], ndarray]] | None = None
+    for parts in (3, 6, 10):
+        Z = (X - mean) @ V[:parts].T
+        unit = Z[:, 0].std()
+        for reach in (1.0, 3.0, 10.0, 30.0):
+            for noise in (1e-6, 1e-5, 1e-4, 1e-3):
+                law = _kernel_ridge(Z[:-CHECKED] / unit, y[:-CHECKED], reach, noise)
+                off = float(np.abs(law(Z[-CHECKED:] / unit) - y[-CHECKED:]).mean())
+                if best is None or off < best[0]:
+                    whole = _kernel_ridge(Z / unit, y, reach, noise)
+
+                    def read(x: ndarray, p: int = parts, u: float = unit, w: Callable = whole) -> ndarray:
+                        return w(((x - mean) @ V[:p].T) / u)
+
+                    best = off, read
+    assert best is not None
+    law = best[1]
+    return lambda one: float(law(np.nan_to_num(one.moved_px - one.rest_px).ravel()[None])[0])
+
+
+def _kernel_ridge(Z: ndarray, y: ndarray, reach: float, noise: float) -> Callable[[ndarray], ndarray]:
+    def kernel(a: ndarray, b: ndarray) -> ndarray:
+        return np.exp(-((a[:, None] - b[None]) ** 2).sum(axis=2) / (2 * reach**2))
+
+    weights = np.linalg.solve(kernel(Z, Z) + noise * np.eye(len(Z)), y - y.mean())
+    return lambda z: y.mean() + kernel(z, Z) @ weights
+
+
+def stiffened(tip: VirtualTip, skin: float, gel: float) -> VirtualTip:
+    """The same copy, its skin and gel so many times as stiff; its shapes between the tables."""
+    now = tip_between(math.log(tip.tip.skin_pa / tip.tip.gel_pa * skin / gel))
+    before = tip_between(math.log(tip.tip.skin_pa / tip.tip.gel_pa))
+    ratio = tip.force_ratio * tip.tip.gel_pa / before.gel_pa  # before: force over the tip between the tables
+    return replace(tip, tip=now, force_ratio=ratio * before.gel_pa * gel / now.gel_pa)
+
+
+def weighed(copy: TipCopy, tip: VirtualTip, rng: np.random.Generator, into: Tally, case: str) -> None:
+    """Lay known masses on a copy as it is now."""
+    for mass_g in MASSES_G:
+        one, _, _ = pressed(tip, 1e-3 * mass_g * GRAVITY_M_S2, rng)
+        try:
+            check = check_tip_weight(copy, [one], 1e-3 * mass_g)
+        except PalpateError as e:
+            print("   weight refused:", case, mass_g, str(e)[:90], flush=True)
+            into[f"weight, {case}: refused"].append((1.0, True))
+            continue
+        into[f"weight, {case}: stiffness said, change in %"].append(
+            (100 * check.stiffness_change, "stiffness" in check.drifted)
+        )
+        into[f"weight, {case}: ratio said, change in %"].append(
+            (100 * check.ratio_change, "ratio" in check.drifted)
+        )
+
+
+def study(tables: Path, copies: int, seed: int) -> Iterator[Tally]:
+    """Errors of every copy, and what was said."""
+    design = designed_tip(tactip(127))
+    other: TipCopy | None = None
+    for k in range(copies):
+        rng, out = np.random.default_rng([seed, k]), defaultdict(list)
+        tip = drawn_tip(design.spec, solved_tip(float(RATIOS[k % len(RATIOS)]), tables), rng)
+        known = [pressed(tip, f, rng)[0] for f in np.linspace(*FORCE_N, 10)]
+        new = [pressed(tip, f, rng) for f in rng.uniform(*FORCE_N, NEW)]
+        fits = {
+            "10 presses and positions": fit_tip_copy(design, known),
+            "10 presses": fit_tip_copy(design, [replace(one, position_m=None) for one in known]),
+            "5 presses": fit_tip_copy(design, [replace(one, position_m=None) for one in known[1::2]]),
+        }
+        true = truth(tip, design)
+        for name, fit in fits.items():
+            for term, row in fit.copy.told.items():
+                off = row["value"] - true[term]
+                out[f"{name}; {term}"].append((off, abs(off) <= NORMAL * row["standard_deviation"]))
+            for one, force_n, depth_m in new:
+                try:
+                    read = read_plate_press(fit.copy, one)
+                except PalpateError as e:
+                    print("   refused:", name, force_n, str(e)[:100], flush=True)
+                    out[f"{name}; refused"].append((1.0, True))
+                    continue
+                off = read.force_n - force_n
+                held = abs(math.log(read.force_n / force_n)) <= NORMAL * read.force_share
+                out[f"{name}; new force, N"].append((off, held))
+                off = read.depth_mm - 1e3 * depth_m
+                out[f"{name}; new depth, mm"].append((off, abs(off) <= NORMAL * read.depth_sd_mm))
+        many = [pressed(tip, f, rng)[0] for f in rng.uniform(*FORCE_N, FULL)]
+        mean = float(np.mean([one.force_n for one in known]))
+        for name, law in {
+            "mean": lambda _, m=mean: m, "line on mean radial motion, same 10": ridge(known),
+            f"full calibration, {FULL} presses": full_calibration(many),
+        }.items():  # fmt: skip
+            out[f"new force, N, by {name}"] += [(law(one) - force_n, True) for one, force_n, _ in new]
+        copy = fits["10 presses"].copy
+        sign = CHANGE if rng.uniform() < 0.5 else -CHANGE
+        weighed(copy, tip, rng, out, "nothing changed")
+        weighed(copy, replace(tip, force_ratio=tip.force_ratio * (1 + sign)), rng, out, "all by 15 %")
+        weighed(copy, stiffened(tip, 1.0, 1 + sign), rng, out, "gel by 15 %")
+        weighed(copy, stiffened(tip, 1.4, 1.0), rng, out, "skin by 40 %")
+        leaning = [pressed(tip, 2.0, rng, lean_rad=(math.radians(4.0), 0.0))[0]]
+        out["refused: weight that leans by 4 degrees"].append((1.0, refused(check_tip_weight, copy, leaning, 0.2)))
+        shuffled = rng.permutation([one.force_n for one in known])
+        wrong = [replace(a, force_n=float(f), position_m=None) for a, f in zip(known, shuffled, strict=True)]
+        out["refused: shuffled forces"].append((1.0, refused(fit_tip_copy, design, wrong)))
+        if other is not None:
+            out["refused: another copy's frames"] += [
+                (1.0, refused(read_plate_press, other, one)) for one, _, _ in new
+            ]
+            blind = replace(other, rest_px=None, cells=None)
+            out["refused: another copy's frames, pins' places not known"] += [
+                (1.0, refused(read_plate_press, blind, one)) for one, _, _ in new
+            ]
+        other = copy
+        yield out
+
+
+def refused(verb: Callable, *arguments: object) -> bool:
+    """Whether it is refused."""
+    try:
+        verb(*arguments)
+    except PalpateError:
+        return True
+    return False
+
+
+def told(every: Tally) -> Iterator[str]:
+    """A line for each quantity."""
+    for name, results in every.items():
+        off = np.array([error for error, _ in results])
+        held = np.mean([inside for _, inside in results])
+        yield (
+            f"{name}: mean absolute {np.abs(off).mean():.3g}, mean {off.mean():.3g}, greatest "
+            f"{np.abs(off).max():.3g}; held or said {100 * held:.0f} % of {len(results)}"
+        )
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--tables", type=Path, required=True, help="folder of solved tips, filled as needed")
+    parser.add_argument("--copies", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    asked.tables.mkdir(exist_ok=True)
+    every: Tally = defaultdict(list)
+    start = time.monotonic()
+    for k, one in enumerate(study(asked.tables, asked.copies, asked.seed)):
+        for name, results in one.items():
+            every[name] += results
+        print(f"\n{k + 1} copies, {time.monotonic() - start:.0f} s", *told(every), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
