@@ -175,7 +175,7 @@ def plate_table() -> dict[str, ndarray]:
     found: dict[str, list[ndarray]] = {}
     for made in TIPS.values():
         press = TipPress(made, None, cells=CELLS)
-        states = [state for state in pressed(press, np.inf, PLATE_MM)]
+        states = list(pressed(press, np.inf, PLATE_MM))
         force, edges = np.array([s.force for s in states]), np.array([s.edges for s in states])
         columns = {
             "force_n": force,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from palpate.core import ExistsError, ImageError, InputError, ManualClock, Pose, RangeError
+from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
 from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
@@ -19,7 +20,7 @@ from palpate.sensors.palm.palm_copy_store import pictured_presses, read_copy, wr
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
-from palpate.sensors.palm.palm_weight import GRAVITY_M_S2, check_weight
+from palpate.sensors.palm.palm_weight import check_weight
 
 DESIGN = scaled_down(palm(), 20, "tiny")
 E, C = DESIGN.youngs_modulus_pa, DESIGN.stress_optic.coefficient_per_pa

@@ -126,9 +126,7 @@ def _press(known: TipCopy, image: Path, reference: Path) -> PlatePress:
 def _copy_answer(found: TipCopyFit) -> dict[str, Any]:
     copy = found.copy
     skin_pa, gel_pa = copy.moduli_pa
-    terms = {
-        name: one | {"half": COVERED * one["standard_deviation"]} for name, one in copy.told.items()
-    }
+    terms = {name: one | {"half": COVERED * one["standard_deviation"]} for name, one in copy.told.items()}
     return {
         "force_at_3_mm_N": copy.stated_force_n, "stiffness_share": COVERED * copy.stiffness_share,
         "skin_Pa": skin_pa, "gel_Pa": gel_pa, "coverage": 0.9, "terms": terms, "untold": list(found.untold),
@@ -145,17 +143,21 @@ def _copy_answer(found: TipCopyFit) -> dict[str, Any]:
 
 
 def _copy_text(answer: dict[str, Any]) -> str:
-    lines = [
+    head = (
         f"{answer['force_at_3_mm_N']:.3f} N at 3 mm ± {answer['stiffness_share']:.1%} (90 %), from "
         f"{answer['presses']} presses; skin {answer['skin_Pa'] / 1e3:.0f} kPa and gel "
-        f"{answer['gel_Pa'] / 1e3:.1f} kPa, if dome and skin are as thick as the tables'",
+        f"{answer['gel_Pa'] / 1e3:.1f} kPa, if dome and skin are as thick as the tables'"
+    )
+    off = (
         f"  pins differ from the copy's by {answer['off_px']:.2f} px at most, forces by "
-        f"{answer['forces_off_deviations']:.1f} standard deviations (rms)",
+        f"{answer['forces_off_deviations']:.1f} standard deviations (rms)"
+    )
+    lines = [
+        head,
+        off,
+        *(f"  {name:11}{one['value']:+10.4f} ± {one['half']:.2g}" for name, one in answer["terms"].items()),
         *(
-            f"  {name:11}{one['value']:+10.4f} ± {one['half']:.2g}" for name, one in answer["terms"].items()
-        ),
-        *(
-            f"  approach {one['approach']}: the apex touched at {one['zero_mm']:.3f} ± {one['half_mm']:.2g} mm"
+            f"  approach {one['approach']}: apex at {one['zero_mm']:.3f} ± {one['half_mm']:.2g} mm"
             for one in answer["zeros"]
         ),
     ]

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.core import Float, ndarray
+from palpate.core import Float, RangeError, ndarray
 
 UNTOLD = 0.8  # of its prior spread, from which a term is not told
 TIED = 0.95  # correlation from which two terms cannot be told apart
 
+GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
+WEIGHT_SHARE = 0.005
+SAID = 2.6  # standard deviations from which a change is said: 1 in 100 by chance
+
 Covariance = Float[ndarray, "t t"]
+
+
+def weight_n(mass_kg: float) -> float:
+    """Weight of a mass that is laid on a sensor [N], known to `WEIGHT_SHARE`.
+
+    Raises:
+        RangeError: a mass that is not above 0.
+    """
+    if not (math.isfinite(mass_kg) and mass_kg > 0):
+        raise RangeError(f"a mass of {mass_kg} kg; it has to be finite and above 0 kg")
+    return mass_kg * GRAVITY_M_S2
 
 
 def term_rows(

@@ -77,7 +77,7 @@ def tip_between(log_ratio: float) -> TipBetween:
 
 @dataclass(frozen=True)
 class _Plate:
-    """All tips at the same depths, the untouched first; see `HeadOnPress` for the columns ``[tips d ...]``."""
+    """Tips at the same depths, the untouched first; see `HeadOnPress` for the columns ``[tips d ...]``."""
 
     approach_m: Float[ndarray, " d"]
     log_ratio: Float[ndarray, " k"]

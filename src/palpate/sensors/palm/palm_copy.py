@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, Pose, RangeError, UInt8, ndarray
+from palpate.estimators.known_terms import term_rows
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 
@@ -74,11 +75,7 @@ class PalmCopy:
     @property
     def told(self) -> dict[str, dict[str, float]]:
         """Each term and its standard deviation."""
-        spreads = np.sqrt(np.diag(self.covariance))
-        return {
-            name: {"value": float(value), "standard_deviation": float(spread)}
-            for name, value, spread in zip(TERMS, self.terms, spreads, strict=True)
-        }
+        return term_rows(TERMS, self.terms, self.covariance)
 
     @property
     def looks(self) -> PalmSpec:

@@ -29,6 +29,7 @@ from palpate.core import (
     ndarray,
     silent,
 )
+from palpate.estimators.known_terms import untold_terms
 from palpate.sensors.palm.mirror_view import contact_px
 from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, PressFound, Terms
 from palpate.sensors.palm.palm_press import press, table_of
@@ -295,9 +296,7 @@ class _Estimate:
         covariance = bread + bread @ meat @ bread  # of pixels' own errors, and of those that blocks share
         copy = PalmCopy(self._known.spec, state.terms, covariance[:n, :n])
         presses = tuple(self._found(state, i, covariance, off[i]) for i in range(len(self._seen)))
-        before, after = (np.sqrt(np.diag(one)) for one in (self._known.covariance, copy.covariance))
-        untold = tuple(name for name, b, a in zip(TERMS, before, after, strict=True) if a > 0.8 * b)
-        return CopyFit(copy, presses, untold)
+        return CopyFit(copy, presses, untold_terms(TERMS, self._known.covariance, copy.covariance))
 
     def _found(self, state: _State, i: int, covariance: ndarray, off: float) -> PressFound:
         at = len(TERMS) + 3 * i

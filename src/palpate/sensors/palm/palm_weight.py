@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.core import Float, Progress, RangeError, UInt8, ndarray, silent
+from palpate.core import Float, Progress, UInt8, ndarray, silent
+from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, weight_n
 from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.palm_copy_fit import fit_copy
 
-GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
-WEIGHT_SHARE = 0.005
-SEEN = 2.6  # standard deviations from which a drift is said: 1 in 100 by chance
 FLOOR = 0.01  # of E and C, by which no weight is trusted to be better: a share
 
 
@@ -44,7 +42,7 @@ class WeightCheck:
     def drifted(self) -> tuple[str, ...]:
         """Names of what has changed: "modulus", "coefficient"."""
         found = {"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations}
-        return tuple(name for name, deviations in found.items() if abs(deviations) > SEEN)
+        return tuple(name for name, deviations in found.items() if abs(deviations) > SAID)
 
 
 def check_weight(
@@ -67,9 +65,7 @@ def check_weight(
         RangeError: a mass that is not above 0.
         ImageError: no press is seen, or no such palm's picture.
     """
-    if not (math.isfinite(mass_kg) and mass_kg > 0):
-        raise RangeError(f"a mass of {mass_kg} kg; it has to be finite and above 0 kg")
-    force_n = mass_kg * GRAVITY_M_S2
+    force_n = weight_n(mass_kg)
     known = forgotten(calibrated)
     found = fit_copy(known, [PicturedPress(image, reference, force_n, WEIGHT_SHARE)], progress)
     before, now = calibrated.terms[:2], found.copy.terms[:2]

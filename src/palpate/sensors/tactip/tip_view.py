@@ -96,9 +96,9 @@ class PinView:
         u = tangent / self.edge
         return np.asarray(u * (1 + self.distortion * u**2) / (1 + self.distortion))
 
-    def polar_of(self, seen: Float[ndarray, " p"]) -> Float[ndarray, " p"]:
+    def polar_of(self, seen: Share) -> Share:
         """Polar angle of the roots of pins that are seen so far from the middle at rest."""
-        return np.interp(seen, self.seen, self.polar)
+        return np.asarray(np.interp(seen, self.seen, self.polar))
 
     def image(self, places_m: Float[ndarray, "t p 3"]) -> Float[ndarray, "t p 2"]:
         """Places in the image, from the lens's axis, 1 being the field's edge."""

@@ -14,14 +14,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.core import Float, InputError, Progress, ndarray, silent
+from palpate.estimators.known_terms import correlated_pairs, untold_terms
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 
 MIN_TAPS = 8  # of which the prior tells most
 TELLS = 10.0  # numbers that a tap tells
 ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs taps against the prior
-UNTOLD = 0.8  # of its prior spread, from which a term is not told
-TIED = 0.95  # correlation from which two terms cannot be told apart
 DEGREES = (2, 3, 4)
 UPRIGHT_PX = 0.2  # by which the pins of an upright tap are known, from all taps together
 COURSE = np.linspace(0.05, 0.95, 8)  # of the taps' depths
@@ -75,18 +74,12 @@ class TipFit:
     @property
     def untold(self) -> tuple[str, ...]:
         """Terms of which the taps tell hardly more than was assumed."""
-        return tuple(
-            name
-            for name, now, before in zip(TipTerms._fields, self.spread, SPREAD, strict=True)
-            if now > UNTOLD * before
-        )
+        return untold_terms(TipTerms._fields, np.diag(np.square(SPREAD)), self.covariance)
 
     @property
     def tied(self) -> tuple[tuple[str, str], ...]:
         """Pairs of terms that cannot be told apart: one may go up with the other."""
-        sd = np.array(self.spread)
-        high = np.abs(np.triu(self.covariance / np.outer(sd, sd), 1)) > TIED
-        return tuple((TipTerms._fields[i], TipTerms._fields[j]) for i, j in np.argwhere(high))
+        return correlated_pairs(TipTerms._fields, self.covariance)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.core import Float, ImageError, InputError, Int, LabelError, Shaped, ndarray
+from palpate.core import RIGID, Float, ImageError, InputError, Int, LabelError, Shaped, ndarray
 from palpate.estimators.pins import PinTracks, find_pins
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_folder import press_folder
@@ -19,7 +19,6 @@ from palpate.recordings.run_reader import Run
 
 MIN_SHARE = 0.06  # of the greatest force, below which a frame tells little
 MIN_NAMED = 0.9  # of the pins, seen in both frames
-LEAST_SPAN = 1.5  # greatest over least force, below which presses have one load
 AIR_FRAMES = 1  # before a press, that show the untouched tip
 
 Places = Float[ndarray, "p 2"]
@@ -123,23 +122,19 @@ def known_presses(
         force_share, force_sd_n: standard deviation of a known force, as a share and in newtons [N].
 
     Raises:
-        InputError: no such recording, too few frames, or presses that all have one load.
+        InputError: no such recording, or too few frames.
         LabelError: a run without forces.
         ImageError: pins that cannot be named.
     """
     loaded = [one for path in paths for one in _loaded(path)]
-    approaches = {key: i for i, key in enumerate(dict.fromkeys((id(o.reference), o.approach) for o in loaded))}
+    approaches = {
+        key: i for i, key in enumerate(dict.fromkeys((id(o.reference), o.approach) for o in loaded))
+    }
     greatest = max((one.force_n for one in loaded), default=0.0)
     able = [one for one in loaded if one.force_n > MIN_SHARE * greatest]
     if not 1 <= count <= len(able):
         raise InputError(f"{count} presses of {len(able)} frames with a known force; 1 to as many")
     chosen = _spread(able, count)
-    forces = [one.force_n for one in chosen]
-    if count > 1 and max(forces) < LEAST_SPAN * min(forces):
-        raise InputError(
-            f"all presses have about one load, {min(forces):.3g} to {max(forces):.3g} N; stiffness and shape "
-            f"are told apart by loads of which the greatest is {LEAST_SPAN:g} times the least or more"
-        )
     found = []
     for one in chosen:
         rest, moved, cells = pins_between(one.reference, one.image, pins)
@@ -166,7 +161,9 @@ def _loaded(path: Path) -> Iterator[_Loaded]:
     if (path / MANIFEST).exists():
         yield from _of_run(Run.open(path))
         return
-    rigid = [o for o in press_folder(path).specimens if o.stiffness_n_m is None or math.isinf(o.stiffness_n_m)]
+    rigid = [
+        o for o in press_folder(path).specimens if o.stiffness_n_m is None or math.isinf(o.stiffness_n_m)
+    ]
     if not any(one.stiffness_n_m is not None for one in rigid):
         raise InputError(
             f"{path} has no presses on a rigid plate; give them, with stiffness_N_per_mm inf in specimens.csv"
@@ -204,7 +201,8 @@ def _of_run(run: Run) -> Iterator[_Loaded]:
     for i in np.flatnonzero(is_rest):
         rests.setdefault(str(table["press"][i]), run.frame(int(i)).image)
     numbers = {press: k for k, press in enumerate(rests)}
-    for i in np.flatnonzero(~is_rest & np.isfinite(force)):
+    plate = np.ones(len(table), bool) if "indenter" not in table else (table["indenter"] == RIGID).to_numpy()
+    for i in np.flatnonzero(~is_rest & plate & np.isfinite(force)):
         press = str(table["press"][i])
         if press in rests:
             position = None if at is None or not math.isfinite(at[i]) else float(at[i])

@@ -121,7 +121,9 @@ class VirtualTip:
         tangent, share = projected(markers, self.spec.camera, radius_m)
         u2 = np.sum((tangent / self.edge) ** 2, axis=1, keepdims=True)
         seen = tangent * (1 + self.distortion * u2) / (1 + self.distortion)
-        return (self.spec.camera.size_px - 1) / 2 + self.scale_px * seen, self.scale_px * share * pins.radius_m
+        return (
+            self.spec.camera.size_px - 1
+        ) / 2 + self.scale_px * seen, self.scale_px * share * pins.radius_m
 
     def frames(
         self, depth_m: float, rng: np.random.Generator, lean_rad: tuple[float, float] | None = None

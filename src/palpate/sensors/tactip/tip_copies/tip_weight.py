@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.core import ImageError, InputError, Progress, RangeError, silent
-from palpate.estimators.known_terms import changed_since
+from palpate.core import ImageError, InputError, Progress, silent
+from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, changed_since, weight_n
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, TipCopy
-from palpate.sensors.tactip.tip_copies.tip_copy_fit import PlateReading, fit_tip_copy, read_plate_press
+from palpate.sensors.tactip.tip_copies.tip_copy_fit import fit_tip_copy, read_plate_press
+from palpate.sensors.tactip.tip_copies.tip_estimate import PlateReading
 
-GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
-WEIGHT_SHARE = 0.005
-NAMED = 2.6  # standard deviations from which a change is said: 1 in 100 by chance
 FLOOR = 0.015  # of the stiffness, by which no weight is trusted to be better: a share
 DAILY = 0.1  # of the spread from copy to copy, by which pins, camera and seat may change from day to day
 MAX_LEAN_RAD = math.radians(2.0)  # beside the copy's usual seat
@@ -58,7 +56,7 @@ class TipWeightCheck:
     def drifted(self) -> tuple[str, ...]:
         """Names of what has changed, of `CHANGED`."""
         found = zip(CHANGED, (self.stiffness_deviations, self.ratio_deviations), strict=True)
-        return tuple(name for name, deviations in found if abs(deviations) > NAMED)
+        return tuple(name for name, deviations in found if abs(deviations) > SAID)
 
 
 def check_tip_weight(
@@ -78,15 +76,13 @@ def check_tip_weight(
         RangeError: a mass that is not above 0.
         ImageError: a weight that leans, slides or moves, another tip's frames, or no flat rigid object.
     """
-    if not (math.isfinite(mass_kg) and mass_kg > 0):
-        raise RangeError(f"a mass of {mass_kg} kg; it has to be finite and above 0 kg")
+    force_n = weight_n(mass_kg)
     if not presses:
         raise InputError("no frame of the weight; give one or several")
     unknown = [replace(one, force_n=None, position_m=None) for one in presses]
     known = _by_now(calibrated)
     read = [read_plate_press(known, one, progress) for one in unknown]
     _refuse_unsteady(calibrated, read)
-    force_n = mass_kg * GRAVITY_M_S2
     read_n = float(np.mean([one.force_n for one in read]))
     share = math.hypot(read[0].force_share, WEIGHT_SHARE, FLOOR)
     change = math.log(force_n / read_n)
@@ -99,7 +95,7 @@ def check_tip_weight(
         math.expm1(ratio),
         change / share,
         ratio / ratio_sd,
-        math.expm1(NAMED * share),
+        math.expm1(SAID * share),
     )
 
 
