@@ -186,7 +186,7 @@ def weighed(copy: TipCopy, tip: VirtualTip, rng: np.random.Generator, into: Tall
         )
 
 
-def study(tables: Path, copies: int, seed: int, first: int = 0) -> Iterator[Tally]:
+def study(tables: Path, copies: int, seed: int, first: int, whole: int) -> Iterator[Tally]:
     """Errors of every copy, and what was said; the first of all has no other copy's frames to refuse."""
     design = designed_tip(tactip(127))
     other: TipCopy | None = None
@@ -195,11 +195,11 @@ def study(tables: Path, copies: int, seed: int, first: int = 0) -> Iterator[Tall
         tip = drawn_tip(design.spec, solved_tip(float(RATIOS[k % len(RATIOS)]), tables), rng)
         known = [pressed(tip, f, rng)[0] for f in np.linspace(*FORCE_N, 10)]
         new = [pressed(tip, f, rng) for f in rng.uniform(*FORCE_N, NEW)]
-        fits = {
-            "10 presses and positions": fit_tip_copy(design, known),
-            "10 presses": fit_tip_copy(design, [replace(one, position_m=None) for one in known]),
-            "5 presses": fit_tip_copy(design, [replace(one, position_m=None) for one in known[1::2]]),
-        }
+        blind = [replace(one, position_m=None) for one in known]
+        fits = {"10 presses": fit_tip_copy(design, blind)}
+        if k < whole:
+            fits["10 presses and positions"] = fit_tip_copy(design, known)
+            fits["5 presses"] = fit_tip_copy(design, blind[1::2])
         true = truth(tip, design)
         for name, fit in fits.items():
             for term, row in fit.copy.told.items():
@@ -217,12 +217,12 @@ def study(tables: Path, copies: int, seed: int, first: int = 0) -> Iterator[Tall
                 out[f"{name}; new force, N"].append((off, held))
                 off = read.depth_mm - 1e3 * depth_m
                 out[f"{name}; new depth, mm"].append((off, abs(off) <= NORMAL * read.depth_sd_mm))
-        many = [pressed(tip, f, rng)[0] for f in rng.uniform(*FORCE_N, FULL)]
         mean = float(np.mean([one.force_n for one in known]))
-        for name, law in {
-            "mean": lambda _, m=mean: m, "line on mean radial motion, same 10": ridge(known),
-            f"full calibration, {FULL} presses": full_calibration(many),
-        }.items():  # fmt: skip
+        laws = {"mean": lambda _, m=mean: m, "line on mean radial motion, same 10": ridge(known)}
+        if k < whole:
+            many = [pressed(tip, f, rng)[0] for f in rng.uniform(*FORCE_N, FULL)]
+            laws[f"full calibration, {FULL} presses"] = full_calibration(many)
+        for name, law in laws.items():
             out[f"new force, N, by {name}"] += [(law(one) - force_n, True) for one, force_n, _ in new]
         copy = fits["10 presses"].copy
         sign = CHANGE if rng.uniform() < 0.5 else -CHANGE
@@ -235,15 +235,15 @@ def study(tables: Path, copies: int, seed: int, first: int = 0) -> Iterator[Tall
             (1.0, refused(check_tip_weight, copy, leaning, 0.2))
         )
         shuffled = rng.permutation([one.force_n for one in known])
-        wrong = [replace(a, force_n=float(f), position_m=None) for a, f in zip(known, shuffled, strict=True)]
+        wrong = [replace(a, force_n=float(f)) for a, f in zip(blind, shuffled, strict=True)]
         out["refused: shuffled forces"].append((1.0, refused(fit_tip_copy, design, wrong)))
         if other is not None:
             out["refused: another copy's frames"] += [
                 (1.0, refused(read_plate_press, other, one)) for one, _, _ in new[:4]
             ]
-            blind = replace(other, rest_px=None, cells=None)
+            unplaced = replace(other, rest_px=None, cells=None)
             out["refused: another copy's frames, pins' places not known"] += [
-                (1.0, refused(read_plate_press, blind, one)) for one, _, _ in new[:4]
+                (1.0, refused(read_plate_press, unplaced, one)) for one, _, _ in new[:4]
             ]
         other = copy
         yield out
@@ -278,11 +278,14 @@ def main() -> None:
     parser.add_argument("--copies", type=int, default=12)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first copy")
+    parser.add_argument(
+        "--whole", type=int, default=4, help="copies that have a full calibration, 5 presses, positions"
+    )
     asked = parser.parse_args()
     asked.tables.mkdir(exist_ok=True)
     every: Tally = defaultdict(list)
     start = time.monotonic()
-    for k, one in enumerate(study(asked.tables, asked.copies, asked.seed, asked.first)):
+    for k, one in enumerate(study(asked.tables, asked.copies, asked.seed, asked.first, asked.whole)):
         for name, results in one.items():
             every[name] += results
         print(f"\n{k + 1} copies, {time.monotonic() - start:.0f} s", *told(every), sep="\n", flush=True)

@@ -117,14 +117,15 @@ def test_slopes_are_those_of_the_rows(presses) -> None:
         assert_allclose(J @ step, change, atol=2e-3 * np.abs(change).max())
 
 
-def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_named(presses) -> None:
-    blind = fit_tip_copy(DESIGN, [replace(presses[i], position_m=None) for i in (2, 4)])
+def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_named(
+    presses, fitted
+) -> None:
+    blind = fit_tip_copy(DESIGN, [replace(one, position_m=None) for one in presses])
     assert any("the stage's position" in one.press for one in blind.helpful)
     assert all(one.ratio < 0.9 and one.term in COPY_TERMS for one in blind.helpful)
-    with_all = fit_tip_copy(DESIGN, presses, advise=False)
     assert (
-        with_all.copy.told["edge_rad"]["standard_deviation"]
-        < 0.8 * (blind.copy.told["edge_rad"]["standard_deviation"])
+        fitted.copy.told["edge_rad"]["standard_deviation"]
+        < 0.9 * (blind.copy.told["edge_rad"]["standard_deviation"])
     )
     alone = fit_tip_copy(DESIGN, [replace(presses[2], force_n=None, position_m=None)], advise=False)
     assert "stiffness" in alone.untold
@@ -164,7 +165,7 @@ def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
     pushed = replace(one, moved_px=one.moved_px + np.array([4.0, 0.0]))
     with pytest.raises(ImageError, match=r"slides|leans|differ"):
         check_tip_weight(fitted.copy, [pushed], 0.2)
-    with pytest.raises(RangeError, match="a mass of 0 kg"):
+    with pytest.raises(RangeError, match=r"a mass of 0\.0 kg"):
         check_tip_weight(fitted.copy, [one], 0.0)
 
 
@@ -174,7 +175,7 @@ def test_shuffled_forces_one_load_and_another_tip_s_frames_are_refused(tip, pres
         replace(one, force_n=presses[k].force_n, position_m=None)
         for one, k in zip(presses, order, strict=True)
     ]
-    with pytest.raises(RangeError, match="known forces are"):
+    with pytest.raises((RangeError, ImageError), match=r"known forces are|forces of other frames"):
         fit_tip_copy(DESIGN, wrong)
     with pytest.raises(InputError, match="about one load"):
         fit_tip_copy(DESIGN, [replace(one, force_n=2.0 + 0.1 * i) for i, one in enumerate(presses)])

@@ -93,7 +93,7 @@ def _refuse_unlike(known: TipCopy, found: TipCopyFit) -> None:
             raise ImageError(
                 f"pins differ from the nearest press of this tip by {one.off_px:.2f} px of "
                 f"{one.motion_px:.1f} px of motion, and {known.limit_off:.0%} are allowed: another tip, "
-                "no flat rigid plate, or one that slides or leans"
+                "no flat rigid plate, one that slides or leans, or known forces of other frames"
             )
     if found.forces_off > MAX_FORCE_Z:
         raise RangeError(
