@@ -198,12 +198,12 @@ def _of_run(run: Run) -> Iterator[_Loaded]:
         return
     is_rest = table["reference"].astype(bool).to_numpy()
     rests: dict[str, ndarray] = {}
-    for i in np.flatnonzero(is_rest):
-        rests.setdefault(str(table["press"][i]), run.frame(int(i)).image)
+    for i in np.flatnonzero(is_rest).tolist():
+        rests.setdefault(str(table["press"][i]), run.frame(i).image)
     numbers = {press: k for k, press in enumerate(rests)}
     plate = np.ones(len(table), bool) if "indenter" not in table else (table["indenter"] == RIGID).to_numpy()
-    for i in np.flatnonzero(~is_rest & plate & np.isfinite(force)):
+    for i in np.flatnonzero(~is_rest & plate & np.isfinite(force)).tolist():
         press = str(table["press"][i])
         if press in rests:
             position = None if at is None or not math.isfinite(at[i]) else float(at[i])
-            yield _Loaded(rests[press], run.frame(int(i)).image, float(force[i]), position, numbers[press])
+            yield _Loaded(rests[press], run.frame(i).image, float(force[i]), position, numbers[press])
