@@ -3,6 +3,8 @@
     python tools/tip_copies.py --tables /tmp/tips             # twelve copies, ten minutes of one core
     python tools/tip_copies.py --tables /tmp/tips --copies 3
 
+Four copies have a full calibration as well, fits to five presses, and fits with positions.
+
 Copies are those of `tip_variation.drawn_tip`, each with a tip of its own ratio of skin and gel, solved at
 finite strain (half a minute each, kept in the folder of tables), so that its truth is not the interpolation
 that reads it. Needs scikit-fem. Numbers stand in docs/how-to/find-a-tips-constants.md.
