@@ -1,7 +1,7 @@
 """Draw copies of a TacTip, calibrate each by presses of known force, and count how often intervals hold.
 
-    python tools/tip_copies.py --tables /tmp/tips             # twelve copies, ten minutes of one core
-    python tools/tip_copies.py --tables /tmp/tips --copies 3
+    python tools/tip_copies.py --tables tips             # twelve copies, ten minutes of one core
+    python tools/tip_copies.py --tables tips --copies 3
 
 Four copies have a full calibration as well, fits to five presses, and fits with positions.
 
