@@ -1,0 +1,393 @@
+"""Fits of psychometric functions: greatest likelihood, and the posterior with its intervals.
+
+`most_likely` is Fisher's scoring in a + b x, as of a generalised linear model. Data that a step could tell
+apart have no greatest likelihood at a finite slope, which is said.
+
+`fit_psychometric` integrates the likelihood over a grid with priors that are stated: the threshold even from
+one range of the levels below them to one above, the spread even in its logarithm from a twentieth of the
+least step to five ranges, a free lapse rate Beta(1, 30), of which 3 % is the mean. The values are posterior
+medians. Where the data do not bound a parameter the interval reaches the prior's end, and
+`PosteriorRange.bounded` says so: answers that are all right, all wrong or perfectly apart have wide
+intervals, not none.
+
+The fit is judged by its deviance against that of data drawn from the fitted function and fitted again, as
+chi-square is no good law at 30 answers a level.
+
+Reference: H. H. Schütt, S. Harmeling, J. H. Macke, F. A. Wichmann, Vision Res. 122 (2016) 105,
+doi:10.1016/j.visres.2016.02.002; of the deviance Wichmann and Hill, doi:10.3758/BF03194544.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from palpate.core import Float, InputError, Int, RangeError, ndarray
+from palpate.psychophysics.analysis.psychometric_function import (
+    PsychometricFunction,
+    SigmoidShape,
+    as_counted,
+    checked_rates,
+)
+
+MAX_LAPSE = 0.3
+LAPSE_PRIOR = (1.0, 30.0)
+COARSE, FINE = (49, 49, 10), (57, 57, 13)
+KEPT_OF_PEAK = 1e-6  # of the coarse posterior: where the fine grid lies
+BOUNDED_OF_PEAK = 0.03  # a marginal that ends above this share of its peak is not bounded there
+DEVIANCE_DRAWS = 400
+MAX_STEPS = 60
+MAX_STEEPNESS = 1e3  # of b times the least step between levels: a step function
+MIN_PROBABILITY = 1e-12
+
+Counts = Int[ndarray, " levels"]
+Levels = Float[ndarray, " levels"]
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorRange:
+    """A parameter's posterior.
+
+    Attributes:
+        value: its median.
+        low, high: ends of the interval.
+        bounded: whether the data, and not the prior alone, bound it below and above.
+    """
+
+    value: float
+    low: float
+    high: float
+    bounded: tuple[bool, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class PsychometricFit:
+    """A fitted psychometric function.
+
+    Attributes:
+        function: at the posterior medians.
+        threshold, spread: as `PsychometricFunction` has them.
+        lapse: None where it was given.
+        deviance: of the function of greatest likelihood that does not fall, its lapse rate as in `function`.
+        deviance_p: share of data drawn from it that fit as badly; small where the function is wrong.
+        answers: in all.
+        coverage: of the intervals.
+        notes: what a reader must know.
+    """
+
+    function: PsychometricFunction
+    threshold: PosteriorRange
+    spread: PosteriorRange
+    lapse: PosteriorRange | None
+    deviance: float
+    deviance_p: float
+    answers: int
+    coverage: float
+    notes: tuple[str, ...]
+
+
+class LikelyLine(NamedTuple):
+    """The linear predictor z = a + b x of greatest likelihood, its covariance, and whether there is one."""
+
+    a: float
+    b: float
+    covariance: Float[ndarray, "2 2"]
+    log_likelihood: float
+    found: bool
+
+
+def most_likely(
+    levels: Sequence[float] | ndarray,
+    given: Sequence[int] | ndarray,
+    n: Sequence[int] | ndarray,
+    shape: SigmoidShape = SigmoidShape.GAUSSIAN,
+    *,
+    guess: float = 0.0,
+    lapse: float = 0.0,
+    logarithmic: bool = False,
+) -> LikelyLine:
+    """Predictor a + b x of greatest likelihood, x as `PsychometricFunction` counts levels.
+
+    Args:
+        levels: of the stimuli [any one unit].
+        given, n: how often the answer was given at each, of how many.
+        shape: of F(a + b x); a Weibull needs logarithmic levels.
+        guess, lapse: rates, given.
+        logarithmic: count levels by their logarithm.
+
+    Raises:
+        InputError: fewer than two levels with answers, or counts that do not fit.
+        RangeError: levels or rates out of range.
+    """
+    x, k, m = _checked(levels, given, n, logarithmic=logarithmic)
+    checked_rates(guess, lapse)
+    a, b = _scored(x, k[None].astype(float), m, shape, guess, lapse)
+    p, dp = _probability(a[:, None] + b[:, None] * x, shape, guess, lapse)
+    with np.errstate(divide="ignore"):
+        covariance = _inverse(x, (m * dp**2 / (p * (1 - p)))[0])
+    steep = abs(b[0]) * np.diff(np.unique(x)).min()
+    found = bool(steep < MAX_STEEPNESS and np.isfinite(covariance).all() and not _separated(x, k, m))
+    return LikelyLine(float(a[0]), float(b[0]), covariance, float(_log_likelihood(p, k, m)[0]), found)
+
+
+def fit_psychometric(
+    levels: Sequence[float] | ndarray,
+    given: Sequence[int] | ndarray,
+    n: Sequence[int] | ndarray,
+    shape: SigmoidShape = SigmoidShape.GAUSSIAN,
+    *,
+    guess: float = 0.0,
+    lapse: float | None = 0.0,
+    guess_is_lapse: bool = False,
+    logarithmic: bool = False,
+    coverage: float = 0.95,
+    deviance_draws: int = DEVIANCE_DRAWS,
+    rng: np.random.Generator | None = None,
+) -> PsychometricFit:
+    """Posterior of a rising psychometric function.
+
+    Args:
+        levels: of the stimuli [any one unit].
+        given, n: how often the answer was given at each, of how many.
+        shape: of the sigmoid.
+        guess: probability far below.
+        lapse: probability of a lapse, or None to find it.
+        guess_is_lapse: lapses are as frequent at both ends, as where either of two answers may be a slip.
+        logarithmic: count levels by their logarithm; Weibull's are in any case.
+        coverage: of the intervals, equal tails.
+        deviance_draws: data drawn to judge the deviance; 0 for no judgement (p is NaN).
+        rng: of those draws; of seed 0 where there is none.
+
+    Raises:
+        InputError: fewer than two levels with answers, or counts that do not fit.
+        RangeError: levels, rates or coverage out of range.
+
+    Example:
+        >>> found = fit_psychometric([1, 2, 3, 4, 5], [1, 6, 15, 26, 30], [30] * 5, deviance_draws=0)
+        >>> round(found.threshold.value, 1), all(found.spread.bounded)
+        (2.9, True)
+    """
+    logarithmic = logarithmic or shape is SigmoidShape.WEIBULL
+    x, k, m = _checked(levels, given, n, logarithmic=logarithmic)
+    checked_rates(guess, lapse or 0.0)
+    if not 0 < coverage < 1:
+        raise RangeError(f"a coverage of {coverage:g}; above 0 and below 1 are allowed, 0.95 is usual")
+    axes, weight = _posterior(x, k, m, shape, guess, lapse, guess_is_lapse)
+    t, s, slips = (_summary(axis, weight, i, coverage) for i, axis in enumerate(axes))
+    rate = slips.value if lapse is None else lapse
+    below = rate if guess_is_lapse else guess
+    threshold = _moved(t, np.exp) if logarithmic else t
+    spread = _moved(s, np.exp)
+    deviance, p = _judged(x, k, m, shape, below, rate, deviance_draws, rng or np.random.default_rng(0))
+    return PsychometricFit(
+        function=PsychometricFunction(shape, threshold.value, spread.value, below, rate, logarithmic),
+        threshold=threshold,
+        spread=spread,
+        lapse=slips if lapse is None else None,
+        deviance=deviance,
+        deviance_p=p,
+        answers=int(m.sum()),
+        coverage=coverage,
+        notes=_notes(x, k, m, threshold, spread),
+    )
+
+
+def _checked(
+    levels: Sequence[float] | ndarray,
+    given: Sequence[int] | ndarray,
+    n: Sequence[int] | ndarray,
+    *,
+    logarithmic: bool,
+) -> tuple[Levels, Counts, Counts]:
+    if len({len(levels), len(given), len(n)}) > 1:
+        raise InputError(f"{len(levels)} levels, {len(given)} counts and {len(n)} totals; one each is needed")
+    x = as_counted(np.asarray(levels, np.float64), logarithmic=logarithmic)
+    k, m = np.asarray(given, np.int64), np.asarray(n, np.int64)
+    if (k < 0).any() or (k > m).any():
+        raise InputError("an answer was given more often than it was asked for, or less than never")
+    x, k, m = x[m > 0], k[m > 0], m[m > 0]
+    if len(np.unique(x)) < 2:
+        raise InputError(f"{len(np.unique(x))} levels with answers; a function over levels needs two or more")
+    return x, k, m
+
+
+def _probability(
+    z: ndarray, shape: SigmoidShape, guess: float | ndarray, lapse: float | ndarray
+) -> tuple[ndarray, ndarray]:
+    """Probability at predictors, kept off 0 and 1, and its derivative by the predictor."""
+    rise = 1 - guess - lapse
+    p = np.clip(guess + rise * shape.rise(z), MIN_PROBABILITY, 1 - MIN_PROBABILITY)
+    return p, rise * shape.slope(z)
+
+
+def _log_likelihood(p: ndarray, k: ndarray, m: ndarray) -> ndarray:
+    return np.asarray((k * np.log(p) + (m - k) * np.log1p(-p)).sum(axis=-1))
+
+
+def _separated(x: Levels, k: Counts, m: Counts) -> bool:
+    """Whether a step, rising or falling, tells all answers apart."""
+    yes, no = x[k > 0], x[k < m]
+    if not len(yes) or not len(no):
+        return True
+    return bool(yes.min() >= no.max() or yes.max() <= no.min())
+
+
+def _falls(x: Levels, k: Counts, m: Counts) -> bool:
+    """Whether answers fall over levels, beyond one standard deviation of chance."""
+    share = k.sum() / m.sum()
+    u = x - (m * x).sum() / m.sum()
+    return bool((k * u).sum() < -math.sqrt(share * (1 - share) * (m * u**2).sum()) < 0)
+
+
+def _inverse(x: Levels, weight: Levels) -> Float[ndarray, "2 2"]:
+    s0, s1, s2 = weight.sum(), (weight * x).sum(), (weight * x**2).sum()
+    determinant = s0 * s2 - s1**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.array([[s2, -s1], [-s1, s0]]) / determinant
+
+
+def _scored(
+    x: Levels, k: Float[ndarray, "sets levels"], m: Counts, shape: SigmoidShape, guess: float, lapse: float
+) -> tuple[Float[ndarray, " sets"], Float[ndarray, " sets"]]:
+    """Predictors a + b x of greatest likelihood of many data sets, by Fisher's scoring with halved steps."""
+    middle, size = float(x.mean()), float(np.ptp(x))
+    u = (x - middle) / size
+    share = (k + 0.5) / (m + 1.0)
+    z = shape.inverse(np.clip((share - guess) / (1 - guess - lapse), 0.02, 0.98))
+    b = (z @ (u - u.mean())) / ((u - u.mean()) ** 2).sum()
+    a = z.mean(axis=1) - b * u.mean()
+    best = _log_likelihood(_probability(a[:, None] + b[:, None] * u, shape, guess, lapse)[0], k, m)
+    for _ in range(MAX_STEPS):
+        p, dp = _probability(a[:, None] + b[:, None] * u, shape, guess, lapse)
+        residual, weight = (k - m * p) * dp / (p * (1 - p)), m * dp**2 / (p * (1 - p)) + 1e-12
+        g0, g1 = residual.sum(axis=1), residual @ u
+        s0, s1, s2 = weight.sum(axis=1), weight @ u, weight @ u**2
+        determinant = np.maximum(s0 * s2 - s1**2, 1e-30)
+        da, db = (s2 * g0 - s1 * g1) / determinant, (s0 * g1 - s1 * g0) / determinant
+        scale = np.minimum(1.0, 4.0 / np.maximum(np.hypot(da, db), 1e-300))
+        moved = np.zeros(len(a), bool)
+        for _ in range(12):
+            a_new, b_new = a + scale * da, b + scale * db
+            new = _log_likelihood(
+                _probability(a_new[:, None] + b_new[:, None] * u, shape, guess, lapse)[0], k, m
+            )
+            better = ~moved & (new >= best)
+            a, b = np.where(better, a_new, a), np.where(better, b_new, b)
+            gain = np.where(better, new - best, 0.0)
+            best = np.where(better, new, best)
+            moved |= better
+            if moved.all():
+                break
+            scale = np.where(moved, scale, scale / 2)
+        if not (moved & (gain > 1e-12)).any() and np.abs(scale * da).max() + np.abs(scale * db).max() < 1e-9:
+            break
+    return a - b * middle / size, b / size
+
+
+def _deviance(p: ndarray, k: ndarray, m: ndarray) -> ndarray:
+    full = special.xlogy(k, k / m) + special.xlogy(m - k, 1 - k / m)
+    return np.asarray(2 * (full.sum(axis=-1) - _log_likelihood(p, k, m)))
+
+
+def _judged(
+    x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float, draws: int,
+    rng: np.random.Generator,
+) -> tuple[float, float]:  # fmt: skip
+    """Deviance of the function of greatest likelihood, and the share of drawn data with as much."""
+
+    def off(counts: ndarray) -> tuple[ndarray, ndarray]:
+        a, b = _scored(x, counts.astype(float), m, shape, guess, lapse)
+        p, _ = _probability(a[:, None] + b[:, None] * x, shape, guess, lapse)
+        level = np.clip(
+            counts.sum(axis=1) / m.sum(), max(guess, MIN_PROBABILITY), 1 - lapse - MIN_PROBABILITY
+        )
+        p = np.where((b > 0)[:, None], p, level[:, None])  # of falling answers the best that does not fall
+        return p, _deviance(p, counts, m)
+
+    p, found = off(k[None])
+    if not draws:
+        return float(found[0]), math.nan
+    _, drawn = off(rng.binomial(m, p[0], size=(draws, len(m))))
+    return float(found[0]), float((1 + (drawn >= found[0] - 1e-9).sum()) / (draws + 1))
+
+
+def _posterior(
+    x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
+) -> tuple[list[ndarray], ndarray]:
+    """Axes of threshold, log spread and lapse, and the posterior's weights on their grid."""
+    size, step = float(np.ptp(x)), float(np.diff(np.unique(x)).min())
+    box = [
+        (x.min() - size, x.max() + size),
+        (math.log(step / 20), math.log(5 * size)),
+        (0.0, MAX_LAPSE) if lapse is None else (lapse, lapse),
+    ]
+    for points in (COARSE, FINE):
+        axes = [
+            np.linspace(low, high, count) if high > low else np.array([low])
+            for (low, high), count in zip(box, points, strict=True)
+        ]
+        t, s, slips = np.meshgrid(*axes, indexing="ij")
+        below = slips if both else guess
+        log_weight = np.zeros(t.shape)
+        for x_i, k_i, m_i in zip(x, k, m, strict=True):
+            z = shape.middle + shape.reach * (x_i - t) * np.exp(-s)
+            p, _ = _probability(z, shape, below, slips)
+            log_weight += k_i * np.log(p) + (m_i - k_i) * np.log1p(-p)
+        if lapse is None:
+            log_weight += stats.beta.logpdf(np.maximum(slips, 1e-9), *LAPSE_PRIOR)
+        weight = np.exp(log_weight - log_weight.max())
+        if points is COARSE:
+            box = [_kept(axis, weight, i) for i, axis in enumerate(axes)]
+    return axes, weight
+
+
+def _marginal(weight: ndarray, i: int) -> ndarray:
+    return np.asarray(weight.sum(axis=tuple(j for j in range(weight.ndim) if j != i)))
+
+
+def _kept(axis: ndarray, weight: ndarray, i: int) -> tuple[float, float]:
+    """Stretch of an axis outside which the marginal is nothing, a step wider at both ends."""
+    marginal = _marginal(weight, i)
+    inside = np.flatnonzero(marginal > KEPT_OF_PEAK * marginal.max())
+    return float(axis[max(inside[0] - 1, 0)]), float(axis[min(inside[-1] + 1, len(axis) - 1)])
+
+
+def _summary(axis: ndarray, weight: ndarray, i: int, coverage: float) -> PosteriorRange:
+    """Median and equal tails of one axis, by the trapezium rule."""
+    if len(axis) == 1:
+        return PosteriorRange(float(axis[0]), float(axis[0]), float(axis[0]), (True, True))
+    density = _marginal(weight, i)
+    area = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    value, low, high = np.interp([0.5, (1 - coverage) / 2, (1 + coverage) / 2], area / area[-1], axis)
+    ends = density[[0, -1]] < BOUNDED_OF_PEAK * density.max()
+    return PosteriorRange(float(value), float(low), float(high), (bool(ends[0]), bool(ends[1])))
+
+
+def _moved(one: PosteriorRange, by: np.ufunc) -> PosteriorRange:
+    return PosteriorRange(float(by(one.value)), float(by(one.low)), float(by(one.high)), one.bounded)
+
+
+def _notes(
+    x: Levels, k: Counts, m: Counts, threshold: PosteriorRange, spread: PosteriorRange
+) -> tuple[str, ...]:
+    notes = []
+    if k.sum() in (0, m.sum()):
+        notes.append("all answers are the same: they tell no threshold and no spread, only a side")
+    elif _separated(x, k, m):
+        notes.append("a step tells all answers apart: the spread has an upper bound alone")
+    if _falls(x, k, m):
+        notes.append(
+            "answers fall as levels rise: no rising function describes them; is the sign of softer right?"
+        )
+    unbounded = [
+        f"the {name} is not bounded {side} by these answers: the interval ends where the prior does"
+        for name, one in (("threshold", threshold), ("spread", spread))
+        for side, held in zip(("below", "above"), one.bounded, strict=True)
+        if not held
+    ]
+    return (*notes, *unbounded)

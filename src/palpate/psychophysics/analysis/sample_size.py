@@ -1,0 +1,127 @@
+"""Numbers of participants, planned by simulating the study that is to be made.
+
+Participants differ by an intercept in logits; each answers so often in two conditions, and the study's own
+test, `sign_flip_p` of their differences, is applied. The power found has the interval of its simulations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, special
+
+from palpate.core import RangeError
+from palpate.psychophysics.analysis.condition_models import sign_flip_p
+from palpate.psychophysics.analysis.proportions import wilson_interval
+
+STUDIES = 400
+MAX_PARTICIPANTS = 200
+FLIPS = 999
+NODES_OF_MEAN = 41
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStudy:
+    """A study of two conditions that has not been made.
+
+    Attributes:
+        first, second: shares of right answers in the population, above 0 and below 1.
+        answers: of each participant in each condition.
+        intercept_sd: how far participants scatter [logits].
+        significance: below which p counts.
+
+    Raises:
+        RangeError: a number out of its range.
+    """
+
+    first: float
+    second: float
+    answers: int
+    intercept_sd: float = 0.5
+    significance: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (0 < self.first < 1 and 0 < self.second < 1):
+            raise RangeError(f"shares of {self.first:g} and {self.second:g}; above 0 and below 1 are allowed")
+        if self.answers < 1 or self.intercept_sd < 0 or not 0 < self.significance < 1:
+            raise RangeError(
+                "a study has one answer or more a condition, a scatter of 0 logits or more, and a "
+                "significance between 0 and 1"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class StudyPower:
+    """How often a planned study finds its difference.
+
+    Attributes:
+        participants: number of them.
+        power: share of simulated studies with a p below the significance.
+        low, high: 95 % interval of that share.
+    """
+
+    participants: int
+    power: float
+    low: float
+    high: float
+
+
+def simulated_power(
+    study: PlannedStudy, participants: int, rng: np.random.Generator, studies: int = STUDIES
+) -> StudyPower:
+    """Power with so many participants.
+
+    Raises:
+        RangeError: fewer than two participants, or more than `MAX_PARTICIPANTS`.
+    """
+    if not 2 <= participants <= MAX_PARTICIPANTS:
+        raise RangeError(f"{participants} participants; 2 to {MAX_PARTICIPANTS} are allowed")
+    shifts = [_conditional_logit(share, study.intercept_sd) for share in (study.first, study.second)]
+    b = study.intercept_sd * rng.standard_normal((studies, participants))
+    one, other = (rng.binomial(study.answers, special.expit(shift + b)) for shift in shifts)
+    p = _flipped(((other - one) / study.answers), rng)
+    found = int((p < study.significance).sum())
+    return StudyPower(participants, found / studies, *wilson_interval(found, studies))
+
+
+def participants_needed(
+    study: PlannedStudy, rng: np.random.Generator, power: float = 0.8, studies: int = STUDIES
+) -> StudyPower:
+    """Fewest participants that reach a power, as far as so many simulated studies tell.
+
+    Raises:
+        RangeError: `MAX_PARTICIPANTS` do not reach it.
+    """
+    low, high = 2, 4
+    while simulated_power(study, high, rng, studies).power < power:
+        low, high = high, 2 * high
+        if high > MAX_PARTICIPANTS:
+            raise RangeError(
+                f"shares of {study.first:g} and {study.second:g} are not told apart with a power of "
+                f"{power:g} by {MAX_PARTICIPANTS} participants of {study.answers} answers; plan more each"
+            )
+    while high - low > 1:
+        middle = (low + high) // 2
+        enough = simulated_power(study, middle, rng, studies).power >= power
+        low, high = (low, middle) if enough else (middle, high)
+    return simulated_power(study, high, rng, studies)
+
+
+def _conditional_logit(share: float, sd: float) -> float:
+    """Log odds of an average participant with which the population's share is as asked."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES_OF_MEAN)
+    weights = weights / weights.sum()
+    return float(
+        optimize.brentq(lambda a: float(weights @ special.expit(a + sd * nodes)) - share, -60.0, 60.0)
+    )
+
+
+def _flipped(d: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Significance of each row by its signs: all of them for few participants, else drawn."""
+    n = d.shape[1]
+    if n <= 10:
+        return np.array([sign_flip_p(row) for row in d])
+    signs = rng.choice(np.array([-1.0, 1.0]), size=(FLIPS, n))
+    as_far = np.abs(d @ signs.T) >= np.abs(d.sum(axis=1))[:, None] - 1e-9
+    return np.asarray((1 + as_far.sum(axis=1)) / (FLIPS + 1))

@@ -1,0 +1,124 @@
+"""Conditions over participants: models as independent codes have them, tests at their rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+from scipy import integrate, special, stats
+
+from palpate.core import InputError, RangeError
+from palpate.psychophysics.analysis import (
+    ConditionCounts,
+    PlannedStudy,
+    fit_mixed_logistic,
+    marginal_log_odds,
+    mixed_log_likelihood,
+    participants_needed,
+    share_differences,
+    sign_flip_p,
+    simulated_power,
+)
+
+CONDITIONS = ("I", "K", "C")
+
+
+def drawn(rng: np.random.Generator, log_odds, sd: float, people: int = 10, n: int = 12) -> ConditionCounts:
+    b = sd * rng.standard_normal((people, 1))
+    right = rng.binomial(n, special.expit(np.asarray(log_odds) + b)).astype(float)
+    names = tuple(f"P{i}" for i in range(people))
+    return ConditionCounts(CONDITIONS[: len(log_odds)], names, right, np.full_like(right, n))
+
+
+def test_the_estimating_equation_is_that_of_statsmodels() -> None:
+    counts = drawn(np.random.default_rng(1), (1.5, 0.3, 0.8), 0.7)
+    rows = [
+        (answer, c, s)
+        for s in range(10) for c in range(3)
+        for answer in [1] * int(counts.right[s, c]) + [0] * int(counts.n[s, c] - counts.right[s, c])
+    ]  # fmt: skip
+    y, c, s = np.array(rows).T
+    design = np.column_stack([np.ones(len(y)), c == 1, c == 2]).astype(float)
+    theirs = sm.GEE(
+        y, design, groups=s, family=sm.families.Binomial(), cov_struct=sm.cov_struct.Independence()
+    ).fit()
+    first = marginal_log_odds(counts)[0]
+    assert (first.first, first.second) == ("I", "K")
+    assert first.value == pytest.approx(theirs.params[1], rel=1e-5)
+    error = theirs.bse[1] * np.sqrt(10 / 9) * stats.t.ppf(0.975, 9)
+    assert first.high - first.value == pytest.approx(error, rel=1e-4)
+
+
+def test_the_mixed_likelihood_is_the_integral_over_participants() -> None:
+    counts = drawn(np.random.default_rng(2), (1.0, 0.0), 1.0, people=4)
+    beta, sd = np.array([0.9, -0.1]), 0.8
+
+    def of(person: int) -> float:
+        def density(b: float) -> float:
+            p = special.expit(beta + b)
+            k, n = counts.right[person], counts.n[person]
+            return float(np.prod(p**k * (1 - p) ** (n - k)) * stats.norm.pdf(b, 0, sd))
+
+        return np.log(integrate.quad(density, -8, 8, epsabs=0, epsrel=1e-10)[0])
+
+    assert mixed_log_likelihood(counts, beta, sd) == pytest.approx(sum(map(of, range(4))), abs=3e-5)
+
+
+def test_without_scatter_the_mixed_model_is_plain_and_with_it_the_scatter_is_found() -> None:
+    alike = drawn(np.random.default_rng(3), (1.2, -0.4), 0.0, people=40, n=40)
+    fit = fit_mixed_logistic(alike)
+    k, n = alike.right.sum(axis=0), alike.n.sum(axis=0)
+    assert fit.log_odds == pytest.approx(special.logit((k + 0.5) / (n + 1)), abs=0.02)
+    assert fit.intercept_sd < 0.25
+    fit = fit_mixed_logistic(drawn(np.random.default_rng(4), (1.2, -0.4), 1.5, people=80, n=40))
+    assert fit.intercept_sd == pytest.approx(1.5, rel=0.25)
+    assert fit.converged
+
+
+def test_intervals_of_both_models_hold_the_truth_and_no_difference_is_seldom_found() -> None:
+    rng, held, found = np.random.default_rng(5), 0, 0
+    for _ in range(100):
+        pair = fit_mixed_logistic(drawn(rng, (1.2, 0.4), 0.8)).pairs[0]
+        held += pair.low <= -0.8 <= pair.high
+        found += marginal_log_odds(drawn(rng, (0.5, 0.5), 0.8))[0].p < 0.05
+    assert held >= stats.binom.ppf(0.001, 100, 0.95)
+    assert found <= stats.binom.ppf(0.999, 100, 0.06)
+
+
+def test_a_condition_that_is_all_right_is_told_by_what_stays_finite() -> None:
+    counts = ConditionCounts(
+        ("I", "K"), tuple("ABCDEFGHIJ"), np.column_stack([np.full(10, 3.0), [2, 1, 2, 3, 1, 2, 2, 1, 2, 2]]),
+        np.full((10, 2), 3.0),
+    )  # fmt: skip
+    assert marginal_log_odds(counts) == ()
+    fit = fit_mixed_logistic(counts)
+    assert np.isfinite(fit.log_odds).all()
+    assert fit.pairs[0].high < 0
+    (one,) = share_differences(counts)
+    assert one.p == pytest.approx(2 / 2**9)  # nine differ, all downwards, and the tenth not at all
+    assert one.least_p == pytest.approx(2 / 2**10)
+    assert one.low < one.value < one.high < 0
+
+
+def test_signs_flip_exactly_and_the_sign_of_a_difference_is_the_second_less_the_first() -> None:
+    assert sign_flip_p([1.0] * 5) == 2 / 32
+    assert sign_flip_p([1.0, -1.0]) == 1.0
+    assert sign_flip_p(np.ones(20)) == pytest.approx(0.0, abs=1e-3)
+    counts = ConditionCounts(("I", "K"), ("A", "B"), np.array([[3.0, 1], [3, 2]]), np.full((2, 2), 3.0))
+    assert share_differences(counts)[0].value == pytest.approx(-0.5)
+    with pytest.raises(InputError, match="1 participant"):
+        share_differences(ConditionCounts(("I", "K"), ("A",), np.ones((1, 2)), np.ones((1, 2))))
+    with pytest.raises(RangeError, match="more right"):
+        ConditionCounts(("I",), ("A",), np.array([[2.0]]), np.array([[1.0]]))
+
+
+def test_a_planned_study_has_its_power_and_none_where_nothing_differs() -> None:
+    rng = np.random.default_rng(6)
+    null = simulated_power(PlannedStudy(0.6, 0.6, 12), 10, rng, studies=200)
+    assert null.low <= 0.05
+    needed = participants_needed(PlannedStudy(0.6, 0.8, 12), rng, studies=150)
+    assert 4 < needed.participants < 20
+    assert needed.high > 0.75
+    assert simulated_power(PlannedStudy(0.6, 0.8, 12), 5, rng, studies=150).power < needed.power
+    with pytest.raises(RangeError, match="plan more each"):
+        participants_needed(PlannedStudy(0.6, 0.601, 1), rng, studies=40)

@@ -1,0 +1,125 @@
+"""Psychometric functions: greatest likelihood as another code finds it, and honest answers at the ends."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import statsmodels.api as sm
+from scipy import stats
+
+from palpate.core import InputError, RangeError
+from palpate.psychophysics.analysis import PsychometricFunction, SigmoidShape, fit_psychometric, most_likely
+
+LEVELS = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+GIVEN, N = np.array([2, 7, 14, 26, 29]), np.array([30, 30, 28, 30, 30])
+LINKS = {
+    SigmoidShape.GAUSSIAN: (sm.families.links.Probit(), False),
+    SigmoidShape.LOGISTIC: (sm.families.links.Logit(), False),
+    SigmoidShape.WEIBULL: (sm.families.links.CLogLog(), True),
+}
+
+
+@pytest.mark.parametrize("shape", SigmoidShape)
+def test_without_lapses_it_is_the_generalised_linear_model_of_statsmodels(shape: SigmoidShape) -> None:
+    link, logarithmic = LINKS[shape]
+    x = np.log(LEVELS) if logarithmic else LEVELS
+    theirs = sm.GLM(
+        np.column_stack([GIVEN, N - GIVEN]), sm.add_constant(x), sm.families.Binomial(link)
+    ).fit(tol=1e-12, maxiter=200)  # fmt: skip
+    ours = most_likely(LEVELS, GIVEN, N, shape, logarithmic=logarithmic)
+    assert ours.found
+    assert [ours.a, ours.b] == pytest.approx(theirs.params, rel=1e-6)
+    assert ours.covariance == pytest.approx(theirs.cov_params(), rel=1e-3)  # expected against observed
+    fit = fit_psychometric(LEVELS, GIVEN, N, shape, logarithmic=logarithmic, deviance_draws=0)
+    assert fit.deviance == pytest.approx(theirs.deviance, rel=1e-6)
+
+
+@pytest.mark.parametrize("shape", SigmoidShape)
+def test_a_function_is_half_at_its_threshold_and_three_quarters_a_spread_above(shape: SigmoidShape) -> None:
+    logarithmic = shape is SigmoidShape.WEIBULL
+    f = PsychometricFunction(shape, 3.0, 0.5, 0.1, 0.2, logarithmic)
+    further = 3.0 * math.exp(0.5) if logarithmic else 3.5
+    assert f([3.0, further]) == pytest.approx([0.1 + 0.7 / 2, 0.1 + 0.7 * 3 / 4])
+    assert f(1e3) == pytest.approx(0.8, abs=1e-9)
+
+
+def test_a_sharp_posterior_has_its_middle_at_the_greatest_likelihood() -> None:
+    truth = PsychometricFunction(SigmoidShape.LOGISTIC, 2.8, 0.6)
+    n = [3000] * 5
+    k = np.round(truth(LEVELS) * 3000).astype(int)
+    fit, line = (
+        fit_psychometric(LEVELS, k, n, truth.shape, deviance_draws=0),
+        most_likely(LEVELS, k, n, truth.shape),
+    )
+    error = math.sqrt(line.covariance[0, 0] / line.b**2)
+    assert fit.threshold.value == pytest.approx(-line.a / line.b, abs=0.05 * error + 1e-3)
+    assert fit.spread.value == pytest.approx(math.log(3) / line.b, rel=2e-3)
+    assert fit.threshold.value == pytest.approx(2.8, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "said", "bounded"),
+    [
+        ([0] * 5, "all answers are the same", (True, False)),
+        ([30] * 5, "all answers are the same", (False, True)),
+        ([0, 0, 30, 30, 30], "a step tells all answers apart", (True, True)),
+        ([0, 0, 15, 30, 30], "a step tells all answers apart", (True, True)),
+        ([15] * 5, "the spread is not bounded above", (True, True)),
+        ([30, 30, 0, 0, 0], "answers fall as levels rise", (True, False)),
+    ],
+)
+def test_answers_without_a_slope_have_wide_intervals_and_say_so(given, said, bounded) -> None:
+    fit = fit_psychometric(LEVELS, given, [30] * 5)
+    assert any(said in note for note in fit.notes)
+    assert fit.threshold.bounded == bounded
+    for one in (fit.threshold, fit.spread):
+        assert np.isfinite([one.low, one.value, one.high]).all()
+        assert one.low < one.value < one.high
+    if said.startswith(("all", "a step")):
+        assert not fit.spread.bounded[0]
+        assert not most_likely(LEVELS, given, [30] * 5).found
+
+
+def test_falling_answers_fit_badly_and_turned_round_they_fit() -> None:
+    falling = [28, 24, 15, 6, 1]
+    assert fit_psychometric(LEVELS, falling, [30] * 5).deviance_p < 0.01
+    assert fit_psychometric(-LEVELS, falling, [30] * 5).deviance_p > 0.05
+
+
+def test_the_deviance_is_judged_at_its_rate_and_sees_answers_that_scatter_too_much() -> None:
+    truth, rng = PsychometricFunction(SigmoidShape.GAUSSIAN, 3.0, 0.8), np.random.default_rng(2)
+
+    def p(k) -> float:
+        return fit_psychometric(LEVELS, k, [30] * 5, deviance_draws=99, rng=rng).deviance_p
+
+    small = sum(p(rng.binomial(30, truth(LEVELS))) < 0.1 for _ in range(80))
+    low, high = stats.binom.ppf([0.001, 0.999], 80, 0.1)
+    assert low <= small <= high
+    assert p([12, 2, 25, 12, 30]) < 0.02
+
+
+def test_a_free_lapse_rate_is_found_with_its_interval() -> None:
+    truth = PsychometricFunction(SigmoidShape.GAUSSIAN, 3.0, 0.4, 0.05, 0.05)
+    k = np.round(truth(LEVELS) * 400).astype(int)
+    fit = fit_psychometric(LEVELS, k, [400] * 5, lapse=None, guess_is_lapse=True, deviance_draws=0)
+    assert fit.lapse is not None
+    assert fit.lapse.low < 0.05 < fit.lapse.high
+    assert fit.lapse.value == pytest.approx(0.05, abs=0.015)
+    assert fit.function.guess == fit.function.lapse
+
+
+def test_bad_numbers_are_refused() -> None:
+    with pytest.raises(InputError, match="needs two or more"):
+        fit_psychometric([1, 2], [3, 0], [5, 0])
+    with pytest.raises(InputError, match="more often than it was asked"):
+        fit_psychometric([1, 2], [6, 0], [5, 5])
+    with pytest.raises(InputError, match="one each is needed"):
+        fit_psychometric([1, 2], [6], [5, 5])
+    with pytest.raises(RangeError, match="above 0 and finite"):
+        fit_psychometric([0, 2], [1, 2], [5, 5], SigmoidShape.WEIBULL)
+    with pytest.raises(RangeError, match="together they are below 1"):
+        fit_psychometric([1, 2], [1, 2], [5, 5], guess=0.5, lapse=0.5)
+    with pytest.raises(RangeError, match="a spread of 0"):
+        PsychometricFunction(SigmoidShape.GAUSSIAN, 1.0, 0.0)
