@@ -1,0 +1,49 @@
+"""Observers: what a person of stated noise would answer, fitted to some conditions and tested on others."""
+
+from palpate.psychophysics.observers.cue_combination import (
+    combined_observer,
+    combined_sensitivity,
+    correlation_needed,
+    gain_needed,
+)
+from palpate.psychophysics.observers.cue_prediction import (
+    CueNeeds,
+    CuePrediction,
+    needs_of,
+    predict_by_accuracy,
+    predict_with_faults,
+    predict_with_spacing,
+    predictions_of,
+)
+from palpate.psychophysics.observers.observer_fit import (
+    ObserverFit,
+    composite_log_likelihood,
+    fit_observer,
+    fit_shared_spacing,
+    sensitivities_at,
+    sensitivity_at,
+)
+from palpate.psychophysics.observers.rank_observer import RankObserver, gaussian_matrix, mixed_matrix
+
+__all__ = [
+    "CueNeeds",
+    "CuePrediction",
+    "ObserverFit",
+    "RankObserver",
+    "combined_observer",
+    "combined_sensitivity",
+    "composite_log_likelihood",
+    "correlation_needed",
+    "fit_observer",
+    "fit_shared_spacing",
+    "gain_needed",
+    "gaussian_matrix",
+    "mixed_matrix",
+    "needs_of",
+    "predict_by_accuracy",
+    "predict_with_faults",
+    "predict_with_spacing",
+    "predictions_of",
+    "sensitivities_at",
+    "sensitivity_at",
+]
