@@ -121,7 +121,8 @@ def softness(
 ) -> None:
     """Set the report on softness rendered by two cues beside our numbers.
 
-    Its figures 1 to 3 and 5 on the virtual bench. Makes report.html and summary.json; some seconds.
+    Its figures 1 to 3 and 5 on the virtual bench, its tables of people's rankings recomputed, and observers
+    tested on them. Makes report.html and summary.json; half a minute.
 
     Example: palpate reproduce softness --out softness-study
     """

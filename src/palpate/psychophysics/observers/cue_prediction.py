@@ -29,7 +29,8 @@ from palpate.psychophysics.observers.observer_fit import (
 from palpate.psychophysics.observers.rank_observer import RankObserver
 
 STUDIES = 400
-SHAPE_STUDIES = 60
+ACCURACY_STUDIES = 2_000
+SHAPE_STUDIES = 40
 MAX_SHARE = 1 - 1e-4  # of right places taken from simulated matrices: all right has no finite d'
 MIN_ABOVE_CHANCE = 1e-3
 
@@ -78,7 +79,7 @@ class CueNeeds:
 def predict_by_accuracy(
     kinesthetic: RankConfusion, cutaneous: RankConfusion, integrated: RankConfusion,
     rng: np.random.Generator, *, correlation: float = 0.0, gains: tuple[float, float] = (1.0, 1.0),
-    studies: int = STUDIES,
+    studies: int = ACCURACY_STUDIES, independent: int | None = None,
 ) -> CuePrediction:  # fmt: skip
     """Prediction of an observer without faults, whose d' are those of the total accuracies of K and C.
 
@@ -89,6 +90,8 @@ def predict_by_accuracy(
         correlation: of the cues' noises.
         gains: how much more stimuli differ in each cue in I than in K and C.
         studies: simulated ones.
+        independent: rankings of each matrix that count as independent; all of them unless given. As many as
+            there are people is the worst case, each person's rankings alike.
     """
     d = [_sensitivity(one.total_accuracy, len(one.names)) for one in (kinesthetic, cutaneous)]
 
@@ -97,10 +100,12 @@ def predict_by_accuracy(
         return RankObserver.evenly(together, len(integrated.names))
 
     drawn = [
-        _drawn_sensitivity(value, one, rng, studies)
+        _drawn_sensitivity(value, one, rng, studies, independent)
         for value, one in zip(d, (kinesthetic, cutaneous), strict=True)
     ]
-    accuracies = [_drawn_accuracy(both(k, c), integrated, rng) for k, c in zip(*drawn, strict=True)]
+    accuracies = [
+        _drawn_accuracy(both(k, c), integrated, rng, independent) for k, c in zip(*drawn, strict=True)
+    ]
     return _tested(both(*d), np.array(accuracies), integrated)
 
 
@@ -152,7 +157,7 @@ def predict_with_spacing(
 
 def needs_of(
     kinesthetic: RankConfusion, cutaneous: RankConfusion, integrated: RankConfusion,
-    rng: np.random.Generator, studies: int = STUDIES,
+    rng: np.random.Generator, studies: int = ACCURACY_STUDIES,
 ) -> CueNeeds:  # fmt: skip
     """What correlation of noises, or what gain in both cues, would make the integrated accuracy."""
     all_ = (kinesthetic, cutaneous, integrated)
@@ -205,16 +210,24 @@ def _sensitivities(accuracy: Float[ndarray, " n"], stimuli: int) -> Float[ndarra
 
 
 def _drawn_sensitivity(
-    sensitivity: float, confusion: RankConfusion, rng: np.random.Generator, studies: int
+    sensitivity: float,
+    confusion: RankConfusion,
+    rng: np.random.Generator,
+    studies: int,
+    independent: int | None = None,
 ) -> Float[ndarray, " studies"]:
     """Sensitivities that so many simulated matrices of such an observer would be found to have."""
     m = len(confusion.names)
-    places = RankObserver.evenly(sensitivity, m).drawn_places(confusion.rankings * studies, rng)
+    places = RankObserver.evenly(sensitivity, m).drawn_places(
+        (independent or confusion.rankings) * studies, rng
+    )
     return _sensitivities((places == np.arange(m)).mean(axis=1).reshape(studies, -1).mean(axis=1), m)
 
 
-def _drawn_accuracy(observer: RankObserver, like: RankConfusion, rng: np.random.Generator) -> float:
-    places = observer.drawn_places(like.rankings, rng)
+def _drawn_accuracy(
+    observer: RankObserver, like: RankConfusion, rng: np.random.Generator, independent: int | None = None
+) -> float:
+    places = observer.drawn_places(independent or like.rankings, rng)
     return float((places == np.arange(len(like.names))).mean())
 
 

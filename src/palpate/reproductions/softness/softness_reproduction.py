@@ -1,7 +1,8 @@
 """The softness display's report beside our numbers: ambiguous pairs, stacked specimens, tracking, the foam.
 
 Figures 1 to 3 and 5 are made here, and Figure 6 stands as what it would need: its values are not in the text.
-The experiments with people, Tables 1 and 2 and Figures 10 and 11, are no part of this.
+Of the experiments with people, Tables 1 and 2 are recomputed and observers are tested on them, beside what is
+printed of Figures 10 and 11 (`judged_softness`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from palpate.reports.softness_figures import (
     specimen_panels,
     tracking_panels,
 )
+from palpate.reproductions.softness.judged_page import judged_shown
+from palpate.reproductions.softness.judged_softness import JudgedSoftness, judged_entries, judged_softness
 from palpate.reproductions.study_results import Published, StudyEntry, study_entry, write_results
 from palpate.softness import (
     Characteristic,
@@ -61,7 +64,7 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
 
     Args:
         out: folder to make; must not exist, and appears when all is done.
-        seed: of the sensors' noise.
+        seed: of the sensors' noise and of simulated rankings.
         progress: called with what is being done.
 
     Returns:
@@ -78,7 +81,10 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
         answers = pressure_responses(seed, progress)
         entries = [*_pair_entries(pairs), *_specimen_entries(stacked), *_bench_entries(bench)]
         entries += [*_response_entries(answers), *_tracking_entries(tracked)]
-        write_results(folder, entries, _page(pairs, stacked, bench, answers, tracked, entries, seed))
+        progress("observers", 0, 1)
+        judged = judged_softness(stacked, SPECIMEN_N, seed)
+        entries += judged_entries(SOURCE, judged)
+        write_results(folder, entries, _page(pairs, stacked, bench, answers, tracked, judged, entries, seed))
     return entries
 
 
@@ -258,6 +264,7 @@ def _page(
     bench: BenchTest,
     answers: Mapping[str, PressureResponse],
     tracked: Mapping[str, Rendering],
+    judged: JudgedSoftness,
     entries: Sequence[StudyEntry],
     seed: int,
 ) -> str:
@@ -272,7 +279,7 @@ def _page(
         version=__version__,
         seed=seed,
         entries=entries,
-        beside=[one for one in entries if one["published"] is not None],
+        beside=[one for one in entries if one["published"] is not None and "Fig. 3" in one["source"]],
         assumed_kpa=ASSUMED_KPA,
         finger_kpa=SPECIMEN_FINGER_PA / 1e3,
         pairs=shown,
@@ -281,4 +288,5 @@ def _page(
         bench_off={"mn": 1e3 * bench.rms_n, "percent": 100 * bench.rms_n / bench.peak_n},
         answers=bandwidth_panels(answers),
         tracked={name: tracking_panels(felt) for name, felt in tracked.items()},
+        **judged_shown(judged, entries),
     )
