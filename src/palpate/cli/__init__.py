@@ -53,6 +53,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "demo": "study_verbs:demo",
         "render": "render_verbs:app",
         "reproduce": "study_verbs:app",
+        "trial": "trial_analysis_verbs:trial_analysis_app",
         "mechanics": "mechanics_verbs:app",
         "optics": "optics_verbs:app",
     },

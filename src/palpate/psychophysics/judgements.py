@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +26,7 @@ from pathlib import Path
 
 from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
 
-RESPONSES, STIMULI = "responses.csv", "stimuli.csv"
+RESPONSES, STIMULI, PARTICIPANT_RECORD = "responses.csv", "stimuli.csv", "participant.json"
 RESPONSE_COLUMNS = (
     "participant", "condition", "presentation", "task", "block", "trial", "presented", "answer", "seconds",
     "when",
@@ -193,8 +194,13 @@ def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]
     return tuple(seen.values())
 
 
-def read_judgements(path: Path) -> tuple[Judgement, ...]:
+def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Judgement, ...]:
     """The judgements of a table, or of all tables ``*/responses.csv`` in a folder.
+
+    Args:
+        path: of the table or folder.
+        unanswered: takes a line for each row without an answer, which is then left out; without the list
+            such a row is refused.
 
     Raises:
         LabelError: it is no such table, a row cannot be read, or stands twice.
@@ -204,14 +210,29 @@ def read_judgements(path: Path) -> tuple[Judgement, ...]:
         tables = [path / RESPONSES] if (path / RESPONSES).is_file() else sorted(path.glob(f"*/{RESPONSES}"))
         if not tables:
             raise LabelError(f"{path} holds no {RESPONSES}, nor do the folders in it")
-        return checked_judgements(one for table in tables for one in read_judgements(table))
+        return checked_judgements(one for table in tables for one in read_judgements(table, unanswered))
     judgements = []
     for i, row in enumerate(_rows(path, RESPONSE_COLUMNS), start=1):
+        if unanswered is not None and not row["answer"].strip():
+            unanswered.append(f"{path}, row {i}: participant {row['participant']} gave no answer")
+            continue
         try:
             judgements.append(_judgement(row))
         except (ValueError, InputError) as e:
             raise LabelError(f"{path}, row {i}: {e}") from e
     return checked_judgements(judgements)
+
+
+def is_rehearsal(folder: Path) -> bool:
+    """Whether answers in a folder are simulated: it is called so, or a participant's record says it."""
+    records = [folder / PARTICIPANT_RECORD, *sorted(folder.glob(f"*/{PARTICIPANT_RECORD}"))]
+    try:
+        told = [json.loads(path.read_text(encoding="utf-8")) for path in records if path.is_file()]
+    except (OSError, ValueError) as e:
+        raise LabelError(f"{folder} holds a {PARTICIPANT_RECORD} that cannot be read: {e}") from e
+    return folder.resolve().name == "rehearsal" or any(
+        isinstance(one, dict) and one.get("simulated") is True for one in told
+    )
 
 
 def _judgement(row: Mapping[str, str]) -> Judgement:

@@ -66,16 +66,18 @@ def share_figure(rows: Sequence[ShareRow], label: str, line: float | None = None
         return drawn(figure)
 
 
+PanelOfAnswers = tuple[Float[ndarray, " _"], Int[ndarray, " _"], Int[ndarray, " _"], PsychometricFit]
+"""Levels, how often the answer was given at each, of how many, and the fitted function."""
+
+
 def psychometric_figure(
-    panels: Mapping[
-        str, tuple[Float[ndarray, " n"], Int[ndarray, " n"], Int[ndarray, " n"], PsychometricFit]
-    ],
+    panels: Mapping[str, PanelOfAnswers],
     label: str,
 ) -> str:
     """Shares of an answer over levels, with the fitted function and its threshold's interval, by title.
 
     Args:
-        panels: levels, how often the answer was given, of how many, and the fit.
+        panels: by title.
         label: of the levels, with their unit.
     """
     columns = min(len(panels), PANELS_A_ROW)

@@ -12,6 +12,14 @@ from palpate.psychophysics.analysis.condition_models import (
     share_differences,
     sign_flip_p,
 )
+from palpate.psychophysics.analysis.experiment_analysis import (
+    ExperimentAnalysis,
+    SettingAccuracy,
+    SettingRankings,
+    SettingThreshold,
+    TaskComparison,
+    analyse_experiment,
+)
 from palpate.psychophysics.analysis.proportions import (
     clopper_pearson_interval,
     cluster_interval,
@@ -46,6 +54,7 @@ from palpate.psychophysics.analysis.sample_size import (
 
 __all__ = [
     "ConditionCounts",
+    "ExperimentAnalysis",
     "LikelyLine",
     "LogOddsDifference",
     "MixedLogistic",
@@ -55,9 +64,14 @@ __all__ = [
     "PsychometricFunction",
     "RankConfusion",
     "RankCorrelation",
+    "SettingAccuracy",
+    "SettingRankings",
+    "SettingThreshold",
     "ShareDifference",
     "SigmoidShape",
     "StudyPower",
+    "TaskComparison",
+    "analyse_experiment",
     "clopper_pearson_interval",
     "cluster_interval",
     "confusion_of_places",

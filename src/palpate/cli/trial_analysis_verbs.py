@@ -1,0 +1,56 @@
+"""The verb that analyses an experiment's judgements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, group, print_found
+
+trial_analysis_app = group("Experiments on softness with people.")
+
+
+@trial_analysis_app.command()
+def analyse(
+    folder: Annotated[Path, Argument(help="Folder of stimuli.csv and responses.csv, or of participants'.")],
+    out: Annotated[Path | None, Option(help="HTML page to make; must not exist.")] = None,
+    shape: Annotated[
+        str, Option(help="Of psychometric functions: gaussian, logistic, weibull.")
+    ] = "gaussian",
+    logarithmic: Annotated[bool, Option("--logarithmic", help="Count levels by their logarithm.")] = False,
+    lapse: Annotated[
+        float | None, Option(min=0.0, max=0.4, help="Share of slips; found from the answers unless given.")
+    ] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of draws.")] = 0,
+    json_: Json = False,
+) -> None:
+    """Say which conditions differ, how often answers were right, and thresholds, with their intervals.
+
+    Example: palpate trial analyse STUDY --out study.html
+    """
+    from palpate.core import InputError, LabelError, refuse_existing
+    from palpate.psychophysics import is_rehearsal, read_judgements, read_stimuli
+    from palpate.psychophysics.analysis import SigmoidShape, analyse_experiment
+    from palpate.reports.trial_page import analysis_answers, write_trial_page
+
+    if shape not in list(SigmoidShape):
+        raise InputError(f"--shape {shape!r}; {', '.join(SigmoidShape)} are known")
+    if out is not None:
+        refuse_existing(out)
+    if not folder.is_dir():
+        raise LabelError(f"{folder} is no folder; give the one of stimuli.csv and the participants' answers")
+    unanswered: list[str] = []
+    judgements = read_judgements(folder, unanswered)
+    home = folder if (folder / "stimuli.csv").is_file() else folder.parent
+    found = analyse_experiment(
+        judgements, read_stimuli(home), unanswered=unanswered, simulated=is_rehearsal(folder),
+        shape=SigmoidShape(shape), logarithmic=logarithmic, lapse=lapse, seed=seed,
+    )  # fmt: skip
+    if out is not None:
+        write_trial_page(found, out, str(folder.name))
+    told = [*analysis_answers(found), *(f"Note: {one}." for one in found.caveats)]
+    if out is not None:
+        told.append(f"page: {out}")
+    print_found(found.to_dict() | {"answers": list(analysis_answers(found))}, "\n".join(told), json_)

@@ -1,0 +1,424 @@
+"""The analysis of one experiment: accuracy, confusions, thresholds, and which conditions differ.
+
+A setting is a presentation and a condition, such as "direct K". Judgements are never pooled over settings.
+Where a number needs several participants and there is one, it is left out and said; so are answers that are
+missing, settings of which participants met different numbers, and functions that answers do not bound.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from palpate.core import Float, InputError, Int, ndarray
+from palpate.psychophysics.analysis.condition_models import (
+    ConditionCounts,
+    LogOddsDifference,
+    MixedLogistic,
+    ShareDifference,
+    counts_of,
+    fit_mixed_logistic,
+    marginal_log_odds,
+    share_differences,
+)
+from palpate.psychophysics.analysis.proportions import (
+    Ends,
+    clopper_pearson_interval,
+    cluster_interval,
+    wald_interval,
+    wilson_interval,
+)
+from palpate.psychophysics.analysis.psychometric_fit import PsychometricFit, fit_psychometric
+from palpate.psychophysics.analysis.psychometric_function import SigmoidShape
+from palpate.psychophysics.analysis.rank_confusion import (
+    RankConfusion,
+    confusion_of_places,
+    places_given,
+    rank_correlation,
+)
+from palpate.psychophysics.judgements import Judgement, Stimulus, Task
+from palpate.psychophysics.trial_statistics import mean_interval
+
+DEVIANCE_DRAWS = 400
+SIMULATED = "simulated participants or display: nothing here is a measurement"
+
+
+@dataclass(frozen=True, slots=True)
+class SettingAccuracy:
+    """Share of right answers in one setting; of rankings, of right places.
+
+    Attributes:
+        task, setting: which.
+        participants: number of them.
+        right, n: answers; of rankings places.
+        wald, wilson, clopper_pearson: 95 % intervals of answers taken as independent.
+        clusters: over participants; None for one.
+    """
+
+    task: Task
+    setting: str
+    participants: int
+    right: int
+    n: int
+    wald: Ends
+    wilson: Ends
+    clopper_pearson: Ends
+    clusters: Ends | None
+
+    @property
+    def share(self) -> float:
+        """Right answers over all."""
+        return self.right / self.n
+
+
+@dataclass(frozen=True)
+class SettingRankings:
+    """Rankings in one setting.
+
+    Attributes:
+        setting: which.
+        confusion: their matrix.
+        perfect: number without a fault.
+        tau, rho: mean of Kendall's and of Spearman's over rankings.
+        told: rankings whose tau has an exact two-sided p below 0.05.
+        tau_interval: Student's 95 % of participants' means; None for one, or where all are the same.
+    """
+
+    setting: str
+    confusion: RankConfusion
+    perfect: int
+    tau: float
+    rho: float
+    told: int
+    tau_interval: Ends | None
+
+
+@dataclass(frozen=True)
+class SettingThreshold:
+    """The psychometric function of pairs with one standard.
+
+    Attributes:
+        setting: which.
+        standard: name of the stimulus that is in every pair.
+        levels: of the comparisons [the stimuli's unit].
+        given, n: how often each was called softer than the standard, of how many.
+        fit: pooled over participants, over softness: level, its sign turned where softer is -1, or with
+            logarithmic levels its reciprocal.
+        counted: levels as the fit counts them.
+        pse: level that is as often called softer as harder, with its interval [the stimuli's unit].
+        own_pse: mean of participants' own with Student's 95 % interval; None where fewer than two have one.
+    """
+
+    setting: str
+    standard: str
+    levels: Float[ndarray, " n"]
+    given: Int[ndarray, " n"]
+    n: Int[ndarray, " n"]
+    fit: PsychometricFit
+    counted: Float[ndarray, " n"]
+    pse: tuple[float, float, float]
+    own_pse: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class TaskComparison:
+    """Settings of one task compared.
+
+    Attributes:
+        task: which.
+        shares: participants against themselves.
+        marginal: log odds by an estimating equation.
+        mixed: by a random intercept, of pairs alone: places in one ranking are not independent.
+    """
+
+    task: Task
+    shares: tuple[ShareDifference, ...]
+    marginal: tuple[LogOddsDifference, ...]
+    mixed: MixedLogistic | None
+
+
+@dataclass(frozen=True)
+class ExperimentAnalysis:
+    """All that is found of an experiment.
+
+    Attributes:
+        participants: their codes.
+        judgements: number of answers.
+        unanswered: a line for each row without one.
+        accuracies, rankings, thresholds, comparisons: by setting and task.
+        caveats: what a reader must know, a sentence each.
+        unit: of levels.
+    """
+
+    participants: tuple[str, ...]
+    judgements: int
+    unanswered: tuple[str, ...]
+    accuracies: tuple[SettingAccuracy, ...]
+    rankings: tuple[SettingRankings, ...]
+    thresholds: tuple[SettingThreshold, ...]
+    comparisons: tuple[TaskComparison, ...]
+    caveats: tuple[str, ...]
+    unit: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as JSON can hold it; what is not finite is None."""
+        return _plain(
+            asdict(self) | {"accuracies": [asdict(a) | {"share": a.share} for a in self.accuracies]}
+        )
+
+
+def analyse_experiment(
+    judgements: Sequence[Judgement],
+    stimuli: Mapping[str, Stimulus],
+    *,
+    unanswered: Sequence[str] = (),
+    simulated: bool = False,
+    shape: SigmoidShape = SigmoidShape.GAUSSIAN,
+    logarithmic: bool = False,
+    lapse: float | None = None,
+    seed: int = 0,
+) -> ExperimentAnalysis:
+    """Analyse an experiment's judgements.
+
+    Args:
+        judgements: none twice.
+        stimuli: by name.
+        unanswered: a line for each row without an answer.
+        simulated: whether nobody answered, or nothing could be felt; it is then the first caveat.
+        shape: of psychometric functions.
+        logarithmic: count levels by their logarithm; Weibull's are in any case.
+        lapse: share of slips at both ends of psychometric functions; None to find it.
+        seed: of draws.
+
+    Raises:
+        RangeError: lapses of one half or more.
+        InputError: no judgements, or stimuli that are not in the table.
+    """
+    if not judgements:
+        raise InputError(f"no answers among {len(unanswered)} rows; there is nothing to analyse")
+    rng = np.random.default_rng(seed)
+    groups: dict[tuple[Task, str], list[Judgement]] = {}
+    for one in sorted(judgements, key=lambda one: (one.task, one.presentation, "IKC".index(one.condition))):
+        groups.setdefault((one.task, f"{one.presentation} {one.condition}"), []).append(one)
+    logarithmic = logarithmic or shape is SigmoidShape.WEIBULL
+    counted = {at: _right(each, stimuli) for at, each in groups.items()}
+    accuracies = tuple(_accuracy(*at, each, rng) for at, each in counted.items())
+    rankings = tuple(_rankings(s, each, stimuli) for (t, s), each in groups.items() if t is Task.RANK)
+    thresholds, left_out = _thresholds(groups, stimuli, shape, logarithmic, lapse, rng)
+    people = tuple(sorted({one.participant for one in judgements}))
+    comparisons = tuple(_compared(task, counted) for task in Task) if len(people) > 1 else ()
+    return ExperimentAnalysis(
+        participants=people,
+        judgements=len(judgements),
+        unanswered=tuple(unanswered),
+        accuracies=accuracies,
+        rankings=rankings,
+        thresholds=thresholds,
+        comparisons=tuple(one for one in comparisons if one.shares or one.marginal),
+        caveats=(
+            *([SIMULATED] if simulated else []),
+            *_caveats(people, groups, counted, unanswered),
+            *left_out,
+        ),
+        unit=next(iter(stimuli.values())).unit,
+    )
+
+
+Answers = Mapping[str, tuple[int, int]]  # of each participant, right and all
+
+
+def _right(judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus]) -> dict[str, tuple[int, int]]:
+    found: dict[str, tuple[int, int]] = {}
+    for one in judgements:
+        k, n = found.get(one.participant, (0, 0))
+        truth = one.truth(stimuli)
+        hits = sum(a == b for a, b in zip(one.answer, truth, strict=True))
+        found[one.participant] = (k + hits, n + len(truth))
+    return found
+
+
+def _accuracy(task: Task, setting: str, answers: Answers, rng: np.random.Generator) -> SettingAccuracy:
+    k, n = (tuple(each) for each in zip(*answers.values(), strict=True))
+    right, all_ = sum(k), sum(n)
+    clusters = cluster_interval(k, n, rng) if len(answers) > 1 else None
+    return SettingAccuracy(
+        task, setting, len(answers), right, all_, wald_interval(right, all_), wilson_interval(right, all_),
+        clopper_pearson_interval(right, all_), clusters,
+    )  # fmt: skip
+
+
+def _rankings(
+    setting: str, judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus]
+) -> SettingRankings:
+    names, places = places_given(judgements, stimuli)
+    found = [rank_correlation(one) for one in places]
+    taus: dict[str, list[float]] = {}
+    for one, each in zip(judgements, found, strict=True):
+        taus.setdefault(one.participant, []).append(each.tau)
+    means = [float(np.mean(each)) for each in taus.values()]
+    interval = mean_interval(means) if len(means) > 1 and np.ptp(means) > 0 else None
+    return SettingRankings(
+        setting,
+        confusion_of_places(names, places),
+        int((places == np.arange(len(names))).all(axis=1).sum()),
+        float(np.mean([one.tau for one in found])),
+        float(np.mean([one.rho for one in found])),
+        sum(one.tau_p < 0.05 for one in found),
+        interval,
+    )
+
+
+def _thresholds(
+    groups: Mapping[tuple[Task, str], Sequence[Judgement]], stimuli: Mapping[str, Stimulus],
+    shape: SigmoidShape, logarithmic: bool, lapse: float | None, rng: np.random.Generator,
+) -> tuple[tuple[SettingThreshold, ...], list[str]]:  # fmt: skip
+    found, left_out = [], []
+    for (task, setting), judgements in groups.items():
+        if task is not Task.PAIR:
+            continue
+        common = set.intersection(*(set(one.presented) for one in judgements))
+        levels = {stimuli[name].level for one in judgements for name in one.presented}
+        if len(common) != 1 or len(levels) < 3:
+            left_out.append(
+                f"{setting}: no psychometric function; pairs with one standard and two comparisons or more "
+                "are needed"
+            )
+            continue
+        found.append(
+            _threshold(setting, next(iter(common)), judgements, stimuli, shape, logarithmic, lapse, rng)
+        )
+    return tuple(found), left_out
+
+
+def _threshold(
+    setting: str, standard: str, judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus],
+    shape: SigmoidShape, logarithmic: bool, lapse: float | None, rng: np.random.Generator,
+) -> SettingThreshold:  # fmt: skip
+    softer = stimuli[standard].softer
+    levels, (given, n) = _counts(standard, judgements, stimuli)
+
+    def turned(level: Any) -> Any:
+        return level**softer if logarithmic else softer * level
+
+    counted = np.asarray(turned(levels), np.float64)
+    fit = fit_psychometric(
+        counted, given, n, shape, guess=lapse or 0.0, lapse=lapse, guess_is_lapse=True, logarithmic=logarithmic,
+        deviance_draws=DEVIANCE_DRAWS, rng=rng,
+    )  # fmt: skip
+    low, high = sorted((turned(fit.threshold.low), turned(fit.threshold.high)))
+    return SettingThreshold(
+        setting, standard, levels, given, n, fit, counted, (turned(fit.threshold.value), low, high),
+        _own_pse(standard, judgements, stimuli, fit, turned),
+    )  # fmt: skip
+
+
+def _counts(
+    standard: str, judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus]
+) -> tuple[Float[ndarray, " n"], tuple[Int[ndarray, " n"], Int[ndarray, " n"]]]:
+    """Levels compared with the standard, how often each was called softer, and of how many."""
+    all_, softer = Counter[float](), Counter[float]()
+    for one in judgements:
+        (name,) = set(one.presented) - {standard}
+        level = stimuli[name].level
+        all_[level] += 1
+        softer[level] += one.answer == (name,)
+    levels = sorted(all_)
+    return np.array(levels, np.float64), (
+        np.array([softer[one] for one in levels]),
+        np.array([all_[one] for one in levels]),
+    )
+
+
+def _own_pse(
+    standard: str, judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus], pooled: PsychometricFit,
+    turned: Callable[[Any], Any],
+) -> tuple[float, float, float] | None:  # fmt: skip
+    """Mean of participants' own points of equality, of those whose answers bound it; lapses as pooled."""
+    values = []
+    for person in sorted({one.participant for one in judgements}):
+        levels, (given, n) = _counts(
+            standard, [one for one in judgements if one.participant == person], stimuli
+        )
+        if len(levels) < 2:
+            continue
+        f = pooled.function
+        own = fit_psychometric(
+            np.asarray(turned(levels), np.float64), given, n, f.shape, guess=f.guess, lapse=f.lapse,
+            logarithmic=f.logarithmic, deviance_draws=0,
+        )  # fmt: skip
+        if all(own.threshold.bounded):
+            values.append(float(turned(own.threshold.value)))
+    return (float(np.mean(values)), *mean_interval(values)) if len(values) > 1 else None
+
+
+def _compared(task: Task, counted: Mapping[tuple[Task, str], Answers]) -> TaskComparison:
+    settings = {setting: answers for (of, setting), answers in counted.items() if of is task}
+    if len(settings) < 2:
+        return TaskComparison(task, (), (), None)
+    people = sorted({person for answers in settings.values() for person in answers})
+    rows = {(p, s): answers[p] for p in people for s, answers in settings.items() if p in answers}
+    counts = _in_order(counts_of(rows), tuple(settings))
+    mixed = fit_mixed_logistic(counts) if task is Task.PAIR else None
+    return TaskComparison(task, share_differences(counts), marginal_log_odds(counts), mixed)
+
+
+def _in_order(counts: ConditionCounts, names: tuple[str, ...]) -> ConditionCounts:
+    at = [counts.conditions.index(name) for name in names]
+    return ConditionCounts(names, counts.participants, counts.right[:, at], counts.n[:, at])
+
+
+def _caveats(
+    people: Sequence[str],
+    groups: Mapping[tuple[Task, str], Sequence[Judgement]],
+    counted: Mapping[tuple[Task, str], Answers],
+    unanswered: Sequence[str],
+) -> list[str]:
+    found = []
+    if unanswered:
+        found.append(f"{len(unanswered)} rows have no answer and are left out: {unanswered[0]}")
+    for (task, setting), each in groups.items():
+        number = Counter(one.participant for one in each)
+        short = {p: max(number.values()) - k for p, k in number.items() if k < max(number.values())}
+        if short:
+            lacking = ", ".join(f"{p} lacks {k}" for p, k in sorted(short.items()))
+            found.append(
+                f"{setting}, {task}: not balanced, {sum(short.values())} answers fewer than if all had "
+                f"answered as many as the most did ({lacking}); shares weigh participants by their answers"
+            )
+        absent = sorted(set(people) - set(number))
+        if absent:
+            found.append(f"{setting}, {task}: not met by {', '.join(absent)}")
+    if len(people) == 1:
+        found.append(
+            "one participant: nothing is said of other people, and conditions are not compared over people"
+        )
+    elif any(max(n for _, n in answers.values()) > 1 for answers in counted.values()):
+        found.append(
+            "Wald's, Wilson's and Clopper and Pearson's intervals take answers of one person as independent "
+            "(pseudo-replication); use those over participants"
+        )
+    for (task, setting), answers in counted.items():
+        k, n = (sum(each) for each in zip(*answers.values(), strict=True))
+        if k in (0, n):
+            what = "right" if k else "wrong"
+            found.append(f"{setting}, {task}: all {n} are {what}; a share of {k // n} is told by no count")
+    if any(task is Task.RANK for task, _ in groups):
+        found.append("places in one ranking are not independent: two at least are wrong where one is")
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value

@@ -1,0 +1,201 @@
+"""An experiment's analysis: what was put in comes out, and what is lacking is counted and said."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.core import InputError
+from palpate.psychophysics import (
+    Condition,
+    Judgement,
+    Presentation,
+    Stimulus,
+    Task,
+    write_judgements,
+    write_stimuli,
+)
+from palpate.psychophysics.analysis import SigmoidShape, analyse_experiment
+
+LEVELS = (240.0, 170.0, 120.0, 80.0, 50.0)
+STIMULI = {f"SS{i + 1}": Stimulus(f"SS{i + 1}", kpa, -1, "kPa") for i, kpa in enumerate(LEVELS)}
+NAMES = tuple(STIMULI)
+NOISE_KPA = {Condition.INTEGRATED: 22.0, Condition.KINESTHETIC: 110.0, Condition.CUTANEOUS: 45.0}
+
+
+def simulated(people: int = 10, seed: int = 0, repeats: int = 6, noise=NOISE_KPA) -> list[Judgement]:
+    """Answers of people who perceive levels with Gaussian noise, in pairs with SS3 and in rankings."""
+    rng, found = np.random.default_rng(seed), []
+    for person in range(people):
+        for condition, sd in noise.items():
+            head = (f"P{person + 1:02d}", condition, Presentation.DIRECT)
+            for block in range(1, repeats + 1):
+                for trial, other in enumerate(("SS1", "SS2", "SS4", "SS5"), start=1):
+                    felt = {n: STIMULI[n].level + sd * rng.standard_normal() for n in ("SS3", other)}
+                    soft = min(felt, key=felt.__getitem__)
+                    found.append(Judgement(*head, Task.PAIR, block, trial, ("SS3", other), (soft,)))
+            for block in range(1, 4):
+                felt = {n: STIMULI[n].level + sd * rng.standard_normal() for n in NAMES}
+                order = tuple(sorted(NAMES, key=felt.__getitem__, reverse=True))
+                found.append(Judgement(*head, Task.RANK, block, 1, NAMES, order))
+    return found
+
+
+@pytest.fixture(scope="module")
+def found():
+    return analyse_experiment(simulated(), STIMULI)
+
+
+def test_accuracy_is_counted_and_conditions_that_differ_are_found(found) -> None:
+    by = {(one.task, one.setting): one for one in found.accuracies}
+    pairs = by[Task.PAIR, "direct I"]
+    assert (pairs.n, pairs.participants) == (240, 10)
+    assert pairs.clusters[0] <= pairs.wilson[0] < pairs.share < pairs.wilson[1] <= pairs.clusters[1]
+    assert by[Task.RANK, "direct I"].share > by[Task.RANK, "direct C"].share > by[Task.RANK, "direct K"].share
+    for comparison in found.comparisons:
+        first = comparison.shares[0]
+        assert (first.first, first.second) == ("direct I", "direct K")
+        assert first.value < 0
+        assert first.holm_p < 0.05
+    assert found.comparisons[0].mixed is not None
+    assert found.comparisons[1].mixed is None
+
+
+def test_thresholds_come_back_in_the_level_s_unit_and_the_spread_is_the_noise(found) -> None:
+    for one, sd in zip(found.thresholds, NOISE_KPA.values(), strict=True):
+        assert one.standard == "SS3"
+        assert one.pse[1] < 120.0 < one.pse[2]
+        jnd = 0.6745 * np.sqrt(2) * sd
+        assert one.fit.spread.low < jnd < one.fit.spread.high
+        assert one.fit.deviance_p > 0.01
+        assert one.levels.tolist() == [50.0, 80.0, 170.0, 240.0]
+        assert one.given[0] > one.given[-1]  # a greater modulus is called softer less often
+
+
+def test_rankings_have_their_matrix_and_a_tau_that_falls_with_noise(found) -> None:
+    taus = [one.tau for one in found.rankings]
+    assert taus[0] > taus[2] > taus[1] > 0.2
+    assert found.rankings[0].confusion.rankings == 30
+    assert found.rankings[0].tau_interval[0] < taus[0] < found.rankings[0].tau_interval[1] + 1e-9
+
+
+def test_the_wrong_sign_of_softness_makes_all_of_it_worse_than_chance() -> None:
+    turned = {name: replace(one, softer=1) for name, one in STIMULI.items()}
+    found = analyse_experiment(simulated(4), turned)
+    assert all(one.share < 0.5 for one in found.accuracies)
+    assert all(one.tau < 0 for one in found.rankings)
+    assert any("answers fall as levels rise" in note for one in found.thresholds for note in one.fit.notes)
+
+
+def test_missing_answers_are_counted_by_participant_and_weigh_as_they_are() -> None:
+    judgements = [
+        one for one in simulated(4) if (one.participant, one.condition, one.block) != ("P02", "K", 2)
+    ]
+    judgements = [one for one in judgements if (one.participant, one.condition) != ("P03", "C")]
+    found = analyse_experiment(judgements, STIMULI, unanswered=["row 3: participant P01 gave no answer"])
+    text = " ".join(found.caveats)
+    for words in (
+        "1 rows have no answer",
+        "direct K, pair: not balanced, 4 answers fewer",
+        "P02 lacks 4",
+        "direct K, rank: not balanced, 1 answers fewer",
+        "direct C, pair: not met by P03",
+    ):
+        assert words in text
+    met = {(one.first, one.second): one.participants for one in found.comparisons[0].shares}
+    assert met["direct I", "direct C"] == 3
+
+
+def test_one_participant_all_right_and_all_wrong_are_answered_with_bounds() -> None:
+    alone = analyse_experiment(simulated(1), STIMULI)
+    assert alone.comparisons == ()
+    assert all(one.clusters is None for one in alone.accuracies)
+    assert any("one participant" in one for one in alone.caveats)
+    certain = dict.fromkeys(NOISE_KPA, 1e-6)
+    right = analyse_experiment(simulated(3, noise=certain), STIMULI)
+    for one in right.accuracies:
+        assert one.share == 1.0
+        assert one.wald == (1.0, 1.0)
+        assert one.clusters[0] < one.wilson[0] < 1.0
+    assert any("all 72 are right" in one for one in right.caveats)
+    assert all(not one.fit.spread.bounded[0] for one in right.thresholds)
+    assert right.comparisons[0].marginal == ()
+    wrong = {name: replace(one, softer=1) for name, one in STIMULI.items()}
+    turned = analyse_experiment(simulated(3, noise=certain), wrong)
+    assert any("all 72 are wrong" in one for one in turned.caveats)
+    json.dumps(turned.to_dict(), allow_nan=False)
+    with pytest.raises(InputError, match="no answers among 2 rows"):
+        analyse_experiment([], STIMULI, unanswered=["a", "b"])
+    with pytest.raises(InputError, match="not among the stimuli"):
+        analyse_experiment(simulated(1), {"SS1": STIMULI["SS1"]})
+
+
+def test_logarithmic_levels_give_a_threshold_in_the_same_unit() -> None:
+    for shape in (SigmoidShape.GAUSSIAN, SigmoidShape.WEIBULL):
+        found = analyse_experiment(simulated(6), STIMULI, shape=shape, logarithmic=True, lapse=0.01)
+        assert found.thresholds[0].fit.function.lapse == found.thresholds[0].fit.function.guess == 0.01
+        one = found.thresholds[0]
+        assert one.pse[1] < one.pse[0] < one.pse[2]
+        assert 80.0 < one.pse[0] < 170.0  # the comparisons on both sides of the standard, 120 kPa
+
+
+def palpate(*words: object, status: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == status, result.output
+    return " ".join(result.output.split())
+
+
+@pytest.fixture
+def study(tmp_path) -> Path:
+    write_stimuli(tmp_path / "stimuli.csv", STIMULI.values())
+    for person in ("P01", "P02", "P03"):
+        (tmp_path / f"sub-{person}").mkdir()
+        own = [one for one in simulated(3) if one.participant == person]
+        write_judgements(tmp_path / f"sub-{person}" / "responses.csv", own)
+    return tmp_path
+
+
+def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path) -> None:
+    page = tmp_path / "study.html"
+    said = palpate("trial", "analyse", study, "--out", page)
+    assert said.startswith("Pairs: ")
+    assert "so few participants cannot give p below 0.25" in said
+    text = page.read_text()
+    assert text.index('<ul class="answers">') < text.index("Right answers")
+    assert text.count("<img") == 3
+    assert "Before you use these numbers" in text
+    found = json.loads(CliRunner().invoke(app, ["trial", "analyse", str(study), "--json"]).output)
+    assert found["judgements"] == 3 * 3 * 27
+    assert found["accuracies"][0]["share"] > 0.9
+    assert "exists" in palpate("trial", "analyse", study, "--out", page, status=2)
+
+
+def test_rehearsed_answers_are_said_to_be_no_measurement(study: Path, tmp_path) -> None:
+    assert "nothing here is a measurement" not in palpate("trial", "analyse", study)
+    (study / "sub-P02" / "participant.json").write_text('{"simulated": true}')
+    assert "nothing here is a measurement" in palpate("trial", "analyse", study, "--out", tmp_path / "p.html")
+    page = (tmp_path / "p.html").read_text()
+    assert "<b>Simulated.</b>" in page
+    (study / "sub-P02" / "participant.json").write_text("{")
+    assert "cannot be read" in palpate("trial", "analyse", study, status=2)
+
+
+def test_the_verb_refuses_what_is_wrong_in_a_line_and_counts_rows_without_an_answer(study: Path) -> None:
+    table = study / "sub-P01" / "responses.csv"
+    rows = table.read_text().splitlines()
+    table.write_text("\n".join([*rows, rows[1]]) + "\n")
+    assert "stands twice in the table" in palpate("trial", "analyse", study, status=2)
+    blank = rows[1].split(",")
+    blank[7] = ""
+    table.write_text("\n".join([rows[0], ",".join(blank), *rows[2:]]) + "\n")
+    said = palpate("trial", "analyse", study)
+    assert "1 rows have no answer" in said
+    assert "direct I, pair: not balanced, 1 answers fewer" in said
+    assert "gaussian, logistic, weibull" in palpate("trial", "analyse", study, "--shape", "step", status=2)
+    assert "is no folder" in palpate("trial", "analyse", study / "none", status=2)
