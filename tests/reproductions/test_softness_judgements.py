@@ -1,4 +1,4 @@
-"""The softness report's experiments with people: golden values, named misprints, and a failure that stands."""
+"""The softness report's experiments with people: golden values, named misprints, a failure that stands."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def write_trial_page(found: ExperimentAnalysis, path: Path, source: str) -> None
         confusions=confusion_figure({one.setting: one.confusion for one in found.rankings})
         if found.rankings
         else None,
-        functions=psychometric_figure(_functions(found), f"softness, from level [{found.unit or '1'}]")
+        functions=psychometric_figure(_functions(found), _softness_label(found))
         if found.thresholds
         else None,
     )
@@ -73,6 +73,14 @@ def write_trial_page(found: ExperimentAnalysis, path: Path, source: str) -> None
 
 def _functions(found: ExperimentAnalysis) -> Mapping[str, PanelOfAnswers]:
     return {one.setting: (one.counted, one.given, one.n, one.fit) for one in found.thresholds}
+
+
+def _softness_label(found: ExperimentAnalysis) -> str:
+    """What the fits count as softness: the level, with its sign turned, or its reciprocal."""
+    one, unit = found.thresholds[0], found.unit or "1"
+    if (one.counted == one.levels).all():
+        return f"level [{unit}]"
+    return f"− level [{unit}]" if (one.counted == -one.levels).all() else f"1 / level [1/{unit}]"
 
 
 def _share_row(one: SettingAccuracy) -> ShareRow:
@@ -109,17 +117,18 @@ def _accuracy_said(one: SettingAccuracy) -> str:
 
 def _threshold_said(one: SettingThreshold, unit: str) -> str:
     value, low, high = one.pse
-    if not all(one.fit.threshold.bounded) or not all(one.fit.spread.bounded):
-        return (
-            f"{one.setting}: the psychometric function is not bounded by these answers: "
-            f"{'; '.join(one.fit.notes)}."
-        )
-    jnd = one.fit.spread
-    fit_said = (
-        "" if one.fit.deviance_p >= SIGNIFICANT else f"; the function fits badly (p {one.fit.deviance_p:.2g})"
-    )
-    scale = "a natural logarithm" if one.fit.function.logarithmic else unit
+    if not all(one.fit.threshold.bounded):
+        return f"{one.setting}: these answers bound no threshold: {'; '.join(one.fit.notes)}."
+    spread, scale = one.fit.spread, "in the natural logarithm" if one.fit.function.logarithmic else unit
+    jnd = {
+        (True, True): f"{spread.value:.2g} {scale} [{spread.low:.2g}, {spread.high:.2g}]",
+        (False, True): f"at most {spread.high:.2g} {scale}, not bounded below",
+        (True, False): f"at least {spread.low:.2g} {scale}, not bounded above",
+        (False, False): "not told",
+    }[spread.bounded]
+    badly = one.fit.deviance_p < SIGNIFICANT
     return (
         f"{one.setting}: as soft as {one.standard} at {value:.3g} {unit} [{low:.3g}, {high:.3g}], just "
-        f"noticeable difference {jnd.value:.2g} {scale} [{jnd.low:.2g}, {jnd.high:.2g}]{fit_said}."
+        f"noticeable difference {jnd}"
+        f"{f'; the function fits badly (p {one.fit.deviance_p:.2g})' if badly else ''}."
     )

@@ -307,8 +307,8 @@ def _threshold(
 
     counted = np.asarray(turned(levels), np.float64)
     fit = fit_psychometric(
-        counted, given, n, shape, guess=lapse or 0.0, lapse=lapse, guess_is_lapse=True, logarithmic=logarithmic,
-        deviance_draws=DEVIANCE_DRAWS, rng=rng,
+        counted, given, n, shape, guess=lapse or 0.0, lapse=lapse, guess_is_lapse=True,
+        logarithmic=logarithmic, deviance_draws=DEVIANCE_DRAWS, rng=rng,
     )  # fmt: skip
     low, high = sorted((turned(fit.threshold.low), turned(fit.threshold.high)))
     return SettingThreshold(

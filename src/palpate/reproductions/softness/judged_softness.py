@@ -173,7 +173,7 @@ def _pairs(presentation: Presentation, sensitivities: Sequence[float]) -> Iterat
 
 
 def _shuffled(rng: np.random.Generator) -> dict[tuple[Presentation, Condition], float]:
-    found = {}
+    found: dict[tuple[Presentation, Condition], float] = {}
     for one in RANKINGS_PRINTED:
         if one.condition is not Condition.INTEGRATED:
             counts = one.confusion.counts[:, [2, 4, 1, 0, 3]]
@@ -190,7 +190,8 @@ def _differences(
         direct, rendered = (printed_ranking(one, condition).confusion for one in Presentation)
         value = rendered.total_accuracy - direct.total_accuracy
         spread = math.hypot(*(_spread(fits[one, condition].observer, rng) for one in Presentation))
-        cells = newcombe_interval(*((one.right, 5 * one.rankings) for one in (direct, rendered)))
+        first, second = ((one.right, 5 * one.rankings) for one in (direct, rendered))
+        cells = newcombe_interval(first, second)
         found.append(TouchDifference(condition, value, cells, (value - 1.96 * spread, value + 1.96 * spread)))
     return found
 
