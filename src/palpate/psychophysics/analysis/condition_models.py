@@ -12,7 +12,9 @@ Three ways, since each has another claim:
 * `sign_flip_p` asks of participants' own differences between two conditions whether their signs could as
   well be otherwise. It is exact for few participants, and stands where a model is not to be told.
 
-Intervals are Student's with one degree of freedom less than there are participants.
+Intervals are Student's with one degree of freedom less than there are participants. Of ten participants in
+400 simulated studies the mixed model's 95 % intervals held in 97.5 to 98.5 %; where nothing differed p was
+below 0.05 in 2 to 3 % by the mixed model, 5 to 6.5 % by the estimating equation, 2 to 4 % by signs.
 
 References: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13; of few
 participants L. A. Mancl, T. A. DeRouen, Biometrics 57 (2001) 126,
