@@ -48,12 +48,12 @@ HEADINGS: dict[str, dict[str, str]] = {
         "pairs": "softness_verbs:pairs_app",
         "display": "softness_verbs:display_app",
         "trial": "trial_verbs:trial_app",
+        "transmit": "transmit_verbs:app",
     },
     "Study": {
         "demo": "study_verbs:demo",
         "render": "render_verbs:app",
         "reproduce": "study_verbs:app",
-        "trial": "trial_analysis_verbs:trial_analysis_app",
         "mechanics": "mechanics_verbs:app",
         "optics": "optics_verbs:app",
     },

@@ -93,9 +93,9 @@ def compare(
     Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
     """
     bodies = [
-        _body("object", one, poisson),
-        _body("object", other, poisson),
-        _body("--finger", finger, poisson),
+        ball_of_words("object", one, poisson),
+        ball_of_words("object", other, poisson),
+        ball_of_words("--finger", finger, poisson),
     ]
     _tell(None, bodies, poisson, force_n, figure, json_)
 
@@ -115,12 +115,13 @@ def _tell_partner(
 
     if not other_modulus_kpa > 0:
         raise RangeError(f"a modulus of {other_modulus_kpa:g} kPa for the other object; give one above 0 kPa")
-    first, tip = _body("object", one, poisson), _body("--finger", finger, poisson)
+    first, tip = ball_of_words("object", one, poisson), ball_of_words("--finger", finger, poisson)
     other = partner(first, tip, 1e3 * other_modulus_kpa / (1 - poisson**2))
     _tell(cue, [first, other, tip], poisson, force_n, figure, json_)
 
 
-def _body(what: str, text: str, poisson: float) -> Body:
+def ball_of_words(what: str, text: str, poisson: float) -> Body:
+    """An elastic ball of words such as 100:15, in kPa and mm."""
     from palpate.core import InputError, RangeError
     from palpate.mechanics.half_space.hertz_pairs import Body
 
@@ -226,7 +227,7 @@ def stacked(
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
     if figure is not None and figure.exists():
         raise ExistsError(f"{figure} exists; nothing is overwritten: name another file")
-    tip = _body("--finger", finger, finger_poisson)
+    tip = ball_of_words("--finger", finger, finger_poisson)
     moduli = _moduli(moduli_kpa)
     classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
     stacks = {one: specimens(one, moduli, poisson) for one in classes}

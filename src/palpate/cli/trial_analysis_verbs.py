@@ -7,12 +7,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, group, print_found
-
-trial_analysis_app = group("Experiments on softness with people.")
+from palpate.cli.verb_support import Json, print_found
 
 
-@trial_analysis_app.command()
 def analyse(
     folder: Annotated[Path, Argument(help="Folder of stimuli.csv and responses.csv, or of participants'.")],
     out: Annotated[Path | None, Option(help="HTML page to make; must not exist.")] = None,

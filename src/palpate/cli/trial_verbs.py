@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
+from palpate.cli.trial_analysis_verbs import analyse
 from palpate.cli.verb_support import Json, group, print_found
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     )
 
 trial_app = group("Run an experiment on softness: a design, participants one by one, tables for analysis.")
+trial_app.command()(analyse)
 Folder = Annotated[Path, Argument(help="Folder of the experiment.")]
 
 

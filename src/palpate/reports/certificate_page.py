@@ -56,14 +56,16 @@ def render_report(calibration: Path, card: Card) -> str:
 def filled_template(name: str, **values: Any) -> str:
     """A page of `reports/templates`.
 
-    Its filter ``g`` writes three significant digits and ``pc`` a share in percent; ``to`` rounds to a
-    half-width, and ``mae``, ``r2`` and ``covered`` write parts of a score as far as its groups bear out;
+    Its filters ``g`` and ``four`` write three and four significant digits and ``pc`` a share in percent;
+    ``to`` rounds to a half-width, and ``mae``, ``r2`` and ``covered`` write parts of a score as far as its
+    groups bear out;
     ``setting`` writes a model's.
     """
     environment = Environment(
         loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
+    environment.filters["four"] = lambda value: "–" if value is None else f"{value:.4g}"
     environment.filters["pc"] = lambda share: f"{100 * share:.1f} %"
     environment.filters["two"] = lambda value: rounded(value, abs(value))
     environment.filters["r"] = _two_decimals

@@ -7,13 +7,11 @@ the report's silicone specimens, with a finger of its own.
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from palpate.core import InputError, RangeError, UnitError, storage_errors
+from palpate.core import InputError, RangeError
 from palpate.mechanics.fingertip_laws import (
     Fingertip,
     exponential_fingertip,
@@ -37,14 +35,12 @@ from palpate.softness.object_fields import (
 from palpate.softness.specimens import (
     SOFTENER,
     SpecimenClass,
-    bonded_disc_n_m,
     specimen_object,
     specimens,
 )
+from palpate.softness.touched_flat import CUES, Cylinder, read_touched_flat
 
 UNDER = ("material", "compliance")
-MAX_BYTES = 1 << 26
-CUES = {"modulus": ("modulus", "MPa"), "stiffness": ("stiffness", "N_per_mm")}
 
 
 def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftObject:
@@ -114,63 +110,18 @@ def _material(fields: Fields) -> tuple[float, str]:
 
 def _compliance(fields: Fields, folder: Path) -> tuple[float, str]:
     """A thick flat by a reading of `palpate compliance`: E / (1 - nu^2) [Pa], and words."""
-    cue = word("compliance", fields, "use", *CUES)
-    shape = {"specimen_radius_mm", "specimen_height_mm", "poisson"} if cue == "stiffness" else set()
+    use = word("compliance", fields, "use", *CUES)
+    shape = set() if use == "modulus" else {"specimen_radius_mm", "specimen_height_mm", "poisson", "ends"}
     only("compliance", fields, {"readings", "use", *shape})
-    one = _reading(folder / word("compliance", fields, "readings"), *CUES[cue])
-    value, unit = one["value"], one["unit"]
-    ends = " to ".join("inf" if end is None else f"{end:.4g}" for end in (one["low"], one["high"]))
-    words = (
-        f"palpate compliance, calibration {one['calibration']}: {cue} {value:.4g} {unit} ({ends}, "
-        f"{one['coverage']:.0%})"
-    )
-    if cue == "modulus":
-        return 1e6 * value, words
-    radius, height = (
-        1e-3 * above_zero("compliance", fields, f"specimen_{side}_mm") for side in ("radius", "height")
-    )
-    nu = poisson_of("compliance", fields)
-    E = 1e3 * value / bonded_disc_n_m(1.0, nu, radius, height)
-    return E / (1 - nu**2), (
-        f"{words}, of a bonded cylinder of {1e3 * radius:g} by {1e3 * height:g} mm: {E / 1e3:.4g} kPa"
-    )
-
-
-def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
-    """A valid reading of one quantity in a record of `palpate compliance`."""
-    with storage_errors(path):
-        if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            raise InputError(
-                f"{path} is no record of `palpate compliance`; give its readings.json, or what --json printed"
-            )
-        raw = path.read_bytes()
-    try:
-        found = [one for one in json.loads(raw)["readings"] if one["quantity"] == quantity]
-    except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{path} is no record of `palpate compliance`: it has no readings ({e})") from e
-    if len(found) != 1:
-        raise InputError(
-            f"{path} has {len(found)} readings of {quantity}; one is needed, of a press read with a "
-            "calibration (and for a modulus with positions)"
+    cylinder = None
+    if use != "modulus":
+        radius, height = (
+            1e-3 * above_zero("compliance", fields, f"specimen_{side}_mm") for side in ("radius", "height")
         )
-    one = found[0]
-    keys = ("value", "low", "high", "unit", "coverage", "valid", "calibration")
-    if missing := [key for key in keys if key not in one]:
-        raise InputError(f"{path}: the reading of {quantity} has no {missing[0]!r}")
-    if one["unit"] != unit:
-        raise UnitError(f"{path}: {quantity} is in {one['unit']!r}; {unit!r} is needed")
-    if one["valid"] is not True:
-        raise InputError(f"{path}: the {quantity} is not valid ({one.get('why')}); press anew")
-    for key in ("value", "coverage"):
-        if not _positive(one[key]):
-            raise RangeError(f"{path}: {key} of {quantity} is {one[key]!r}; above 0 {unit} is allowed")
-    if not all(end is None or _positive(end) for end in (one["low"], one["high"])):
-        raise RangeError(f"{path}: {quantity} lies in {one['low']!r} to {one['high']!r} {unit}; above 0")
-    return dict(one)
-
-
-def _positive(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+        ends = word("compliance", fields, "ends", "bonded", "free") if "ends" in fields else "bonded"
+        cylinder = Cylinder(radius, height, poisson_of("compliance", fields), ends)  # type: ignore[arg-type]
+    flat = read_touched_flat(folder / word("compliance", fields, "readings"), use, cylinder)
+    return flat.flat_pa, flat.words
 
 
 def specimen_press(name: str | None, fields: Any) -> SoftObject:

@@ -1,0 +1,192 @@
+"""A thick elastic flat as a tactile sensor has read it: a modulus with its interval, from a record on disk.
+
+`palpate compliance` reads a modulus, or the stiffness of a cylinder between two plates. Of the latter
+
+    E = kappa h / (pi r^2)                             ends free to slide
+    E from `specimens.bonded_disc_n_m`                 ends that stick to their plates
+
+What is felt through a finger follows from E / (1 - nu^2) alone. Its uncertainty is carried by draws: they are
+even in 1 / E, in which readings of softness err evenly, and have the reading's value for their median and its
+ends for their quantiles.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import norm
+
+from palpate.core import Float, InputError, RangeError, UnitError, ndarray, storage_errors
+from palpate.softness.specimens import bonded_disc_n_m
+
+Ends = Literal["bonded", "free"]
+MAX_BYTES = 1 << 26
+CUES = {
+    "modulus": ("modulus", "MPa", 1e6),
+    "stiffness": ("stiffness", "N_per_mm", 1e3),
+    "stiffness_both_cues": ("stiffness_both_cues", "N_per_mm", 1e3),
+}
+"""Quantity, unit and that unit in SI of what a reading is used for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A specimen between two plates, by which its stiffness becomes a modulus.
+
+    Attributes:
+        radius_m, height_m: of it [m].
+        poisson: of its material, 0 to 0.5.
+        ends: whether it sticks to both plates.
+    """
+
+    radius_m: float
+    height_m: float
+    poisson: float
+    ends: Ends = "bonded"
+
+    def __post_init__(self) -> None:
+        if not (0 < self.radius_m < math.inf and 0 < self.height_m < math.inf and 0 <= self.poisson <= 0.5):
+            raise RangeError(
+                f"a cylinder of radius {1e3 * self.radius_m:g} mm, height {1e3 * self.height_m:g} mm and "
+                f"Poisson's ratio {self.poisson:g}; lengths above 0 mm and a ratio of 0 to 0.5 are allowed"
+            )
+        if self.ends not in ("bonded", "free"):
+            raise InputError(f"ends {self.ends!r}; 'bonded' or 'free'")
+
+    @property
+    def n_m_of_1_pa(self) -> float:
+        """Stiffness of a cylinder of 1 Pa [m]."""
+        if self.ends == "free":
+            return math.pi * self.radius_m**2 / self.height_m
+        return bonded_disc_n_m(1.0, self.poisson, self.radius_m, self.height_m)
+
+    def flat_pa(self, stiffness_n_m: float) -> float:
+        """E / (1 - nu^2) of its material [Pa]."""
+        return stiffness_n_m / self.n_m_of_1_pa / (1 - self.poisson**2)
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedFlat:
+    """A flat's Young's modulus over 1 - nu^2, as read.
+
+    Attributes:
+        flat_pa: value [Pa].
+        low_pa, high_pa: ends of its interval; the upper one may be infinite [Pa].
+        coverage: of the interval.
+        calibration: id of the calibration.
+        words: where it is from.
+    """
+
+    flat_pa: float
+    low_pa: float
+    high_pa: float
+    coverage: float
+    calibration: str
+    words: str
+
+    def __post_init__(self) -> None:
+        if not 0 < self.low_pa <= self.flat_pa <= self.high_pa or not self.flat_pa < math.inf:
+            raise RangeError(
+                f"a flat of {self.flat_pa / 1e3:g} kPa in {self.low_pa / 1e3:g} to "
+                f"{self.high_pa / 1e3:g} kPa; the value has to be finite, above 0 and inside its interval"
+            )
+        if not 0 < self.coverage < 1:
+            raise RangeError(f"an interval of {self.coverage:g}; above 0 and below 1 are allowed")
+
+    def at(self, share: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+        """Quantiles [Pa]: of 0.5 the value, of the interval's shares its ends; rigid beyond 1 / E = 0."""
+        middle, z = 1 / self.flat_pa, norm.ppf((1 + self.coverage) / 2)
+        softer, stiffer = (1 / self.low_pa - middle) / z, (middle - 1 / self.high_pa) / z
+        q = norm.ppf(1 - np.asarray(share, float))  # a stiff one has little compliance
+        compliance = middle + np.where(q > 0, softer, stiffer) * q
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / np.maximum(compliance, 0.0))
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Float[ndarray, " n"]:
+        """Moduli drawn from it, one in each of `count` even shares [Pa]."""
+        return self.at((rng.permutation(count) + rng.uniform(size=count)) / count)
+
+
+def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) -> TouchedFlat:
+    """A flat from a record of `palpate compliance`.
+
+    Args:
+        path: its readings.json, or what ``--json`` printed.
+        use: ``modulus``, ``stiffness`` or ``stiffness_both_cues``.
+        cylinder: the specimen that a stiffness is of.
+
+    Raises:
+        InputError: no such record, no valid reading of that quantity, or a stiffness without its cylinder.
+        UnitError: another unit.
+        RangeError: a value that is not above 0.
+        StorageError: it cannot be read.
+    """
+    if use not in CUES:
+        raise InputError(f"a flat by {use!r}; there are {', '.join(CUES)}")
+    quantity, unit, si = CUES[use]
+    if (cylinder is None) != (use == "modulus"):
+        raise InputError(
+            "a stiffness needs its cylinder's radius, height and Poisson's ratio; a modulus none"
+        )
+    one = _reading(path, quantity, unit)
+    ends = " to ".join("inf" if end is None else f"{end:.4g}" for end in (one["low"], one["high"]))
+    words = (
+        f"palpate compliance, calibration {one['calibration']}: {use} {one['value']:.4g} {unit} ({ends}, "
+        f"{one['coverage']:.0%})"
+    )
+
+    def flat(value: float | None) -> float:
+        if value is None:
+            return math.inf
+        return si * value if cylinder is None else cylinder.flat_pa(si * value)
+
+    middle = flat(one["value"])
+    if cylinder is not None:
+        size = f"{1e3 * cylinder.radius_m:g} by {1e3 * cylinder.height_m:g} mm"
+        E = middle * (1 - cylinder.poisson**2)
+        words += f", of a {cylinder.ends} cylinder of {size}: {E / 1e3:.4g} kPa"
+    low, high = (math.inf if one["low"] is None else flat(one["low"])), flat(one["high"])
+    return TouchedFlat(middle, low, high, float(one["coverage"]), str(one["calibration"]), words)
+
+
+def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
+    """A valid reading of one quantity in a record of `palpate compliance`."""
+    with storage_errors(path):
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            raise InputError(
+                f"{path} is no record of `palpate compliance`; give its readings.json, or what --json printed"
+            )
+        raw = path.read_bytes()
+    try:
+        found = [one for one in json.loads(raw)["readings"] if one["quantity"] == quantity]
+    except (ValueError, KeyError, TypeError) as e:
+        raise InputError(f"{path} is no record of `palpate compliance`: it has no readings ({e})") from e
+    if len(found) != 1:
+        raise InputError(
+            f"{path} has {len(found)} readings of {quantity}; one is needed, of a press read with a "
+            "calibration (and for a modulus with positions)"
+        )
+    one = found[0]
+    keys = ("value", "low", "high", "unit", "coverage", "valid", "calibration")
+    if missing := [key for key in keys if key not in one]:
+        raise InputError(f"{path}: the reading of {quantity} has no {missing[0]!r}")
+    if one["unit"] != unit:
+        raise UnitError(f"{path}: {quantity} is in {one['unit']!r}; {unit!r} is needed")
+    if one["valid"] is not True:
+        raise InputError(f"{path}: the {quantity} is not valid ({one.get('why')}); press anew")
+    for key in ("value", "coverage"):
+        if not _positive(one[key]):
+            raise RangeError(f"{path}: {key} of {quantity} is {one[key]!r}; above 0 {unit} is allowed")
+    if not all(end is None or _positive(end) for end in (one["low"], one["high"])):
+        raise RangeError(f"{path}: {quantity} lies in {one['low']!r} to {one['high']!r} {unit}; above 0")
+    return dict(one)
+
+
+def _positive(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf

@@ -1,0 +1,109 @@
+"""What of a difference in softness is left for a participant's judgement, stage by stage.
+
+An observer perceives the logarithm of each cue's chord with Gaussian noise, weighs the two by their
+reliabilities, 1 / variance, and ranks what it perceives (`psychophysics.observers`). Its noise is a Weber
+fraction w of each cue, sigma = ln(1 + w): an assumption that a user replaces by their participants' own.
+The same observer judges the objects themselves, what was touched of them, and what is felt, so that what
+differs between stages is lost there and not in the observer. The reading's interval is carried by judging
+every draw, draws of different objects being independent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from palpate.core import InputError, RangeError
+from palpate.psychophysics.observers import RankObserver
+from palpate.softness.transmission.transmitted_cues import CUES, Transmission
+
+STAGES = {
+    "true": "objects themselves",
+    "touched": "as touched",
+    "felt": "as felt",
+    "drawn": "as felt, readings' intervals carried",
+}
+JUDGED_DRAWS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class StageJudgement:
+    """How well objects are told apart at one stage.
+
+    Attributes:
+        pairs: probability of naming the softer one, by the pair's names.
+        total: expected share of right places in a ranking of all.
+    """
+
+    pairs: Mapping[tuple[str, str], float]
+    total: float
+
+
+@dataclass(frozen=True, slots=True)
+class CueNoise:
+    """An observer's noise: Weber fractions of the two cues, as shares of the chord.
+
+    Attributes:
+        displacement, area: above 0; infinite for a cue that is not perceived.
+    """
+
+    displacement: float
+    area: float
+
+    def __post_init__(self) -> None:
+        if not (self.displacement > 0 and self.area > 0 and min(self.displacement, self.area) < math.inf):
+            raise RangeError(
+                f"Weber fractions of {self.displacement:g} and {self.area:g}; both have to be above 0, and "
+                "one finite, such as 0.15"
+            )
+
+    def place(self, chords: Mapping[str, float]) -> float:
+        """Place of an object, rising with softness [standard deviations of the percept]."""
+        total = place = 0.0
+        for cue, chord in chords.items():
+            reliability = math.log1p(getattr(self, cue)) ** -2
+            total += reliability
+            place -= reliability * math.log(chord)
+        return place / math.sqrt(total)
+
+
+def judged(transmissions: Sequence[Transmission], noise: CueNoise) -> dict[str, StageJudgement]:
+    """Judgements of objects at each stage.
+
+    Args:
+        transmissions: two or more, the least soft first where that is known.
+        noise: of the observer.
+
+    Returns:
+        By stage; without ``true`` where an object is not known.
+
+    Raises:
+        InputError: fewer than two objects, or two of one name.
+    """
+    names = [one.name for one in transmissions]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise InputError(f"objects {', '.join(names)}; two or more of different names can be told apart")
+    stages = {}
+    for stage in ("true", "touched", "felt"):
+        chords = [{cue: getattr(one.cues[cue], stage) for cue in CUES} for one in transmissions]
+        if all(None not in each.values() for each in chords):
+            stages[stage] = _mean(names, [[noise.place(each) for each in chords]])
+    count = min(JUDGED_DRAWS, *(len(one.cues[CUES[0]].drawn) for one in transmissions))
+    places = [
+        [noise.place({cue: float(one.cues[cue].drawn[k]) for cue in CUES}) for one in transmissions]
+        for k in range(count)
+    ]
+    return stages | {"drawn": _mean(names, places)}
+
+
+def _mean(names: Sequence[str], places: Sequence[Sequence[float]]) -> StageJudgement:
+    observers = [RankObserver(tuple(one)) for one in places]
+    pairs = {
+        (names[i], names[j]): float(np.mean([one.pair_accuracy(i, j) for one in observers]))
+        for i, j in combinations(range(len(names)), 2)
+    }
+    return StageJudgement(pairs, float(np.mean([one.total_accuracy() for one in observers])))

@@ -1,0 +1,196 @@
+"""The loop from touch to finger on virtual devices, many times over: what a TacTip reads is felt.
+
+Every seed is a rig of its own: a virtual TacTip is calibrated on a rigid plate and four references, then
+presses four specimens that were no references. Nuisances (a force's zero and scale, late frames, lever,
+frame) are drawn from the law of their standard sizes: once for all four where they are pressed in one
+session, anew for each where every press is of a day of its own. All goes through rendered frames. Each
+reading is then rendered to a finger.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from palpate.calibration.compliance.compliance_calibration import (
+    ComplianceCalibration,
+    ReferenceSpecimen,
+    ReferenceTrial,
+    calibrate_compliance,
+)
+from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.press_nuisances import ALTER, Nuisances
+from palpate.core import InputError, Progress, Reading, silent
+from palpate.estimators.compliance.pin_press import PinPress, follow_press
+from palpate.mechanics.fingertip_laws import Fingertip
+from palpate.sensors.tactip import TacTipSpec
+from palpate.softness.touched_flat import Cylinder, TouchedFlat
+from palpate.softness.transmission.transmitted_cues import CUES, Transmission, shared_peak_n, transmit
+from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
+
+SPECIMENS_N_M = {"S1": 7.6e3, "Snew": 5.3e3, "S2": 3.1e3, "S3": 1.1e3}
+"""The compliance report's four, from the least soft on [N/m]."""
+REFERENCES_N_M = {"rigid": math.inf, "R1": 9.5e3, "R2": 4.2e3, "R3": 2.0e3, "R4": 0.95e3}
+"""None of them is a specimen [N/m]."""
+TRIALS = 3  # of a reference
+TRIES = 8  # days
+
+
+@dataclass(frozen=True, slots=True)
+class StudySeed:
+    """One rig's four specimens, along the stages.
+
+    Attributes:
+        seed: of everything random.
+        readings: of stiffness by both cues, by specimen.
+        transmissions: by specimen, from the least soft on.
+        refused: days of which a reading was not valid, so that they were not used.
+    """
+
+    seed: int
+    readings: Mapping[str, Reading]
+    transmissions: Mapping[str, Transmission]
+    refused: int
+
+    def in_order(self, stage: str, cue: str) -> bool:
+        """Whether the four are in the right order at a stage: `true`, `touched` or `felt`."""
+        chords = [getattr(one.cues[cue], stage) for one in self.transmissions.values()]
+        return all(stiffer > softer for stiffer, softer in pairwise(chords))
+
+    @property
+    def read_in_order(self) -> bool:
+        """Whether the readings are in the right order."""
+        values = [one.value for one in self.readings.values()]
+        return all(stiffer > softer for stiffer, softer in pairwise(values))
+
+
+def cylinder_of(spec: TacTipSpec) -> Cylinder:
+    """The virtual specimens' cylinder, whose ends slide between the plates of a slow test."""
+    table = spec.table
+    return Cylinder(table.specimen_radius_m, table.specimen_height_m, table.poisson_ratio, "free")
+
+
+def transmission_study(
+    finger: Fingertip, seeds: Sequence[int] = range(20), *, one_session: bool = True,
+    spec: TacTipSpec | None = None,
+    peak_n: float | None = None, nuisances: Nuisances | None = None, progress: Progress = silent,
+) -> list[StudySeed]:  # fmt: skip
+    """Touch and render the four specimens once a seed.
+
+    Args:
+        finger: that feels them, on a rigid flat.
+        seeds: one a rig.
+        one_session: nuisances are drawn once for the four specimens of a seed, not for each.
+        spec: of the TacTip; the base tip without.
+        peak_n: force at the end of a finger's press; without, the greatest that all can be pressed to [N].
+        nuisances: whose standard sizes presses are drawn with, and intervals contain; the standard ones.
+        progress: called with how many specimens are done.
+
+    Raises:
+        RangeError: as of `transmit`.
+        InputError: no valid readings on eight days.
+    """
+    spec, sizes = spec or TacTipSpec(), nuisances or Nuisances()
+    words = specimens_at(spec, REFERENCES_N_M | SPECIMENS_N_M)
+    found, total = [], len(seeds) * len(SPECIMENS_N_M)
+    for i, seed in enumerate(seeds):
+        calibration = _calibrated(spec, words, seed, sizes)
+        read: dict[str, Reading] = {}
+        refused = 0
+        for j, names in enumerate([SPECIMENS_N_M] if one_session else [[one] for one in SPECIMENS_N_M]):
+            pressed = {name: words[name] for name in names}
+            part = _number(seed, 100 + 100 * j)
+            more, again = _read(spec, calibration, pressed, sizes, part, part)
+            read, refused = read | more, refused + again
+        flats = {name: _flat(spec, one) for name, one in read.items()}
+        force = peak_n or shared_peak_n(finger, list(flats.values()))
+        transmissions = {}
+        for j, (name, flat) in enumerate(flats.items()):
+            progress("specimens felt", i * len(SPECIMENS_N_M) + j, total)
+            true_pa = cylinder_of(spec).flat_pa(SPECIMENS_N_M[name])
+            transmissions[name] = transmit(
+                name, flat, finger, peak_n=force, true_flat_pa=true_pa, seed=_number(seed, 600 + 10 * j)
+            )
+        found.append(StudySeed(seed, read, transmissions, refused))
+    return found
+
+
+def study_record(found: Sequence[StudySeed]) -> dict[str, Any]:
+    """What all seeds say together."""
+    all_ = [one for seed in found for one in seed.transmissions.values()]
+    return {
+        "seeds": len(found), "days_not_used": sum(seed.refused for seed in found),
+        "readings_in_order": sum(seed.read_in_order for seed in found),
+        "felt_in_order": {cue: sum(seed.in_order("felt", cue) for seed in found) for cue in CUES},
+        "presses": len(all_),
+        "held": {cue: sum(bool(one.cues[cue].held) for one in all_) for cue in CUES},
+        "median_error": {
+            cue: {
+                mark: float(np.median([abs(one.cues[cue].lost[mark]) for one in all_]))
+                for mark in all_[0].cues[cue].lost
+            }
+            for cue in CUES
+        },
+        "inside": [min(one.inside for one in all_), max(one.inside for one in all_)],
+    }  # fmt: skip
+
+
+def _number(seed: int, part: int) -> int:
+    """A seed for one part of a rig's work, no two alike."""
+    return 1000 * (seed + 1) + part
+
+
+def _calibrated(
+    spec: TacTipSpec, words: Mapping[str, str], seed: int, sizes: Nuisances
+) -> ComplianceCalibration:
+    references = []
+    for i, (name, kappa) in enumerate(REFERENCES_N_M.items()):
+        trials = []
+        for k in range(TRIALS):
+            made = record_press(spec, words[name], _number(seed, TRIALS * i + k))
+            press = _followed(made)
+            trials.append(ReferenceTrial(press, made.true_area_m2[made.frame_sample[press.frame]]))
+        references.append(ReferenceSpecimen(name, kappa, tuple(trials)))
+    return calibrate_compliance(references, nuisances=sizes)
+
+
+def _followed(made: VirtualPress) -> PinPress:
+    return follow_press(list(made.frames()), made.raw_n, made.frame_sample, made.position_m, made.time_s)
+
+
+def _read(
+    spec: TacTipSpec, calibration: ComplianceCalibration, words: Mapping[str, str], sizes: Nuisances,
+    day: int, number: int,
+) -> tuple[dict[str, Reading], int]:  # fmt: skip
+    """Valid readings by both cues of specimens under the nuisances of one day, and how many days failed.
+
+    A day whose nuisances make one of its presses invalid is not used: nuisances are drawn anew for all.
+    """
+    for again in range(TRIES):
+        amounts = np.random.default_rng([day, again]).standard_normal(len(fields(sizes)))
+        found: dict[str, Reading] = {}
+        with suppress(InputError):  # too much force before contact
+            for j, (name, one) in enumerate(words.items()):
+                press = _followed(record_press(spec, one, number + 10 * again + j))
+                for field, amount in zip(fields(sizes), amounts, strict=True):
+                    press = ALTER[field.name](press, getattr(sizes, field.name) * float(amount))
+                reading = read_touch(calibration, [press]).stiffness_both
+                if reading is None or not reading.valid:
+                    break
+                found[name] = reading
+        if len(found) == len(words):
+            return found, again
+    raise InputError(f"no valid readings of {', '.join(words)} on {TRIES} days; are nuisances too large?")
+
+
+def _flat(spec: TacTipSpec, reading: Reading) -> TouchedFlat:
+    cylinder = cylinder_of(spec)
+    low, middle, high = (cylinder.flat_pa(end) for end in (reading.low, reading.value, reading.high))
+    words = f"{reading.quantity} {reading.value / 1e3:.3g} N/mm, calibration {reading.calibration}"
+    return TouchedFlat(middle, low, high, reading.coverage, reading.calibration, words)

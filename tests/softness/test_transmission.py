@@ -1,0 +1,194 @@
+"""From a touch to a finger: curves, intervals and judgements carried stage by stage."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from palpate.cli import app
+from palpate.core import InputError, RangeError
+from palpate.mechanics.fingertip_laws import hertz_fingertip
+from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.psychophysics.observers import combined_sensitivity
+from palpate.softness import Mode, read_object
+from palpate.softness.rendering_simulation import simulate
+from palpate.softness.touched_flat import Cylinder, TouchedFlat, read_touched_flat
+from palpate.softness.transmission import CueNoise, judged, order_kept, shared_peak_n, transmit
+from palpate.softness.transmission.transmitted_cues import felt_factor, modulus_of_chord, object_under
+
+FINGER = hertz_fingertip(Body(30e3 / 0.75, 15e-3))
+READING = {
+    "quantity": "modulus", "unit": "MPa", "value": 0.2, "low": 0.15, "high": 0.3, "valid": True, "why": "",
+    "coverage": 0.9, "calibration": "compliance-1",
+}  # fmt: skip
+
+
+def flat(kpa: float, below: float = 0.8, above: float = 1.3) -> TouchedFlat:
+    """A reading with its interval."""
+    return TouchedFlat(1e3 * kpa, 1e3 * below * kpa, 1e3 * above * kpa, 0.9, "compliance-1", "a reading")
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A stiff and a soft object, touched exactly, felt."""
+    flats = {"stiff": flat(200), "soft": flat(50)}
+    peak = shared_peak_n(FINGER, list(flats.values()))
+    return [
+        transmit(name, one, FINGER, peak_n=peak, true_flat_pa=one.flat_pa, seed=i, draws=200)
+        for i, (name, one) in enumerate(flats.items())
+    ]
+
+
+def test_quantiles_of_a_reading_are_its_value_and_its_ends_and_fall_evenly_in_compliance() -> None:
+    one = flat(100, 0.7, 2.0)
+    assert_allclose(one.at(np.array([0.05, 0.5, 0.95])), [70e3, 100e3, 200e3], rtol=1e-12)
+    drawn = one.drawn(2000, np.random.default_rng(0))
+    assert_allclose(np.quantile(drawn, [0.05, 0.5, 0.95]), [70e3, 100e3, 200e3], rtol=5e-3)
+    assert (np.diff(one.at(np.linspace(0.01, 0.99, 50))) > 0).all()
+    endless = TouchedFlat(100e3, 70e3, math.inf, 0.9, "c", "w").drawn(1000, np.random.default_rng(0))
+    assert 0.04 < np.isinf(endless).mean() < 0.06  # beyond 1 / E = 0 lies a rigid object
+
+
+def test_a_cylinder_with_free_ends_is_its_modulus_times_area_over_height_and_a_bonded_one_is_stiffer() -> (
+    None
+):
+    free, bonded = (Cylinder(18.5e-3, 7e-3, 0.499, ends) for ends in ("free", "bonded"))
+    assert free.flat_pa(3100.0) == pytest.approx(3100 * 7e-3 / (math.pi * 18.5e-3**2) / (1 - 0.499**2))
+    assert bonded.flat_pa(3100.0) < 0.3 * free.flat_pa(3100.0)
+    with pytest.raises(RangeError, match="lengths above 0 mm"):
+        Cylinder(0.0, 40e-3, 0.48)
+
+
+def test_what_is_felt_is_what_was_touched_within_the_display_s_error_and_softer_is_softer(two) -> None:
+    for one in two:
+        for cue in one.cues.values():
+            assert cue.lost["touch"] == pytest.approx(0, abs=1e-12)
+            assert abs(cue.lost["display"]) < 0.05
+            assert cue.held
+    assert order_kept(two) == {"touched": True, "felt": True}
+    wrong = [
+        replace(two[0], true_flat_pa=two[1].true_flat_pa),
+        replace(two[1], true_flat_pa=two[0].true_flat_pa),
+    ]
+    assert order_kept(wrong) == {"touched": False, "felt": False}
+
+
+def test_the_interval_felt_is_the_reading_s_own_interval_through_the_finger(two) -> None:
+    stiff = two[0]
+    low, high = stiff.cues["displacement"].interval()
+    ends = [
+        stiff.peak_n / float(object_under(FINGER, pa, stiff.peak_n).displacement.at_force(stiff.peak_n))
+        for pa in (stiff.touched.low_pa, stiff.touched.high_pa)
+    ]
+    assert high - low == pytest.approx(ends[1] - ends[0], rel=0.25)  # and the display's factor beside it
+    narrow = transmit(
+        "n", flat(200, 0.98, 1.02), FINGER, peak_n=stiff.peak_n, true_flat_pa=100e3, seed=3, draws=100
+    )
+    assert not any(cue.held for cue in narrow.cues.values())  # a reading that is off by half misses the truth
+
+
+def test_a_rendering_with_a_tenth_more_force_has_a_factor_of_a_tenth_more() -> None:
+    soft = object_under(FINGER, 100e3, 0.4)
+    felt = simulate(soft, Mode.BOTH, peak_n=0.4)
+    for cue in ("displacement", "area"):
+        x = felt.displacement_m if cue == "displacement" else felt.area_m2
+        curve = getattr(soft, cue)
+        exact = replace(felt, force_n=1.1 * np.interp(x, curve.x, curve.force_n))
+        assert felt_factor(exact, cue) == pytest.approx(1.1, rel=1e-3)
+
+
+def test_the_modulus_of_a_chord_gives_it_back_and_none_is_stiffer_than_rigid() -> None:
+    for cue in ("displacement", "area"):
+        soft = object_under(FINGER, 150e3, 0.4)
+        chord = 0.4 / float(getattr(soft, cue).at_force(0.4))
+        assert modulus_of_chord(FINGER, chord, 0.4, cue) == pytest.approx(150e3, rel=1e-4)
+        assert modulus_of_chord(FINGER, 10 * chord, 0.4, cue) == math.inf
+
+
+def test_cues_that_differ_alike_add_in_quadrature_and_one_that_is_not_perceived_adds_nothing(two) -> None:
+    def told(noise: CueNoise, stage: str = "true") -> float:
+        return judged(two, noise)[stage].pairs["stiff", "soft"]
+
+    both, arm, skin = told(CueNoise(0.2, 0.2)), told(CueNoise(0.2, math.inf)), told(CueNoise(math.inf, 0.2))
+    assert both > max(arm, skin) > 0.5
+    from scipy.stats import norm
+
+    d = [math.sqrt(2) * float(norm.ppf(p)) for p in (arm, skin, both)]
+    assert d[2] == pytest.approx(combined_sensitivity(d[0], d[1]), rel=0.02)
+    assert told(CueNoise(0.2, 0.2), "drawn") < both + 0.02
+    alike = [two[0], replace(two[0], name="same")]
+    assert judged(alike, CueNoise(0.1, 0.1))["felt"].pairs["stiff", "same"] == pytest.approx(0.5)
+    turned = judged(two[::-1], CueNoise(0.2, 0.2))["true"]
+    assert turned.pairs["soft", "stiff"] == pytest.approx(1 - both)  # named softer: the one that is not
+
+
+def test_bad_input_is_refused(tmp_path, two) -> None:
+    path = tmp_path / "readings.json"
+    for change, said in (
+        ({"valid": False, "why": "drift"}, "not valid"), ({"unit": "kPa"}, "'MPa' is needed"),
+        ({"value": -1.0}, "above 0"), ({"quantity": "radius"}, "0 readings of modulus"),
+        ({"low": 0.25}, "inside its interval"),
+    ):  # fmt: skip
+        path.write_text(json.dumps({"readings": [READING | change]}))
+        with pytest.raises((InputError, RangeError), match=said):
+            read_touched_flat(path, "modulus")
+    path.write_text(json.dumps({"readings": [READING]}))
+    with pytest.raises(InputError, match="needs its cylinder"):
+        read_touched_flat(path, "stiffness")
+    with pytest.raises(InputError, match="there are modulus"):
+        read_touched_flat(path, "hardness")
+    with pytest.raises(RangeError, match="asked outside"):
+        transmit("x", flat(100), FINGER, peak_n=50.0)
+    with pytest.raises(InputError, match="20 or more"):
+        transmit("x", flat(100), FINGER, peak_n=0.3, draws=3)
+    with pytest.raises(InputError, match="different names"):
+        judged([two[0], two[0]], CueNoise(0.1, 0.1))
+    with pytest.raises(RangeError, match="above 0"):
+        CueNoise(0.0, 0.1)
+
+
+def test_the_verb_renders_readings_writes_a_page_and_objects_and_overwrites_nothing(tmp_path) -> None:
+    for name, value in (("A", 0.2), ("B", 0.06)):
+        (tmp_path / name).mkdir()
+        one = READING | {"value": value, "low": 0.8 * value, "high": None if name == "A" else 1.2 * value}
+        (tmp_path / name / "readings.json").write_text(json.dumps({"readings": [one]}))
+    words = ["transmit", "press", *(str(tmp_path / n / "readings.json") for n in "AB"), "--finger", "30:15"]
+    words += ["--true-kpa", "200,60", "--out", str(tmp_path / "felt"), "--quiet"]
+    said = CliRunner().invoke(app, [*words, "--json"])
+    assert said.exit_code == 0, said.output
+    told = json.loads(said.output)
+    assert told["ranks"] == {"touched": True, "felt": True}
+    assert told["objects"][0]["modulus_high_kPa"] is None
+    assert "nobody has felt it" in (tmp_path / "felt" / "transmission.html").read_text()
+    assert read_object(tmp_path / "felt" / "A.toml").greatest_n == pytest.approx(told["peak_N"])
+    assert CliRunner().invoke(app, words).exit_code == 2
+    for option, given, text in (
+        ("--weber", "0.1", "ARM:SKIN"), ("--true-kpa", "200", "1 values for 2"),
+        ("--cylinder", "20:40", "as in"),
+        ("--finger", "soft", "not MODULUS_KPA"), ("--live-s", "-1", "0 for none"),
+    ):  # fmt: skip
+        other = [*words[:-2], str(tmp_path / "other"), "--quiet", option, given]
+        said = CliRunner().invoke(app, other)
+        assert said.exit_code == 2
+        assert text in " ".join(said.output.split())
+        assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.slow
+def test_a_touch_on_virtual_devices_is_felt_live_too(tmp_path) -> None:
+    out = tmp_path / "loop"
+    words = ["transmit", "study", "--finger", "30:15", "--seeds", "1", "--out", str(out), "--json", "--quiet"]
+    said = CliRunner().invoke(app, words)
+    assert said.exit_code == 0, said.output
+    told = json.loads(said.output)
+    assert told["study"]["felt_in_order"] == {"displacement": 1, "area": 1}
+    live = CliRunner().invoke(app, ["display", "run", "--object", str(out / "S2.toml"), "--seconds", "3",
+                                    "--peak-n", "0.2", "--json", "--quiet"])  # fmt: skip
+    assert live.exit_code == 0, live.output
+    assert json.loads(live.output)["peak_N"] > 0.1
