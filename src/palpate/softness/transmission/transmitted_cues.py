@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -34,7 +33,7 @@ from palpate.softness.cone_display import ConeDisplay
 from palpate.softness.rendering_simulation import Rendering, simulate
 from palpate.softness.touched_flat import TouchedFlat
 
-CUES: tuple[Literal["displacement", "area"], ...] = ("displacement", "area")
+CUES = ("displacement", "area")
 NODES = (0.02, 0.25, 0.5, 0.75, 0.98)  # quantiles of a reading that are rendered
 DRAWS = 400
 SPLINE_POINTS = 12
