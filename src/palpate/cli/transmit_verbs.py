@@ -106,7 +106,7 @@ def study(
     with progress_bar(quiet) as progress:
         found = transmission_study(tip, range(seeds), one_session=not apart, peak_n=peak_n, progress=progress)
     first = list(found[0].transmissions.values())
-    _keep(out, first, tip, finger, noise, json_, study_=study_record(found))
+    _keep(out, first, tip, finger, noise, json_, study_=study_record(found, tip))
 
 
 def _keep(
@@ -159,8 +159,10 @@ def _text(record: dict[str, Any]) -> str:
             f"{study_['held']['area']} of {presses}"
         )
         lines.append(
-            f"median error: {study_['median_error']['displacement']['together']:.1%} (arm), "
-            f"{study_['median_error']['area']['together']:.1%} (skin)"
+            f"median error of what is felt: {study_['median_error']['displacement']['together']:.1%} (arm), "
+            f"{study_['median_error']['area']['together']:.1%} (skin); told as the object's modulus "
+            f"{study_['median_error_as_modulus']['displacement']:.1%} and "
+            f"{study_['median_error_as_modulus']['area']:.1%}"
         )
     if live := record.get("live"):
         lines.append(f"live: {live['periods']} periods, peak {live['peak_N']:.2f} N")

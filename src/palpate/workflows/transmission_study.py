@@ -31,7 +31,13 @@ from palpate.estimators.compliance.pin_press import PinPress, follow_press
 from palpate.mechanics.fingertip_laws import Fingertip
 from palpate.sensors.tactip import TacTipSpec
 from palpate.softness.touched_flat import Cylinder, TouchedFlat
-from palpate.softness.transmission.transmitted_cues import CUES, Transmission, shared_peak_n, transmit
+from palpate.softness.transmission.transmitted_cues import (
+    CUES,
+    Transmission,
+    modulus_of_chord,
+    shared_peak_n,
+    transmit,
+)
 from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
 
 SPECIMENS_N_M = {"S1": 7.6e3, "Snew": 5.3e3, "S2": 3.1e3, "S3": 1.1e3}
@@ -121,9 +127,15 @@ def transmission_study(
     return found
 
 
-def study_record(found: Sequence[StudySeed]) -> dict[str, Any]:
-    """What all seeds say together."""
+def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any]:
+    """What all seeds say together; errors also as the object's own modulus, which a soft finger hardly tells."""
     all_ = [one for seed in found for one in seed.transmissions.values()]
+
+    def as_modulus(one: Transmission, cue: str) -> float:
+        assert one.true_flat_pa is not None
+        felt_pa = modulus_of_chord(finger, one.cues[cue].felt, one.peak_n, cue)
+        return abs(felt_pa / one.true_flat_pa - 1)
+
     return {
         "seeds": len(found), "days_not_used": sum(seed.refused for seed in found),
         "readings_in_order": sum(seed.read_in_order for seed in found),
@@ -137,6 +149,12 @@ def study_record(found: Sequence[StudySeed]) -> dict[str, Any]:
             }
             for cue in CUES
         },
+        "median_error_as_modulus": {
+            cue: float(np.median([as_modulus(one, cue) for one in all_])) for cue in CUES
+        },
+        "readings_hold": sum(
+            one.low <= SPECIMENS_N_M[name] <= one.high for seed in found for name, one in seed.readings.items()
+        ),
         "inside": [min(one.inside for one in all_), max(one.inside for one in all_)],
     }  # fmt: skip
 
