@@ -128,7 +128,7 @@ def transmission_study(
 
 
 def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any]:
-    """What all seeds say together; errors also as the object's own modulus, which a soft finger hardly tells."""
+    """What all seeds say together; errors also as the modulus, which a soft finger hardly tells."""
     all_ = [one for seed in found for one in seed.transmissions.values()]
 
     def as_modulus(one: Transmission, cue: str) -> float:
@@ -153,7 +153,9 @@ def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any
             cue: float(np.median([as_modulus(one, cue) for one in all_])) for cue in CUES
         },
         "readings_hold": sum(
-            one.low <= SPECIMENS_N_M[name] <= one.high for seed in found for name, one in seed.readings.items()
+            one.low <= SPECIMENS_N_M[name] <= one.high
+            for seed in found
+            for name, one in seed.readings.items()
         ),
         "inside": [min(one.inside for one in all_), max(one.inside for one in all_)],
     }  # fmt: skip
