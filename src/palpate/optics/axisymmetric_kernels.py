@@ -73,15 +73,15 @@ def _sample_deep(rays, j, i, slices, table, frozen, difference, shear):
         cosine = x / max(r, TINY)
         difference[k, i] = dy * (turning * cosine * cosine + fixed)
         shear[k, i] = dy * sliding * cosine
-    if frozen[0] == 0 and frozen[1] == 0:
+    if frozen[0, j] == 0 and frozen[1, j] == 0:
         return
     c, s = math.cos(first), math.sin(first)
     y_edge = rays[2, j]
     for k in range(slices):
         c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
         y_next = scale * s / c
-        difference[k, i] += f32(y_next - y_edge) * frozen[0]
-        shear[k, i] += f32(y_next - y_edge) * frozen[1]
+        difference[k, i] += f32(y_next - y_edge) * frozen[0, j]
+        shear[k, i] += f32(y_next - y_edge) * frozen[1, j]
         y_edge = y_next
 
 
@@ -114,7 +114,7 @@ def _sample_any(rays, j, i, slices, table, frozen, difference, shear, inside):
             y = y_next - length * share / 2 if above > 0 else y_edge + length * share / 2
         length *= share
         y_edge = y_next
-        u, v = f32(length) * frozen[0], f32(length) * frozen[1]
+        u, v = f32(length) * frozen[0, j], f32(length) * frozen[1, j]
         r = f32(math.sqrt(s2 + y * y))
         skin += length
         if r > ONE:
@@ -149,7 +149,7 @@ def _sample_tile(start, n, rays, slices, table, frozen, difference, shear, insid
 @numba.njit(**FAST)
 @no_type_check
 def march_rays(first, last, rays, slices, table, frozen, half_phase, real, imag, weight, light, inside):
-    """Rays [5 n] first to last, in an axisymmetric table, into light [c n] (zeros) and inside [2 n]."""
+    """Rays [5 n] first to last, with frozen [2 n], into light [c n] (zeros) and inside [2 n]."""
     bands = half_phase.size
     room = np.empty(TILE, f32)
     difference, shear = np.empty((slices, TILE), f32), np.empty((slices, TILE), f32)

@@ -129,7 +129,7 @@ def march_axisymmetric(
     weight: Weights,
     amplitude: Amplitudes,
     slices: int = 64,
-    frozen_pa: tuple[float, float] = (0.0, 0.0),
+    frozen_pa: tuple[Along | float, Along | float] = (0.0, 0.0),
     threads: int | None = None,
 ) -> MarchedRays:
     """Carry the light of each ray through the table, sampling it on the way.
@@ -142,7 +142,8 @@ def march_axisymmetric(
         amplitude: of the polariscope in each band; see `plane_amplitude` and `circular_amplitude`.
         slices: on the whole ray. From the surface at rest downwards 64 keep 999 of 1000 pixels within one
             8-bit step up to 5 fringes; rows above it, through a bulge, want 128.
-        frozen_pa: uniform s_xx - s_zz and 2 s_xz that stand for residual birefringence; see `frozen_stress`.
+        frozen_pa: s_xx - s_zz and 2 s_xz that stand for residual birefringence, even along each ray: a number
+            of each, or one a ray; see `frozen_stress`.
         threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
 
     Returns:
@@ -155,7 +156,7 @@ def march_axisymmetric(
     paths = rays.broadcast().reshape(5, -1) / unit
     light = np.zeros((weight.shape[1], paths.shape[1]), np.float32)
     inside = np.zeros((2, paths.shape[1]), np.float32)
-    table, frozen = _table(field), np.array(frozen_pa, np.float32)
+    table, frozen = _table(field), _each(frozen_pa, rays)
     optics = kernel_bands(half_phase * unit, weight, amplitude)
 
     def piece(first: int, last: int) -> None:
@@ -164,6 +165,17 @@ def march_axisymmetric(
     in_threads(piece, paths.shape[1], threads)
     skin, outside = (inside * np.float32(unit)).reshape(2, *rays.shape)
     return MarchedRays(np.ascontiguousarray(light.T).reshape(*rays.shape, -1), skin, outside)
+
+
+def _each(frozen_pa: tuple[Along | float, Along | float], rays: Rays) -> Float32[ndarray, "2 n"]:
+    """Frozen stress of every ray."""
+    try:
+        each = [np.broadcast_to(np.asarray(part, np.float32), rays.shape) for part in frozen_pa]
+    except ValueError as e:
+        raise InputError(
+            f"frozen stress {[np.shape(part) for part in frozen_pa]} does not broadcast to rays {rays.shape}"
+        ) from e
+    return np.ascontiguousarray(np.stack(each).reshape(2, -1))
 
 
 def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:
@@ -188,10 +200,11 @@ def _index(knots: ndarray) -> tuple[ndarray, ndarray, np.float32]:
 
 
 def _check_march(
-    half_phase: Bands, weight: Weights, amplitude: Amplitudes, slices: int, frozen_pa: tuple[float, float]
-) -> None:
+    half_phase: Bands, weight: Weights, amplitude: Amplitudes, slices: int,
+    frozen_pa: tuple[Along | float, Along | float],
+) -> None:  # fmt: skip
     check_bands(half_phase, weight, amplitude)
     if slices < 1:
         raise InputError(f"{slices} slices make no ray; give 1 or more")
-    if not np.isfinite(frozen_pa).all():
-        raise InputError(f"frozen stress {frozen_pa} Pa must be two finite numbers")
+    if not all(np.isfinite(part).all() for part in frozen_pa):
+        raise InputError(f"frozen stress {frozen_pa} Pa must be finite: two numbers, or two for each ray")

@@ -43,6 +43,35 @@ class CameraResponse:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class AutoExposure:
+    """A camera that chooses each frame's exposure so that its mean light comes near a target, in whole steps.
+
+    Attributes:
+        target: mean light over the frame and its channels that it aims at, 1 being white.
+        steps_per_stop: of the exposure, in a factor of 2; 3 are thirds of a stop.
+        max_stops: by which it changes the exposure at most, either way.
+    """
+
+    target: float
+    steps_per_stop: int = 3
+    max_stops: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.target <= 1 and self.steps_per_stop >= 1 and 0 <= self.max_stops <= 10):
+            raise RangeError(
+                f"an automatic exposure at a mean of {self.target} in {self.steps_per_stop} steps a stop, to "
+                f"{self.max_stops} stops; give a mean above 0, to 1, 1 step or more, and 0 to 10 stops"
+            )
+
+    def gain(self, linear: LinearImage) -> float:
+        """Factor by which the next frame of this light is exposed longer, a whole number of steps."""
+        mean = float(np.mean(linear))
+        stops = np.log2(self.target / mean) if mean > 0 else self.max_stops
+        stops = np.clip(stops, -self.max_stops, self.max_stops)
+        return float(2.0 ** (np.rint(stops * self.steps_per_stop) / self.steps_per_stop))
+
+
 def raw_codes(
     linear: LinearImage, sensitivity: Float[ndarray, " 3"], camera: CameraResponse, rng: np.random.Generator
 ) -> UInt16[ndarray, "h w 3"]:

@@ -250,7 +250,7 @@ def press_finite_strain(
     positive("the disc's radius", disc_radius_m, "m")
     around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
     x, y, _ = grid_around(pose, around, x_m, y_m)
-    table = _table_for(thickness_m / R, friction, poisson_ratio)
+    table = table_for(thickness_m / R, friction, poisson_ratio)
     _fits(table, pose, R, disc_radius_m)
     at = table.at(min(pose.depth_m / R, table.greatest_depth))
     east, north = (x[None, :] - pose.x_m) / R, (y[:, None] - pose.y_m) / R
@@ -272,18 +272,94 @@ def press_finite_strain(
     )
 
 
-def _table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
+MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio
+NEAREST = 3  # tables of other thicknesses that one between them is drawn from
+
+
+def table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
+    """The shipped table of a disc, or one drawn from those of the nearest thicknesses.
+
+    Between thicknesses every number is a parabola through three tables over 1 / thickness, each at the same
+    depth, radius and share of the way down.
+
+    Args:
+        ratio: thickness over the sphere's radius.
+        friction: Coulomb's coefficient.
+        poisson_ratio: of the disc.
+
+    Raises:
+        RangeError: no table of this friction and Poisson's ratio, or a thickness outside those solved; or
+            between them, where fewer than three were.
+    """
+    near = _solved_near(ratio, friction, poisson_ratio)
+    if len(near) == 1:
+        return near[0]
+    if near:
+        return _between(tuple(t.thickness for t in near), ratio, friction, poisson_ratio)
     tables = [SphereTable.load(name) for name in shipped()]
-    asked, atol = (ratio, friction, poisson_ratio), (0.0, SAME, 0.0)  # friction may be 0
-    for table in tables:
-        if np.allclose((table.thickness, table.friction, table.poisson_ratio), asked, rtol=SAME, atol=atol):
-            return table
     choices = "; ".join(
         f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables
     )
     raise RangeError(
         f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
         f"{poisson_ratio:g}; choose a sphere radius R and a friction among: {choices}"
+        f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other"
+    )
+
+
+def is_tabled(ratio: float, friction: float, poisson_ratio: float) -> bool:
+    """Whether `table_for` has one; arguments as there."""
+    return bool(_solved_near(ratio, friction, poisson_ratio))
+
+
+def _solved_near(ratio: float, friction: float, poisson_ratio: float) -> list[SphereTable]:
+    """The table of a disc, or the three that one between them is drawn from, or none."""
+    tables = [SphereTable.load(name) for name in shipped()]
+    asked = friction, poisson_ratio
+    alike = [t for t in tables if np.allclose((t.friction, t.poisson_ratio), asked, rtol=SAME, atol=SAME)]
+    near = sorted(alike, key=lambda t: abs(1 / t.thickness - 1 / ratio))[:NEAREST]
+    if near and math.isclose(near[0].thickness, ratio, rel_tol=SAME):
+        return near[:1]
+    below = max((t.thickness for t in alike if t.thickness < ratio), default=0.0)
+    above = min((t.thickness for t in alike if t.thickness > ratio), default=math.inf)
+    return near if len(near) == NEAREST and above <= MAX_APART * below else []
+
+
+@lru_cache(maxsize=16)
+def _between(
+    thicknesses: tuple[float, ...], ratio: float, friction: float, poisson_ratio: float
+) -> SphereTable:
+    """A table of a thickness that was not solved, by Lagrange's polynomial over 1 / thickness."""
+    tables = [table_for(h, friction, poisson_ratio) for h in thicknesses]
+    inverse = 1 / np.array(thicknesses)
+    weights = [
+        float(np.prod([(1 / ratio - other) / (own - other) for other in inverse if other != own]))
+        for own in inverse
+    ]
+    first = tables[0]
+    depths = min((t.depth for t in tables), key=len)
+    n = len(depths)
+
+    def mixed(part: str) -> ndarray:
+        return np.asarray(sum(w * getattr(t, part)[:n] for w, t in zip(weights, tables, strict=True)))
+
+    stress = sum(
+        w * PchipInterpolator(t.zeta, t.stress[:n].astype(float), axis=2)(first.zeta)
+        for w, t in zip(weights, tables, strict=True)
+    )
+    return SphereTable(
+        thickness=ratio,
+        disc_radius=first.disc_radius,
+        poisson_ratio=poisson_ratio,
+        friction=friction,
+        depth=depths,
+        force=mixed("force"),
+        contact_radius=mixed("contact_radius"),
+        peak_pressure=mixed("peak_pressure"),
+        r=first.r,
+        zeta=first.zeta,
+        surface=mixed("surface").astype(np.float32),
+        stress=np.asarray(stress, np.float32),
     )
 
 

@@ -18,11 +18,11 @@ from palpate.core import Contact, Float, Float32, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
 from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.stress_optic import frozen_stress
 from palpate.optics.wall_refraction import ColumnRays
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
+from palpate.sensors.palm.uneven_membrane import frozen_at
 
 # With the numbers below, light is off by 0.1 of 255 rms, 1 at most.
 PLANES = 20  # of stress, finest at the surface
@@ -45,7 +45,7 @@ def march_contact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
     seen = np.flatnonzero(rays.visible)
     chosen = _chosen(rays, seen)
     places = _slices(spec, contact, rays, chosen)
-    if contact.force_n > 0 or spec.frozen_birefringence:
+    if contact.force_n > 0 or spec.frozen_birefringence or spec.residual.birefringence:
         marched = _marched(spec, contact, rays, chosen, places, z[rows])
         light[rows[0] : rows[-1] + 1, seen] = _between(marched, chosen, seen)
     sunk = np.zeros(len(rays.visible))
@@ -153,7 +153,8 @@ def _marched(
     light = np.empty((len(z), len(chosen), 3), np.float32)
     for first in range(0, len(chosen), COLUMNS):
         part = slice(first, first + COLUMNS)
-        difference, shear = _read(spec, near, far, rays.turn_rad[chosen[part]], places, part)
+        frozen = frozen_at(spec, rays.impact_m[chosen[part]], planes[:, None])
+        difference, shear = _read(spec, near, far, rays.turn_rad[chosen[part]], places, part, frozen)
         light[:, part] = march_colour(
             onto @ difference,
             onto @ shear,
@@ -165,7 +166,13 @@ def _marched(
 
 
 def _read(
-    spec: PalmSpec, near: OnGrid, far: OnGrid, turn: ndarray, places: Places, part: slice
+    spec: PalmSpec,
+    near: OnGrid,
+    far: OnGrid,
+    turn: ndarray,
+    places: Places,
+    part: slice,
+    frozen: tuple[ndarray, ndarray],
 ) -> tuple[Float32[ndarray, "s z w"], Float32[ndarray, "s z w"]]:
     """Difference and shear times length, of each slice of some rays on every plane."""
     from palpate.sensors.palm import ray_kernels  # here: compiling is for those who march
@@ -173,7 +180,7 @@ def _read(
     x, y, length = (np.ascontiguousarray(values[part].T) for values in places)
     c, s = np.cos(turn), np.sin(turn)
     turns = np.stack([c * c, s * s, -2 * s * c, 2 * c, -2 * s]).astype(np.float32)
-    frozen = frozen_stress(spec.frozen_birefringence, spec.frozen_axis_rad, spec.stress_optic)
+    C = spec.stress_optic.coefficient_per_pa
     grids = [np.array([*grid.first_m, *(1 / cell for cell in grid.cell_m)]) for grid in (near, far)]
     u, v = (np.empty((len(x), near.stress_pa.shape[0], x.shape[1]), np.float32) for _ in range(2))
     ray_kernels.read_along(
@@ -184,7 +191,7 @@ def _read(
         y,
         length.astype(np.float32),
         turns,
-        np.array(frozen, np.float32),
+        np.stack([component / C for component in frozen]).astype(np.float32),
         u,
         v,
     )

@@ -2,7 +2,9 @@
 
 Through the rim a column of the image looks along a straight ray inside the membrane that passes the
 contact's axis at some offset s. An axisymmetric field depends on nothing else, so one picture of (s, z)
-serves a contact anywhere (the fast way); what it misses is where the membrane ends along each ray.
+serves a contact anywhere (the fast way); what it misses is where the membrane ends along each ray. What is
+frozen into the membrane does not move with the contact: the fast way adds it to the picture by the light's
+first and second slopes over it, and leaves out its cube.
 
 A ray that meets the membrane's upper surface on its way, in the dimple beside the ball or in the bulge around
 it, does so at a grazing angle: it is thrown back or bent far off. Such rays are drawn dark, as are those that
@@ -25,12 +27,18 @@ from palpate.core import Float, Float32, Pose, Probe, ndarray
 from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.stress_optic import frozen_stress
 from palpate.optics.wall_refraction import ColumnRays, round_rim
 from palpate.sensors.palm.palm_press import field_of, pressed
 from palpate.sensors.palm.palm_rim import applied_rim
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
+from palpate.sensors.palm.uneven_membrane import (
+    EVEN,
+    ResidualMap,
+    frozen_at,
+    modulus_ratio,
+    thickness_at,
+)
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -56,9 +64,11 @@ COARSE = 8  # how much longer it is beyond
 LOOKS = 1001  # columns at which `sees` looks, equally spaced in the angle at which they meet the rim
 GRAZED = 1e-5  # share of its way in air from which a ray counts as having met the surface
 RATIO_STEP = 0.02  # of stress near the rim, between whose kept pictures the fast way mixes
+ORDER_STEP = 0.02  # of residual birefringence, between the pictures its slopes are taken of
 PICTURES_BYTES = 300_000_000
 MARCHES_BYTES = 50_000_000
 
+Numbers = Float[ndarray, "..."]
 Light = Float32[ndarray, "h w 3"]
 """Behind the analyser in three channels, 1 being all of the lamp's light; the polarisers' leak is in it."""
 
@@ -90,13 +100,16 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 @cache_within(MARCHES_BYTES)
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
     """Light of every ray, marched from wall to wall; it is kept, and so cannot be written to."""
-    spec = _stressed(spec, applied_rim(spec, Pose(x_m, y_m, depth_m)).force_ratio)
+    here, ratio = _found_by(spec, Pose(x_m, y_m, depth_m))
+    spec = _stressed(here, ratio)
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
     rays = columns(spec, view)
     offset, start, end = (part[rays.visible] for part in rays.about(x_m, y_m))
-    light[:, rays.visible] = _marched(spec, depth_m, view.down_m, offset, start, end, slices)
+    frozen = frozen_at(spec, rays.impact_m[rays.visible], view.down_m[:, None])
+    frozen_pa = _stress_of(spec, *frozen)
+    light[:, rays.visible] = _marched(spec, depth_m, view.down_m, offset, start, end, frozen_pa, slices)
     light = mean_of(light, *spec.rays_per_pixel)
     light.setflags(write=False)
     return light
@@ -104,23 +117,54 @@ def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices
 
 def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:
     """Light by the fast way: columns of the kept picture, at each column's offset from the contact's axis."""
-    same = spec.unlit
-    rays = columns_kept(same)
+    here, ratio = _found_by(spec.unlit, Pose(x_m, y_m, depth_m))
+    rays = columns_kept(here)
     offset, _, _ = rays.about(x_m, y_m)
-    light = _seen_at(same, depth_m, applied_rim(spec, Pose(x_m, y_m, depth_m)).force_ratio, offset)
+    light = _seen_at(here, depth_m, ratio, offset)
     light[:, ~rays.visible] = spec.extinction
     return light
+
+
+def _found_by(spec: PalmSpec, pose: Pose) -> tuple[PalmSpec, float]:
+    """An even membrane as a press finds it here, and the ratio of its stress to that of one in the middle."""
+    here = replace(spec, thickness_m=thickness_at(spec, pose.x_m, pose.y_m), gel=EVEN)
+    return here, applied_rim(here, pose).force_ratio * modulus_ratio(spec, pose.x_m, pose.y_m)
+
+
+def _stress_of(spec: PalmSpec, along: Numbers, aside: Numbers) -> tuple[Numbers, Numbers]:
+    """Stress that would make a birefringence of two components."""
+    C = spec.stress_optic.coefficient_per_pa
+    return along / C, aside / C
 
 
 def _seen_at(spec: PalmSpec, depth_m: float, stress_ratio: float, offset_m: Float[ndarray, " w"]) -> Light:
     """Columns of a depth's picture, all its stress times a ratio: mixed of the two nearest that are kept."""
     steps = (1.0 - stress_ratio) / RATIO_STEP
     whole = math.floor(steps)
-    light = picture_of(_stressed(spec, 1.0 - RATIO_STEP * whole), depth_m).at(offset_m)
+    light = _with_residual(_stressed(spec, 1.0 - RATIO_STEP * whole), depth_m, offset_m)
     if (share := np.float32(steps - whole)) > 0:
-        lower = picture_of(_stressed(spec, 1.0 - RATIO_STEP * (whole + 1)), depth_m).at(offset_m)
+        lower = _with_residual(_stressed(spec, 1.0 - RATIO_STEP * (whole + 1)), depth_m, offset_m)
         light += share * (lower - light)
     return light
+
+
+def _with_residual(spec: PalmSpec, depth_m: float, offset_m: Float[ndarray, " w"]) -> Light:
+    """Columns of a depth's picture, with what is frozen into each column's own ray, to the second order."""
+    kept = replace(spec, frozen_birefringence=0.0, frozen_axis_rad=0.0, residual=ResidualMap())
+    light = picture_of(kept, depth_m).at(offset_m)
+    if spec.frozen_birefringence == 0.0 and spec.residual.birefringence == 0.0:
+        return light
+    rays, z, e = columns_kept(spec.unlit), spec.fringes.down_m[:, None], ORDER_STEP
+    long = 2 * rays.half_chord_m / spec.stress_optic.reference_wavelength_m / e
+    u, v = ((part * long)[..., None].astype(np.float32) for part in frozen_at(spec, rays.impact_m, z))
+    right, left, down, up, both, neither = (
+        picture_of(kept, depth_m, (e * a, e * b)).at(offset_m)
+        for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
+    )
+    straight, bent_u, bent_v = 2 * light, right + left - 2 * light, down + up - 2 * light
+    twist = both + neither - straight - bent_u - bent_v
+    light = light + (u * (right - left + u * bent_u) + v * (down - up + v * bent_v) + u * v * twist) / 2
+    return np.maximum(light, 0.0)
 
 
 def _stressed(spec: PalmSpec, ratio: float) -> PalmSpec:
@@ -157,8 +201,10 @@ class Picture:
 
 
 @cache_within(PICTURES_BYTES)
-def picture_of(spec: PalmSpec, depth_m: float) -> Picture:
+def picture_of(spec: PalmSpec, depth_m: float, frozen: tuple[float, float] = (0.0, 0.0)) -> Picture:
     """The picture of one depth, marched once: as seen from the membrane's middle, each pixel's rays averaged.
+
+    With orders of residual birefringence on every ray, along the axes and along their diagonals, if asked.
 
     Under a press towards or away from the camera columns stand up to a fifth closer or wider, which their
     averaging does not follow.
@@ -168,7 +214,10 @@ def picture_of(spec: PalmSpec, depth_m: float) -> Picture:
     R = spec.radius_m
     reach = np.sqrt(np.maximum(R**2 - s**2, (1e-3 * R) ** 2))
     z = spec.fringes.sampled(1, down).down_m
-    picture = Picture(s, mean_of(_marched(spec, depth_m, z, s, -reach, reach), 1, down))
+    frozen_pa = _stress_of(
+        spec, *(order * spec.stress_optic.reference_wavelength_m / (2 * reach) for order in frozen)
+    )
+    picture = Picture(s, mean_of(_marched(spec, depth_m, z, s, -reach, reach, frozen_pa), 1, down))
     rays = ((np.arange(across) + 0.5) / across - 0.5) * _inner_pitch(spec)
     return Picture(s, np.stack([picture.at(s + ray) for ray in rays]).mean(axis=0))
 
@@ -209,6 +258,7 @@ def _marched(
     offset_m: Float[ndarray, " w"],
     start_m: Float[ndarray, " w"],
     end_m: Float[ndarray, " w"],
+    frozen_pa: tuple[Numbers, Numbers],
     slices: int = SLICES,
 ) -> Light:
     seen = spectrum(spec.bands)
@@ -221,7 +271,7 @@ def _marched(
         seen.weight,
         plane_amplitude(spec.polariser_rad, spec.bands),
         slices,
-        frozen_stress(spec.frozen_birefringence, spec.frozen_axis_rad, spec.stress_optic),
+        frozen_pa,
     )
     light = with_leak(made.light, spec.extinction)
     grazed = (made.skin_m > 0) & (made.skin_m < (1 - GRAZED) * (end_m - start_m))

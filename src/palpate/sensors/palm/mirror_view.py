@@ -85,8 +85,9 @@ def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> 
     lean, up = _inside_direction(spec)
     entry = y_m + (spec.thickness_m - depth_m) * lean / up
     wide, high = spec.mirror.pitches_m
-    cx, cy = spec.mirror.middle_px
-    return cx + x_m / wide, cy + entry * math.sin(spec.mirror_elevation_rad) / high
+    right, down = x_m / wide, entry * math.sin(spec.mirror_elevation_rad) / high
+    (cx, cy), c, s = spec.mirror.middle_px, math.cos(spec.mirror.turn_rad), math.sin(spec.mirror.turn_rad)
+    return cx + c * right - s * down, cy + s * right + c * down
 
 
 @dataclass(frozen=True, slots=True, eq=False)

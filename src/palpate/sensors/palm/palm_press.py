@@ -22,6 +22,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
     TabulatedPress,
     press_finite_strain,
     shipped,
+    table_for,
 )
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
@@ -31,6 +32,7 @@ from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import gap_of, reaches_of, upright_ball
+from palpate.sensors.palm.uneven_membrane import pressed_at
 
 FINER = 3  # times as many knots each way: the march reads between them along straight lines
 FADED = (0.75, 0.95)
@@ -47,13 +49,12 @@ def _table_of(spec: PalmSpec) -> SphereTable | None:
 
 @lru_cache(maxsize=32)
 def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
-    """The shipped table of these proportions (lengths in ball radii); None if there is none."""
-    for table in (SphereTable.load(name) for name in shipped()):
-        own = np.array([table.thickness, table.poisson_ratio, table.friction])
-        fits = np.allclose(own, [thickness, poisson_ratio, friction], rtol=SAME, atol=SAME)
-        if fits and table.disc_radius <= disc_radius * (1 + SAME):
-            return table
-    return None
+    """The table of these proportions (lengths in ball radii); None if there is none."""
+    try:
+        table = table_for(thickness, friction, poisson_ratio)
+    except RangeError:
+        return None
+    return table if table.disc_radius <= disc_radius * (1 + SAME) else None
 
 
 def has_table(spec: PalmSpec) -> bool:
@@ -93,6 +94,7 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
     Raises:
         RangeError: a force that is negative, not a number, or beyond the table.
     """
+    spec = pressed_at(spec, x_m, y_m)
     table, R = table_of(spec), spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * R**2
 
@@ -195,6 +197,7 @@ def press(
             raise InputError(f"the {asked} {value} {unit} is not finite; give two numbers in {unit}, x and y")
     if moment_nm is not None and not math.isfinite(moment_nm):
         raise InputError(f"the moment {moment_nm} N m is not finite; give a number in N m, or None")
+    spec = pressed_at(spec, pose.x_m, pose.y_m)
     ball = Probe("sphere", spec.indenter_radius_m)
     probe = ball if probe is None else upright_ball(probe)
     if -math.inf < pose.depth_m < 0:
@@ -267,6 +270,7 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
             "ball without lateral load"
         )
+    spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)
     x, y, stack = pose.x_m + across, pose.y_m + down, stack_of(spec)
     gap, is_narrow = gap_of(probe, x, y, (pose.x_m, pose.y_m)), False

@@ -31,11 +31,15 @@ from palpate.sensors.palm.membrane_wear import (
 )
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
+from palpate.sensors.palm.uneven_membrane import ResidualMap, pressed_at
+from palpate.sensors.palm.view_faults import MirrorDirt, dirt_over, glare_in, turned
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
 
 UNSTRESSED = StressOpticLaw(1e-9)  # of no account where no fringes are drawn
+
+UNPRESSED_PA = 1e5  # likewise, where only shape is seen
 
 BEHIND_ANALYSER = 0.5  # an ideal polariser passes half of unpolarised light
 
@@ -98,12 +102,15 @@ def housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
         clean += np.float32(spec.ambient) * room_light(spec.frame_px)
     for view, light in zip((spec.fringes, spec.mirror), seen, strict=True):
         clean[view.window] = light
-    return through_lens(clean, spec.chain)
+    clean = through_lens(clean, spec.chain)
+    return clean if spec.auto_exposure is None else clean * np.float32(spec.auto_exposure.gain(clean))
 
 
 def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Views:
-    """Both regions alone, as `render` would draw them; in less time, but for a lens or JPEG."""
-    if spec.chain != ImageChain():
+    """Both regions alone, as `render` would draw them; in less time, but for a lens, JPEG
+    or automatic exposure.
+    """
+    if spec.chain != ImageChain() or spec.auto_exposure is not None:
         whole = render(contact, spec, rng, exact=exact).image
         return Views(*(np.ascontiguousarray(whole[view.window]) for view in (spec.fringes, spec.mirror)))
     seen = render_clean(contact, spec, exact=exact)
@@ -119,6 +126,8 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
     Raises:
         InputError: another contact than the ball's without a membrane.
     """
+    views = spec.fringes, spec.mirror
+    spec = replace(spec, fringes=spec.fringes.upright, mirror=spec.mirror.upright)
     light = _transmitted(contact, spec, exact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
     if spec.probe_edge_on:
@@ -130,6 +139,12 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
         films = _films(spec.wear, spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
         for one, seen in zip(films, (light, below), strict=True):
             one.over(seen, spec.lamp_gain)
+    if spec.dirt != MirrorDirt():
+        below *= dirt_over(spec)[..., None]
+    light, below = (turned(seen, view) for seen, view in zip((light, below), views, strict=True))
+    if spec.glare.spots:
+        for stream, (view, seen) in enumerate(zip(views, (light, below), strict=True)):
+            seen += np.float32(spec.lamp_gain) * glare_in(spec.glare, view.upright, stream)[..., None]
     if spec.lamp_mired:
         for seen in (light, below):
             seen *= lamp_tint(spec.lamp_mired, fringe_view.spectrum(spec.bands))
@@ -146,6 +161,8 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
     spec = replace(
         spec, probe_in_mirror=True, opaque_underside=False, mirror=spec.fringes, mirror_elevation_rad=1.0
     )
+    if not is_ball(contact, spec):
+        spec = pressed_at(spec, pose.x_m, pose.y_m)
     if not spec.membrane:
         _check_air(contact, spec)
         return np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
@@ -162,7 +179,14 @@ def _reflected(contact: Contact, spec: PalmSpec, exact: bool) -> Grey:
     pose = contact.pose
     if not spec.membrane:
         _check_air(contact, spec)
-    spec = replace(spec, stress_optic=UNSTRESSED, polariser_rad=0.0)  # palms that differ there share a trace
+    spec = replace(  # palms that differ in what only polarised light shows share a trace
+        pressed_at(spec, pose.x_m, pose.y_m),
+        stress_optic=UNSTRESSED,
+        youngs_modulus_pa=UNPRESSED_PA,
+        polariser_rad=0.0,
+        frozen_birefringence=0.0,
+        residual=ResidualMap(),
+    )
     if not is_ball(contact, spec):
         return mirror_view.trace_contact(spec, contact)
     below = mirror_view.trace_mirror if exact else mirror_view.shift_mirror

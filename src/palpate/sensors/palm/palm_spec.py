@@ -14,12 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.optics.camera_response import CameraResponse
+from palpate.optics.camera_response import AutoExposure, CameraResponse
 from palpate.optics.colour import MIN_BANDS
 from palpate.optics.illumination import LedStrip
 from palpate.optics.image_chain import ImageChain
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.membrane_wear import Wear
+from palpate.sensors.palm.uneven_membrane import ResidualMap, UnevenGel
+from palpate.sensors.palm.view_faults import Glare, MirrorDirt
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +34,14 @@ class View:
         middle_px: (x, y) of the membrane's axis, from the region's corner [px]: in the fringe view at the
             rest surface, in the mirror's at the underside.
         row_pitch_m: from row to row [m]; None for square pixels.
+        turn_rad: by which its picture is turned about its middle in the frame, from right towards down [rad].
     """
 
     box_px: tuple[int, int, int, int]
     pitch_m: float
     middle_px: tuple[float, float]
     row_pitch_m: float | None = None
+    turn_rad: float = 0.0
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -70,7 +74,13 @@ class View:
         x, y, w, h = (int(part * by + 1e-6) for part, by in zip(self.box_px, (across, down) * 2, strict=True))
         (cx, cy), (wide, high) = self.middle_px, self.pitches_m
         square = across == down and self.row_pitch_m is None
-        return View((x, y, w, h), wide / across, (cx * across, cy * down), None if square else high / down)
+        pitch_m = None if square else high / down
+        return View((x, y, w, h), wide / across, (cx * across, cy * down), pitch_m, self.turn_rad)
+
+    @property
+    def upright(self) -> View:
+        """The same region before its picture is turned."""
+        return replace(self, turn_rad=0.0)
 
 
 FRINGES = View((380, 60, 1420, 420), 44e-6, (710.0, 110.0))
@@ -80,6 +90,7 @@ MIRROR = View((700, 560, 700, 420), 100e-6, (350.0, 210.0))
 """Box from D; the pitch, at which places up to 20 mm from the axis are seen, is assumed."""
 
 RIMS = ("applied", "stated")
+MAX_TURN_RAD = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +108,8 @@ class PalmSpec:
         refractive_index: n of the membrane. Manufacturer's figure for Solaris.
         frozen_birefringence, frozen_axis_rad: what is left without load, uniform; axis from x to z [rad].
             Assumed.
+        residual: what is left without load, varying over the side view. Assumed.
+        gel: how modulus and thickness vary over the disc. Assumed.
         indenter_radius_m: of the ball [m]. R: 10 mm diameter.
         rim: whether a press of the ball near the free rim has the force, the lateral push and the stress that
             the solutions in three dimensions give it ("applied"), or those of a press in the middle, with the
@@ -123,10 +136,13 @@ class PalmSpec:
         probe_edge_on: whether the fringe view shows the probe's body; False leaves the dark dimple.
         membrane: whether there is one; False for the empty housing with the ball in the air.
         wear: what use has left on the membrane.
+        dirt: on the underside or the mirror, in the mirror's view. Assumed.
+        glare: reflections of the lamp in both regions. Assumed.
         bands: of wavelength, 400 to 700 nm; 31 or more.
         rays_per_pixel: across and down, whose mean a pixel of the fringe view is.
         camera: from light to codes. Assumed.
         chain: the lens's blur and distortion, and JPEG; none by default.
+        auto_exposure: whether the camera chooses each frame's exposure, in steps; None for one that stays.
         exposure_s: of a frame [s]. Assumed; R has 30 frames a second.
         name: goes into each frame.
     """
@@ -140,6 +156,8 @@ class PalmSpec:
     refractive_index: float = 1.41
     frozen_birefringence: float = 0.0
     frozen_axis_rad: float = 0.0
+    residual: ResidualMap = field(default_factory=ResidualMap)
+    gel: UnevenGel = field(default_factory=UnevenGel)
     indenter_radius_m: float = 5e-3
     rim: str = "stated"
     rim_refracts: bool = True
@@ -162,10 +180,13 @@ class PalmSpec:
     probe_edge_on: bool = True
     membrane: bool = True
     wear: Wear = field(default_factory=Wear)
+    dirt: MirrorDirt = field(default_factory=MirrorDirt)
+    glare: Glare = field(default_factory=Glare)
     bands: int = MIN_BANDS
     rays_per_pixel: tuple[int, int] = (1, 1)
     camera: CameraResponse = field(default_factory=CameraResponse)
     chain: ImageChain = field(default_factory=ImageChain)
+    auto_exposure: AutoExposure | None = None
     exposure_s: float = 0.02
     name: str = "palm"
 
@@ -191,7 +212,8 @@ class PalmSpec:
     @property
     def unlit(self) -> PalmSpec:
         """The same palm whatever its lamp and camera: what its marched and traced pictures depend on."""
-        return replace(self, **{name: getattr(_NOMINAL, name) for name in _LATER})
+        later = {name: getattr(_NOMINAL, name) for name in _LATER}
+        return replace(self, fringes=self.fringes.upright, mirror=self.mirror.upright, **later)
 
     @property
     def rim_index(self) -> float:
@@ -211,6 +233,8 @@ def _check_view(view: View, frame_px: tuple[int, int]) -> None:
             f"region {view.box_px} does not fit a frame of {frame_px[0]} x {frame_px[1]} px with 8 px or "
             "more each way"
         )
+    if not abs(view.turn_rad) <= MAX_TURN_RAD:
+        raise RangeError(f"a region turned by {view.turn_rad} rad; within {MAX_TURN_RAD:g} rad")
     if not all(math.isfinite(pitch) and pitch > 0 for pitch in view.pitches_m):
         raise RangeError(f"pixels of {view.pitches_m} m on the membrane; both must be positive, in m")
 
@@ -247,6 +271,9 @@ _LATER = (
     "membrane_transmission",
     "probe_edge_on",
     "wear",
+    "dirt",
+    "glare",
+    "auto_exposure",
     "camera",
     "exposure_s",
     "name",

@@ -18,7 +18,7 @@ def read_along(near, far, to_near, to_far, x, y, length, turns, frozen, u, v):
         to_near, to_far: first column, first row, and 1 over the cell along x and y.
         x, y, length: of the slices' middles, and their lengths [s w].
         turns: of the rays: cos^2, sin^2, -2 sin cos, 2 cos, -2 sin [5 w].
-        frozen: what is added to difference and shear.
+        frozen: what is added to difference and shear, of each plane and ray [2 z w].
         u, v: (s_xx - s_zz) and 2 s_xz times length, as the ray sees them [s z w]; written.
     """
     slices, rays = x.shape
@@ -46,13 +46,14 @@ def read_along(near, far, to_near, to_far, x, y, length, turns, frozen, u, v):
             for w in range(rays):
                 k = at[s, w]
                 if k == -1:
-                    u[s, z, w], v[s, z, w] = frozen[0] * length[s, w], frozen[1] * length[s, w]
+                    u[s, z, w] = frozen[0, z, w] * length[s, w]
+                    v[s, z, w] = frozen[1, z, w] * length[s, w]
                     continue
                 grid, nx = (here, near_nx) if k >= 0 else (there, far_nx)
                 k = k if k >= 0 else -2 - k
                 a, b = right[s, w], down[s, w]
                 one, two, three, four = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-                difference, shear = frozen[0], frozen[1]
+                difference, shear = frozen[0, z, w], frozen[1, z, w]
                 for f in range(5):
                     row = grid[f]
                     value = one * row[k] + two * row[k + 1] + three * row[k + nx] + four * row[k + nx + 1]

@@ -1,0 +1,162 @@
+"""What differs from place to place in one membrane: modulus, thickness, and retardance frozen into it.
+
+Each varies smoothly, as casting and curing leave it: a few modes of lowest order, drawn by a seed, of a root
+mean square that is stated and a mean of 0 over the membrane. All sizes are assumed, and none by default.
+
+A press takes modulus and thickness as they are under its axis. That is right as far as both stay the same
+within the reach of its stress, one or two contact radii; the modes bend over half the membrane and more. Of
+the thickness it is the underside that stays flat, and the upper surface at rest that does: the step is left
+out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from palpate.core import Float, InputError, RangeError, ndarray
+
+if TYPE_CHECKING:
+    from palpate.sensors.palm.palm_spec import PalmSpec
+
+MAX_SHARE = 0.1  # of modulus and thickness, root mean square
+MAX_BIREFRINGENCE = 1e-5  # of what is frozen in, root mean square
+SIDE_MODES = tuple((i, j) for i in range(4) for j in range(3) if i + j > 0)
+
+Field = Float[ndarray, "..."]
+
+
+@dataclass(frozen=True, slots=True)
+class UnevenGel:
+    """A membrane whose modulus and thickness vary over its disc. Sizes are assumed.
+
+    Attributes:
+        modulus: root mean square of the logarithm of E over its mean, 0 to 0.1.
+        thickness: the same of the thickness.
+        seed: which membrane.
+    """
+
+    modulus: float = 0.0
+    thickness: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("modulus", "thickness"):
+            value = getattr(self, name)
+            if not 0 <= value <= MAX_SHARE:
+                raise RangeError(f"an uneven gel's {name} of {value}; 0 to {MAX_SHARE:g}, as a share")
+        _check_seed(self.seed)
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualMap:
+    """Birefringence frozen in that varies over the side view, besides the uniform one. Assumed.
+
+    Attributes:
+        birefringence: root mean square of each of the two components, along the axes and along their
+            diagonals, of the mean along a ray: a difference of indices, 0 to 1e-5.
+        seed: which map.
+    """
+
+    birefringence: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.birefringence <= MAX_BIREFRINGENCE:
+            raise RangeError(
+                f"a residual birefringence of {self.birefringence}; 0 to {MAX_BIREFRINGENCE:g}, a difference "
+                "of indices"
+            )
+        _check_seed(self.seed)
+
+
+def _check_seed(seed: int) -> None:
+    if not isinstance(seed, int) or seed < 0:
+        raise InputError(f"the seed is {seed!r}; give a whole number, 0 or more")
+
+
+def disc_modes(x: Field, y: Field) -> Float[ndarray, "7 ..."]:
+    """Zernike's modes of orders 1 to 3 but for the trefoils, at places in radii of the disc.
+
+    Each has a mean of 0 and a mean square of 1 over the disc, and they are orthogonal.
+
+    Reference: R. J. Noll, J. Opt. Soc. Am. 66 (1976) 207, doi:10.1364/JOSA.66.000207.
+    """
+    r2 = x**2 + y**2
+    return np.stack([
+        2 * x, 2 * y, math.sqrt(3) * (2 * r2 - 1), math.sqrt(6) * (x**2 - y**2), math.sqrt(6) * 2 * x * y,
+        math.sqrt(8) * (3 * r2 - 2) * x, math.sqrt(8) * (3 * r2 - 2) * y,
+    ])  # fmt: skip
+
+
+def side_modes(across: Field, down: Field) -> Float[ndarray, "11 ..."]:
+    """Products of Legendre's polynomials, each of mean 0 and mean square 1 over a square of -1 to 1."""
+    return np.stack([_legendre(i, across) * _legendre(j, down) for i, j in SIDE_MODES])
+
+
+def _legendre(order: int, at: Field) -> Field:
+    return np.asarray(math.sqrt(2 * order + 1) * legendre.legval(at, np.eye(order + 1)[order]))
+
+
+@lru_cache(maxsize=64)
+def _weights(seed: int, stream: int, modes: int) -> tuple[float, ...]:
+    """Weights of modes whose squares sum to 1, so that the field's mean square is 1."""
+    drawn = np.random.default_rng([seed, stream]).standard_normal(modes)
+    return tuple((drawn / np.linalg.norm(drawn)).tolist())
+
+
+def modulus_ratio(spec: PalmSpec, x_m: float, y_m: float) -> float:
+    """Modulus at a place over the membrane's own."""
+    return math.exp(spec.gel.modulus * _at(spec, 0, x_m, y_m)) if spec.gel.modulus else 1.0
+
+
+def thickness_at(spec: PalmSpec, x_m: float, y_m: float) -> float:
+    """Thickness at a place [m]."""
+    share = spec.gel.thickness
+    return spec.thickness_m * math.exp(share * _at(spec, 1, x_m, y_m)) if share else spec.thickness_m
+
+
+def _at(spec: PalmSpec, stream: int, x_m: float, y_m: float) -> float:
+    R = spec.radius_m
+    modes = disc_modes(np.asarray(x_m / R), np.asarray(y_m / R))
+    return float(np.dot(_weights(spec.gel.seed, stream, len(modes)), modes))
+
+
+def pressed_at(spec: PalmSpec, x_m: float, y_m: float) -> PalmSpec:
+    """The palm as a press at this place finds it: even, with the modulus and thickness that are there."""
+    if spec.gel == EVEN:
+        return spec
+    return replace(
+        spec,
+        youngs_modulus_pa=spec.youngs_modulus_pa * modulus_ratio(spec, x_m, y_m),
+        thickness_m=thickness_at(spec, x_m, y_m),
+        gel=EVEN,
+    )
+
+
+def frozen_at(spec: PalmSpec, impact_m: Field, z_m: Field) -> tuple[Field, Field]:
+    """Residual birefringence of rays, by their distance from the membrane's axis and their depth [m].
+
+    Returns:
+        The part along the axes x and z, and that along their diagonals: n1 - n2 times the cosine and the sine
+        of twice the angle of the larger index from x towards z; the uniform part is in both.
+    """
+    uniform = (
+        spec.frozen_birefringence * math.cos(2 * spec.frozen_axis_rad),
+        spec.frozen_birefringence * math.sin(2 * spec.frozen_axis_rad),
+    )
+    size = spec.residual.birefringence
+    across, down = np.broadcast_arrays(impact_m / spec.radius_m, 2 * z_m / spec.thickness_m - 1)
+    if not size:
+        return np.full(across.shape, uniform[0]), np.full(across.shape, uniform[1])
+    modes = side_modes(across, np.clip(down, -1.0, 1.0))
+    parts = [np.tensordot(_weights(spec.residual.seed, k, len(modes)), modes, axes=1) for k in range(2)]
+    return uniform[0] + size * parts[0], uniform[1] + size * parts[1]
+
+
+EVEN = UnevenGel()
