@@ -28,7 +28,7 @@ from palpate.sensors.palm.uneven_membrane import (
     side_modes,
     thickness_at,
 )
-from palpate.sensors.palm.view_faults import Glare, MirrorDirt, dirt_over, mottled, turned
+from palpate.sensors.palm.view_faults import Glare, MirrorDirt, dirt_over, mottled, registered
 
 SPEC = palm.debug()
 BARE = replace(SPEC, extinction=0.0, rays_per_pixel=(1, 1))
@@ -40,7 +40,7 @@ def edge_on(spec, pose=REST, exact=True):
 
 
 def untouched(spec, exact):
-    """Light of the untouched membrane before the lamp, of its rows and visible columns; its rays; its rows."""
+    """Light of the untouched membrane before the lamp, of its rows and visible columns; rays; rows."""
     way = fringe_view.march_fringes if exact else fringe_view.shift_fringes
     light = way(spec, 0.0, 0.0, 0.0)
     z, rays = spec.fringes.down_m, fringe_view.columns(spec, spec.fringes)
@@ -125,7 +125,7 @@ def test_the_fast_way_draws_a_residual_map_as_well_as_a_clean_membrane(depth_m) 
         np.abs(edge_on(spec, pose, exact=True) - edge_on(spec, pose, exact=False)).mean()
         for spec in (SPEC, stained)
     ]
-    assert off[1] < 1.25 * off[0]
+    assert off[1] < 1.25 * off[0] + 2e-4
     assert np.abs(edge_on(stained, pose) - edge_on(SPEC, pose)).mean() > 2 * off[1]
 
 
@@ -161,6 +161,22 @@ def test_a_harder_place_carries_more_and_turns_light_more_and_keeps_its_shape() 
     assert modulus_ratio(around, 5e-3, 0.0) != modulus_ratio(uneven, 5e-3, 0.0)
 
 
+def test_a_thinner_place_is_stiffer_by_the_table_of_its_own_thickness() -> None:
+    uneven = replace(SPEC, gel=UnevenGel(thickness=0.02, seed=2))
+    pose = Pose(14e-3, 0.0, 3e-3)
+    thick_m = thickness_at(uneven, pose.x_m, pose.y_m)
+    assert 0.005 < abs(thick_m / SPEC.thickness_m - 1) < 0.06
+    there = replace(SPEC, thickness_m=thick_m)
+    found, even = press(uneven, pose), press(SPEC, pose)
+    assert_allclose(found.force_n, press(there, pose).force_n)
+    assert (found.force_n > even.force_n) == (thick_m < SPEC.thickness_m)
+    for exact in (True, False):
+        for one, other in zip(
+            *(render_clean(press(s, pose), s, exact=exact) for s in (uneven, there)), strict=True
+        ):
+            assert_allclose(one, other, atol=1e-5)
+
+
 def test_dirt_dims_the_mirror_s_view_alone_and_stays_where_it_is() -> None:
     dirty = replace(SPEC, dirt=MirrorDirt(20, texture=0.05, seed=1))
     for pose in (REST, Pose(3e-3, 0.0, 3e-3)):
@@ -190,22 +206,23 @@ def test_glare_adds_the_same_light_whatever_is_pressed_and_goes_with_the_lamp() 
         assert first.min() >= 0
 
 
-def test_a_turned_region_is_turned_by_its_angle_about_its_middle() -> None:
-    view = replace(palm.small().mirror, turn_rad=0.1)
+def test_a_region_is_turned_by_its_angle_about_its_middle_and_then_moved() -> None:
+    view = replace(palm.small().mirror, turn_rad=0.1, shift_px=(1.5, -0.5))
     spec = replace(palm.small(), mirror=view)
     dot = np.zeros((*view.size_px[::-1], 3), np.float32)
     x_m, y_m = 10e-3, -4e-3
     upright = contact_px(palm.small(), x_m, y_m)
     dot[int(upright[1]) - 1 : int(upright[1]) + 2, int(upright[0]) - 1 : int(upright[0]) + 2] = 1
-    mass = turned(dot, view)[..., 0]
+    mass = registered(dot, view)[..., 0]
     rows, columns = np.indices(mass.shape) + 0.5
     found = np.array([(mass * columns).sum(), (mass * rows).sum()]) / mass.sum()
     centre = np.array([int(upright[0]) + 0.5, int(upright[1]) + 0.5])
     away, moved = centre - view.middle_px, found - view.middle_px
     c, s = np.cos(0.1), np.sin(0.1)
-    assert_allclose(moved, [c * away[0] - s * away[1], s * away[0] + c * away[1]], atol=0.05)
+    wanted = np.array([[c, -s], [s, c]]) @ away + [1.5, -0.5]
+    assert_allclose(moved, wanted, atol=0.05)
     assert_allclose(contact_px(spec, x_m, y_m), np.array(view.middle_px) + np.array([[c, -s], [s, c]])
-                    @ (np.array(upright) - view.middle_px))  # fmt: skip
+                    @ (np.array(upright) - view.middle_px) + [1.5, -0.5])  # fmt: skip
     with pytest.raises(RangeError, match="rad"):
         replace(spec, mirror=replace(view, turn_rad=0.5))
 
@@ -256,7 +273,8 @@ def test_an_imperfect_copy_has_every_fault_and_a_plain_one_none(rng) -> None:
     copies = [drawn_palm(SPEC, rng, IMPERFECT) for _ in range(40)]
     for differs in (
         lambda c: c.thickness_m, lambda c: c.gel.modulus, lambda c: c.gel.thickness,
-        lambda c: c.frozen_axis_rad, lambda c: c.residual.birefringence, lambda c: c.residual.seed, lambda c: c.dirt.texture,
+        lambda c: c.frozen_axis_rad, lambda c: c.residual.birefringence, lambda c: c.residual.seed,
+        lambda c: c.dirt.texture,
         lambda c: c.glare.peak, lambda c: c.mirror.turn_rad, lambda c: c.fringes.turn_rad,
     ):  # fmt: skip
         assert len({differs(one) for one in copies}) == 40

@@ -157,11 +157,13 @@ def _with_residual(spec: PalmSpec, depth_m: float, offset_m: Float[ndarray, " w"
     rays, z, e = columns_kept(spec.unlit), spec.fringes.down_m[:, None], ORDER_STEP
     long = 2 * rays.half_chord_m / spec.stress_optic.reference_wavelength_m / e
     u, v = ((part * long)[..., None].astype(np.float32) for part in frozen_at(spec, rays.impact_m, z))
-    right, left, down, up, both, neither = (
-        picture_of(kept, depth_m, (e * a, e * b)).at(offset_m)
-        for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
+    coarse = replace(kept, rays_per_pixel=(1, 1))  # of slopes times little, fewer rays and slices do
+    middle, right, left, down, up, both, neither = (
+        picture_of(coarse, depth_m, (e * a, e * b), SLICES // 2).at(offset_m)
+        for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
     )
-    straight, bent_u, bent_v = 2 * light, right + left - 2 * light, down + up - 2 * light
+    straight = 2 * middle
+    bent_u, bent_v = right + left - straight, down + up - straight
     twist = both + neither - straight - bent_u - bent_v
     light = light + (u * (right - left + u * bent_u) + v * (down - up + v * bent_v) + u * v * twist) / 2
     return np.maximum(light, 0.0)
@@ -201,7 +203,9 @@ class Picture:
 
 
 @cache_within(PICTURES_BYTES)
-def picture_of(spec: PalmSpec, depth_m: float, frozen: tuple[float, float] = (0.0, 0.0)) -> Picture:
+def picture_of(
+    spec: PalmSpec, depth_m: float, frozen: tuple[float, float] = (0.0, 0.0), slices: int = SLICES
+) -> Picture:
     """The picture of one depth, marched once: as seen from the membrane's middle, each pixel's rays averaged.
 
     With orders of residual birefringence on every ray, along the axes and along their diagonals, if asked.
@@ -217,7 +221,7 @@ def picture_of(spec: PalmSpec, depth_m: float, frozen: tuple[float, float] = (0.
     frozen_pa = _stress_of(
         spec, *(order * spec.stress_optic.reference_wavelength_m / (2 * reach) for order in frozen)
     )
-    picture = Picture(s, mean_of(_marched(spec, depth_m, z, s, -reach, reach, frozen_pa), 1, down))
+    picture = Picture(s, mean_of(_marched(spec, depth_m, z, s, -reach, reach, frozen_pa, slices), 1, down))
     rays = ((np.arange(across) + 0.5) / across - 0.5) * _inner_pitch(spec)
     return Picture(s, np.stack([picture.at(s + ray) for ray in rays]).mean(axis=0))
 

@@ -87,7 +87,8 @@ def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> 
     wide, high = spec.mirror.pitches_m
     right, down = x_m / wide, entry * math.sin(spec.mirror_elevation_rad) / high
     (cx, cy), c, s = spec.mirror.middle_px, math.cos(spec.mirror.turn_rad), math.sin(spec.mirror.turn_rad)
-    return cx + c * right - s * down, cy + s * right + c * down
+    shift = spec.mirror.shift_px
+    return cx + c * right - s * down + shift[0], cy + s * right + c * down + shift[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
     SAME,
     SphereTable,
     TabulatedPress,
+    is_tabled,
     press_finite_strain,
     shipped,
     table_for,
@@ -58,8 +59,10 @@ def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction:
 
 
 def has_table(spec: PalmSpec) -> bool:
-    """Tell whether a table was solved for the spec's membrane under its ball."""
-    return _table_of(spec) is not None
+    """Tell whether there is a table for the spec's membrane under its ball."""
+    R = spec.indenter_radius_m
+    wide = spec.radius_m >= TABLE_RADIUS * R * (1 - SAME)
+    return wide and is_tabled(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
 
 
 def table_of(spec: PalmSpec) -> SphereTable:
@@ -137,6 +140,7 @@ def between(knots: Knots, finer: int) -> Float[ndarray, " m"]:
     return np.interp(np.arange(finer * (len(knots) - 1) + 1) / finer, whole, knots)
 
 
+TABLE_RADIUS = 5.7  # of the tables' discs, in ball radii
 LINEAR_DEPTH_M = 1.5e-3
 CELLS = 160  # of the side of a grid, up to where a cell would be larger than
 CELL_M = 0.15e-3  # and beyond it as many as that asks for, in whole

@@ -32,7 +32,7 @@ from palpate.sensors.palm.membrane_wear import (
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
 from palpate.sensors.palm.uneven_membrane import ResidualMap, pressed_at
-from palpate.sensors.palm.view_faults import MirrorDirt, dirt_over, glare_in, turned
+from palpate.sensors.palm.view_faults import MirrorDirt, dirt_over, glare_in, registered
 
 BACKGROUND = 0.004
 """Of the housing outside both regions, over the lamp at its brightest. Assumed."""
@@ -141,7 +141,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
             one.over(seen, spec.lamp_gain)
     if spec.dirt != MirrorDirt():
         below *= dirt_over(spec)[..., None]
-    light, below = (turned(seen, view) for seen, view in zip((light, below), views, strict=True))
+    light, below = (registered(seen, view) for seen, view in zip((light, below), views, strict=True))
     if spec.glare.spots:
         for stream, (view, seen) in enumerate(zip(views, (light, below), strict=True)):
             seen += np.float32(spec.lamp_gain) * glare_in(spec.glare, view.upright, stream)[..., None]

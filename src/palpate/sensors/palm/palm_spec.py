@@ -35,6 +35,7 @@ class View:
             rest surface, in the mirror's at the underside.
         row_pitch_m: from row to row [m]; None for square pixels.
         turn_rad: by which its picture is turned about its middle in the frame, from right towards down [rad].
+        shift_px: by which its picture is then moved to the right and down [px].
     """
 
     box_px: tuple[int, int, int, int]
@@ -42,6 +43,7 @@ class View:
     middle_px: tuple[float, float]
     row_pitch_m: float | None = None
     turn_rad: float = 0.0
+    shift_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -75,12 +77,13 @@ class View:
         (cx, cy), (wide, high) = self.middle_px, self.pitches_m
         square = across == down and self.row_pitch_m is None
         pitch_m = None if square else high / down
-        return View((x, y, w, h), wide / across, (cx * across, cy * down), pitch_m, self.turn_rad)
+        shift = self.shift_px[0] * across, self.shift_px[1] * down
+        return View((x, y, w, h), wide / across, (cx * across, cy * down), pitch_m, self.turn_rad, shift)
 
     @property
     def upright(self) -> View:
-        """The same region before its picture is turned."""
-        return replace(self, turn_rad=0.0)
+        """The same region before its picture is turned and moved."""
+        return replace(self, turn_rad=0.0, shift_px=(0.0, 0.0))
 
 
 FRINGES = View((380, 60, 1420, 420), 44e-6, (710.0, 110.0))
@@ -91,6 +94,7 @@ MIRROR = View((700, 560, 700, 420), 100e-6, (350.0, 210.0))
 
 RIMS = ("applied", "stated")
 MAX_TURN_RAD = 0.2
+MAX_SHIFT_PX = 50.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +239,8 @@ def _check_view(view: View, frame_px: tuple[int, int]) -> None:
         )
     if not abs(view.turn_rad) <= MAX_TURN_RAD:
         raise RangeError(f"a region turned by {view.turn_rad} rad; within {MAX_TURN_RAD:g} rad")
+    if not all(abs(part) <= MAX_SHIFT_PX for part in view.shift_px):
+        raise RangeError(f"a region moved by {view.shift_px} px; within {MAX_SHIFT_PX:g} px each way")
     if not all(math.isfinite(pitch) and pitch > 0 for pitch in view.pitches_m):
         raise RangeError(f"pixels of {view.pitches_m} m on the membrane; both must be positive, in m")
 

@@ -57,8 +57,8 @@ class MirrorDirt:
         sizes = 1e-5 <= self.speck_m <= 1e-2 and 2e-4 <= self.texture_m <= 0.1
         if not (sizes and 0 <= self.texture <= 0.3):
             raise RangeError(
-                f"dirt of specks to {self.speck_m} m and texture {self.texture} over {self.texture_m} m; give "
-                "1e-5 to 1e-2 m, 0 to 0.3 and 2e-4 to 0.1 m"
+                f"dirt of specks to {self.speck_m} m and texture {self.texture} over {self.texture_m} m; "
+                "give 1e-5 to 1e-2 m, 0 to 0.3 and 2e-4 to 0.1 m"
             )
 
 
@@ -142,14 +142,14 @@ def _glare(glare: Glare, view: View, stream: int) -> Grey:
     return light.astype(np.float32)
 
 
-def turned(light: Light, view: View) -> Light:
-    """A region's picture turned about its middle, as `View.turn_rad` says; beyond its edge as at it."""
-    if not view.turn_rad:
+def registered(light: Light, view: View) -> Light:
+    """A region's picture turned about its middle and moved, as its view says; beyond its edge as at it."""
+    if not (view.turn_rad or any(view.shift_px)):
         return light
     (cx, cy), c, s = view.middle_px, math.cos(view.turn_rad), math.sin(view.turn_rad)
     middle = np.array([cx - 0.5, cy - 0.5])
     turn = np.array([[c, -s], [s, c]])
-    move = np.column_stack([turn, middle - turn @ middle])
+    move = np.column_stack([turn, middle - turn @ middle + np.array(view.shift_px)])
     return np.asarray(
         cv2.warpAffine(light, move, view.size_px, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
         np.float32,
