@@ -14,9 +14,12 @@ from palpate.optics import Rays, march_axisymmetric, plane_amplitude
 from palpate.optics.camera_response import AutoExposure
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.fringe_orders import contact_summary
 from palpate.sensors.palm.mirror_view import contact_px
 from palpate.sensors.palm.palm_press import press, press_layers, press_to_force
 from palpate.sensors.palm.palm_render import housed, render_clean
+from palpate.sensors.palm.palm_rim import rim_by_place
+from palpate.sensors.palm.palm_sensor import force_law_of
 from palpate.sensors.palm.palm_variation import IMPERFECT, drawn_palm
 from palpate.sensors.palm.probe_shapes import parse_probe
 from palpate.sensors.palm.uneven_membrane import (
@@ -175,6 +178,42 @@ def test_a_thinner_place_is_stiffer_by_the_table_of_its_own_thickness() -> None:
             *(render_clean(press(s, pose), s, exact=exact) for s in (uneven, there)), strict=True
         ):
             assert_allclose(one, other, atol=1e-5)
+
+
+def test_a_rig_s_force_law_is_harder_where_the_gel_is_and_refuses_an_uneven_thickness() -> None:
+    uneven = replace(SPEC, gel=UnevenGel(0.05, seed=2))
+    x, y, depth = np.array([-9e-3, 4e-3]), np.array([2e-3, 8e-3]), np.array([1e-3, 3e-3])
+    for rim in ("stated", "applied"):
+        spec = replace(uneven, rim=rim)
+        found = rim_by_place(spec)(x, y, depth)
+        law = force_law_of(spec, parse_probe("sphere:10"))
+        for i in range(2):
+            wanted = press(spec, Pose(x[i], y[i], depth[i]))
+            own = np.interp(depth[i], law.depth_m, law.force_n)
+            assert_allclose(found.ratio[i] * own, wanted.force_n, rtol=1e-3)
+            assert_allclose(found.lateral_ratio[i] * wanted.force_n, wanted.lateral_n, atol=1e-9)
+    assert rim_by_place(SPEC) is None
+    with pytest.raises(RangeError, match="even thickness"):
+        rim_by_place(replace(SPEC, gel=UnevenGel(thickness=0.01)))
+    facts = [
+        contact_summary(press(uneven, p), uneven) for p in (Pose(-9e-3, 2e-3, 3e-3), Pose(4e-3, 8e-3, 3e-3))
+    ]
+    ratios = [modulus_ratio(uneven, *place) for place in ((-9e-3, 2e-3), (4e-3, 8e-3))]
+    for name in ("force_N", "peak_pressure_Pa", "youngs_modulus_Pa"):
+        assert_allclose(facts[0][name] / facts[1][name], ratios[0] / ratios[1])
+    assert_allclose(facts[0]["fringe_order_max"] / facts[1]["fringe_order_max"], ratios[0] / ratios[1])
+
+
+def test_a_sharp_edge_has_no_greatest_pressure_and_a_ball_of_8_mm_goes_as_deep_as_its_table() -> None:
+    edge = press(SPEC, Pose(0.0, 0.0, 0.5e-3), parse_probe("edge:12"))
+    assert contact_summary(edge, SPEC)["peak_pressure_Pa"] is None
+    small = replace(SPEC, indenter_radius_m=4e-3)
+    pressed_to = press(small, Pose(0.0, 0.0, 2e-3))
+    # Between a half-space's force and that of the palm's own, larger ball.
+    hertz = 4 / 3 * SPEC.youngs_modulus_pa / (1 - 0.49**2) * 4e-3**0.5 * 2e-3**1.5
+    assert hertz < pressed_to.force_n < press(SPEC, Pose(0.0, 0.0, 2e-3)).force_n
+    with pytest.raises(RangeError, match=r"4\.8 mm"):
+        press(small, Pose(0.0, 0.0, 4.9e-3))
 
 
 def test_dirt_dims_the_mirror_s_view_alone_and_stays_where_it_is() -> None:

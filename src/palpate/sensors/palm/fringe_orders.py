@@ -22,6 +22,7 @@ from palpate.sensors.palm.palm_press import field_of, pressed, stack_of
 from palpate.sensors.palm.palm_render import is_ball
 from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.uneven_membrane import pressed_at
 
 WAVELENGTH_M = 550e-9
 NEAR = 6.0  # contact radii
@@ -84,8 +85,10 @@ def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
     `rim_force_percent` is by how much the force of a press solved where it is differs from that of one solved
     in the middle, and `rim_push_N` how hard the membrane then pushes the ball outwards; both None where
     nothing was solved. `rim_applied` says whether the contact has them, `rim_solved` whether place and depth
-    lie within what was solved: beyond, both are those of the nearest solved press.
+    lie within what was solved: beyond, both are those of the nearest solved press. `peak_pressure_Pa` is None
+    under a sharp edge, where it has no bound: a grid would only tell its own cell.
     """
+    spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     return {
         "force_N": contact.force_n,
         "lateral_x_N": contact.lateral_n[0],
@@ -106,6 +109,7 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     """The most fringe orders on a ray edge-on, at 550 nm, to first order (its 99.9th percentile)."""
     if contact.force_n <= 0:
         return 0.0
+    spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     if is_ball(contact, spec):
         return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
@@ -141,7 +145,9 @@ def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
     }
 
 
-def _peak_pressure(contact: Contact, spec: PalmSpec) -> float:
+def _peak_pressure(contact: Contact, spec: PalmSpec) -> float | None:
+    if contact.probe.shape == "edge" and contact.probe.radius_m == 0:
+        return None
     if is_ball(contact, spec) and contact.force_n > 0:
         press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)
         return float(press.peak_pressure * spec.youngs_modulus_pa * effect.force_ratio)

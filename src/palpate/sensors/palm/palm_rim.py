@@ -27,6 +27,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
     edge_reach,
 )
 from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.uneven_membrane import modulus_ratios
 
 SOLVED_RADIUS = 5.7  # of the discs, in ball radii
 ALIKE = (
@@ -104,22 +105,33 @@ def lateral_of(effect: RimEffect, pose: Pose, centred_n: float) -> tuple[float, 
 
 
 def rim_by_place(spec: PalmSpec) -> Callable[[ndarray, ndarray, ndarray], PlaceEffect] | None:
-    """What places do to the ball's force law, where the spec applies the rim; None where it does not.
+    """What places do to the ball's force law, by the rim and an uneven modulus; None where they do nothing.
 
     Raises:
-        RangeError: it applies the rim, but has proportions that were not solved.
+        RangeError: it applies the rim, but has proportions that were not solved; or its thickness is uneven,
+            which changes the law itself from place to place.
     """
+    if spec.gel.thickness:
+        raise RangeError(
+            f"a thickness that varies by {spec.gel.thickness} has no one force law; a rig presses membranes "
+            "of even thickness: set the gel's thickness to 0"
+        )
     if spec.rim != "applied":
-        return None
+        return partial(_by_modulus, spec) if spec.gel.modulus else None
     _checked_reach(spec)
     return partial(_at_places, spec)
+
+
+def _by_modulus(spec: PalmSpec, x_m: Series, y_m: Series, depth_m: Series) -> PlaceEffect:
+    return PlaceEffect(modulus_ratios(spec, x_m, y_m), np.zeros((len(x_m), 2)))
 
 
 def _at_places(spec: PalmSpec, x_m: Series, y_m: Series, depth_m: Series) -> PlaceEffect:
     R, away = spec.indenter_radius_m, np.hypot(x_m, y_m)
     ratio, push = edge_correction_held(away / R, depth_m / R, _thickness(spec))
     inwards = -push / ratio / np.maximum(away, SAME * R)
-    return PlaceEffect(ratio, inwards[:, None] * np.stack([x_m, y_m], axis=1))
+    stiffer = modulus_ratios(spec, x_m, y_m)
+    return PlaceEffect(ratio * stiffer, inwards[:, None] * np.stack([x_m, y_m], axis=1))
 
 
 def _checked_reach(spec: PalmSpec) -> EdgeReach:

@@ -39,6 +39,7 @@ from palpate.sensors.palm.palm_render import expose, is_ball, render, render_cle
 from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parse_probe
+from palpate.sensors.palm.uneven_membrane import EVEN
 
 RATE_HZ = 30.0
 """R (see `spec`)."""
@@ -264,7 +265,7 @@ def palm(preset: str = "palm") -> Palm:
 def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     """The law of a skin under a probe."""
     own = probe == Probe("sphere", spec.indenter_radius_m)
-    depth, force, radius = _of_table(spec) if own else _of_layers(spec, probe)
+    depth, force, radius = _of_table(spec) if own else _of_layers(replace(spec, gel=EVEN), probe)
     per_radius = tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
     by_place = rim_by_place(spec) if own else None
     return ForceLaw(depth, force, radius, radius * per_radius, by_place)

@@ -115,6 +115,13 @@ def modulus_ratio(spec: PalmSpec, x_m: float, y_m: float) -> float:
     return math.exp(spec.gel.modulus * _at(spec, 0, x_m, y_m)) if spec.gel.modulus else 1.0
 
 
+def modulus_ratios(spec: PalmSpec, x_m: Field, y_m: Field) -> Field:
+    """The same at many places."""
+    modes = disc_modes(x_m / spec.radius_m, y_m / spec.radius_m)
+    weights = np.array(_weights(spec.gel.seed, 0, len(modes)))
+    return np.asarray(np.exp(spec.gel.modulus * np.tensordot(weights, modes, axes=1)))
+
+
 def thickness_at(spec: PalmSpec, x_m: float, y_m: float) -> float:
     """Thickness at a place [m]."""
     share = spec.gel.thickness
