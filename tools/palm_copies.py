@@ -2,8 +2,11 @@
 
     python tools/palm_copies.py                  # eight copies, twenty minutes of one core
     python tools/palm_copies.py --copies 3 --presses 8
+    python tools/palm_copies.py --law imperfect  # membranes, mirrors and cameras with every fault
+    python tools/palm_copies.py --law each --copies 3  # one fault at a time, E and C known
 
 Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way and read by the fast one.
+No reader knows of the faults: what they cost, and whether intervals still hold, is what is asked.
 Numbers stand in docs/how-to/find-a-palms-constants.md.
 """
 
@@ -23,7 +26,7 @@ from palpate.sensors.palm.palm_copy_fit import fit_copy, read_press
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
-from palpate.sensors.palm.palm_variation import drawn_palm
+from palpate.sensors.palm.palm_variation import IMPERFECT, CopySpread, drawn_palm
 
 FORCE_N = (1.0, 8.0)
 WITHIN = 0.6  # of the membrane's radius
@@ -31,6 +34,21 @@ FORCE_SHARE = 0.005  # to which forces are known
 CONSTANT_SHARE = 0.005  # to which C is, where it is said to be known
 NEW = 3  # presses that are read
 NORMAL = 1.645
+
+ONE_BY_ONE: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "thickness": ("thickness_share",),
+    "dirt and texture": ("specks", "texture"),
+    "turned regions": ("turn_rad",),
+    "glare": ("spots", "glare"),
+    "residual map": ("residual",),
+    "own exposure": ("stops",),
+    "uneven thickness": ("gel_thickness",),
+    "uneven modulus": ("gel_modulus",),
+    "residual, uniform": ("frozen",),
+    "temperature": ("kelvin",),
+}
+"""Faults and the fields of `CopySpread` that make them."""
 
 Errors = dict[str, list[tuple[float, bool]]]
 
@@ -52,6 +70,25 @@ def knowing(design: PalmSpec, copy: PalmSpec) -> PalmCopy:
     return designed_copy(replace(design, stress_optic=law), coefficient_share=CONSTANT_SHARE)
 
 
+def knowing_both(design: PalmSpec, copy: PalmSpec) -> PalmCopy:
+    """What is known of a copy whose E and C were measured."""
+    known = replace(design, stress_optic=copy.stress_optic, youngs_modulus_pa=copy.youngs_modulus_pa)
+    return designed_copy(known, coefficient_share=CONSTANT_SHARE, modulus_share=CONSTANT_SHARE)
+
+
+def each_fault(design: PalmSpec, copies: int, new_presses: int, seed: int) -> Iterator[dict[str, Errors]]:
+    """Errors of readings that know E and C, of the same copies with one fault at a time."""
+    for k in range(copies):
+        for name, fields in ONE_BY_ONE.items():
+            rng = np.random.default_rng([seed, k])
+            spread = replace(CopySpread(), **{field: getattr(IMPERFECT, field) for field in fields})
+            copy = replace(drawn_palm(design, rng, spread), rim=design.rim)
+            new = [pressed(copy, np.random.default_rng([seed, k, i])) for i in range(new_presses)]
+            errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
+            read_by(knowing_both(design, copy), new, errors[name])
+            yield errors
+
+
 def read_by(known: PalmCopy, new: list[tuple[PicturedPress, Pose, float]], into: Errors) -> None:
     """Read new presses: errors of force [share and N], place and depth [mm], and whether intervals hold."""
     for one, pose, force_n in new:
@@ -69,16 +106,26 @@ def read_by(known: PalmCopy, new: list[tuple[PicturedPress, Pose, float]], into:
             into["depth, mm" if name == "depth_m" else "place, mm"].append((1e3 * miss, held))
 
 
-def study(design: PalmSpec, copies: int, presses: int, seed: int) -> Iterator[dict[str, Errors]]:
+def study(
+    design: PalmSpec, copies: int, presses: int, seed: int, spread: CopySpread
+) -> Iterator[dict[str, Errors]]:
     """Errors of every copy: of its constants, and of new presses by what is known of it."""
     for k in range(copies):
         rng = np.random.default_rng([seed, k])
         # As the design, which the readers know: what the rim does is no difference between copies.
-        copy = replace(drawn_palm(design, rng), rim=design.rim)
+        copy = replace(drawn_palm(design, rng, spread), rim=design.rim)
         told, new = ([pressed(copy, rng) for _ in range(n)] for n in (presses, NEW))
         errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
         designed, one = designed_copy(design), [told[0][0]]
-        fitted = fit_copy(designed, [press for press, _, _ in told]).copy
+        read_by(knowing_both(design, copy), new, errors["new presses, E and C known"])
+        read_by(knowing(design, copy), new, errors["new presses, C known, E not"])
+        read_by(designed, new, errors["new presses, neither known"])
+        try:
+            fitted = fit_copy(designed, [press for press, _, _ in told]).copy
+        except ImageError:
+            errors[f"constants by {presses} presses"]["refused"].append((1.0, True))
+            yield errors
+            continue
         for name, value, truth, share in (
             ("E, per cent", fitted.modulus_pa, copy.youngs_modulus_pa, fitted.modulus_share),
             (
@@ -91,9 +138,10 @@ def study(design: PalmSpec, copies: int, presses: int, seed: int) -> Iterator[di
             off = float(np.log(value / truth))
             errors[f"constants by {presses} presses"][name].append((100 * off, abs(off) <= NORMAL * share))
         read_by(fitted, new, errors[f"new presses, by {presses} presses"])
-        read_by(fit_copy(designed, one).copy, new, errors["new presses, by one known force"])
-        read_by(knowing(design, copy), new, errors["new presses, C known, E not"])
-        read_by(designed, new, errors["new presses, neither known"])
+        try:
+            read_by(fit_copy(designed, one).copy, new, errors["new presses, by one known force"])
+        except ImageError:
+            errors["new presses, by one known force"]["refused"].append((1.0, True))
         yield errors
 
 
@@ -116,17 +164,30 @@ def main() -> None:
     )
     parser.add_argument("--copies", type=int, default=8)
     parser.add_argument("--presses", type=int, default=6)
+    parser.add_argument("--new", type=int, default=NEW, help="presses that are read, of each fault")
     parser.add_argument("--smaller", type=int, default=14, help="times smaller than the full frame")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--law", choices=("plain", "imperfect", "each"), default="plain")
     asked = parser.parse_args()
     design = scaled_down(palm(), asked.smaller, f"a {asked.smaller}th")
     every: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
     start = time.monotonic()
-    for k, errors in enumerate(study(design, asked.copies, asked.presses, asked.seed)):
+    spread = IMPERFECT if asked.law == "imperfect" else CopySpread()
+    found = (
+        each_fault(design, asked.copies, asked.new, asked.seed)
+        if asked.law == "each"
+        else study(design, asked.copies, asked.presses, asked.seed, spread)
+    )
+    for k, errors in enumerate(found):
         for case, quantities in errors.items():
             for name, results in quantities.items():
                 every[case][name] += results
-        print(f"\n{k + 1} copies, {time.monotonic() - start:.0f} s", *told(every), sep="\n", flush=True)
+        print(
+            f"\n{k + 1} {'faults' if asked.law == 'each' else 'copies'}, {time.monotonic() - start:.0f} s",
+            *told(every),
+            sep="\n",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
