@@ -10,6 +10,7 @@ from palpate.core.errors import InputError
 from palpate.estimators.guard import thumbnail
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.sensors import palm
+from palpate.sensors.palm.press_law import PressLaw
 from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 
 torch = pytest.importorskip("torch", reason="the network trains with torch")
@@ -20,6 +21,13 @@ from palpate.sensors.palm.networks.palm_training import two_view_variation  # no
 
 SIDE = 32
 SPEC = palm.cropped(palm.palm(), SIDE, "test")
+ONE, NONE = (1.0, 1.0), (0.0, 0.0)
+ONE_PALM = PressLaw(
+    copies=1, modulus=ONE, coefficient=ONE, thickness=ONE, polariser_deg=NONE, elevation_deg=NONE, mired=NONE,
+    blur_px=NONE, shift_px=NONE, turn_deg=NONE, residual=NONE, frozen=NONE, ambient=NONE, corner_loss=NONE,
+    specks=(0, 0), texture=NONE, spots=(0, 0), stops=NONE, lamp=(0.98, 1.02),
+)  # fmt: skip
+"""What a recording has: one palm, whose lamp varies a little."""
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +36,20 @@ def drawn():
 
 
 @pytest.fixture(scope="module")
-def data(drawn):
-    """The same presses as a recording's: differences, by press."""
+def recorded():
+    return draw_presses(SPEC, 24, 6, np.random.default_rng(5), law=ONE_PALM)
+
+
+@pytest.fixture(scope="module")
+def data(recorded):
+    """Presses of one palm as a recording's: differences, by press."""
 
     def fetch(rows):
-        difference = drawn.images[rows].astype(np.float32) - drawn.hanging[drawn.press[rows]]
+        difference = recorded.images[rows].astype(np.float32) - recorded.hanging[recorded.press[rows]]
         return np.ascontiguousarray(difference.transpose(0, 3, 1, 2))
 
     shape = (3, SIDE, 2 * SIDE)
-    return TrainingData(shape, drawn.values.astype(float), drawn.press, fetch, TARGETS)
+    return TrainingData(shape, recorded.values.astype(float), recorded.press, fetch, TARGETS)
 
 
 def test_drawn_presses_lie_all_over_the_palm_and_their_labels_are_a_rigs(drawn):
@@ -44,15 +57,15 @@ def test_drawn_presses_lie_all_over_the_palm_and_their_labels_are_a_rigs(drawn):
     away = np.hypot(x, y)
     assert away.max() <= 1e3 * (SPEC.radius_m - SPEC.indenter_radius_m)
     assert (away > 15).mean() > 0.3
-    assert -0.1 < depth.min() < 1.0
+    assert -0.6 < depth.min() < 1.0
     assert 4.0 < depth.max() < 5.3
     first = drawn.press == 3
     assert len(np.unique(x[first])) == 1, "a press stands at one place"
-    # Below the local zero, where 0.05 N are carried already.
-    order = np.argsort(depth)
-    assert np.corrcoef(force[order], np.arange(len(order)))[0, 1] > 0.9
-    touched = np.interp(0.0, depth[order], force[order])
-    assert 0.0 < touched < 0.3
+    # On one copy deeper presses carry more, but for what relaxes; between copies the modulus decides.
+    rank = [np.argsort(np.argsort(part)) for part in (depth, force)]
+    assert 0.6 < np.corrcoef(*rank)[0, 1] < 0.99
+    share = force / np.maximum(depth, 0.3) ** 1.5
+    assert share[depth > 1].std() / share[depth > 1].mean() > 0.15
 
 
 def test_the_same_seed_draws_the_same_and_another_does_not():
@@ -62,12 +75,12 @@ def test_the_same_seed_draws_the_same_and_another_does_not():
     assert (one.values != other.values).any()
 
 
-def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_asked_for(data, drawn):
-    union = _Union(data, drawn)
+def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_asked_for(data, recorded):
+    union = _Union(data, recorded)
     first = len(data.values)
     asked = np.array([first + 7, 3, first, 5])
     np.testing.assert_array_equal(union.fetch(asked), data.fetch(np.array([7, 3, 0, 5])))
-    assert union.drawn_rows.tolist() == [first + i for i in range(len(drawn.values))]
+    assert union.drawn_rows.tolist() == [first + i for i in range(len(recorded.values))]
 
 
 @pytest.fixture(scope="module")

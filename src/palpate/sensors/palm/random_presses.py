@@ -1,12 +1,12 @@
-"""Presses and other contacts of the virtual palm, drawn for a network to learn from, with their labels.
+"""Presses and other contacts of virtual palms, drawn for a network to learn from, with their labels.
 
 Presses lie anywhere. Like a rig's press, each has one frame of the untouched skin with the probe hanging over
-it, and then frames at several depths. Lamp, hanging height and relaxation differ from press to press, and the
-camera's noise from frame to frame; what differs on a rig besides (tilt, leaning, dents) is left out.
+it, and then frames at several depths. Palms, lamps, cameras and what a rig calls contact differ by a law of
+its own, see `PressLaw`; what differs on a rig besides (tilt, leaning, dents) is left out.
 
-Other contacts are those beyond one upright ball. All are pressed by linear layers, the palm's own ball too,
-so that no kind is told from another by its law. What is drawn at random is spread evenly over its range,
-unless said otherwise; relaxation and wear are left out.
+Other contacts are those beyond one upright ball, on the palm as designed. All are pressed by linear layers,
+the palm's own ball too, so that no kind is told from another by its law. What is drawn at random is spread
+evenly over its range, unless said otherwise; relaxation and wear are left out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,25 +33,21 @@ from palpate.core import (
 )
 from palpate.mechanics.resultant import resultant_of
 from palpate.sensors.palm.palm_press import (
+    depth_of_force,
     greatest_aside,
     has_table,
     press,
     press_layers,
-    press_to_force,
     pulled,
 )
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.press_law import PRESS_LAW, PressLaw
 from palpate.sensors.palm.probe_shapes import parts_of, points_probe, reaches_of
 
-DEPTHS = 160  # distinct ones, between which pictures are shared
+DEPTHS = 96  # distinct ones, over all copies, between which pictures are shared
 DEPTH_MM = (0.06, 5.3)
-HANGS_MM = 1.0
-HANGS_SD_MM = 0.02
-LAMP_SD = 0.01
-STIFFEST = 1.1  # a fresh press over a relaxed one
-THRESHOLD_N = 0.05  # at which a rig says contact
-LATE_MM = 0.008  # that it says so later: half a step of its search, less what noise makes it early
+HANGS = 3  # heights of each copy
 
 TARGETS = ("depth_mm", "x_mm", "y_mm", "force_N")
 
@@ -64,7 +60,7 @@ class Presses:
         images: sRGB ``[n h w 3]``, fringes left and mirror right.
         hanging: of each press, the skin with the probe over it ``[p h w 3]``.
         press: of each image ``[n]``.
-        values: depth below the local zero, x and y [mm], normal force [N] ``[n 4]``.
+        values: depth below where a rig would call contact, x and y [mm], normal force [N] ``[n 4]``.
     """
 
     images: UInt8[ndarray, "n h w 3"]
@@ -81,6 +77,7 @@ def draw_presses(
     progress: Callable[[int, int], None] = lambda done, total: None,
     *,
     processes: int = 1,
+    law: PressLaw = PRESS_LAW,
 ) -> Presses:
     """Draw presses at places spread evenly over all that the ball may touch.
 
@@ -91,6 +88,7 @@ def draw_presses(
         rng: the only source of chance.
         progress: called with how many frames are drawn of how many.
         processes: how many draw, on this machine; what is drawn does not depend on it.
+        law: by which palms and presses differ.
 
     Raises:
         InputError: no press, no depth, or no process.
@@ -101,24 +99,37 @@ def draw_presses(
     images = np.empty((count * depths_each, height, width, 3), np.uint8)
     hanging = np.empty((count, height, width, 3), np.uint8)
     values = np.empty((count * depths_each, len(TARGETS)), np.float32)
-    zero_mm = 1e3 * press_to_force(spec, THRESHOLD_N).pose.depth_m + LATE_MM
-    levels, done, total = _levels(spec, count, depths_each, rng), 0, count * (1 + depths_each)
-    for level, (drawn, force_n) in zip(levels, in_parallel(_draw, levels, processes=processes), strict=True):
+    levels, done, total = _levels(spec, count, depths_each, rng, law), 0, count * (1 + depths_each)
+    for level, (drawn, found) in zip(levels, in_parallel(_draw, levels, processes=processes), strict=True):
         if level.depth_mm < 0:
             hanging[level.rows] = drawn
         else:
             images[level.rows] = drawn
-            x_mm, y_mm = 1e3 * level.places_m.T
-            depth_mm = np.full_like(force_n, level.depth_mm - zero_mm)
-            values[level.rows] = np.stack([depth_mm, x_mm, y_mm, force_n], axis=1)
+            values[level.rows] = found
         done += len(level.rows)
         progress(done, total)
     return Presses(images, hanging, np.repeat(np.arange(count), depths_each), values)
 
 
 @dataclass(frozen=True, slots=True)
+class _DrawnPress:
+    """One press: where, how it is seen, and where a rig calls contact.
+
+    Attributes:
+        place_m: x and y.
+        view: fields of the spec that all its frames have.
+        threshold_n, late_mm: force at which contact is called, and how much deeper.
+    """
+
+    place_m: tuple[float, float]
+    view: dict[str, Any]
+    threshold_n: float
+    late_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class _Level:
-    """All frames of one depth, below the surface or, negative, above it.
+    """All frames of one depth of one copy, below the surface or, negative, above it.
 
     A depth's pictures are marched once and moved to its places, and that takes longer than all else. So a
     depth is what one process draws, with chance of its own.
@@ -127,41 +138,53 @@ class _Level:
     spec: PalmSpec
     depth_mm: float
     rows: Int[ndarray, " n"]
-    places_m: Float[ndarray, "n 2"]
-    lamps: Float[ndarray, " n"]
+    presses: list[_DrawnPress]
     rng: np.random.Generator
 
 
-def _levels(spec: PalmSpec, count: int, depths_each: int, rng: np.random.Generator) -> list[_Level]:
-    depths_mm = np.linspace(*DEPTH_MM, DEPTHS)
-    stiff = 1 + (STIFFEST - 1) * rng.uniform(size=DEPTHS)  # one a depth, so that pictures are shared
-    places_m, lamps = _places(spec, count, rng), 1 + LAMP_SD * rng.standard_normal(count)
-    steps = np.round(rng.standard_normal(count)).astype(int)
-    which = rng.integers(DEPTHS, size=count * depths_each)
-
-    def level(of: PalmSpec, depth_mm: float, rows: ndarray, presses: ndarray) -> _Level:
-        return _Level(of, depth_mm, rows, places_m[presses], lamps[presses], rng.spawn(1)[0])
-
+def _levels(
+    spec: PalmSpec, count: int, depths_each: int, rng: np.random.Generator, law: PressLaw
+) -> list[_Level]:
+    copies = min(law.copies, count)
+    palms = [law.copy(spec, rng) for _ in range(copies)]
+    presses = [
+        _DrawnPress((float(x), float(y)), law.view(spec, rng), *law.zero(rng))
+        for x, y in _places(spec, count, rng)
+    ]
+    each = max(1, DEPTHS // copies)
+    hangs = rng.integers(HANGS, size=count)
+    which = rng.integers(each, size=(count, depths_each))
     made = []
-    for step in np.unique(steps):
-        rows = np.flatnonzero(steps == step)
-        made.append(level(spec, -(HANGS_MM + HANGS_SD_MM * float(step)), rows, rows))
-    for i in np.unique(which):
-        rows = np.flatnonzero(which == i)
-        skin = replace(spec, youngs_modulus_pa=spec.youngs_modulus_pa * float(stiff[i]))
-        made.append(level(skin, float(depths_mm[i]), rows, rows // depths_each))
+    for k, skin in enumerate(palms):
+        own = np.arange(k, count, copies)
+        for hang in range(HANGS):
+            rows, height_mm = own[hangs[own] == hang], float(rng.uniform(*law.hang_mm))
+            if len(rows):
+                made.append(_Level(skin, -height_mm, rows, [presses[i] for i in rows], rng.spawn(1)[0]))
+        low, high = DEPTH_MM
+        depths_mm = low + (high - low) * (np.arange(each) + rng.uniform(size=each)) / each
+        stiffer = rng.uniform(*law.stiffening, size=each)
+        for i, depth_mm in enumerate(depths_mm):
+            press_of, frame = np.nonzero(which[own] == i)
+            if len(press_of):
+                rows = own[press_of] * depths_each + frame
+                fresh = replace(skin, youngs_modulus_pa=skin.youngs_modulus_pa * float(stiffer[i]))
+                its = [presses[own[p]] for p in press_of]
+                made.append(_Level(fresh, float(depth_mm), rows, its, rng.spawn(1)[0]))
     return made
 
 
-def _draw(level: _Level) -> tuple[UInt8[ndarray, "n h w 3"], Float[ndarray, " n"]]:
-    """Images, and normal forces [N]."""
-    images, forces_n = [], []
-    for (x_m, y_m), lamp in zip(level.places_m.tolist(), level.lamps.tolist(), strict=True):
-        lit = replace(level.spec, lamp_gain=level.spec.lamp_gain * lamp)
-        contact = press(lit, Pose(x_m, y_m, 1e-3 * level.depth_mm))
-        images.append(render(contact, lit, level.rng).image)
-        forces_n.append(contact.force_n)
-    return np.stack(images), np.array(forces_n, np.float64)
+def _draw(level: _Level) -> tuple[UInt8[ndarray, "n h w 3"], Float[ndarray, "n 4"]]:
+    """Images, and labels in the order of `TARGETS`."""
+    images, values = [], []
+    for one in level.presses:
+        seen = replace(level.spec, **one.view)
+        contact = press(seen, Pose(*one.place_m, 1e-3 * level.depth_mm))
+        images.append(render(contact, seen, level.rng).image)
+        zero_mm = 1e3 * depth_of_force(seen, one.threshold_n, *one.place_m) + one.late_mm
+        x_m, y_m = one.place_m
+        values.append((level.depth_mm - zero_mm, 1e3 * x_m, 1e3 * y_m, contact.force_n))
+    return np.stack(images), np.array(values, np.float64)
 
 
 def _places(spec: PalmSpec, count: int, rng: np.random.Generator) -> Float[ndarray, "n 2"]:
@@ -276,7 +299,7 @@ def draw_loads(
     values = np.empty((count, len(NAMES[kind])), np.float32)
     for i in range(count):
         drawn = DRAW[kind](spec, rng)
-        lit = replace(spec, lamp_gain=spec.lamp_gain * (1 + LAMP_SD * rng.standard_normal()))
+        lit = replace(spec, lamp_gain=spec.lamp_gain * PRESS_LAW.lamp_now(rng))
         hanging[i] = render(_untouched(spec, drawn.contact), lit, rng).image
         images[i] = render(drawn.contact, lit, rng).image
         values[i] = drawn.values
