@@ -17,6 +17,7 @@ from palpate.psychophysics.analysis import (
     wald_interval,
     wilson_interval,
 )
+from palpate.psychophysics.analysis.proportions import expanded_percentiles
 
 
 @pytest.mark.parametrize(("mean", "full"), [(0.75, 0.3099), (0.82, 0.2750), (0.79, 0.2915)])
@@ -61,6 +62,12 @@ def test_thirty_answers_of_ten_people_are_not_thirty_and_drawing_people_covers()
     low = stats.binom.ppf(0.001, 400, 0.95) / 400
     assert clusters > low - 0.02  # of ten participants the bootstrap holds a little less than it claims
     assert answers < 0.80  # the control: answers counted as independent
+
+
+def test_percentiles_of_ten_units_lie_as_far_out_as_student_s_t() -> None:
+    """sqrt(10 / 9) t(9) = 2.3845, beyond which a Gaussian has 0.855 %."""
+    low, high = expanded_percentiles(np.linspace(0.0, 1.0, 10_001), 10, 0.95)
+    assert (low, high) == pytest.approx((0.00855, 1 - 0.00855), abs=2e-5)
 
 
 def test_participants_who_are_all_right_count_as_one_answer_each() -> None:
