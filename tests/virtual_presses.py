@@ -16,7 +16,8 @@ from palpate.estimators.compliance.press_force import (
     without_spikes,
 )
 from palpate.sensors.tactip import TacTipSpec
-from palpate.workflows.tactip_trials import VirtualPress, record_press, stiffness_of
+from palpate.workflows.tactip_specimens import stiffness_of
+from palpate.workflows.tactip_trials import VirtualPress, record_press
 
 KAPPA_N_M = {"rigid": float("inf"), "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 REFERENCES = ("rigid", "S1", "S2", "S3")

@@ -29,7 +29,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from finite_strain.tip import Balanced, Specimen, Tip, TipPress
 
 CELLS, STUDY_CELLS = 60, (40, 60, 90)
-STEP, MAX_N = 0.25, 5.6  # mm of approach; N
+EVEN = np.arange(0.25, 20.0, 0.25)  # mm of approach
+MAX_N = 5.6
 FORCES_N = 5.5 * (np.arange(1, 41) / 40) ** 2  # of a table: dense where contact is young
 EVERY = 2  # of the skin's nodes is kept
 EDGE_TERMS = 5
@@ -59,10 +60,10 @@ class State:
     energy: Float[ndarray, " n"]  # strain energy density on the skin's inside
 
 
-def pressed(press: TipPress, max_n: float = MAX_N, max_mm: float = np.inf) -> Iterator[State]:
-    """States until the greatest force or approach."""
+def pressed(press: TipPress, approaches: Float[ndarray, " k"], max_n: float = MAX_N) -> Iterator[State]:
+    """States at approaches [mm], until the greatest force."""
     inside = press.shell(press.tip.radius - press.tip.skin)
-    for balanced in press.through(np.arange(STEP, 20.0, STEP)):
+    for balanced in press.through(approaches):
         u = balanced.u + np.array([0.0, balanced.approach])
         apex = press.shell(press.tip.radius)[0]
         force = press.force(balanced)
@@ -70,7 +71,7 @@ def pressed(press: TipPress, max_n: float = MAX_N, max_mm: float = np.inf) -> It
             balanced.approach, force, _edges(press, balanced), float(u[apex, 1]),
             (press.places + u)[inside], _energy(press, balanced, inside),
         )  # fmt: skip
-        if force > max_n or balanced.approach >= max_mm:
+        if force > max_n:
             return
 
 
@@ -100,13 +101,9 @@ def _energy(press: TipPress, balanced: Balanced, nodes: ndarray) -> Float[ndarra
     return total[nodes] / np.maximum(count[nodes], 1)
 
 
-def _touches(cells: ndarray, nodes: ndarray) -> ndarray:
-    return np.isin(cells, nodes).any(axis=1)
-
-
-def tabulated(press: TipPress) -> dict[str, ndarray]:
-    """What one press gives at the table's forces."""
-    states = list(pressed(press))
+def tabulated(press: TipPress, approaches: Float[ndarray, " k"] = EVEN) -> dict[str, ndarray]:
+    """What one press through approaches [mm] gives at the table's forces."""
+    states = list(pressed(press, approaches))
     inside = press.shell(press.tip.radius - press.tip.skin)
     force = np.array([0.0, *(s.force for s in states)])
     edges = np.array([s.edges for s in states])
@@ -140,8 +137,7 @@ def smooth_edge(force: ndarray, low: ndarray, high: ndarray, at: ndarray) -> Flo
 def one(tip: str, mpa: float, cells: int = CELLS) -> dict[str, ndarray]:
     """One press, and a line about it."""
     started = time.perf_counter()
-    specimen = Specimen(mpa) if np.isfinite(mpa) else None
-    found = tabulated(TipPress(TIPS[tip], specimen, cells=cells))
+    found = tabulated(TipPress(TIPS[tip], Specimen(mpa), cells=cells))
     area, approach = (
         np.interp(5, FORCES_N, y) for y in (np.pi * found["radius_mm"] ** 2, found["approach_mm"])
     )
@@ -157,7 +153,7 @@ def table(tip: str, processes: int) -> dict[str, ndarray]:
     """One tip on every specimen."""
     presses = Parallel(processes)(delayed(one)(tip, mpa) for mpa in SPECIMENS_MPA)
     stacked = {name: np.stack([press[name] for press in presses]).astype(np.float32) for name in presses[0]}
-    body = TipPress(TIPS[tip], None, cells=CELLS)
+    body = TipPress(TIPS[tip], Specimen(np.inf), cells=CELLS)
     inside = body.shell(TIPS[tip].radius - TIPS[tip].skin)[::EVERY]
     r, z = body.places[inside].T
     made = TIPS[tip]
@@ -174,8 +170,8 @@ def plate_table() -> dict[str, ndarray]:
     """All tips on a rigid plate, at the same depths."""
     found: dict[str, list[ndarray]] = {}
     for made in TIPS.values():
-        press = TipPress(made, None, cells=CELLS)
-        states = list(pressed(press, np.inf, PLATE_MM))
+        press = TipPress(made, Specimen(np.inf), cells=CELLS)
+        states = list(pressed(press, EVEN[EVEN <= PLATE_MM], np.inf))
         force, edges = np.array([s.force for s in states]), np.array([s.edges for s in states])
         columns = {
             "force_n": force,

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 import palpate
-from palpate.core.contact import Pose, PressHistory, Specimen
+from palpate.core.contact import Pose, PressHistory
 from palpate.core.errors import InputError, RangeError
 from palpate.core.outline import Outline
 from palpate.core.sensor import SENSORS, sensor
+from palpate.core.specimen import Specimen
 
 Install = Callable[..., None]
 

@@ -1,8 +1,8 @@
-"""A hemispherical tip, gel under a skin, pressed head-on on a bonded cylinder or on a rigid plate.
+"""A hemispherical tip, gel under a skin, pressed head-on on a bonded cylinder, domed or flat, soft or rigid.
 
-Lengths in mm, stresses in MPa, forces in N. The specimen's unloaded top is z = 0 and z points to the camera;
-the tip's axis is r = 0, its centre (0, R), its equator and a small core around the centre are held and move
-down by the approach. The cylinder's base is bonded.
+Lengths in mm, stresses in MPa, forces in N. The middle of the specimen's unloaded top is z = 0, and z points
+to the camera; the tip's axis is r = 0, its centre (0, R), its equator and a small core around the centre are
+held and move down by the approach. The cylinder's base is bonded.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ SHORTEST_STEP = 2e-3  # mm of approach
 GROWTH = 100.0  # a changed contact may raise the residual for an iteration or two, but not by more
 CORE = 1.0  # mm
 DENSE_TO = np.deg2rad(60.0)  # polar angle up to which skin cells are fine
+DENSE_TO_MM = 18.0  # radius up to which the specimen's are
 
 
 class ConvergenceError(Exception):
@@ -46,11 +47,29 @@ class Tip:
 
 @dataclass(frozen=True)
 class Specimen:
-    """A cylinder bonded to its base [mm, MPa]."""
+    """A cylinder bonded to its base, its top flat or a cap of a sphere [mm, MPa].
+
+    Attributes:
+        mpa: Young's modulus, `inf` for a rigid one.
+        height: on the axis; of a layer its thickness.
+        radius: of the cylinder.
+        dome: radius of curvature of the top, `inf` for a flat one; no less than `radius`.
+    """
 
     mpa: float
     height: float = 40.0
     radius: float = 20.0
+    dome: float = np.inf
+
+    @property
+    def rigid(self) -> bool:
+        return not np.isfinite(self.mpa)
+
+    def top(self, r: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Height of the unloaded top over its middle."""
+        if not np.isfinite(self.dome):
+            return np.zeros_like(r)
+        return np.sqrt(np.maximum(self.dome**2 - r**2, 0.0)) - self.dome
 
 
 @dataclass(frozen=True)
@@ -65,10 +84,10 @@ class Balanced:
 
 @dataclass
 class TipPress:
-    """One tip against one specimen; None is a rigid plate."""
+    """One tip against one specimen."""
 
     tip: Tip
-    specimen: Specimen | None
+    specimen: Specimen
     poisson_ratio: float = 0.48
     sticks: bool = False
     cells: int = 60  # of the skin up to 60 degrees
@@ -97,19 +116,23 @@ class TipPress:
 
     @cached_property
     def specimen_body(self) -> Revolved:
-        s, n = self.specimen or Specimen(1.0), self.cells
-        near = 0.9 * s.radius
+        s, n = self.specimen, self.cells
+        near = min(0.9 * s.radius, DENSE_TO_MM)
         r = np.concatenate([np.linspace(0, near, round(0.65 * n) + 1), np.linspace(near, s.radius, 6)[1:]])
         down = np.cumsum(1.25 ** np.arange(n // 5 + 1))
         z = np.concatenate([-down[::-1] / down[-1] * s.height, [0.0]])
-        mesh = tensor_mesh(r, z)
+
+        def place(x: Float[ndarray, "2 k"]) -> Float[ndarray, "2 k"]:
+            return np.stack([x[0], x[1] + (1 + x[1] / s.height) * s.top(x[0])])
+
+        mesh = tensor_mesh(r, z, place)
         return Revolved(mesh, np.full(mesh.t.shape[1], s.mpa), self.poisson_ratio)
 
     @property
     def bodies(self) -> tuple[tuple[Revolved, int], ...]:
         """Those that deform, and the number of the first node of each."""
         both = ((self.tip_body, 0), (self.specimen_body, len(self.tip_body.places)))
-        return both if self.specimen else both[:1]
+        return both[:1] if self.specimen.rigid else both
 
     @cached_property
     def places(self) -> Float[ndarray, "nodes 2"]:
@@ -131,7 +154,7 @@ class TipPress:
         skin = self.shell(self.tip.radius)
         first = len(self.tip_body.places)
         r, z = self.specimen_body.places.T
-        top = np.flatnonzero(np.isclose(z, 0.0))
+        top = np.flatnonzero(np.isclose(z, self.specimen.top(r), atol=1e-9))
         return Meeting(self.places, _facets(skin), _facets(first + top[np.argsort(r[top])]))
 
     @cached_property
@@ -145,10 +168,9 @@ class TipPress:
         """Degrees of freedom that are not held."""
         axis = np.flatnonzero(np.isclose(self.places[:, 0], 0.0))
         first = len(self.tip_body.places)
-        if self.specimen:
-            still = np.flatnonzero(np.isclose(self.places[:, 1], -self.specimen.height))
-        else:
-            still = np.arange(first, len(self.places))
+        still = np.arange(first, len(self.places))
+        if not self.specimen.rigid:
+            still = still[np.isclose(self.places[still, 1], -self.specimen.height)]
         held = np.concatenate([self.base, still])
         return np.setdiff1d(
             np.arange(2 * len(self.places)), np.concatenate([2 * held, 2 * held + 1, 2 * axis])

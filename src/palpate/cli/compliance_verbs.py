@@ -133,8 +133,7 @@ def calibrate(
             latency=None if camera is None else (camera.seconds, camera.sd_s), progress=progress,
         )  # fmt: skip
     names = ", ".join(
-        f"{one['specimen']} ({_stiff(one['stiffness_N_per_mm'])}, {one['trials']} trials)"
-        for one in record["references"]
+        f"{one['specimen']} ({_reference(one)}, {one['trials']} trials)" for one in record["references"]
     )
     between = record["error_between_references"]
     lines = [
@@ -144,6 +143,13 @@ def calibrate(
         _area_error(record["area_known"], record["area_error"]),
         "intervals contain, as standard deviations: " + _sizes(record["nuisances"]),
     ]
+    if record["shape_known"]:
+        off = record["errors_between_shapes"]
+        lines.insert(
+            3,
+            "E* and 1/R, each reference between others read from these: off by up to "
+            f"{100 * off['modulus']:.0f} % and {1e-3 * off['curvature_per_m']:.2g} per mm",
+        )
     if camera is not None:
         lines.append(f"frames late by {record['latency_ms']:.3g} ms: taken off")
     print_found(record, "\n".join(lines), json_)
@@ -287,6 +293,15 @@ def _area_error(known: bool, error: float | None) -> str:
 
 def _sizes(nuisances: dict[str, float]) -> str:
     return ", ".join(f"{name} {size:g}" for name, size in nuisances.items())
+
+
+def _reference(one: dict[str, Any]) -> str:
+    """What a reference is."""
+    if one["radius_mm"] is None:
+        return _stiff(one["stiffness_N_per_mm"])
+    modulus = one["reduced_modulus_MPa"]
+    body = "rigid" if modulus is None else f"E* {modulus:.3g} MPa"
+    return f"sphere of {one['radius_mm']:.3g} mm, {body}"
 
 
 def _stiff(stiffness_n_per_mm: float | None) -> str:

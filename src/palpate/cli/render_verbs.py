@@ -112,7 +112,12 @@ def tactip(
     out: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     specimen: Annotated[
         list[str] | None,
-        Option(help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide; again for more."),
+        Option(
+            help="NAME=STIFFNESS [N/mm] of a cylinder 40 mm high and wide. Or NAME=sphere:R_mm=20,E_MPa=0.3 "
+            "(the same with a cap of a sphere on top, rigid without E_MPa), NAME=layer:h_mm=2,E_MPa=0.1 "
+            "(bonded to a rigid base), NAME=viscous:E_MPa=0.1,E1_MPa=0.05,tau1_s=1 (a cylinder; E(t) = E + "
+            "sum E_i exp(-t/tau_i)); E_MPa is Young's modulus. Again for more."
+        ),
     ] = None,
     rigid: Annotated[bool, Option("--rigid", help="Press a rigid plate as well.")] = False,
     unknown: Annotated[
@@ -144,6 +149,9 @@ def tactip(
     runs: Annotated[bool, Option("--runs", help="Also write each press as a run.")] = False,
     back: Annotated[bool, Option("--back", help="Also record the way back up.")] = False,
     late_ms: Annotated[float, Option(help="By which frames show earlier moments than they say [ms].")] = 0.0,
+    hold_s: Annotated[
+        float, Option(help="Stand still at the depth of the greatest force for, 0 to 60 [s].")
+    ] = 0.0,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -161,45 +169,52 @@ def tactip(
 
     refuse_existing(out)  # before solving for minutes
     drive = rig_named(rig)
-    own = _stiffnesses(specimen or [], rigid)
-    stiffness, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
+    own = _bodies(specimen or [], rigid)
+    bodies, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
     preset = "331-fitted" if fitted else f"{pins}"
     spec = replace(palpate.sensor(f"tactip-{preset}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     with progress_bar(quiet) as progress:
-        pressed = specimens_at(spec, stiffness, math.radians(tilt_deg), progress=progress)
+        pressed = specimens_at(spec, bodies, math.radians(tilt_deg), progress=progress)
         folder = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, back=back,
-            late_s=1e-3 * late_ms, rig=drive, progress=progress,
+            late_s=1e-3 * late_ms, hold_s=hold_s, rig=drive, progress=progress,
         )  # fmt: skip
-    result, text = _trials_text(folder, stiffness, tilt_deg, runs)
+    result, text = _trials_text(folder, bodies, tilt_deg, runs)
     print_found(result, text, json_)
 
 
-def _stiffnesses(pairs: list[str], rigid: bool) -> dict[str, float]:
-    """Specimens from ``NAME=STIFFNESS`` [N/m]."""
-    from palpate.core.errors import InputError
+def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
+    """Specimens from ``NAME=STIFFNESS`` [N/m], or kind and numbers of ``NAME=KIND:NUMBERS``."""
+    from palpate.core import WORDS_OF_SPECIMENS, InputError
 
-    stiffnesses = {"rigid": float("inf")} if rigid else {}
+    bodies: dict[str, float | str] = {"rigid": float("inf")} if rigid else {}
     for pair in pairs:
         name, _, value = pair.partition("=")
-        try:
-            stiffness = 1e3 * float(value)
-        except ValueError:
-            raise InputError(f"--specimen {pair!r} is not NAME=STIFFNESS in N/mm, as in S1=7.6") from None
-        if name in stiffnesses:
+        if name in bodies:
             raise InputError(f"specimen {name!r} is given twice; a name stands for one specimen")
-        stiffnesses[name] = stiffness
-    return stiffnesses
+        if ":" in value:
+            bodies[name] = value
+            continue
+        try:
+            bodies[name] = 1e3 * float(value)
+        except ValueError:
+            raise InputError(
+                f"--specimen {pair!r} is not NAME=STIFFNESS in N/mm, as in S1=7.6, nor another of: "
+                f"{WORDS_OF_SPECIMENS}"
+            ) from None
+    return bodies
 
 
 def _trials_text(
-    folder: PressFolder, stiffness_n_m: Mapping[str, float], tilt_deg: float, runs: bool
+    folder: PressFolder, bodies: Mapping[str, float | str], tilt_deg: float, runs: bool
 ) -> tuple[dict[str, Any], str]:
     """Result as values and as text."""
-    from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
+    from palpate.workflows.tactip_specimens import stiffness_shown
+    from palpate.workflows.tactip_trials import TRUTH
 
     presses = sum(len(one.presses) for one in folder.specimens)
-    shown = {name: stiffness_shown(k) for name, k in stiffness_n_m.items()}
+    shown = {name: stiffness_shown(k) for name, k in bodies.items() if not isinstance(k, str)}
+    shaped = {name: k for name, k in bodies.items() if isinstance(k, str)}
     result = {
         "out": str(folder.path),
         "virtual": True,
@@ -208,10 +223,12 @@ def _trials_text(
         "tilt_deg": tilt_deg,
         "stiffness_N_per_mm": shown,
     }
+    result |= {"shaped": shaped} if shaped else {}
     what = "press" if presses == 1 else "presses"
     lines = [
         f"{folder.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
         *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
+        *(f"  {name}: {words}" for name, words in shaped.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]
     return result, "\n".join(lines)

@@ -4,14 +4,11 @@ from palpate.core.class_reading import ClassReading
 from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
 from palpate.core.contact import (
     FRESH,
-    RIGID,
-    UNTOLD,
     Contact,
     EarlierPress,
     Pose,
     PressHistory,
     Probe,
-    Specimen,
 )
 from palpate.core.device_protocols import (
     ArmRange,
@@ -113,6 +110,7 @@ from palpate.core.shapes import (
     Values,
     ndarray,
 )
+from palpate.core.specimen import RIGID, UNTOLD, WORDS_OF_SPECIMENS, Specimen
 from palpate.core.units import (
     UNITS,
     Unit,
@@ -133,6 +131,7 @@ __all__ = [
     "SENSORS",
     "UNITS",
     "UNTOLD",
+    "WORDS_OF_SPECIMENS",
     "AlignedBox",
     "ArmRange",
     "ArmSample",

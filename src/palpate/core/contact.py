@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from numpy import ndarray
 
-from palpate.core.errors import InputError
 from palpate.core.shapes import Field, Float, Mask
+from palpate.core.specimen import Specimen
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,44 +48,6 @@ class Pose:
     x_m: float
     y_m: float
     depth_m: float
-
-
-RIGID, UNTOLD = "rigid", "?"
-
-
-@dataclass(frozen=True, slots=True)
-class Specimen:
-    """A body that yields where it is touched; without one, the probe is rigid.
-
-    Attributes:
-        name: of the specimen, such as "S1".
-        stiffness_n_m: force over deformation under a load spread over its whole top, inf for a rigid body;
-            None where only the modulus is known [N/m].
-        youngs_modulus_pa: of its material; None where only the stiffness is known [Pa].
-    """
-
-    name: str = ""
-    stiffness_n_m: float | None = math.inf
-    youngs_modulus_pa: float | None = None
-
-    @classmethod
-    def parse(cls, words: str) -> Specimen:
-        """A specimen from NAME=STIFFNESS in N/mm, as in "S1=7.6", or "rigid".
-
-        A question mark after the stiffness asks that whoever records it does not tell it on, as of a specimen
-        that a calibration shall be tried on; it changes nothing here.
-
-        Raises:
-            InputError: the words are of another form.
-        """
-        name, equals, value = words.removesuffix(UNTOLD).partition("=")
-        try:
-            stiffness_n_m = 1e3 * float(value) if equals else math.inf
-        except ValueError:
-            stiffness_n_m = math.nan
-        if not (name and stiffness_n_m > 0 and (equals or name == RIGID)):
-            raise InputError(f"{words!r} is no specimen; give {RIGID} or NAME=STIFFNESS in N/mm, as S1=7.6")
-        return cls(name, stiffness_n_m)
 
 
 @dataclass(frozen=True, slots=True)

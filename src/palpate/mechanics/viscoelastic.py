@@ -101,6 +101,11 @@ class Prony:
         The branches' stresses q obey q' = -(1 - E 1^T / E(0)) q / tau under a held load.
         """
         t = _not_negative("time", time_s, "s")
+        weights, rates = self.retardation()
+        return np.asarray(1 / self.equilibrium_pa - np.exp(-t[..., None] * rates) @ weights)
+
+    def retardation(self) -> tuple[Float[ndarray, " m"], Float[ndarray, " m"]]:
+        """Weights [1/Pa] and rates [1/s] of the creep J(t) = 1/E_inf - sum w_i exp(-r_i t)."""
         E, E0 = self._moduli, self.instantaneous_pa
         root = np.sqrt(E / self._times)
         # with q = sqrt(E tau) v the rates are symmetric
@@ -108,8 +113,7 @@ class Prony:
         values, vectors = np.linalg.eigh(rates)
         start = vectors.T @ (np.sqrt(E / self._times) / E0)  # v = q / sqrt(E tau), q(0) = E / E0
         weights = vectors.T @ np.sqrt(E * self._times)
-        memory = np.exp(-t[..., None] * values) @ (weights * start)
-        return np.asarray((1 - memory) / self.equilibrium_pa)
+        return weights * start / self.equilibrium_pa, values
 
     def storage(self, angular_frequency: float) -> float:
         """E'(omega) [Pa] under a sinusoidal strain at omega [rad/s]."""

@@ -1,8 +1,9 @@
 """Presses of the virtual TacTip by the virtual rig's devices, with their truth, and written as a rig's files.
 
 A press goes down at a steady speed onto the tables' cylinder, of a stiffness kappa = E pi r^2 / h (slow
-loading over its whole top), or onto a rigid plate; where it is asked for, also back up, by a camera that is
-late. Stage, force sensor, seating and their noise are those of `rig.virtual`; the frames are of the force
+loading over its whole top), flat or with a sphere's cap on top, onto a bonded layer, a viscous cylinder, or a
+rigid plate or sphere; where it is asked for, it stands still, or comes back up, by a camera that is late.
+Stage, force sensor, seating and their noise are those of `rig.virtual`; the frames are of the force
 samples nearest to the middle of the camera's exposures. On an ideal rig the tip is where it is asked to be. A
 linear rig lags and droops under the load, and frames, forces and the encoder's positions are of where it
 really is, see `rig.virtual.linear_rig`.
@@ -23,13 +24,13 @@ import numpy as np
 
 from palpate.core import (
     RIGID,
-    UNITS,
     Contact,
     Float,
     InputError,
     Int,
     ManualClock,
     Pose,
+    PressHistory,
     Progress,
     RangeError,
     Seating,
@@ -40,7 +41,13 @@ from palpate.core import (
     new_folder,
     silent,
 )
-from palpate.recordings.exchange.press_folder import PressFolder, press_folder, write_press, write_specimens
+from palpate.recordings.exchange.press_folder import (
+    UNKNOWN_BODY,
+    PressFolder,
+    press_folder,
+    write_press,
+    write_specimens,
+)
 from palpate.recordings.exchange.press_import import import_press
 from palpate.recordings.exchange.press_table import press_rows
 from palpate.rig.virtual.disturbances import Variation
@@ -53,7 +60,9 @@ from palpate.rig.virtual.virtual_world import Touch, World
 from palpate.sensors.tactip import TacTipSpec
 from palpate.sensors.tactip.tactip_press import TipOnSpecimen, modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
+from palpate.sensors.tactip.viscous_press import ViscousPress
 from palpate.version import __version__
+from palpate.workflows.tactip_specimens import bare, body_shown, shape_of, stiffness_of
 
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 """The compliance report's specimens (source "R" of `sensors.tactip.tactip_spec`) [N/m]."""
@@ -65,6 +74,7 @@ LEAD_M = 1e-3  # above the specimen, where a press is at its speed
 MAX_N = 5.2  # at whose first sample a press ends
 TARE_S = 0.5
 POLL_S = 0.1
+LONGEST_HOLD_S = 60.0
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
 ORIGIN = "rendered by palpate; virtual, not measured"
@@ -112,7 +122,15 @@ class VirtualPress:
     @cached_property
     def true_area_m2(self) -> Float[ndarray, " s"]:
         """Area of the contact [m^2]."""
+        if self.viscous:
+            return np.array([math.pi * self._contact(i).radius_m ** 2 for i in range(len(self.touches))])
         return self.sensor.on(self.words).area_m2(self.true_force_n)
+
+    @property
+    def viscous(self) -> bool:
+        """Whether what is pressed relaxes."""
+        specimen = self.sensor.specimen(self.words)
+        return specimen is not None and bool(specimen.branches)
 
     @property
     def pose(self) -> Pose:
@@ -149,7 +167,8 @@ class VirtualPress:
     def _contact(self, sample: int) -> Contact:
         touch, sensor = self.touches[sample], self.sensor
         pose = Pose(touch.x_m, touch.y_m, touch.depth_m)
-        return sensor.press(sensor.probe(self.words), pose, sensor.specimen(self.words))
+        history = PressHistory(stiffening=touch.stiffening)
+        return sensor.press(sensor.probe(self.words), pose, sensor.specimen(self.words), history)
 
 
 def record_press(
@@ -160,6 +179,7 @@ def record_press(
     *,
     back: bool = False,
     late_s: float = 0.0,
+    hold_s: float = 0.0,
 ) -> VirtualPress:
     """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
 
@@ -171,18 +191,30 @@ def record_press(
         back: go to the depth of the greatest force, and record the way back up as well, at the same speed,
             until the tip stands in the air; on an ideal rig alone.
         late_s: by which frames show an earlier moment than their times say, to a whole sample [s].
+        hold_s: for which to stand still at the depth of the greatest force, on an ideal rig alone [s].
 
     Raises:
-        InputError: the words name no specimen, the force's rate does not fit the rig's control, or a press
-            on a linear rig is to come back.
+        InputError: the words name no specimen, the force's rate does not fit the rig's control, a press
+            on a linear rig is to come back or to hold, or one on a viscous specimen is to come back or on
+            such a rig.
         RangeError: the specimen's table ends before the greatest force, the rig does not come to it, or
-            `late_s` is not finite.
+            `late_s` or `hold_s` is out of range.
     """
     if not math.isfinite(late_s):
         raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
-    if back and rig is not None:
-        raise InputError(f"a press on the rig {rig.name!r} that comes back; give back or the rig, not both")
+    if not 0 <= hold_s <= LONGEST_HOLD_S:
+        raise RangeError(f"a hold of {hold_s:g} s; 0 to {LONGEST_HOLD_S:g} s are allowed")
+    if (back or hold_s) and rig is not None:
+        raise InputError(
+            f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"
+        )
     sensor, rate_hz = TacTip(spec), spec.force.rate_hz
+    viscous = sensor.viscous(sensor.probe(words), sensor.specimen(words))
+    if viscous is not None and (back or rig is not None):
+        raise InputError(
+            "a viscous specimen is pressed on the way down, and held, by an ideal rig; the way back and the "
+            "linear rig are of elastic ones"
+        )
     world = _world(sensor, rig, seed)
     world.mount(words)
     stage, force = VirtualStage(world), VirtualForce(world, _range_n(rig))
@@ -195,22 +227,28 @@ def record_press(
     _follow(world, touches, until_s=tare_s + TARE_S)
     tip = sensor.on(words)
     behind_m = 0.0 if rig is None else rig.lag_m(speed, MAX_N)
-    stage.move_to((0.0, 0.0, _depth_m(tip, MAX_N) if back else tip.deepest_m + LEAD_M + behind_m), speed)
+    planned = back or hold_s > 0
+    depth_m = tip.deepest_m + LEAD_M + behind_m
+    if planned:
+        depth_m = _depth_m(tip, MAX_N) if viscous is None else _ramp_depth_m(viscous, MAX_N, speed, rate_hz)
+    stage.move_to((0.0, 0.0, depth_m), speed)
     motion = world.motion
-    while stage.moving() and (back or touches[-1].force_n[2] < MAX_N):
+    while stage.moving() and (planned or touches[-1].force_n[2] < MAX_N):
         _follow(world, touches, until_s=world.now_s + POLL_S)
     moves = [motion]
+    if hold_s:
+        _follow(world, touches, until_s=world.motion.ends_s + hold_s)
     if back:
         stage.move_to(motion.start_m, speed)
         moves.append(world.motion)
         _follow(world, touches, until_s=world.motion.ends_s + TARE_S)
     normal, time_s = np.array([t.force_n[2] for t in touches]), np.array([t.time_s for t in touches])
-    if normal.max() < MAX_N and not back:
+    if normal.max() < MAX_N and not planned:
         what = "the table ends" if rig is None else f"rig {rig.name!r} or the table ends"
         raise RangeError(f"{what} at {normal.max():.3g} N; a press goes to {MAX_N} N")
     world.clock.sleep(1.0)  # until the last sample has arrived
     samples = np.array([wrench.force_n[2] for wrench in force.drain()])[: len(touches)]
-    end = len(normal) if back else int(np.argmax(normal >= MAX_N)) + 1
+    end = len(normal) if planned else int(np.argmax(normal >= MAX_N)) + 1
     frame_sample = _nearest(sensor, time_s[:end])
     frame_sample = frame_sample[time_s[frame_sample] > motion.begun_s + speed / CARRYING.acceleration_m_s2]
     part = slice(int(frame_sample[0]), end)
@@ -240,6 +278,15 @@ def _depth_m(tip: TipOnSpecimen, force_n: float) -> float:
     """Approach at which a contact has a force [m]."""
     approach_m = np.linspace(0.0, tip.deepest_m, 200)
     return float(np.interp(force_n, tip.force_n(approach_m), approach_m))
+
+
+def _ramp_depth_m(viscous: ViscousPress, force_n: float, speed_m_s: float, rate_hz: float) -> float:
+    """Depth at which a ramp from first touch has come to a force [m]."""
+    press, depth_m = viscous.begun(), 0.0
+    while press.force_n < force_n:
+        depth_m += speed_m_s / rate_hz
+        press.to(depth_m, 1 / rate_hz)
+    return depth_m
 
 
 def _world(sensor: TacTip, rig: LinearRig | None, seed: int) -> World:
@@ -279,7 +326,7 @@ def _nearest(sensor: TacTip, time_s: Float[ndarray, " s"]) -> Int[ndarray, " f"]
 
 def specimens_at(
     spec: TacTipSpec,
-    stiffness_n_m: Mapping[str, float],
+    pressed: Mapping[str, float | str],
     tilt_rad: float = 0.0,
     *,
     progress: Progress = silent,
@@ -293,7 +340,8 @@ def specimens_at(
 
     Args:
         spec: the sensor.
-        stiffness_n_m: name -> stiffness, inf for a rigid plate [N/m].
+        pressed: name -> stiffness, inf for a rigid plate [N/m], or kind and numbers of another body, such as
+            "sphere:R_mm=20,E_MPa=0.3", see `Specimen.parse`.
         tilt_rad: of the specimens' tops, 0 to 50 degrees [rad].
         progress: called with how many are solved; inclined ones take some ten seconds each, the first more.
 
@@ -301,23 +349,27 @@ def specimens_at(
         Of every name the words by which the TacTip knows the specimen.
 
     Raises:
-        RangeError: a stiffness outside of what is modelled.
-        InputError: a tilt outside of it.
+        RangeError: a stiffness or size outside of what is modelled.
+        InputError: a tilt outside of it, or words of no body.
     """
     least, sensor = float(spec.table.specimen_pa[0]) / modulus_pa(spec.table, 1.0), TacTip(spec)
-    for name, stiffness in stiffness_n_m.items():
-        if not stiffness >= least * (1 - 1e-9):
+    for name, stiffness in pressed.items():
+        if not isinstance(stiffness, str) and not stiffness >= least * (1 - 1e-9):
             raise RangeError(
                 f"specimen {name} of {1e-3 * stiffness:g} N/mm; tip {spec.tip!r} has tables down to "
                 f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate"
             )
     words: dict[str, str] = {}
-    for name, stiffness in stiffness_n_m.items():
-        face = RIGID if math.isinf(stiffness) else f"specimen={1e-3 * stiffness:.15g}"
+    for name, body in pressed.items():
+        face = f"specimen={body}" if isinstance(body, str) else _face(body)
         words[name] = f"{face}@{math.degrees(tilt_rad):.15g}" if tilt_rad else face
         sensor.on(words[name])
-        progress("solving contacts", len(words), len(stiffness_n_m))
+        progress("solving contacts", len(words), len(pressed))
     return words
+
+
+def _face(stiffness_n_m: float) -> str:
+    return RIGID if math.isinf(stiffness_n_m) else f"specimen={1e-3 * stiffness_n_m:.15g}"
 
 
 def record_trials(
@@ -332,6 +384,7 @@ def record_trials(
     rig: LinearRig | None = None,
     back: bool = False,
     late_s: float = 0.0,
+    hold_s: float = 0.0,
     progress: Progress = silent,
 ) -> PressFolder:
     """Press every specimen several times and write what a rig would, see `press_folder`; whole or not at all.
@@ -346,9 +399,9 @@ def record_trials(
         specimens: name -> the words of what is pressed, see `specimens_at`.
         trials: presses of each.
         seed: of everything random, 0 or more.
-        unknown: names whose stiffness `specimens.csv` leaves empty; `virtual.json` has it.
+        unknown: names of which `specimens.csv` tells nothing; `virtual.json` does.
         runs: also write each press as a run, in a folder of the press's name.
-        rig, back, late_s: see `record_press`.
+        rig, back, late_s, hold_s: see `record_press`.
         progress: called with how many presses are done.
 
     Raises:
@@ -364,11 +417,16 @@ def record_trials(
     truths: dict[str, dict[str, Any]] = {name: {} for name in specimens}
     digits = max(2, len(str(trials)))
     with new_folder(out) as building:
-        stiffness = {name: stiffness_of(words) for name, words in specimens.items()}
-        write_specimens(building, {n: math.nan if n in unknown else k for n, k in stiffness.items()})
+        told = {name: words for name, words in specimens.items() if name not in unknown}
+        stiffness = {n: stiffness_of(told[n]) if n in told else math.nan for n in specimens}
+        bodies = {n: shape_of(spec, told[n]) if n in told else UNKNOWN_BODY for n in specimens}
+        shaped = any(math.isfinite(Specimen.parse(bare(words)).radius_m) for words in specimens.values())
+        write_specimens(building, stiffness, bodies if shaped else None)
         for i, (name, words) in enumerate(specimens.items()):
             for k in range(1, trials + 1):
-                press = record_press(spec, words, _seed(seed, name, k), rig, back=back, late_s=late_s)
+                press = record_press(
+                    spec, words, _seed(seed, name, k), rig, back=back, late_s=late_s, hold_s=hold_s
+                )
                 number = f"{k:0{digits}d}"
                 _write(building / name, number, press, runs)
                 truths[name][number] = _truth(press)
@@ -376,15 +434,9 @@ def record_trials(
         with new_file(building / TRUTH) as path:
             about = _about(spec, specimens, seed, truths) | {"rig": rig_record(rig)}
             about |= {"late_ms": 1e3 * late_s} if late_s else {}
+            about |= {"hold_s": hold_s} if hold_s else {}
             path.write_text(json.dumps(about, indent=1, allow_nan=False) + "\n")
     return press_folder(out)
-
-
-def stiffness_of(words: str) -> float:
-    """Stiffness of what words name, inf for a rigid plate [N/m]."""
-    stiffness_n_m = Specimen.parse(words.partition("@")[0]).stiffness_n_m
-    assert stiffness_n_m is not None
-    return stiffness_n_m
 
 
 def _seed(seed: int, name: str, number: int) -> int:
@@ -418,8 +470,7 @@ def _about(
     about = {}
     for name, words in specimens.items():
         tilt_rad = TacTip(spec).probe(words).tilt_rad
-        about[name] = {
-            "stiffness_N_per_mm": stiffness_shown(stiffness_of(words)),
+        about[name] = body_shown(spec, words) | {
             "tilt_deg": math.degrees(tilt_rad),
             "model": MODELS[tilt_rad != 0],
             "presses": truths[name],
@@ -433,8 +484,3 @@ def _about(
         "spec": asdict(spec),
         "specimens": about,
     }
-
-
-def stiffness_shown(stiffness_n_m: float) -> float | str:
-    """A stiffness in N/mm for JSON, which has no infinity."""
-    return "inf" if math.isinf(stiffness_n_m) else UNITS["N_per_mm"].from_si(stiffness_n_m)

@@ -16,6 +16,7 @@ import numpy as np
 
 from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
+from palpate.calibration.compliance.shape_calibration import errors_between, fit_shapes
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
     Float,
@@ -41,9 +42,16 @@ from palpate.estimators.compliance.contact_seat import Seat, fit_seat, sideways_
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
 from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
+from palpate.estimators.compliance.shape_surface import ShapeSurface
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness, softness
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
-from palpate.recordings.exchange.press_folder import PressedSpecimen, PressFolder, press_folder
+from palpate.recordings.exchange.press_folder import (
+    UNKNOWN_BODY,
+    KnownBody,
+    PressedSpecimen,
+    PressFolder,
+    press_folder,
+)
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.version import __version__
 
@@ -67,11 +75,19 @@ class ReferenceTrial:
 
 @dataclass(frozen=True)
 class ReferenceSpecimen:
-    """A specimen of known stiffness, `inf` for a rigid plate [N/m], and its trials."""
+    """A specimen of known stiffness, `inf` for a rigid plate, or of known modulus and radius, and its trials.
+
+    Attributes:
+        name: of the specimen.
+        kappa_n_m: stiffness of a flat one, NaN for a sphere [N/m].
+        trials: of it.
+        body: its modulus and radius, of a flat one or a sphere.
+    """
 
     name: str
     kappa_n_m: float
     trials: tuple[ReferenceTrial, ...]
+    body: KnownBody = UNKNOWN_BODY
 
 
 @dataclass(frozen=True)
@@ -100,6 +116,8 @@ class ComplianceCalibration:
         rigid_plate: stretch of the middle by the ring's radius on a rigid plate; None without one, and in
             calibrations of before.
         latency_s: of the camera, which the references' frames were corrected for; None for none [s].
+        shape: modulus and radius by motion and approach; None without spheres among the references, or
+            without their positions, and in calibrations of before.
     """
 
     names: tuple[str, ...]
@@ -121,6 +139,7 @@ class ComplianceCalibration:
     nuisances: Nuisances | None = None
     rigid_plate: RigidPlateStretch | None = None
     latency_s: float | None = None
+    shape: ShapeSurface | None = None
 
     @property
     def id(self) -> str:
@@ -172,18 +191,24 @@ def calibrate_compliance(
     layout = _layout(presses)
     motions_px = [motion_on_layout(press, layout) for press in presses]
     touch_rows = [touch_row(press, layout, LEVELS_N) for press in presses]
-    kappa = [one.kappa_n_m for one in references]
     which = np.array([i for i, _ in trials])
+    flat = [i for i, one in enumerate(references) if not np.isnan(one.kappa_n_m)]
+    kappa = [references[i].kappa_n_m for i in flat]
 
     def curve(rows: list[ndarray]) -> SoftnessCurve:
         stacked = np.stack(rows)
-        return fit_softness(kappa, [stacked[which == i] for i in range(len(references))])
+        return fit_softness(kappa, [stacked[which == i] for i in flat])
 
-    both = None
+    both = shape = None
     if all(press.position_m is not None for press in presses):
         approach_rows = [approach_row(press, LEVELS_N) for press in presses]
-        both = curve([np.concatenate(rows) for rows in zip(touch_rows, approach_rows, strict=True)])
-    motions, area, ring, rate = _areas(trials, motions_px, layout)
+        joined = [np.concatenate(rows) for rows in zip(touch_rows, approach_rows, strict=True)]
+        both = curve(joined)
+        shape = fit_shapes([one.body for one in references], joined, which)
+    flat_trials = [(i, t, m) for (i, t), m in zip(trials, motions_px, strict=True) if i in flat]
+    motions, area, ring, rate = _areas(
+        [(i, t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
+    )
     touch = curve(touch_rows)
     speeds = [press.speed_m_s for press in presses]
     return ComplianceCalibration(
@@ -201,20 +226,24 @@ def calibrate_compliance(
         tilt_rad,
         note,
         rate=rate,
-        seat=fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout)),
+        seat=fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout, flat)),
         nuisances=Nuisances() if nuisances is None else nuisances,
         rigid_plate=rigid_plate_stretch(
             trial.press for one in references if np.isinf(one.kappa_n_m) for trial in one.trials
         ),
+        shape=shape,
     )
 
 
 def _seats(
-    presses: Sequence[PinPress], which: Int[ndarray, " t"], layout: Float[ndarray, "p 2"]
+    presses: Sequence[PinPress],
+    which: Int[ndarray, " t"],
+    layout: Float[ndarray, "p 2"],
+    references: Sequence[int],
 ) -> list[Float[ndarray, "_ 2"]]:
-    """Mean motion of the pins of every trial, by reference."""
+    """Mean motion of the pins of every trial, of some references."""
     sideways = np.stack([sideways_px(press, layout) for press in presses])
-    return [sideways[which == i] for i in range(int(which.max()) + 1)]
+    return [sideways[which == i] for i in references]
 
 
 def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
@@ -338,7 +367,7 @@ def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -
 def load_references(
     folder: PressFolder, progress: Progress = silent, *, latency_s: float = 0.0
 ) -> list[ReferenceSpecimen]:
-    """The specimens of known stiffness, in the folder's order.
+    """The specimens of known stiffness, or modulus and radius, in the folder's order.
 
     Args:
         folder: of the experiment.
@@ -348,14 +377,23 @@ def load_references(
     Raises:
         InputError: fewer than two have a known stiffness; and as a press cannot be read.
     """
-    known = {one: one.stiffness_n_m for one in folder.specimens if one.stiffness_n_m is not None}
-    if len(known) < 2:
+    known = [one for one in folder.specimens if one.stiffness_n_m is not None or one.body.known]
+    flat = sum(one.stiffness_n_m is not None for one in known)
+    if flat < 2:
         raise InputError(
-            f"{len(known)} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
+            f"{flat} of {len(folder.specimens)} specimens in {folder.path} have a known stiffness; "
             "write two or more into specimens.csv: stiffness_N_per_mm, inf for a rigid plate"
         )
-    trials = read_presses(list(known), reference_trial, progress, latency_s)
-    return [ReferenceSpecimen(one.name, kappa, tuple(trials[one.name])) for one, kappa in known.items()]
+    trials = read_presses(known, reference_trial, progress, latency_s)
+    return [
+        ReferenceSpecimen(
+            one.name,
+            np.nan if one.stiffness_n_m is None else one.stiffness_n_m,
+            tuple(trials[one.name]),
+            one.body,
+        )
+        for one in known
+    ]
 
 
 def read_presses(
@@ -429,6 +467,8 @@ def calibrate_folder(
             {
                 "specimen": one.name,
                 "stiffness_N_per_mm": finite_or_none(1e-3 * one.kappa_n_m),
+                "reduced_modulus_MPa": finite_or_none(1e-6 * one.body.modulus_pa),
+                "radius_mm": finite_or_none(1e3 * one.body.radius_m),
                 "trials": len(one.trials),
             }
             for one in references
@@ -436,6 +476,8 @@ def calibrate_folder(
         "pins": len(calibration.layout_px),
         "error_between_references": finite_or_none(calibration.touch.between),
         "error_between_references_both_cues": None if both is None else finite_or_none(both.between),
+        "shape_known": calibration.shape is not None,
+        "errors_between_shapes": None if calibration.shape is None else errors_between(calibration.shape),
         "area_known": area is not None,
         "area_error": None if area is None else finite_or_none(area.spread),
         "tilt_deg": tilt_deg,

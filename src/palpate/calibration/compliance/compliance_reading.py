@@ -16,11 +16,13 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
+from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
 from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
+from palpate.estimators.compliance.shape_surface import ShapeSurface
 from palpate.estimators.compliance.spread_rate import spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
@@ -36,6 +38,15 @@ MISFIT = 0.1
 NO_HERTZ = (
     "the tip is no Hertz body (its modulus changes by {:.0%} over the forces, {:.0%} is allowed), so its "
     "part of the radius cannot be taken off"
+)
+TOO_STIFF = (
+    "above {:.3g} MPa: it cannot be told from a rigid object, as which a thin layer on a hard base shows "
+    "itself too"
+)
+CURVED = "the object is curved (R {:.3g} mm, {:.3g} to {:.3g} mm); this quantity is of flat specimens"
+APART = (
+    "touch says {:.3g} N/mm and both cues {:.3g} N/mm: no flat specimen of the references' shape, perhaps a "
+    "layer on a hard base"
 )
 NO_BETWEEN = "two references cannot tell what is lost between them; calibrate on a third"
 
@@ -58,8 +69,9 @@ class PressReading:
         stiffness_both: with the approach beside them; None without one.
         area: of the contact, at 4 N; None where the calibration knows no area.
         spread_rate: dA/dF by regression, of the same.
-        modulus, radius: E* and R of the object by both cues, the tip being a Hertz pair; None without an
-            approach or areas.
+        modulus, radius: E* and R of the object by both cues: by references of known ones where spheres are
+            among them, else the tip being a Hertz pair; None without an approach, or without areas and
+            spheres.
         course: the area of every frame.
         budget: of every quantity, by how much each nuisance of its standard size changes it, as a share;
             empty for calibrations that state none.
@@ -104,10 +116,40 @@ def read_touch(
         raise InputError("no press; give one or more")
     verdict = _Verdict(calibration, drift_of(calibration, presses), press_reasons(calibration, presses), name)
     read = replace(_read(calibration, presses, verdict), rigid_plate=calibration.rigid_plate)
-    if calibration.nuisances is None:
+    if calibration.nuisances is not None:
+        read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
+        read = replace(read, nuisances=calibration.nuisances)
+    return read if calibration.shape is None else _judged(read)
+
+
+def _judged(read: PressReading) -> PressReading:
+    """Readings by a calibration that knows spheres: what they say of each other, their intervals known."""
+    modulus, radius = read.modulus, read.radius
+    if modulus is None or radius is None:
         return read
-    wide = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
-    return replace(wide, nuisances=calibration.nuisances)
+    too_stiff = np.isinf(modulus.high) or modulus.low > EDGE * modulus.calibrated_range[1]
+    why_modulus = TOO_STIFF.format(1e-6 * modulus.low) if too_stiff else ""
+    curved = CURVED.format(*(1e3 * x for x in (radius.value, radius.low, radius.high)))
+    reasons = (curved if np.isfinite(radius.high) else "", _cues_apart(read), radius.why)
+    why_flat = "; ".join(why for why in reasons if why)
+    of_flats = ("stiffness", "stiffness_both", "area", "spread_rate")
+    flats = {name: _refused(getattr(read, name), why_flat) for name in of_flats}
+    return replace(read, modulus=_refused(modulus, why_modulus), **flats)  # type: ignore[arg-type]
+
+
+def _cues_apart(read: PressReading) -> str:
+    """Why one stiffness does not explain both cues; empty where it does."""
+    touch, both = read.stiffness, read.stiffness_both
+    if both is None or (touch.low <= both.high and both.low <= touch.high):
+        return ""
+    return APART.format(1e-3 * touch.value, 1e-3 * both.value)
+
+
+def _refused(reading: Reading | None, why: str) -> Reading | None:
+    """A reading with one more reason why it is not valid."""
+    if reading is None or not why or why in reading.why:
+        return reading
+    return replace(reading, valid=False, why="; ".join(one for one in (reading.why, why) if one))
 
 
 def _read(
@@ -116,16 +158,20 @@ def _read(
     """Readings under a verdict, with the scatter between presses alone."""
     reader = _PressReader(calibration, presses, verdict)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
-    stiffness = reader.stiffness("stiffness", calibration.touch, rows)
-    both = None
+    both = modulus = radius = None
     if calibration.both is not None and all(one.position_m is not None for one in presses):
         beside = np.stack([approach_row(one, calibration.levels_n) for one in presses])
-        both = reader.stiffness("stiffness_both_cues", calibration.both, np.hstack([rows, beside]))
+        joined = np.hstack([rows, beside])
+        if calibration.shape is not None:
+            modulus, radius = reader.by_surface(calibration.shape, joined)
+        both = reader.stiffness("stiffness_both_cues", calibration.both, joined)
+    stiffness = reader.stiffness("stiffness", calibration.touch, rows)
     if calibration.area is None:
-        return PressReading(stiffness, both, None, None, None, None, None)
+        return PressReading(stiffness, both, None, None, modulus, radius, None)
     courses = [_course(calibration, one, ring) for one in presses]
     area, rate = reader.area(courses), reader.rate(courses)
-    modulus, radius = reader.modulus_and_radius(courses) if both is not None else (None, None)
+    if both is not None and calibration.shape is None:
+        modulus, radius = reader.modulus_and_radius(courses)
     return PressReading(stiffness, both, area, rate, modulus, radius, courses[0])
 
 
@@ -236,6 +282,16 @@ class _PressReader:
             calibrated_range=range_, valid=not reasons, why="; ".join(reasons), drift=self.verdict.drift,
             calibration=self.calibration.id, frame=self.verdict.name, time_s=0.0,
         )  # fmt: skip
+
+    def by_surface(self, surface: ShapeSurface, rows: Float[ndarray, "t d"]) -> tuple[Reading, Reading]:
+        """E* and R by references of known ones."""
+        found = surface.of(rows, COVERAGE)
+        why = shape_reasons(surface, found)
+        flat_to = float(surface.radius_m.min()), float("inf")
+        return (
+            self.reading("modulus", found.modulus_pa, "Pa", moduli_pa(surface), why),
+            self.reading("radius", found.radius_m, "m", flat_to, why),
+        )
 
     def stiffness(self, quantity: str, curve: SoftnessCurve, rows: Float[ndarray, "t d"]) -> Reading:
         kappa, low, high = curve.of(rows, COVERAGE).kappa_n_m

@@ -8,7 +8,7 @@ known fault would explain most of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import brentq
@@ -23,7 +23,7 @@ from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core import Drift
 from palpate.estimators.compliance.contact_seat import sideways_px
 from palpate.estimators.compliance.pin_press import PinPress
-from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, Vector
+from palpate.estimators.compliance.stiffness_curve import SmallSpace, Vector
 
 MAX_NOVELTY = 5.0  # times what the references' own trials showed
 MAX_DRIFT = 4.0
@@ -116,9 +116,11 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
     def pins_and_approach(one: PinPress) -> Vector:
         return np.concatenate([pins(one), approach_row(one, calibration.levels_n)])
 
-    shown = [(calibration.touch, pins)]
+    shown: list[tuple[SmallSpace, Callable[[PinPress], Vector]]] = [(calibration.touch.space, pins)]
     if calibration.both is not None and press.position_m is not None:
-        shown.append((calibration.both, pins_and_approach))
+        shown.append((calibration.both.space, pins_and_approach))
+    if calibration.shape is not None and press.position_m is not None:
+        shown = [(calibration.shape.space, pins_and_approach)]
     if max(curve.novelty_score(of(press)) for curve, of in shown) <= MAX_NOVELTY:
         return ""
     sizes = NONE if calibration.nuisances is None else calibration.nuisances
@@ -132,7 +134,7 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
     return f"{why}; {cause}" if cause else why
 
 
-def _left_unlike(curve: SoftnessCurve, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
+def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
     """What no reference shows and no nuisance explains, over the references' scatter, and nuisances' sizes.
 
     Sizes are the smallest, as the root of the sum of their squares in standard sizes, that leave no more than
@@ -162,10 +164,12 @@ def _left_unlike(curve: SoftnessCurve, row: Vector, altered: Sequence[Vector]) -
 
 def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
     """The known fault, if any, whose direction holds most of what no reference shows, and its size."""
-    unlike = _outside(calibration.touch, row)
+    unlike = _outside(calibration.touch.space, row)
     explained: dict[str, tuple[float, float]] = {}
     for name, altered in PROBE.altered(press).items():
-        along = _outside(calibration.touch, touch_row(altered, calibration.layout_px, calibration.levels_n))
+        along = _outside(
+            calibration.touch.space, touch_row(altered, calibration.layout_px, calibration.levels_n)
+        )
         direction = np.nan_to_num(along - unlike)
         norm = float(direction @ direction)
         if norm > 0:
@@ -180,6 +184,6 @@ def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vecto
     return CAUSES[best].format(SHOWN.get(best, 1.0) * size)
 
 
-def _outside(curve: SoftnessCurve, row: Vector) -> Vector:
+def _outside(curve: SmallSpace, row: Vector) -> Vector:
     """What of a press lies outside of the references' space."""
     return np.asarray(row - curve.middle - curve.place(row) @ curve.basis)

@@ -52,18 +52,54 @@ class Softness:
 
 
 @dataclass(frozen=True)
-class SoftnessCurve:
-    """The curve, in its small space.
+class SmallSpace:
+    """Where presses of references lie, and how their trials scatter.
 
     Attributes:
-        kappa_n_m: of the references, `inf` for a rigid plate [N/m].
-        turning_n_m: kappa_0 [N/m].
         middle: mean of all trials.
         basis: directions that count, orthonormal.
         means: of the references, in the basis.
         scatter: covariance of a trial about its reference's mean, in the basis.
         outside: root mean square of what lies outside of the basis, of a trial of the references.
         freedom: trials less references.
+    """
+
+    middle: Vector
+    basis: Float[ndarray, "q d"]
+    means: Float[ndarray, "k q"]
+    scatter: Float[ndarray, "q q"]
+    outside: float
+    freedom: int
+
+    def novelty_score(self, press: Vector) -> float:
+        """Part of a press that no reference shows, in units of what their trials showed of it."""
+        off = press - self.middle
+        finite = np.isfinite(off)
+        residual = off[finite] - self.place(press) @ self.basis[:, finite]
+        return float(np.sqrt(np.mean(residual**2)) / self.outside)
+
+    def place(self, press: Vector) -> Float[ndarray, " q"]:
+        """Place of a press in the basis, by what was seen of it.
+
+        Raises:
+            InputError: a vector of another length, or too little seen.
+        """
+        if press.shape != self.middle.shape:
+            raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
+        finite = np.isfinite(press - self.middle)
+        if finite.sum() < 4 * len(self.basis):
+            raise InputError(f"{int(finite.sum())} of {press.size} values are known; too many pins are lost")
+        place, *_ = np.linalg.lstsq(self.basis[:, finite].T, (press - self.middle)[finite], rcond=None)
+        return np.asarray(place)
+
+
+@dataclass(frozen=True)
+class SoftnessCurve:
+    """The curve, in its small space, of which all but the first two and the last are: see `SmallSpace`.
+
+    Attributes:
+        kappa_n_m: of the references, `inf` for a rigid plate [N/m].
+        turning_n_m: kappa_0 [N/m].
         between: error of log kappa by which the others tell each reference between them; NaN for two.
     """
 
@@ -120,26 +156,18 @@ class SoftnessCurve:
     def _kappa(self, s: float) -> float:
         return self.turning_n_m * (1 / min(s, 1.0) - 1) if s > 0 else float("inf")
 
+    @property
+    def space(self) -> SmallSpace:
+        """Where its references lie."""
+        return SmallSpace(self.middle, self.basis, self.means, self.scatter, self.outside, self.freedom)
+
     def novelty_score(self, press: Vector) -> float:
-        """Part of a press that no reference shows, in units of what their trials showed of it."""
-        off = press - self.middle
-        finite = np.isfinite(off)
-        residual = off[finite] - self.place(press) @ self.basis[:, finite]
-        return float(np.sqrt(np.mean(residual**2)) / self.outside)
+        """As `SmallSpace.novelty_score`."""
+        return self.space.novelty_score(press)
 
     def place(self, press: Vector) -> Float[ndarray, " q"]:
-        """Place of a press in the basis, by what was seen of it.
-
-        Raises:
-            InputError: a vector of another length, or too little seen.
-        """
-        if press.shape != self.middle.shape:
-            raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
-        finite = np.isfinite(press - self.middle)
-        if finite.sum() < 4 * len(self.basis):
-            raise InputError(f"{int(finite.sum())} of {press.size} values are known; too many pins are lost")
-        place, *_ = np.linalg.lstsq(self.basis[:, finite].T, (press - self.middle)[finite], rcond=None)
-        return np.asarray(place)
+        """As `SmallSpace.place`."""
+        return self.space.place(press)
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
         """S of a place in the basis."""
@@ -175,6 +203,20 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
         raise InputError(f"stiffnesses {list(kappa)}; two or more references, each above 0 N/m")
     if len(np.unique(kappa)) < len(kappa):
         raise InputError("two references have one stiffness; give their trials together")
+    space = fit_small_space(trials)
+    known = (space.middle, space.basis, space.means, space.scatter, space.outside, space.freedom)
+    return _turned(SoftnessCurve(kappa, float(kappa[np.isfinite(kappa)].min()), *known))
+
+
+def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
+    """The space of references.
+
+    Args:
+        trials: of each, one row a trial, two or more.
+
+    Raises:
+        InputError: too few trials, or too little seen in all of them.
+    """
     if min(map(len, trials)) < MIN_TRIALS:
         raise InputError(f"each reference needs {MIN_TRIALS} trials or more, so that their scatter is known")
     finite = np.isfinite(np.concatenate(trials)).all(axis=0)
@@ -184,23 +226,19 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
     middle = np.concatenate(trials).mean(axis=0)
     means = np.stack([trial.mean(axis=0) for trial in trials])
     about = np.concatenate([trial - mean for trial, mean in zip(trials, means, strict=True)])
-    freedom = len(about) - len(kappa)
+    freedom = len(about) - len(trials)
     wide = np.linalg.svd(about, full_matrices=False)[2][: min(SCATTER, max(1, freedom // 3))]
     basis = _orthonormal(np.concatenate([means - middle, wide]))
     residual = about - about @ basis.T @ basis
     inside = about @ basis.T
     noise = (residual**2).sum() / freedom / finite.sum()
-    return _turned(
-        SoftnessCurve(
-            kappa,
-            float(kappa[np.isfinite(kappa)].min()),
-            np.where(finite, middle, np.nan),
-            np.where(finite, basis, 0.0),
-            (means - middle) @ basis.T,
-            inside.T @ inside / freedom + noise * np.eye(len(basis)),
-            float(np.sqrt(noise)),
-            freedom,
-        )
+    return SmallSpace(
+        np.where(finite, middle, np.nan),
+        np.where(finite, basis, 0.0),
+        (means - middle) @ basis.T,
+        inside.T @ inside / freedom + noise * np.eye(len(basis)),
+        float(np.sqrt(noise)),
+        freedom,
     )
 
 

@@ -108,17 +108,18 @@ class TipTable:
             raise RangeError(
                 f"a specimen of {specimen_pa:g} Pa; the table holds {self.specimen_pa[0]:g} Pa and stiffer"
             )
-        columns = {name: spline(_softness(specimen_pa)) for name, spline in self._splines.items()}
+        columns = {name: spline(softness_share(specimen_pa)) for name, spline in self._splines.items()}
         return HeadOnPress(force_n=self.force_n, polar_rad=self.polar_rad, **columns)
 
     @cached_property
     def _splines(self) -> dict[str, CubicSpline]:
-        softness = np.array([_softness(E) for E in self.specimen_pa])
+        softness = np.array([softness_share(E) for E in self.specimen_pa])
         order = np.argsort(softness)
         return {name: CubicSpline(softness[order], values[order]) for name, values in self.columns.items()}
 
 
-def _softness(specimen_pa: float) -> float:
+def softness_share(specimen_pa: float) -> float:
+    """1 / (1 + E / E0): 0 for a rigid plate, 1 for none."""
     return 1.0 / (1.0 + specimen_pa / TURNING_PA)
 
 

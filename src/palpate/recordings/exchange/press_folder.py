@@ -2,7 +2,9 @@
 
 ======================  ==================================================================================
 ``specimens.csv``       a row a specimen: ``specimen``, ``stiffness_N_per_mm`` (inf for a rigid plate, empty
-                        where it is not known), and any further columns
+                        where it is not known), where the bodies differ in shape ``reduced_modulus_MPa``
+                        (E / (1 - nu^2), inf for a rigid one) and ``radius_mm`` (of curvature, inf for a flat
+                        one), both empty where not known, and any further columns
 ``S1/01.tif``           frames of one press, a multi-page TIFF
 ``S1/01.csv``           its table, of the same name: see `press_table`
 ``trials.csv``          a row a press: ``specimen``, ``trial`` (``01``), and columns of what trials share,
@@ -45,8 +47,34 @@ SPECIMENS = "specimens.csv"
 TRIALS = "trials.csv"
 PRESSES = "presses"  # within a run, where its presses lie as such a folder
 NAME, STIFFNESS, TRIAL = "specimen", "stiffness_N_per_mm", "trial"
+MODULUS, RADIUS = "reduced_modulus_MPa", "radius_mm"
+WITHOUT_END = {
+    STIFFNESS: "inf for a rigid plate",
+    MODULUS: "inf for a rigid body",
+    RADIUS: "inf for a flat one",
+}
 DIGITS = "%.9g"  # a nanometre in a metre, more than any device of a rig says
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True)
+class KnownBody:
+    """What is known of a specimen's material and shape.
+
+    Attributes:
+        modulus_pa: Young's over 1 - nu^2, inf for a rigid one; NaN where it is not known [Pa].
+        radius_m: of curvature where it is touched, inf for a flat one; NaN where it is not known [m].
+    """
+
+    modulus_pa: float
+    radius_m: float
+
+    @property
+    def known(self) -> bool:
+        return not np.isnan([self.modulus_pa, self.radius_m]).any()
+
+
+UNKNOWN_BODY = KnownBody(np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -57,11 +85,13 @@ class PressedSpecimen:
         name: of its folder.
         stiffness_n_m: of the specimen alone, inf for a rigid plate; None where it is not known [N/m].
         presses: of every press its TIFF and its table, in the order of their names.
+        body: its modulus and radius.
     """
 
     name: str
     stiffness_n_m: float | None
     presses: tuple[tuple[Path, Path], ...]
+    body: KnownBody = UNKNOWN_BODY
 
 
 @dataclass(frozen=True)
@@ -97,9 +127,13 @@ def press_folder(path: Path) -> PressFolder:
                 f"{path} holds no folders; put the presses of each specimen into one, e.g. S1/01.tif"
             )
         table = path / SPECIMENS
-        known = _known(table, folders) if table.exists() else dict.fromkeys(folders)
+        known = _known(table, folders) if table.exists() else dict.fromkeys(folders, (None, UNKNOWN_BODY))
         return PressFolder(
-            path, tuple(PressedSpecimen(name, known[name], _presses(folders[name])) for name in known)
+            path,
+            tuple(
+                PressedSpecimen(name, stiffness, _presses(folders[name]), body)
+                for name, (stiffness, body) in known.items()
+            ),
         )
 
 
@@ -154,12 +188,15 @@ def _plain_number(name: str) -> str:
     return name.lstrip("0") or "0" if name.isdecimal() else name
 
 
-def write_specimens(folder: Path, stiffness_n_m: Mapping[str, float]) -> Path:
+def write_specimens(
+    folder: Path, stiffness_n_m: Mapping[str, float], bodies: Mapping[str, KnownBody] | None = None
+) -> Path:
     """Write `specimens.csv` into a folder.
 
     Args:
         folder: which is there.
         stiffness_n_m: of every specimen, inf for a rigid plate, NaN where it is not known [N/m].
+        bodies: modulus and radius of every one; None for no such columns.
 
     Raises:
         InputError: a name that cannot be a folder's everywhere, or a stiffness that is none.
@@ -173,7 +210,11 @@ def write_specimens(folder: Path, stiffness_n_m: Mapping[str, float]) -> Path:
         if stiffness <= 0:
             raise InputError(f"specimen {name} of {stiffness:g} N/m; above 0, inf for a rigid plate")
     values = {name: UNITS["N_per_mm"].from_si(k) for name, k in stiffness_n_m.items()}
-    return _written(folder / SPECIMENS, pd.DataFrame({NAME: values.keys(), STIFFNESS: values.values()}))
+    table = {NAME: list(values), STIFFNESS: list(values.values())}
+    if bodies is not None:
+        table[MODULUS] = [UNITS["MPa"].from_si(bodies[name].modulus_pa) for name in values]
+        table[RADIUS] = [UNITS["mm"].from_si(bodies[name].radius_m) for name in values]
+    return _written(folder / SPECIMENS, pd.DataFrame(table))
 
 
 def write_press(folder: Path, press: str, frames: Iterable[Image], rows: pd.DataFrame) -> tuple[Path, Path]:
@@ -203,8 +244,8 @@ def _written(path: Path, rows: pd.DataFrame) -> Path:
     return path
 
 
-def _known(path: Path, folders: Mapping[str, Path]) -> dict[str, float | None]:
-    """Stiffness of every specimen of the table [N/m], which are those that have a folder."""
+def _known(path: Path, folders: Mapping[str, Path]) -> dict[str, tuple[float | None, KnownBody]]:
+    """Stiffness [N/m] and body of every specimen of the table, which are those that have a folder."""
     table = read_labels(path, kinds={NAME: "text"})
     if NAME not in table.columns:
         raise LabelError(f"{path} has no column {NAME!r}; it has {', '.join(map(str, table.columns))}")
@@ -223,33 +264,44 @@ def _known(path: Path, folders: Mapping[str, Path]) -> dict[str, float | None]:
         raise LabelError(
             f"{path} has no row for {', '.join(map(repr, left))}; add one, or move the folder away"
         )
-    return dict(zip(names, _stiffnesses(path, table), strict=True))
-
-
-def _stiffnesses(path: Path, table: pd.DataFrame) -> list[float | None]:
-    column = next((str(name) for name in table.columns if _is_stiffness(str(name))), None)
-    if column is None:
+    stiffness = _quantity(path, table, STIFFNESS)
+    if stiffness is None:
         raise LabelError(
             f"{path} has no column {STIFFNESS!r}; add it: inf for a rigid plate, empty where not known"
         )
+    unknown = [None] * len(names)
+    moduli, radii = (_quantity(path, table, column) or unknown for column in (MODULUS, RADIUS))
+    bodies = [
+        KnownBody(np.nan if E is None else E, np.nan if R is None else R)
+        for E, R in zip(moduli, radii, strict=True)
+    ]
+    return dict(zip(names, zip(stiffness, bodies, strict=True), strict=True))
+
+
+def _quantity(path: Path, table: pd.DataFrame, usual: str) -> list[float | None] | None:
+    """Values of a quantity in SI, in whatever unit its column is; None where there is no such column."""
+    what, unit = split_column(usual)
+    column = next((str(name) for name in table.columns if _is_of(str(name), what, unit.si)), None)
+    if column is None:
+        return None
     if label_kinds(table)[column] != "number":
-        raise LabelError(f"{path}: {column!r} holds what is no number; write inf for a rigid plate")
+        raise LabelError(f"{path}: {column!r} holds what is no number; write inf where it is without end")
     values = table[column].to_numpy(np.float64)
     bad = np.flatnonzero(values <= 0)
     if bad.size:
         raise LabelError(
-            f"{path}, row {bad[0] + FIRST_ROW}: a stiffness of {values[bad[0]]:g}; it is above 0, "
-            "and inf for a rigid plate"
+            f"{path}, row {bad[0] + FIRST_ROW}: a {what.replace('_', ' ')} of {values[bad[0]]:g}; it is "
+            f"above 0, and {WITHOUT_END[usual]}"
         )
     to_si = split_column(column)[1].to_si
     return [None if np.isnan(value) else to_si(float(value)) for value in values]
 
 
-def _is_stiffness(name: str) -> bool:
+def _is_of(name: str, what: str, si: str) -> bool:
     if not has_unit(name):
         return False
     quantity, unit = split_column(name)
-    return quantity == "stiffness" and unit.si == "N_per_m"
+    return quantity == what and unit.si == si
 
 
 def _presses(folder: Path) -> tuple[tuple[Path, Path], ...]:

@@ -38,6 +38,7 @@ from palpate.core import (
     force_law,
     ndarray,
 )
+from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
 from palpate.rig.virtual.disturbances import Approach, Fault, Faults, Variation, approach_of, shift_of
 from palpate.rig.virtual.straight_motion import Motion, standing
 
@@ -94,6 +95,24 @@ class ViscoelasticSkin:
     def lateral_at(self, depth_m: float) -> float:
         """Force for a small shift along the skin [N/m]."""
         return float(np.interp(depth_m, self.law.depth_m, self.law.lateral_n_m, left=0.0))
+
+
+class CreepingSpecimen(ViscoelasticSkin):
+    """A viscous specimen under the probe, which begins anew with every touch; no dent of it is left."""
+
+    def __init__(self, law: ForceLaw, press: CreepingPress) -> None:
+        super().__init__(law, ())
+        self._press = press
+
+    def force(self, depth_m: Series, step_s: float, ratio: Series | float = 1.0) -> tuple[Series, Series]:
+        """Force on the probe, and that of the relaxed specimen, at samples `step_s` apart [N]."""
+        relaxed = ratio * np.interp(depth_m, self.law.depth_m, self.law.force_n, left=0.0)
+        return np.array([self._press.to(float(d), step_s) for d in depth_m]), relaxed
+
+    def leave(self) -> tuple[float, ...]:
+        """The probe has left."""
+        self._press.leave()
+        return ()
 
 
 KEPT_S = 3.0  # of what was, for frames that are asked for late
@@ -194,8 +213,11 @@ class World:
         """Change what touches the skin, in the air; no person has to."""
         self.probe: Probe = self.sensor.probe(indenter)
         self.specimen: Specimen | None = self.sensor.specimen(indenter)
-        self._skin = ViscoelasticSkin(
-            force_law(self.sensor, self.probe, self.specimen), self.variation.relaxation
+        law = force_law(self.sensor, self.probe, self.specimen)
+        creeping = getattr(self.sensor, "creeping", None)
+        press: CreepingPress | None = creeping and creeping(self.probe, self.specimen)
+        self._skin = (
+            CreepingSpecimen(law, press) if press else ViscoelasticSkin(law, self.variation.relaxation)
         )
         return True
 

@@ -1,8 +1,8 @@
 """The TacTip under the contract of every sensor.
 
-A flat face touches the dome, and a pose says at which place: at (x, y) beside the apex the face leans
+A face touches the dome, and a pose says at which place: at (x, y) beside the apex the face leans
 towards it, so that a face seated a little askew is one that touches a little aside. The face is a rigid
-plate's or the top of the tables' cylinder.
+plate's, the top of the tables' cylinder, flat or domed, or that of a layer bonded to a rigid base.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from palpate.core import (
     FRESH,
     RIGID,
     SEATED,
+    WORDS_OF_SPECIMENS,
     Box,
     Contact,
     Float,
@@ -36,7 +37,11 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
+from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
+from palpate.mechanics.axisymmetric.shape_table import shape_table
 from palpate.mechanics.axisymmetric.sphere_table import SAME
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
+from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip import tactip_spec as specs
 from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
@@ -48,17 +53,19 @@ from palpate.sensors.tactip.tactip_press import (
     pixels_per_tangent,
 )
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
+from palpate.sensors.tactip.viscous_press import ViscousPress
 
 FITTED = "331-fitted"
 REGION = "pins"
-PLATE = "plate"
+PLATE, SPHERE = "plate", "sphere"
+FLAT_SHAPES = (RIGID, "cylinder")  # that can be inclined
 MAX_LEAN = math.radians(2.0)
 """Of a face besides its own tilt: to there the whole field of pins turns with it, see `LeaningSkin`."""
 
 REACH = 1.5  # contact radii of the grid about a contact
 CELLS = 64
 KNOTS = 1201  # of a force law, between which it is read along straight lines
-WORDS = f"{RIGID} or NAME=STIFFNESS [N/mm], each with @TILT [deg] where its top is inclined"
+WORDS = f"{WORDS_OF_SPECIMENS}; flat ones with @TILT [deg] where their top is inclined"
 
 
 @dataclass(frozen=True)
@@ -116,17 +123,20 @@ class TacTip:
         return {REGION: (0, 0, *self.frame_px)}
 
     def probe(self, words: str) -> Probe:
-        """The face of "rigid" or "S1=7.6", upright, or inclined towards +x as in "S1=7.6@30".
+        """The face of what words name, see `Specimen.parse`: upright, or inclined towards +x as "S1=7.6@30".
 
         Raises:
             InputError: other words, or a tilt beyond what is modelled.
         """
-        return Probe(PLATE, 0.0, tilt_rad=math.radians(_read(words)[1]))
+        specimen, tilt_deg = _read(words)
+        if math.isfinite(specimen.radius_m):
+            return Probe(SPHERE, specimen.radius_m)
+        return Probe(PLATE, 0.0, tilt_rad=math.radians(tilt_deg))
 
     def specimen(self, words: str) -> Specimen | None:
-        """The cylinder that the words name; None for a rigid plate."""
+        """The body that the words name; None for a rigid plate or sphere."""
         specimen, _ = _read(words)
-        return None if is_rigid(specimen) else specimen
+        return None if is_rigid(specimen) or specimen.youngs_modulus_pa == math.inf else specimen
 
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
@@ -157,6 +167,10 @@ class TacTip:
             )
         depth = np.array([min(max(pose.depth_m, 0.0), tip.deepest_m)])
         force_n = float(tip.force_n(depth)[0])
+        viscous = self.viscous(probe, specimen)
+        if viscous is not None:
+            force_n = min(force_n * history.stiffening, float(viscous.begun().most_n))
+            tip = viscous.on(viscous.modulus_pa(float(depth[0]), force_n))
         radius_m = math.sqrt(float(tip.area_m2(np.array([force_n]))[0]) / math.pi)
         return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
 
@@ -183,7 +197,12 @@ class TacTip:
     ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
         """True centres (x, y) and radii of the markers in the image, the middle pin first [px]."""
         tip, pose = self.tip_on(contact.probe, contact.specimen), contact.pose
-        return pictured(self.spec, tip.skin(max(pose.depth_m, 0.0), self.lean_rad(pose)), seating.shift_px)
+        viscous = self.viscous(contact.probe, contact.specimen)
+        depth_m = max(pose.depth_m, 0.0)
+        if viscous is not None:
+            tip = viscous.on(viscous.modulus_pa(depth_m, contact.force_n))
+            depth_m = min(depth_m, tip.deepest_m)
+        return pictured(self.spec, tip.skin(depth_m, self.lean_rad(pose)), seating.shift_px)
 
     def lean_rad(self, pose: Pose) -> tuple[float, float]:
         """Lean of a face that touches at a place beside the apex, towards +x and -y [rad]."""
@@ -243,11 +262,32 @@ class TacTip:
 
     def tip_on(self, probe: Probe, specimen: Specimen | None) -> TipOnSpecimen:
         """The tip on what it is pressed onto."""
-        if probe.shape != PLATE:
-            raise InputError(f"the TacTip is pressed onto a flat face, not a {probe.shape}; give {WORDS}")
+        if probe.shape not in (PLATE, SPHERE):
+            raise InputError(
+                f"the TacTip is pressed onto a flat face or a sphere, not a {probe.shape}; give {WORDS}"
+            )
         if probe.turn_rad:
             raise InputError("a face inclined towards another side than +x is not modelled; turn the tip")
-        return _tip_on(self.spec, self._modulus_pa(specimen), probe.tilt_rad)
+        thickness_m = None if specimen is None else specimen.thickness_m
+        modulus_pa = self._modulus_pa(specimen)
+        if probe.shape == SPHERE or thickness_m is not None:
+            if probe.tilt_rad:
+                raise InputError("spheres and layers are pressed head-on; give no tilt")
+            return _tip_on_shape(self.spec, modulus_pa, probe.radius_m or math.inf, thickness_m)
+        return _tip_on(self.spec, modulus_pa, probe.tilt_rad)
+
+    def viscous(self, probe: Probe, specimen: Specimen | None) -> ViscousPress | None:
+        """The tip on a viscous specimen; None where it is elastic."""
+        if specimen is None or not specimen.branches:
+            return None
+        if probe.tilt_rad:
+            raise InputError("viscous specimens are pressed head-on; give no tilt")
+        return _viscous(self, probe, specimen)
+
+    def creeping(self, probe: Probe, specimen: Specimen | None) -> CreepingPress | None:
+        """Memory of a viscous specimen, for a world that presses it; None for an elastic one."""
+        viscous = self.viscous(probe, specimen)
+        return None if viscous is None else viscous.begun()
 
     def _modulus_pa(self, specimen: Specimen | None) -> float:
         if specimen is None:
@@ -260,6 +300,7 @@ class TacTip:
 
     def _contact(self, probe: Probe, pose: Pose, force_n: float, radius_m: float) -> Contact:
         a, R = radius_m, self.spec.table.radius_m
+        R = 1 / (1 / R + 1 / probe.radius_m) if probe.shape == SPHERE else R
         half = REACH * a if a > 0 else 1e-3
         at = (np.arange(CELLS) + 0.5 - CELLS / 2) * 2 * half / CELLS
         r2 = at**2 + at[:, None] ** 2
@@ -277,7 +318,7 @@ class TacTip:
             radius_m=a,
             probe=probe,
             pose=pose,
-            model="a dome on a flat face; pressure drawn as a sphere's over the known force and area",
+            model="a dome on a face; pressure drawn as a sphere's over the known force and area",
         )
 
 
@@ -303,13 +344,46 @@ def _tip_on(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> TipOnSpeci
     return inclined(spec, specimen_pa, tilt_rad)
 
 
+@lru_cache(maxsize=16)
+def _viscous(sensor: TacTip, probe: Probe, specimen: Specimen) -> ViscousPress:
+    """The elastic specimens of a viscous one's moduli, and its relaxation."""
+    assert specimen.youngs_modulus_pa is not None
+    shape = probe.radius_m or math.inf, specimen.thickness_m
+
+    def on(modulus_pa: float) -> HeadOn:
+        return HeadOn(_pressed_shape(sensor.spec, modulus_pa, *shape), sensor.spec.table.radius_m)
+
+    moduli, times = zip(*specimen.branches, strict=True)
+    return ViscousPress(on, Prony(specimen.youngs_modulus_pa, moduli, times))
+
+
+@lru_cache(maxsize=64)
+def _tip_on_shape(
+    spec: TacTipSpec, modulus_pa: float, radius_m: float, thickness_m: float | None
+) -> TipOnSpecimen:
+    return HeadOn(_pressed_shape(spec, modulus_pa, radius_m, thickness_m), spec.table.radius_m)
+
+
+def _pressed_shape(
+    spec: TacTipSpec, modulus_pa: float, radius_m: float, thickness_m: float | None
+) -> HeadOnPress:
+    if thickness_m is not None:
+        return shape_table(spec.tip).layer(thickness_m, modulus_pa)
+    if math.isinf(radius_m):
+        return spec.table.press(modulus_pa)
+    return shape_table(spec.tip).dome(radius_m, modulus_pa)
+
+
 def _read(words: str) -> tuple[Specimen, float]:
     """A specimen, and its tilt [deg], of "S1=7.6@30"."""
     what, at, leaning = words.partition("@")
+    specimen = Specimen.parse(what)
     try:
-        specimen, tilt = Specimen.parse(what), float(leaning) if at else 0.0
-    except (InputError, ValueError):
-        raise InputError(f"{words!r} is no specimen of the TacTip; give {WORDS}") from None
+        tilt = float(leaning) if at else 0.0
+    except ValueError:
+        raise InputError(f"{words!r} is inclined by no number; give {WORDS}") from None
+    if tilt and specimen.shape not in FLAT_SHAPES:
+        raise InputError(f"{words!r}: a {specimen.shape} is pressed head-on; give it no tilt")
     if not 0 <= math.radians(tilt) <= MAX_TILT:
         raise InputError(
             f"{words!r} is inclined by {tilt:g}; 0 to {math.degrees(MAX_TILT):g} degrees are modelled"

@@ -1,0 +1,162 @@
+"""A hemispherical tip pressed head-on on a domed cylinder or a bonded layer, beside its table of flat ones.
+
+A domed cylinder is the flat tables' one with a cap of a sphere of radius R on top, rigid or soft; a layer of
+thickness h lies bonded on a rigid base and is wider than any contact. Both are nearly incompressible
+neo-Hookean solids without friction, as in `tip_table`, and were solved by `tools/specimen_tables.py` on
+coarser cells.
+
+What is kept is the difference that the shape makes: of a dome from the flat cylinder of the same modulus, of
+a layer from a rigid plate, both on those cells. It is added to the flat table, so that R without end gives
+back that table and h = 0 the rigid plate. Differences are read by cubic splines, over 1/R and log h, and over
+1 / (1 + E / E0) as there; places on the skin and their energies are kept along the few directions in which
+they differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, TipTable, softness_share, tip_table
+
+SCALARS = ("approach_m", "flattening_m", "radius_m", "angle_rad")
+FIELDS = ("inside_m", "energy_pa")
+TO_SI = {"approach_m": 1e-3, "flattening_m": 1e-3, "radius_m": 1e-3, "inside_m": 1e-3, "energy_pa": 1e6}
+
+Grid = Float[ndarray, "k e f *n"]
+
+
+@dataclass(frozen=True)
+class ShapeGrid:
+    """Differences over a family of shapes.
+
+    Attributes:
+        shape: coordinate of the shapes, rising: 1/R [1/m] or log h of h in m.
+        modulus_pa: Young's moduli, inf among them [Pa].
+        columns: of `HeadOnPress`, ``[shapes moduli forces ...]``.
+    """
+
+    shape: Float[ndarray, " k"]
+    modulus_pa: Float[ndarray, " e"]
+    columns: dict[str, Grid]
+
+    def at(self, shape: float, modulus_pa: float) -> dict[str, ndarray]:
+        """Differences of one specimen ``[forces ...]``."""
+        s = softness_share(modulus_pa)
+        return {name: CubicSpline(self.shape, over(s))(shape) for name, over in self._over_softness.items()}
+
+    @cached_property
+    def _over_softness(self) -> dict[str, CubicSpline]:
+        s = np.array([softness_share(E) for E in self.modulus_pa])
+        order = np.argsort(s)
+        return {
+            name: CubicSpline(s[order], values[:, order], axis=1) for name, values in self.columns.items()
+        }
+
+
+@dataclass(frozen=True)
+class ShapeTable:
+    """One tip on domes and layers.
+
+    Attributes:
+        flat: the tip on flat cylinders.
+        domes, layers: what their shapes change.
+    """
+
+    flat: TipTable
+    domes: ShapeGrid
+    layers: ShapeGrid
+
+    @property
+    def least_radius_m(self) -> float:
+        """Of a dome [m]."""
+        return float(1 / self.domes.shape[-1])
+
+    @property
+    def thickness_m(self) -> tuple[float, float]:
+        """Least and greatest of a layer [m]."""
+        low, high = np.exp(self.layers.shape[[0, -1]])
+        return float(low), float(high)
+
+    def dome(self, radius_m: float, modulus_pa: float) -> HeadOnPress:
+        """The tip on a domed cylinder.
+
+        Args:
+            radius_m: of the dome, inf for a flat top [m].
+            modulus_pa: Young's, inf for a rigid one [Pa].
+
+        Raises:
+            RangeError: a smaller radius or modulus than was solved.
+        """
+        if not radius_m >= self.least_radius_m * (1 - 1e-9):
+            raise RangeError(
+                f"a sphere of {1e3 * radius_m:g} mm; {1e3 * self.least_radius_m:g} mm and larger are solved, "
+                "the tip's own size"
+            )
+        return self._changed(modulus_pa, self.domes.at(1 / radius_m, modulus_pa))
+
+    def layer(self, thickness_m: float, modulus_pa: float) -> HeadOnPress:
+        """The tip on a bonded layer.
+
+        Args:
+            thickness_m: of the layer [m].
+            modulus_pa: Young's [Pa].
+
+        Raises:
+            RangeError: a thickness or modulus that was not solved.
+        """
+        low, high = self.thickness_m
+        if not low * (1 - 1e-9) <= thickness_m <= high * (1 + 1e-9):
+            raise RangeError(
+                f"a layer of {1e3 * thickness_m:g} mm; {1e3 * low:g} to {1e3 * high:g} mm are solved: a "
+                "thinner one is nearly a rigid plate, a thicker one a cylinder"
+            )
+        least = float(self.layers.modulus_pa.min())
+        if not modulus_pa >= least * (1 - 1e-9):
+            raise RangeError(
+                f"a layer of {1e-6 * modulus_pa:g} MPa; {1e-6 * least:g} MPa and stiffer are solved"
+            )
+        change = self.layers.at(float(np.log(thickness_m)), modulus_pa)
+        return self._changed(np.inf, change)
+
+    def _changed(self, modulus_pa: float, change: dict[str, ndarray]) -> HeadOnPress:
+        press = self.flat.press(modulus_pa)
+        columns = {name: getattr(press, name) + change[name] for name in (*SCALARS, *FIELDS)}
+        return HeadOnPress(force_n=press.force_n, polar_rad=press.polar_rad, **columns)
+
+
+@cache
+def shape_table(name: str) -> ShapeTable:
+    """The table of a tip on other shapes.
+
+    Raises:
+        InputError: there is none of this tip.
+    """
+    flat = tip_table(name)
+    path = resources.files("palpate.mechanics") / FOLDER / f"shapes-{name}.npz"
+    if not path.is_file():
+        raise InputError(
+            f"the tip {name!r} has been solved on flat cylinders only; spheres and layers are of "
+            "the tip 'base'"
+        )
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
+    domes = _grid("dome", data, data["dome_curvature_per_mm"] * 1e3)
+    return ShapeTable(flat, domes, _grid("layer", data, np.log(1e-3 * data["layer_mm"])))
+
+
+def _grid(family: str, data: dict[str, ndarray], shape: Float[ndarray, " k"]) -> ShapeGrid:
+    columns = {}
+    for name in (*SCALARS, *FIELDS):
+        values = data[f"{family}_{name}"]
+        if name in FIELDS:
+            modes = data[f"{name}_modes"]
+            values = np.tensordot(values, modes, axes=1)
+        start = np.zeros_like(values[:, :, :1])
+        columns[name] = TO_SI.get(name, 1.0) * np.concatenate([start, values], axis=2)
+    return ShapeGrid(shape, 1e6 * data[f"{family}_mpa"], columns)

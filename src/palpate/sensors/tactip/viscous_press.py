@@ -1,0 +1,78 @@
+"""The tip on a viscous specimen: the elastic one of the modulus that creep has left, at every instant.
+
+See `creeping_press`. What a skin looks like depends on depth and force alone, which tell the modulus in
+effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+from scipy.optimize import brentq
+
+from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
+from palpate.mechanics.axisymmetric.tip_table import softness_share
+from palpate.mechanics.viscoelastic import Prony
+from palpate.sensors.tactip.tactip_press import HeadOn
+
+MODULI = 24  # of which the elastic law is laid through
+BEYOND = 0.02  # share to either side of the moduli that a press can come to
+
+
+@dataclass(frozen=True)
+class ViscousPress:
+    """A tip and what it is pressed on.
+
+    Attributes:
+        on: the tip on the elastic specimen of a modulus [Pa].
+        body: relaxation of the specimen's material.
+    """
+
+    on: Callable[[float], HeadOn]
+    body: Prony
+
+    def approach_m(self, force_n: float, modulus_pa: float) -> float:
+        """Of the elastic specimen [m]."""
+        return float(self._law(softness_share(modulus_pa), np.cbrt(force_n))[0, 0])
+
+    def modulus_pa(self, depth_m: float, force_n: float) -> float:
+        """Modulus of the elastic specimen that has this force at this depth [Pa]."""
+        stiff, soft = self._moduli[-1], self._moduli[0]
+        if force_n <= 0.0 or depth_m <= self.approach_m(force_n, stiff):
+            return float(stiff)
+        if depth_m >= self.approach_m(force_n, soft):
+            return float(soft)
+        return float(
+            np.exp(
+                brentq(
+                    lambda log: self.approach_m(force_n, float(np.exp(log))) - depth_m,
+                    np.log(soft),
+                    np.log(stiff),
+                    xtol=1e-9,
+                )
+            )
+        )
+
+    def begun(self) -> CreepingPress:
+        """A press that has not touched yet."""
+        return CreepingPress(self.approach_m, self.body, self._most_n)
+
+    @property
+    def _most_n(self) -> float:
+        return float(self.on(self.body.equilibrium_pa).press.force_n[-1])
+
+    @cached_property
+    def _moduli(self) -> np.ndarray:
+        low, high = self.body.equilibrium_pa, self.body.instantaneous_pa
+        return np.geomspace(low, high * (1 + BEYOND), MODULI)
+
+    @cached_property
+    def _law(self) -> RectBivariateSpline:
+        presses = [self.on(float(E)).press for E in self._moduli[::-1]]
+        share = [softness_share(float(E)) for E in self._moduli[::-1]]
+        rows = np.stack([press.approach_m for press in presses])
+        return RectBivariateSpline(share, np.cbrt(presses[0].force_n), rows)
