@@ -97,3 +97,10 @@ def test_limits_are_named() -> None:
         tip_table("base").press(1e3)
     with pytest.raises(InputError, match="there are"):
         tip_table("none")
+
+
+def test_no_approach_of_a_table_has_more_than_its_greatest_force() -> None:
+    """By a rounding, which the other columns would refuse."""
+    for modulus_pa in np.geomspace(0.03e6, 2e6, 40):
+        press = tip_table("base").press(float(modulus_pa))
+        press.at("area_m2", press.force_at(press.approach_m))

@@ -226,3 +226,68 @@ def test_inclined_trials_say_their_tilt_and_model(spec, tmp_path) -> None:
     about = json.loads((tmp_path / "a" / "virtual.json").read_text())["specimens"]["S1"]
     assert about["tilt_deg"] == pytest.approx(30)
     assert "friction" in about["model"]
+
+
+SLOW_BODY = "viscous:E_MPa=0.1,E1_MPa=0.1,tau1_s=0.3"
+
+
+def test_a_viscous_specimens_force_falls_while_the_tip_stands_still() -> None:
+    """Towards that of the relaxed one, and the contact shrinks with it; an elastic one's does not."""
+    spec = tactip()
+    (slow, soft) = specimens_at(spec, {"slow": SLOW_BODY, "soft": 3.1e3}).values()
+    held, elastic = (record_press(spec, words, 3, hold_s=3.0) for words in (slow, soft))
+    first = int(np.argmax(held.true_force_n))
+    assert held.true_force_n[first] == pytest.approx(5.2, abs=0.15)
+    relaxed = spec.table.press(0.1e6).force_at(held.true_approach_m[-1:])[0]
+    assert_allclose(held.true_force_n[-1], relaxed, rtol=0.01)
+    assert held.true_force_n[-1] < 0.93 * held.true_force_n[first]
+    assert held.true_area_m2[-1] < held.true_area_m2[first]
+    assert_allclose(np.ptp(elastic.true_force_n[-500:]), 0.0, atol=1e-9)
+    assert len(held.frame_sample) > 60
+
+
+def test_a_viscous_specimen_is_stiffer_to_a_faster_tip_within_its_limits() -> None:
+    (words,) = specimens_at(tactip(), {"slow": SLOW_BODY}).values()
+    approach = []
+    for speed in (1e-3, 5e-3, 20e-3):
+        made = record_press(replace(tactip(), speed_m_s=speed), words, 3)
+        approach.append(np.interp(4.0, made.true_force_n, made.true_approach_m))
+    fresh, relaxed = (tactip().table.press(E).at("approach_m", np.array([4.0]))[0] for E in (0.2e6, 0.1e6))
+    assert fresh < approach[2] < approach[1] < approach[0] < relaxed
+
+
+def test_a_viscous_specimen_is_refused_where_it_is_not_modelled() -> None:
+    (words,) = specimens_at(tactip(), {"slow": SLOW_BODY}).values()
+    with pytest.raises(InputError, match="way back"):
+        record_press(tactip(), words, 3, back=True)
+    with pytest.raises(InputError, match="linear rig"):
+        record_press(tactip(), words, 3, LINEAR_RIG)
+    with pytest.raises(RangeError, match="0 to 60 s"):
+        record_press(tactip(), words, 3, hold_s=-1.0)
+    with pytest.raises(InputError, match="head-on"):
+        specimens_at(tactip(), {"slow": SLOW_BODY}, math.radians(20)).values()
+    with pytest.raises(InputError, match="head-on"):
+        specimens_at(tactip(), {"ball": "sphere:R_mm=30"}, math.radians(20))
+
+
+def test_files_hold_the_truth_of_spheres_and_layers(spec, tmp_path) -> None:
+    bodies = {
+        "S1": 7.6e3,
+        "ball": "sphere:R_mm=30,E_MPa=0.15",
+        "new": "sphere:R_mm=25",
+        "sheet": "layer:h_mm=2,E_MPa=0.1",
+    }
+    record_trials(tmp_path / "a", spec, specimens_at(spec, bodies), 1, unknown=["new"])
+    found = {one.name: one for one in press_folder(tmp_path / "a").specimens}
+    plane = 1 - spec.table.poisson_ratio**2
+    assert_allclose(found["ball"].body.modulus_pa, 0.15e6 / plane, rtol=1e-8)
+    assert_allclose(found["ball"].body.radius_m, 30e-3)
+    assert found["ball"].stiffness_n_m is None
+    assert found["S1"].body.radius_m == math.inf
+    assert not found["new"].body.known
+    assert not found["sheet"].body.known
+    truth = json.loads((tmp_path / "a" / "virtual.json").read_text())["specimens"]
+    assert (truth["new"]["shape"], truth["new"]["reduced_modulus_MPa"]) == ("sphere", "inf")
+    assert truth["new"]["radius_mm"] == pytest.approx(25)
+    assert truth["sheet"]["thickness_mm"] == pytest.approx(2)
+    assert truth["sheet"]["youngs_modulus_MPa"] == pytest.approx(0.1)

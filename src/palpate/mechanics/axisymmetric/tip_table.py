@@ -73,7 +73,8 @@ class HeadOnPress:
             raise RangeError(
                 f"an approach of {1e3 * d.max():.7g} mm; the table ends at {1e3 * deepest:.7g} mm"
             )
-        return np.asarray(self._cube_root_of_force(np.minimum(d, deepest))) ** 3
+        force = np.asarray(self._cube_root_of_force(np.minimum(d, deepest))) ** 3
+        return np.minimum(force, self.force_n[-1])  # which a root's cube may pass by a rounding
 
     @cached_property
     def _curves(self) -> dict[str, PchipInterpolator]:
