@@ -169,9 +169,11 @@ class TacTip:
         force_n = float(tip.force_n(depth)[0])
         viscous = self.viscous(probe, specimen)
         if viscous is not None:
-            force_n = min(force_n * history.stiffening, float(viscous.begun().most_n))
-            tip = viscous.on(viscous.modulus_pa(float(depth[0]), force_n))
-        radius_m = math.sqrt(float(tip.area_m2(np.array([force_n]))[0]) / math.pi)
+            force_n = min(force_n * history.stiffening, viscous.most_n)
+            area_m2 = max(viscous.area_m2(force_n, viscous.modulus_pa(float(depth[0]), force_n)), 0.0)
+        else:
+            area_m2 = float(tip.area_m2(np.array([force_n]))[0])
+        radius_m = math.sqrt(area_m2 / math.pi)
         return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
 
     def known_depth_m(
@@ -382,8 +384,9 @@ def _read(words: str) -> tuple[Specimen, float]:
         tilt = float(leaning) if at else 0.0
     except ValueError:
         raise InputError(f"{words!r} is inclined by no number; give {WORDS}") from None
-    if tilt and specimen.shape not in FLAT_SHAPES:
-        raise InputError(f"{words!r}: a {specimen.shape} is pressed head-on; give it no tilt")
+    if tilt and (specimen.shape not in FLAT_SHAPES or specimen.branches):
+        what = "viscous specimen" if specimen.branches else specimen.shape
+        raise InputError(f"{words!r}: a {what} is pressed head-on; give it no tilt")
     if not 0 <= math.radians(tilt) <= MAX_TILT:
         raise InputError(
             f"{words!r} is inclined by {tilt:g}; 0 to {math.degrees(MAX_TILT):g} degrees are modelled"

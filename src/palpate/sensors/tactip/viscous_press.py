@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.optimize import brentq
 
 from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
-from palpate.mechanics.axisymmetric.tip_table import softness_share
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, softness_share
 from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip.tactip_press import HeadOn
 
@@ -59,11 +59,16 @@ class ViscousPress:
 
     def begun(self) -> CreepingPress:
         """A press that has not touched yet."""
-        return CreepingPress(self.approach_m, self.body, self._most_n)
+        return CreepingPress(self.approach_m, self.body, self.most_n)
+
+    def area_m2(self, force_n: float, modulus_pa: float) -> float:
+        """Area of the contact with the elastic specimen [m^2]."""
+        return float(self._area(softness_share(modulus_pa), np.cbrt(force_n))[0, 0])
 
     @property
-    def _most_n(self) -> float:
-        return float(self.on(self.body.equilibrium_pa).press.force_n[-1])
+    def most_n(self) -> float:
+        """Greatest force of the tables [N]."""
+        return float(self._presses[0].force_n[-1])
 
     @cached_property
     def _moduli(self) -> np.ndarray:
@@ -71,8 +76,19 @@ class ViscousPress:
         return np.geomspace(low, high * (1 + BEYOND), MODULI)
 
     @cached_property
+    def _presses(self) -> list[HeadOnPress]:
+        """From the stiffest to the softest."""
+        return [self.on(float(E)).press for E in self._moduli[::-1]]
+
+    @cached_property
     def _law(self) -> RectBivariateSpline:
-        presses = [self.on(float(E)).press for E in self._moduli[::-1]]
+        return self._over([press.approach_m for press in self._presses])
+
+    @cached_property
+    def _area(self) -> RectBivariateSpline:
+        return self._over([press.area_m2 for press in self._presses])
+
+    def _over(self, rows: list[np.ndarray]) -> RectBivariateSpline:
+        """A column over softness and the cube root of force."""
         share = [softness_share(float(E)) for E in self._moduli[::-1]]
-        rows = np.stack([press.approach_m for press in presses])
-        return RectBivariateSpline(share, np.cbrt(presses[0].force_n), rows)
+        return RectBivariateSpline(share, np.cbrt(self._presses[0].force_n), np.stack(rows))
