@@ -27,7 +27,7 @@ from numpy import ndarray
 sys.path.insert(0, str(Path(__file__).parent))
 
 import tip_tables
-from finite_strain.tip import Tip, TipPress
+from finite_strain.tip import Specimen, Tip, TipPress
 
 from palpate.core import PalpateError
 from palpate.estimators.known_terms import GRAVITY_M_S2
@@ -67,7 +67,7 @@ def solved_tip(ratio: float, folder: Path) -> TipBetween:
     gel = 0.085 / math.sqrt(ratio)
     path = folder / f"{ratio:.3f}.npz"
     if not path.exists():
-        press = TipPress(Tip(skin_mpa=gel * ratio, gel_mpa=gel), None, cells=tip_tables.CELLS)
+        press = TipPress(Tip(skin_mpa=gel * ratio, gel_mpa=gel), Specimen(np.inf), cells=tip_tables.CELLS)
         np.savez(path, **tip_tables.tabulated(press))
     found, like = dict(np.load(path)), tip_between(math.log(ratio))
 
