@@ -106,7 +106,7 @@ class Meeting:
         at = (self.places + u)[top]
         N, D = _shapes(xi), _slopes(xi)
         gap = np.where(here, x[:, 1] - np.einsum("pa,pa->p", N, at[..., 1]), np.inf)
-        p, k = _penalty(gap)
+        p, k = penalty(gap)
         (r1, z1), (r2, z2) = np.einsum("pa,pai->ip", D, at), _bends(at).T
         m = z1 / r1
         # derivatives of the gap, of the place on the top, and of the top's slope, by the 12 displacements
@@ -159,11 +159,11 @@ class Meeting:
         )
 
 
-def _penalty(gap: Points) -> tuple[Points, Points]:
-    """Pressure and its stiffness: STIFFNESS times the overlap, its corner rounded over SMOOTH."""
-    y = np.clip(-gap / SMOOTH, -60.0, None)
+def penalty(gap: Points, smooth: float = SMOOTH) -> tuple[Points, Points]:
+    """Pressure and its stiffness: STIFFNESS times the overlap, its corner rounded over a gap [mm]."""
+    y = np.clip(-gap / smooth, -60.0, None)
     soft = np.where(y > 30.0, y, np.log1p(np.exp(np.minimum(y, 30.0))))
-    return STIFFNESS * SMOOTH * soft, STIFFNESS / (1.0 + np.exp(-np.minimum(y, 60.0)))
+    return STIFFNESS * smooth * soft, STIFFNESS / (1.0 + np.exp(-np.minimum(y, 60.0)))
 
 
 def _shapes(xi: Points) -> Float[ndarray, "p 3"]:
