@@ -16,9 +16,11 @@ import numpy as np
 from tactip.energy_contour import Contour, contours
 from tactip.tactip_model_errors import (
     METHODS,
+    LinearModelError,
     areas_by_friction,
     divergence_shares,
     equation_12,
+    inclined_error,
     linear_error,
     press_truth,
     sensitivity,
@@ -178,15 +180,22 @@ def seen_shares() -> Iterator[str]:
 
 
 def model_costs() -> Iterator[str]:
-    """Errors of the linear model, and areas by friction at 30 degrees."""
+    """Errors of the linear model, head-on and inclined, and areas by friction at 30 degrees."""
     for tip in ("base", "even"):
         for name, kappa in (("rigid", np.inf), ("S3", KAPPA_N_M["S3"])):
             one = linear_error(tip, kappa, SHOWN_N)
-            errors = (" / ".join(f"{100 * v:+.0f}" for v in values) for values in (one.approach, one.area))
-            motion = " / ".join(f"{100 * v:.0f}" for v in one.motion)
-            yield line(f"{tip}, {name}", *(f"{text} %" for text in errors), f"{motion} %")
+            yield _cost_line(f"{tip}, {name}", one)
+    for degrees in (30, 45):
+        one = inclined_error(np.inf, np.deg2rad(degrees), SHOWN_N)
+        yield _cost_line(f"base, rigid at {degrees} degrees", one)
     for friction, areas in areas_by_friction(np.deg2rad(30.0)).items():
         yield f"area at 30 degrees and 5 N, friction {friction:g}: {four(MM2 * area for area in areas)} mm²"
+
+
+def _cost_line(name: str, one: LinearModelError) -> str:
+    errors = (" / ".join(f"{100 * v:+.0f}" for v in values) for values in (one.approach, one.area))
+    motion = " / ".join(f"{100 * v:.0f}" for v in one.motion)
+    return line(name, *(f"{text} %" for text in errors), f"{motion} %")
 
 
 def driven() -> Iterator[str]:

@@ -37,9 +37,20 @@ def test_a_rigid_plate_other_pins_and_runs_in_json(tmp_path) -> None:
         "runs": 1,
         "tilt_deg": 0.0,
         "stiffness_N_per_mm": {"rigid": "inf"},
+        "model": {"rigid": "finite strain, without friction"},
     }
     assert len(Run.open(out / "rigid" / "01")) > 3
     assert json.loads((out / "virtual.json").read_text())["spec"]["pins"]["rings"] == 10
+
+
+def test_a_rigid_plate_at_30_degrees_is_pressed_at_finite_strain(tmp_path) -> None:
+    said = json.loads(
+        render(str(tmp_path / "a"), "--rigid", "--tilt-deg", "30", "--json", "--quiet", *FAST).stdout
+    )
+    assert said["model"] == {"rigid": "finite strain, without friction"}
+    truth = json.loads((tmp_path / "a" / "virtual.json").read_text())
+    assert truth["specimens"]["rigid"]["model"] == said["model"]["rigid"]
+    assert truth["spec"]["friction"] == 0
 
 
 def test_a_linear_rig_is_chosen_by_name(tmp_path) -> None:

@@ -1,4 +1,4 @@
-"""The tip on an inclined top, coarse: symmetry, the untouched dome, force and area over approach."""
+"""The tip on an inclined top, of coarse linear bodies and by table: symmetry, places, force and area."""
 
 import numpy as np
 import pytest
@@ -7,16 +7,17 @@ from numpy.testing import assert_allclose
 from palpate.core.errors import RangeError
 from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.sensors.tactip import inclined_press as module, pictured, tactip
+from palpate.sensors.tactip import TacTipSpec, inclined_press as module, pictured, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined, inclined
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, lattice
+from palpate.sensors.tactip.tabulated_press import TabulatedPress
 
 TILT = float(np.deg2rad(30))
 FORCES = np.array([0.5, 1.0, 2.0, 4.0])
 
 
 @pytest.fixture(scope="module")
-def tilted() -> dict[str, Inclined]:
+def tilted() -> dict[str, Inclined | TabulatedPress]:
     """A rigid and a soft specimen at 30 degrees; meshes and states fewer than shipped, and nothing cached."""
     table = tip_table("base")
     coarse = tip_modes(
@@ -27,20 +28,28 @@ def tilted() -> dict[str, Inclined]:
         patch.setattr(module, "tip_of", lambda name: (table, coarse))
         patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=22, modes=22))
         patch.setattr(module, "STATES", 9)
-        return {
+        linear = {
             name: module._inclined.__wrapped__("base", 0.5, pa, TILT)
             for name, pa in (("rigid", np.inf), ("soft", 5e4))
         }
+    return linear | {"table": inclined(TacTipSpec(friction=0.0), np.inf, TILT)}
 
 
-def places(specimen: Inclined, force_n: float, lean=(0.0, 0.0)):
+BOTH = pytest.mark.parametrize("name", ["rigid", "soft", "table"])
+
+
+def depth(specimen: Inclined | TabulatedPress, force_n: float) -> float:
+    deep = np.linspace(0, specimen.deepest_m, 2000)
+    return float(np.interp(force_n, specimen.force_n(deep), deep))
+
+
+def places(specimen: Inclined | TabulatedPress, force_n: float, lean=(0.0, 0.0)):
     spec = tactip()
-    deep = np.interp(force_n, specimen.lift_n, specimen.approach_m)
-    skin = specimen.skin(float(deep), lean)
+    skin = specimen.skin(depth(specimen, force_n), lean)
     return skin.at(*lattice(spec.pins, specimen.inner_radius_m))
 
 
-@pytest.mark.parametrize("name", ["rigid", "soft"])
+@BOTH
 def test_at_zero_approach_the_skin_is_the_untouched_dome(tilted, name) -> None:
     specimen = tilted[name]
     at, normals = places(specimen, 0.0)
@@ -49,32 +58,47 @@ def test_at_zero_approach_the_skin_is_the_untouched_dome(tilted, name) -> None:
     assert_allclose(normals, (centre - at) / specimen.inner_radius_m, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["rigid", "soft"])
+@BOTH
 def test_a_field_is_its_own_mirror_across_the_slope(tilted, name) -> None:
     """The top leans along x; pins at y and -y are each other's mirror."""
     spec = tactip()
     polar, azimuth = lattice(spec.pins, tilted[name].inner_radius_m)
-    deep = float(np.interp(4.0, tilted[name].lift_n, tilted[name].approach_m))
-    skin = tilted[name].skin(deep, (0.0, 0.0))
+    skin = tilted[name].skin(depth(tilted[name], 4.0), (0.0, 0.0))
     (at, normals), (other, others) = skin.at(polar, azimuth), skin.at(polar, -azimuth)
     assert_allclose(other, at * [1, -1, 1], atol=1e-8)
     assert_allclose(others, normals * [1, -1, 1], atol=1e-6)
 
 
-def test_normals_have_unit_length_and_point_into_the_tip(tilted) -> None:
+@BOTH
+def test_normals_have_unit_length_and_point_into_the_tip(tilted, name) -> None:
     for force in FORCES:
-        at, normals = places(tilted["soft"], force)
+        at, normals = places(tilted[name], force)
         assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
         inward = np.array([0.0, 0.0, 0.02]) - at
         assert ((normals * inward).sum(axis=1) > 0).all()
 
 
-def test_the_tip_is_pushed_in_on_the_side_that_touches(tilted) -> None:
-    (rest, _), (now, _) = (places(tilted["rigid"], force) for force in (0.0, 4.0))
+@BOTH
+def test_normals_are_those_of_the_places_around(tilted, name) -> None:
+    """Across two steps on the skin, from places alone."""
+    polar, azimuth = lattice(tactip().pins, tilted[name].inner_radius_m)
+    polar, azimuth = polar[1:], azimuth[1:]  # on the axis azimuth is none
+    skin = tilted[name].skin(depth(tilted[name], 4.0), (0.0, 0.0))
+    out = skin.at(polar + 1e-4, azimuth)[0] - skin.at(polar - 1e-4, azimuth)[0]
+    around = skin.at(polar, azimuth + 1e-4)[0] - skin.at(polar, azimuth - 1e-4)[0]
+    normal = np.cross(out, around)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    assert_allclose(np.abs((normal * skin.at(polar, azimuth)[1]).sum(axis=1)), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("name", "times"), [("rigid", 3), ("table", 1.8)])
+def test_the_tip_is_pushed_in_on_the_side_that_touches(tilted, name, times) -> None:
+    """Without friction, as in the table, all of the tip sways."""
+    (rest, _), (now, _) = (places(tilted[name], force) for force in (0.0, 4.0))
     moved = np.linalg.norm(now - rest, axis=1)
     x = rest[:, 0]
     sides = moved[x > 5e-3].mean(), moved[x < -5e-3].mean()
-    assert max(sides) > 3 * min(sides)
+    assert sides[0] > times * sides[1]
 
 
 @pytest.mark.parametrize("name", ["rigid", "soft"])
@@ -119,8 +143,9 @@ def test_a_lean_turns_the_whole_field_about_the_domes_centre(tilted) -> None:
     assert 1e-5 < off.max() < 0.03 * 0.02
 
 
-def test_pins_of_an_inclined_press_stay_in_the_image(tilted) -> None:
-    spec, specimen = tactip(), tilted["soft"]
+@BOTH
+def test_pins_of_an_inclined_press_stay_in_the_image(tilted, name) -> None:
+    spec, specimen = tactip(), tilted[name]
     at, radius = pictured(spec, specimen.skin(specimen.deepest_m, (0.0, 0.0)))
     assert np.isfinite(at).all()
     assert (radius > 1).all()
@@ -134,3 +159,30 @@ def test_pins_of_an_inclined_press_stay_in_the_image(tilted) -> None:
 def test_what_is_not_modelled_is_refused(pa, tilt) -> None:
     with pytest.raises(RangeError, match="0 to 50 degrees"):
         inclined(tactip(), pa, tilt)
+
+
+def test_where_there_is_a_table_a_press_is_of_the_head_on_law() -> None:
+    smooth = tactip_sensor.TacTip(TacTipSpec(friction=0.0))
+    upright, leaning = (smooth.on(words) for words in ("rigid", "rigid@30"))
+    assert isinstance(leaning, TabulatedPress)
+    assert leaning.law == upright.law == "finite strain, without friction"
+
+
+@pytest.mark.parametrize(
+    ("spec", "pa", "degrees"),
+    [
+        (TacTipSpec(friction=0.1), np.inf, 30.0),
+        (TacTipSpec("even", friction=0.0), np.inf, 30.0),
+        (TacTipSpec(friction=0.0), np.inf, 29.0),
+        (TacTipSpec(friction=0.0), 3e4, 30.0),
+    ],
+)
+def test_what_no_table_holds_is_asked_of_linear_bodies(spec, pa, degrees, tilted, monkeypatch) -> None:
+    asked = []
+    monkeypatch.setattr(module, "linear_inclined", lambda *args: asked.append(args) or tilted["soft"])
+    inclined(spec, pa, float(np.deg2rad(degrees)))
+    assert asked == [(spec, pa, float(np.deg2rad(degrees)))]
+
+
+def test_linear_bodies_say_that_they_are(tilted) -> None:
+    assert tilted["soft"].law == "linear bodies, with friction 0.5"

@@ -18,9 +18,16 @@ from palpate.recordings.exchange.press_table import read_press_table
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import HeadOn, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined
+from palpate.sensors.tactip.tabulated_press import TabulatedPress
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
-from palpate.workflows.tactip_trials import REPORT_N_M, record_press, record_trials, specimens_at
+from palpate.workflows.tactip_trials import (
+    REPORT_N_M,
+    at_finite_strain,
+    record_press,
+    record_trials,
+    specimens_at,
+)
 
 
 @pytest.fixture(scope="module")
@@ -218,14 +225,34 @@ def test_a_tilt_asks_for_inclined_contact(spec, monkeypatch) -> None:
         specimens_at(spec, {"S1": 7.6e3}, math.radians(60))
 
 
+def said_at(spec, tilt_deg, out):
+    pressed = specimens_at(spec, {"rigid": math.inf}, math.radians(tilt_deg))
+    record_trials(out, spec, pressed, 1)
+    about = json.loads((out / "virtual.json").read_text())["specimens"]["rigid"]
+    assert about["tilt_deg"] == pytest.approx(tilt_deg)
+    return TacTip(spec).on(pressed["rigid"]), about["model"]
+
+
+def test_inclined_trials_say_their_tilt_and_law(spec, tmp_path) -> None:
+    press, law = said_at(at_finite_strain(spec, [math.inf], math.radians(30)), 30, tmp_path / "a")
+    assert isinstance(press, TabulatedPress)
+    assert law == "finite strain, without friction"
+
+
+def test_presses_of_two_laws_are_not_made_together(spec) -> None:
+    both, tilt = {"rigid": math.inf, "S9": 1.0e3}, math.radians(30)
+    assert at_finite_strain(spec, both.values(), tilt) == spec
+    assert at_finite_strain(spec, [math.inf], math.radians(29)) == spec
+    assert at_finite_strain(spec, [math.inf], 0.0) == spec
+    with pytest.raises(RangeError, match="rigid would be of a table at finite strain"):
+        specimens_at(replace(spec, friction=0.0), both, tilt)
+
+
 @pytest.mark.slow
-def test_inclined_trials_say_their_tilt_and_model(spec, tmp_path) -> None:
-    pressed = specimens_at(spec, {"S1": 7.6e3}, math.radians(30))
-    assert isinstance(TacTip(spec).on(pressed["S1"]), Inclined)
-    record_trials(tmp_path / "a", spec, pressed, 1)
-    about = json.loads((tmp_path / "a" / "virtual.json").read_text())["specimens"]["S1"]
-    assert about["tilt_deg"] == pytest.approx(30)
-    assert "friction" in about["model"]
+def test_inclined_trials_with_friction_say_that_they_are_of_linear_bodies(spec, tmp_path) -> None:
+    press, law = said_at(spec, 30, tmp_path / "a")
+    assert isinstance(press, Inclined)
+    assert law == "linear bodies, with friction 0.5"
 
 
 SLOW_BODY = "viscous:E_MPa=0.1,E1_MPa=0.1,tau1_s=0.3"

@@ -31,7 +31,7 @@ from palpate.reproductions.tactip.tactip_conditions import (
     true_divergence,
 )
 from palpate.sensors.tactip import TacTipSpec, pictured
-from palpate.sensors.tactip.inclined_press import inclined
+from palpate.sensors.tactip.inclined_press import inclined, linear_inclined
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.workflows.tactip_trials import VirtualPress
 
@@ -134,7 +134,7 @@ def linear_error(
     """Error of the linear model at forces; half a minute for a new tip."""
     spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
     true = head_on(spec, kappa_n_m)
-    linear = inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)
+    linear = linear_inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)
     deep = np.linspace(0.0, linear.deepest_m, 2000)
     approach = np.interp(at, linear.force_n(deep), deep)
     true_approach = true.press.at("approach_m", at)
@@ -152,6 +152,31 @@ def linear_error(
     )  # fmt: skip
 
 
+def inclined_error(
+    kappa_n_m: float, tilt_rad: float, force_n: Sequence[float] = (1.0, 3.0, 5.0)
+) -> LinearModelError:
+    """The same on an inclined top, of the tip "base", against its table."""
+    spec, at = TacTipSpec(friction=0.0), np.array(force_n)
+    pa = modulus_pa(spec.table, kappa_n_m)
+    true, linear = inclined(spec, pa, tilt_rad), linear_inclined(spec, pa, tilt_rad)
+    approaches = []
+    for press in (linear, true):
+        deep = np.linspace(0.0, press.deepest_m, 2000)
+        approaches.append(np.interp(at, press.force_n(deep), deep))
+    rest = pictured(spec, true.skin(0.0, (0.0, 0.0)))[0]
+    motion = []
+    for theirs, ours in zip(*approaches, strict=True):
+        a, b = (
+            pictured(spec, press.skin(float(deep), (0.0, 0.0)))[0] - rest
+            for press, deep in ((linear, theirs), (true, ours))
+        )
+        motion.append(float(np.sqrt(((a - b) ** 2).sum() / (b**2).sum())))
+    return LinearModelError(
+        spec.tip, kappa_n_m, at, approaches[0] / approaches[1] - 1,
+        linear.area_m2(at) / true.area_m2(at) - 1, np.array(motion),
+    )  # fmt: skip
+
+
 def areas_by_friction(
     tilt_rad: float, frictions: Sequence[float] = (0.0, 0.5, 1.0), force_n: float = HIGH_N
 ) -> dict[float, tuple[float, ...]]:
@@ -159,7 +184,7 @@ def areas_by_friction(
     results = {}
     for friction in frictions:
         spec = replace(TacTipSpec(), friction=friction)
-        specimens = (inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
+        specimens = (linear_inclined(spec, modulus_pa(spec.table, k), tilt_rad) for k in KAPPA_N_M.values())
         results[friction] = tuple(float(s.area_m2(np.array([force_n]))[0]) for s in specimens)
     return results
 

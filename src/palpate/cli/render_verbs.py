@@ -127,10 +127,17 @@ def tactip(
     tilt_deg: Annotated[
         float,
         Option(
-            help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction, all "
-            "others by linear bodies with friction: compare them with 0.001."
+            help="Of the specimens' tops, 0 to 50 [deg]. 0 is solved at finite strain without friction; "
+            "others by linear bodies, or at finite strain too where there is a table of all that is pressed."
         ),
     ] = 0.0,
+    friction: Annotated[
+        float | None,
+        Option(
+            help="Coulomb's, on inclined tops. Left out: none where tables hold all that is pressed, else "
+            "0.5. 0 is refused where they hold a part of it."
+        ),
+    ] = None,
     trials: Annotated[int, Option(min=1, max=999, help="Of each specimen.")] = 5,
     pins: Annotated[int, Option(help="127 or 331.")] = 127,
     fitted: Annotated[
@@ -165,7 +172,14 @@ def tactip(
     """
     from palpate.core.files import refuse_existing
     from palpate.rig.virtual.linear_rig import rig_named
-    from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_trials, specimens_at
+    from palpate.sensors.tactip.tactip_sensor import TacTip
+    from palpate.workflows.tactip_trials import (
+        REPORT_N_M,
+        UNKNOWN,
+        at_finite_strain,
+        record_trials,
+        specimens_at,
+    )
 
     refuse_existing(out)  # before solving for minutes
     drive = rig_named(rig)
@@ -173,13 +187,18 @@ def tactip(
     bodies, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
     preset = "331-fitted" if fitted else f"{pins}"
     spec = replace(palpate.sensor(f"tactip-{preset}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
+    if friction is None:
+        spec = at_finite_strain(spec, bodies.values(), math.radians(tilt_deg))
+    else:
+        spec = replace(spec, friction=friction)
     with progress_bar(quiet) as progress:
         pressed = specimens_at(spec, bodies, math.radians(tilt_deg), progress=progress)
         folder = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, back=back,
             late_s=1e-3 * late_ms, hold_s=hold_s, rig=drive, progress=progress,
         )  # fmt: skip
-    result, text = _trials_text(folder, bodies, tilt_deg, runs)
+    laws = {name: TacTip(spec).on(words).law for name, words in pressed.items()}
+    result, text = _trials_text(folder, bodies, tilt_deg, runs, laws)
     print_found(result, text, json_)
 
 
@@ -206,7 +225,11 @@ def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
 
 
 def _trials_text(
-    folder: PressFolder, bodies: Mapping[str, float | str], tilt_deg: float, runs: bool
+    folder: PressFolder,
+    bodies: Mapping[str, float | str],
+    tilt_deg: float,
+    runs: bool,
+    laws: Mapping[str, str],
 ) -> tuple[dict[str, Any], str]:
     """Result as values and as text."""
     from palpate.workflows.tactip_specimens import stiffness_shown
@@ -222,13 +245,17 @@ def _trials_text(
         "runs": presses if runs else 0,
         "tilt_deg": tilt_deg,
         "stiffness_N_per_mm": shown,
+        "model": dict(laws),
     }
     result |= {"shaped": shaped} if shaped else {}
     what = "press" if presses == 1 else "presses"
     lines = [
         f"{folder.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
-        *(f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}" for name, k in shown.items()),
-        *(f"  {name}: {words}" for name, words in shaped.items()),
+        *(
+            f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}, {laws[name]}"
+            for name, k in shown.items()
+        ),
+        *(f"  {name}: {words}, {laws[name]}" for name, words in shaped.items()),
         f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
     ]
     return result, "\n".join(lines)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +58,7 @@ from palpate.rig.virtual.virtual_force import RANGE_N, VirtualForce
 from palpate.rig.virtual.virtual_stage import VirtualStage
 from palpate.rig.virtual.virtual_world import Touch, World
 from palpate.sensors.tactip import TacTipSpec
+from palpate.sensors.tactip.inclined_press import has_table
 from palpate.sensors.tactip.tactip_press import TipOnSpecimen, modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.sensors.tactip.viscous_press import ViscousPress
@@ -78,7 +79,6 @@ LONGEST_HOLD_S = 60.0
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
 ORIGIN = "rendered by palpate; virtual, not measured"
-MODELS = {False: "finite strain, without friction", True: "linear bodies, with friction"}  # by inclination
 
 
 @dataclass(frozen=True)
@@ -331,25 +331,26 @@ def specimens_at(
     *,
     progress: Progress = silent,
 ) -> dict[str, str]:
-    """Solve the contacts with specimens: head-on from tables at finite strain, inclined by linear bodies.
+    """Solve the contacts with specimens: from tables at finite strain where there are, else by linear bodies.
 
-    The two models are not the same: linear bodies have friction. At 0 degrees and 5.2 N, on specimens from
-    1.1 N/mm to rigid, the area by linear bodies is 20 to 25 % smaller than by the tables of the tip "base",
-    the approach 5 % smaller to 2 % larger. To compare tilts by one model, take a tiny tilt such as 0.001
-    degrees for the upright one.
+    Tables are of head-on presses and, without friction, of some inclined ones; see `at_finite_strain`. The
+    two laws are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area by linear
+    bodies is 20 to 25 % smaller than by the tables of the tip "base", the approach 5 % smaller to 2 % larger.
+    To compare tilts by linear bodies, take a tiny tilt such as 0.001 degrees for the upright one.
 
     Args:
         spec: the sensor.
         pressed: name -> stiffness, inf for a rigid plate [N/m], or kind and numbers of another body, such as
             "sphere:R_mm=20,E_MPa=0.3", see `Specimen.parse`.
         tilt_rad: of the specimens' tops, 0 to 50 degrees [rad].
-        progress: called with how many are solved; inclined ones take some ten seconds each, the first more.
+        progress: called with how many are solved; linear bodies take some ten seconds each, the first more.
 
     Returns:
         Of every name the words by which the TacTip knows the specimen.
 
     Raises:
-        RangeError: a stiffness or size outside of what is modelled.
+        RangeError: a stiffness or size outside of what is modelled, or specimens of which only some have a
+            table.
         InputError: a tilt outside of it, or words of no body.
     """
     least, sensor = float(spec.table.specimen_pa[0]) / modulus_pa(spec.table, 1.0), TacTip(spec)
@@ -359,6 +360,12 @@ def specimens_at(
                 f"specimen {name} of {1e-3 * stiffness:g} N/mm; tip {spec.tip!r} has tables down to "
                 f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate"
             )
+    held = [name for name, body in pressed.items() if tilt_rad and _tabulated(spec, body, tilt_rad)]
+    if held and len(held) < len(pressed):
+        raise RangeError(
+            f"without friction {', '.join(held)} would be of a table at finite strain, the rest of linear "
+            "bodies, which are not to be compared; press these alone, or give a friction above 0 for all"
+        )
     words: dict[str, str] = {}
     for name, body in pressed.items():
         face = f"specimen={body}" if isinstance(body, str) else _face(body)
@@ -370,6 +377,23 @@ def specimens_at(
 
 def _face(stiffness_n_m: float) -> str:
     return RIGID if math.isinf(stiffness_n_m) else f"specimen={1e-3 * stiffness_n_m:.15g}"
+
+
+def at_finite_strain(spec: TacTipSpec, pressed: Iterable[float | str], tilt_rad: float) -> TacTipSpec:
+    """The sensor without friction, if then tables hold all of its inclined presses; else as it is.
+
+    Args:
+        spec: the sensor.
+        pressed: stiffness of what it is pressed on, inf for a rigid plate [N/m], or words of another body.
+        tilt_rad: of the tops [rad].
+    """
+    smooth = replace(spec, friction=0.0)
+    return smooth if tilt_rad and all(_tabulated(smooth, one, tilt_rad) for one in pressed) else spec
+
+
+def _tabulated(spec: TacTipSpec, body: float | str, tilt_rad: float) -> bool:
+    """Whether a table holds a press on an inclined top."""
+    return not isinstance(body, str) and has_table(spec, modulus_pa(spec.table, body), tilt_rad)
 
 
 def record_trials(
@@ -467,12 +491,12 @@ def _truth(press: VirtualPress) -> dict[str, Any]:
 def _about(
     spec: TacTipSpec, specimens: Mapping[str, str], seed: int, truths: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    about = {}
+    about, sensor = {}, TacTip(spec)
     for name, words in specimens.items():
-        tilt_rad = TacTip(spec).probe(words).tilt_rad
+        tilt_rad = sensor.probe(words).tilt_rad
         about[name] = body_shown(spec, words) | {
             "tilt_deg": math.degrees(tilt_rad),
-            "model": MODELS[tilt_rad != 0],
+            "model": sensor.on(words).law,
             "presses": truths[name],
         }
     return {

@@ -1,7 +1,8 @@
 """A specimen whose top is inclined: the tip touches it with its side.
 
-The contact is that of `tilted_tip`. Its states are solved once for a specimen, over approaches up to the
-greatest force of a trial, and read between by splines, so that a trial may ask for any.
+Where there is a table at finite strain (`inclined_table`) and no friction is asked for, the contact is the
+table's. All others are of linear bodies (`tilted_tip`): their states are solved once for a specimen, over
+approaches up to the greatest force of a trial, and read between by splines, so that a trial may ask for any.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBivariateSpline
 
 from palpate.core import Float, RangeError, ndarray
+from palpate.mechanics.axisymmetric.inclined_table import inclined_table
 from palpate.mechanics.axisymmetric.tilted_tip import (
     TiltedContact,
     TiltedPress,
@@ -23,6 +25,7 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
+from palpate.sensors.tactip.tabulated_press import TabulatedPress
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 STATES = 22
@@ -34,7 +37,7 @@ MAX_TILT = np.deg2rad(50.0)
 
 @dataclass(frozen=True)
 class Inclined:
-    """A specimen under the tip's side.
+    """A specimen under the tip's side, both of them linear bodies.
 
     Attributes:
         contact: of the two bodies.
@@ -53,6 +56,11 @@ class Inclined:
     touched_m2: Float[ndarray, " k"]
     knots_rad: Float[ndarray, " n"]
     moved_m: Float[ndarray, "k g g 3"]
+
+    @property
+    def law(self) -> str:
+        friction = self.contact.friction
+        return f"linear bodies, with friction {friction:g}" if friction else "linear bodies, without friction"
 
     @property
     def deepest_m(self) -> float:
@@ -119,15 +127,39 @@ class MovedDome:
         return np.stack([*(ab.T * out), self.radius_m - self.inner_radius_m * np.cos(phi)], axis=-1)
 
 
-def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined:
+def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined | TabulatedPress:
     """The spec's tip on a specimen of the tables' size, its top inclined.
 
-    Takes about half a minute for a new tip, ten seconds for each specimen after it.
+    From a table at finite strain where there is one of this tip, tilt and specimen and `friction` is 0;
+    else by `linear_inclined`. Its `law` says which.
 
     Args:
         spec: the sensor; `friction` counts.
         specimen_pa: Young's modulus, `inf` for a rigid plate [Pa].
         tilt_rad: of the top [rad].
+
+    Raises:
+        RangeError: a tilt or modulus outside of what is modelled.
+    """
+    table = inclined_table(spec.tip)
+    if table and has_table(spec, specimen_pa, tilt_rad):
+        return TabulatedPress(table.press(specimen_pa, tilt_rad), spec.inner_radius_m, spec.table.radius_m)
+    return linear_inclined(spec, specimen_pa, tilt_rad)
+
+
+def has_table(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> bool:
+    """Whether an inclined press is read from a table at finite strain: arguments as of `inclined`."""
+    table = inclined_table(spec.tip)
+    return spec.friction == 0 and table is not None and table.holds(specimen_pa, tilt_rad)
+
+
+def linear_inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined:
+    """The same by linear bodies, whatever tables there are.
+
+    Takes about half a minute for a new tip, ten seconds for each specimen after it.
+
+    Args:
+        spec, specimen_pa, tilt_rad: see `inclined`.
 
     Raises:
         RangeError: a tilt or modulus outside of what is modelled.

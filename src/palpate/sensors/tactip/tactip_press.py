@@ -21,6 +21,10 @@ class TipOnSpecimen(Protocol):
     """A tip on a specimen, whatever its tilt."""
 
     @property
+    def law(self) -> str:
+        """How the contact is solved, in words."""
+
+    @property
     def deepest_m(self) -> float:
         """The greatest approach it knows [m]."""
 
@@ -40,6 +44,10 @@ class HeadOn:
 
     press: HeadOnPress
     radius_m: float
+
+    @property
+    def law(self) -> str:
+        return "finite strain, without friction"
 
     @property
     def deepest_m(self) -> float:

@@ -143,8 +143,9 @@ class TacTip:
     ) -> Contact:
         """Press a face onto the dome.
 
-        The force and the contact's area are the tables' (head-on) or those of linear bodies (inclined). The
-        pressure is drawn as a sphere's over that area, and the skin as flat under the face.
+        The force and the contact's area are those of tables at finite strain (head-on, and inclined where
+        there are) or of linear bodies; the contact's `model` says which. The pressure is drawn as a sphere's
+        over that area, and the skin as flat under the face.
 
         Raises:
             InputError: not a face.
@@ -174,7 +175,8 @@ class TacTip:
         else:
             area_m2 = float(tip.area_m2(np.array([force_n]))[0])
         radius_m = math.sqrt(area_m2 / math.pi)
-        return replace(self._contact(probe, pose, force_n, radius_m), specimen=specimen, history=history)
+        contact = self._contact(probe, pose, force_n, radius_m, tip.law)
+        return replace(contact, specimen=specimen, history=history)
 
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
@@ -300,7 +302,7 @@ class TacTip:
             raise InputError(f"the specimen {specimen.name!r} has neither a stiffness nor a modulus")
         return modulus_pa(self.spec.table, specimen.stiffness_n_m)
 
-    def _contact(self, probe: Probe, pose: Pose, force_n: float, radius_m: float) -> Contact:
+    def _contact(self, probe: Probe, pose: Pose, force_n: float, radius_m: float, law: str) -> Contact:
         a, R = radius_m, self.spec.table.radius_m
         R = 1 / (1 / R + 1 / probe.radius_m) if probe.shape == SPHERE else R
         half = REACH * a if a > 0 else 1e-3
@@ -320,7 +322,7 @@ class TacTip:
             radius_m=a,
             probe=probe,
             pose=pose,
-            model="a dome on a face; pressure drawn as a sphere's over the known force and area",
+            model=f"a dome on a face, {law}; pressure drawn as a sphere's over the known force and area",
         )
 
 

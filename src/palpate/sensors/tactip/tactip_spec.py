@@ -112,7 +112,8 @@ class TacTipSpec:
             printed.
         pins, camera, force, seating: see there.
         speed_m_s: of the tip towards the specimen [m/s]. R: 5 mm/s.
-        friction: Coulomb's coefficient of skin on an inclined specimen; head-on there is none. Assumed.
+        friction: Coulomb's coefficient of skin on an inclined specimen; head-on there is none. Only with 0
+            are inclined presses read from tables at finite strain, see `inclined`. Assumed.
         name: goes into each frame.
     """
 

@@ -1,0 +1,157 @@
+"""A hemispherical tip pressed along its axis on an inclined cylinder: tables solved at finite strain.
+
+Solved in three dimensions by `tools/inclined_tables.py`, without friction, the tip at finite strain as in
+`tip_table`, the cylinder linear. There are tables of some tips at some tilts only, each on cylinders of one
+size and a few Young's moduli, the stiffest rigid. Between forces they are read as `tip_table` is; between
+moduli by a parabola over the head-on approach at `COMPARED_N`, along which head-on presses hardly bend (area
+as its ratio to the head-on one); between tilts they are not.
+
+The tip's axis is z, upwards to its base; the top's normal leans from z towards -x by the tilt.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from palpate.core import Float, RangeError, ndarray
+from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, TipTable, tip_table
+
+SAME_TILT = 1e-6  # rad
+COMPARED_N = 3.0
+TINY_M2 = 1e-12  # the contact at no force, of which there is a ratio too
+
+Levels = Float[ndarray, " f"]
+
+
+@dataclass(frozen=True)
+class SidePress:
+    """One tip on one inclined specimen, at the table's forces; SI.
+
+    Attributes:
+        force_n: along the tip's axis, from 0 [N].
+        approach_m: of the tip's base along its axis since first touch [m].
+        area_m2: of the contact, on the top's plane [m^2].
+        across_rad, aside_rad: of places on the skin's inside, at (cos b cos a, sin b, -cos b sin a) from the
+            dome's centre; a from 0 to pi, b from 0 to pi / 2 [rad].
+        moved_m: how far these have moved ``[f a b 3]``: x, y, z, the tip's base at rest [m].
+    """
+
+    force_n: Levels
+    approach_m: Levels
+    area_m2: Levels
+    across_rad: Float[ndarray, " a"]
+    aside_rad: Float[ndarray, " b"]
+    moved_m: Float[ndarray, "f a b 3"]
+
+    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
+        """A column of the table at other forces."""
+        force = np.asarray(force_n, np.float64)
+        if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
+            raise RangeError(
+                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
+            )
+        return np.asarray(self._curves[column](np.cbrt(force)))
+
+    def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Force at approaches, 0 before first touch, the greatest beyond the table [N]."""
+        return np.asarray(self._cube_root_of_force(np.clip(approach_m, 0.0, self.approach_m[-1]))) ** 3
+
+    @cached_property
+    def _curves(self) -> dict[str, PchipInterpolator]:
+        root = np.cbrt(self.force_n)
+        return {
+            name: PchipInterpolator(root, getattr(self, name))
+            for name in ("approach_m", "area_m2", "moved_m")
+        }
+
+    @cached_property
+    def _cube_root_of_force(self) -> PchipInterpolator:
+        return PchipInterpolator(self.approach_m, np.cbrt(self.force_n))
+
+
+@dataclass(frozen=True)
+class InclinedTable:
+    """One tip on every specimen at every tilt; see `SidePress` for the columns.
+
+    Attributes:
+        head_on: the same tip on the same specimens, upright.
+        columns: ``[tilts specimens forces ...]``.
+    """
+
+    head_on: TipTable
+    tilt_rad: Float[ndarray, " t"]
+    specimen_pa: Float[ndarray, " s"]
+    force_n: Levels
+    across_rad: Float[ndarray, " a"]
+    aside_rad: Float[ndarray, " b"]
+    columns: dict[str, Float[ndarray, t * n]]
+
+    def holds(self, specimen_pa: float, tilt_rad: float) -> bool:
+        """Whether a press on a specimen, `inf` for a rigid plate [Pa], at a tilt [rad] is in the table."""
+        tilted = bool(np.isclose(self.tilt_rad, tilt_rad, rtol=0, atol=SAME_TILT).any())
+        return tilted and bool(specimen_pa >= self.specimen_pa[0] * (1 - 1e-9))
+
+    def press(self, specimen_pa: float, tilt_rad: float) -> SidePress:
+        """The tip on a specimen of a Young's modulus, `inf` for a rigid plate [Pa], at a tilt [rad].
+
+        Raises:
+            RangeError: a tilt or modulus that is not in the table.
+        """
+        if not self.holds(specimen_pa, tilt_rad):
+            tilts = ", ".join(f"{tilt:g}" for tilt in np.rad2deg(self.tilt_rad).round(6))
+            raise RangeError(
+                f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):g} degrees; the table holds "
+                f"{self.specimen_pa[0]:g} Pa and stiffer, at {tilts} degrees"
+            )
+        which, upright = int(np.argmin(np.abs(self.tilt_rad - tilt_rad))), self.head_on.press(specimen_pa)
+        columns = {name: curve(_place(upright))[which] for name, curve in self._curves.items()}
+        columns["area_m2"] *= upright.at("area_m2", self.force_n)
+        return SidePress(self.force_n, across_rad=self.across_rad, aside_rad=self.aside_rad, **columns)
+
+    @cached_property
+    def _curves(self) -> dict[str, CubicSpline]:
+        upright = [self.head_on.press(E) for E in self.specimen_pa]
+        places = np.array([_place(one) for one in upright])
+        order = np.argsort(places)
+        areas = np.stack([np.maximum(one.at("area_m2", self.force_n), TINY_M2) for one in upright])
+        columns = self.columns | {"area_m2": np.maximum(self.columns["area_m2"], TINY_M2) / areas}
+        if len(order) == 1:  # one specimen alone, a rigid plate
+            places, order = np.array([places[0], places[0] + 1.0]), np.array([0, 0])
+        else:
+            places = places[order]
+        return {name: CubicSpline(places, of[:, order], axis=1) for name, of in columns.items()}
+
+
+def _place(upright: HeadOnPress) -> float:
+    """Of a specimen among the table's, between which it is read [m]."""
+    return float(upright.at("approach_m", np.array([COMPARED_N]))[0])
+
+
+@cache
+def inclined_table(name: str) -> InclinedTable | None:
+    """The table of a tip; None where there is none."""
+    path = resources.files("palpate.mechanics") / FOLDER / f"inclined-{name}.npz"
+    if not path.is_file():
+        return None
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
+    in_si = {
+        "approach_m": 1e-3 * data["approach_mm"],
+        "area_m2": 1e-6 * data["area_mm2"],
+        "moved_m": 1e-3 * data["unit_mm"] * data["moved"],
+    }
+    return InclinedTable(
+        tip_table(name), np.deg2rad(data["tilt_deg"]), 1e6 * data["specimen_mpa"],
+        np.concatenate([[0.0], data["force_n"]]), data["across_rad"], data["aside_rad"],
+        {name: _from_rest(values) for name, values in in_si.items()},
+    )  # fmt: skip
+
+
+def _from_rest(values: Float[ndarray, "t s f *n"]) -> Float[ndarray, "t s g *n"]:
+    """A column with the untouched tip before its first force."""
+    return np.concatenate([np.zeros_like(values[:, :, :1]), values], axis=2)

@@ -1,0 +1,115 @@
+"""Inclined tips at finite strain, as shipped: the head-on table's tip, small presses, and what is refused."""
+
+from importlib import resources
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from palpate.core.errors import RangeError
+from palpate.mechanics.axisymmetric.inclined_table import inclined_table
+from palpate.mechanics.axisymmetric.tip_table import FOLDER, tip_table
+
+FORCES = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+TABLE = inclined_table("base")
+MODULI = [E for E in (np.inf, 1e6, 0.2419e6) if TABLE.specimen_pa[0] <= E]
+
+
+@pytest.fixture(scope="module")
+def table():
+    return TABLE
+
+
+def test_its_tip_and_specimens_are_those_of_the_head_on_table() -> None:
+    upright = tip_table("base")
+    path = resources.files("palpate.mechanics") / FOLDER / "inclined-base.npz"
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        tip, specimen = arrays["tip"], arrays["specimen"]
+    assert_allclose(tip[:2], [1e3 * upright.radius_m, 1e3 * upright.skin_m])
+    assert_allclose(tip[2:], [1e-6 * upright.skin_pa, 1e-6 * upright.gel_pa, upright.poisson_ratio])
+    assert_allclose(specimen, [1e3 * upright.specimen_radius_m, 1e3 * upright.specimen_height_m])
+
+
+@pytest.mark.parametrize("tilt", TABLE.tilt_rad)
+@pytest.mark.parametrize("pa", MODULI)
+def test_a_small_press_is_nearly_a_head_on_one_along_the_normal(table, tilt, pa) -> None:
+    """A sphere has no side: approach along the normal and area are those of the normal force.
+
+    Taken for the normal one, the force along the axis, or the approach, would be 15 or 41 % off.
+    """
+    c, lift = np.cos(tilt), np.array([0.1, 0.3])
+    side, upright = table.press(pa, tilt), table.head_on.press(pa)
+    assert_allclose(c * side.at("approach_m", lift), upright.at("approach_m", lift / c), rtol=0.03)
+    assert_allclose(side.at("area_m2", lift), upright.at("area_m2", lift / c), rtol=0.07)
+
+
+def test_at_30_degrees_a_rigid_plate_meets_nearly_the_head_on_tip_up_to_5_n_and_at_45_the_base_is_felt() -> (
+    None
+):
+    """By approach along the normal at the same normal force; what holds the tip is nearer at the side."""
+    upright = TABLE.head_on.press(np.inf)
+    for tilt, lift, ratio in ((30.0, 4.0, 0.996), (45.0, 3.0, 0.932)):
+        c = np.cos(np.deg2rad(tilt))
+        side = TABLE.press(np.inf, np.deg2rad(tilt))
+        approach = (
+            c * side.at("approach_m", np.array([lift])) / upright.at("approach_m", np.array([lift / c]))
+        )
+        assert_allclose(approach, ratio, atol=0.01)
+
+
+@pytest.mark.parametrize("tilt", TABLE.tilt_rad)
+def test_softer_specimens_have_the_larger_area_and_yield_more(table, tilt) -> None:
+    presses = [table.press(E, tilt) for E in MODULI]
+    for column in ("area_m2", "approach_m"):
+        values = np.stack([press.at(column, FORCES) for press in presses])
+        assert (np.diff(values, axis=0) > 0).all(), column
+        assert (np.diff(values, axis=1) > 0).all(), column
+
+
+def test_the_tip_is_pushed_in_where_it_touches_and_towards_the_other_side(table) -> None:
+    """At +x, inwards; without friction all of the tip sways. Of the wrong sign, more would move at -x."""
+    press = table.press(np.inf, TABLE.tilt_rad[0])
+    moved = press.at("moved_m", np.array([5.0]))[0]
+    a = press.across_rad
+    near, far = (
+        moved[np.argmin(np.abs(a - at)), 0]
+        for at in (np.pi / 2 - TABLE.tilt_rad[0], np.pi / 2 + TABLE.tilt_rad[0])
+    )
+    assert near[2] > 0
+    assert near[0] < 0
+    assert np.linalg.norm(near) > 2 * np.linalg.norm(far)
+    assert abs(far[2]) < 0.1 * near[2]
+
+
+def test_the_base_has_not_moved_and_the_middle_plane_stays(table) -> None:
+    moved = table.press(MODULI[-1], TABLE.tilt_rad[-1]).moved_m
+    assert_allclose(moved[:, [0, -1]], 0.0, atol=1e-6)
+    assert_allclose(moved[:, :, -1], 0.0, atol=1e-6)
+    assert_allclose(moved[:, :, 0, 1], 0.0, atol=1e-6)
+    assert_allclose(moved[0], 0.0)
+
+
+def test_forces_and_approaches_belong_together(table) -> None:
+    press = table.press(MODULI[-1], TABLE.tilt_rad[0])
+    force = np.linspace(0.1, 5.4, 40)
+    assert_allclose(press.force_at(press.at("approach_m", force)), force, rtol=4e-3)
+    assert press.force_at(np.array([-1e-3]))[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("pa", "degrees"), [(1e6, 20.0), (1e6, 0.0), (1e6, 30.01), (2e5, 30.0), (np.nan, 30.0)]
+)
+def test_what_is_not_in_the_table_is_refused(table, pa, degrees) -> None:
+    tilt = float(np.deg2rad(degrees))
+    assert not table.holds(pa, tilt)
+    with pytest.raises(RangeError, match="the table holds"):
+        table.press(pa, tilt)
+
+
+def test_a_force_beyond_the_table_is_refused(table) -> None:
+    with pytest.raises(RangeError, match=r"the table holds 0 to 5\.5 N"):
+        table.press(np.inf, TABLE.tilt_rad[0]).at("area_m2", np.array([5.6]))
+
+
+def test_tips_without_a_table_have_none() -> None:
+    assert inclined_table("even") is None
