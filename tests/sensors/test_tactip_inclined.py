@@ -9,15 +9,15 @@ from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.sensors.tactip import TacTipSpec, inclined_press as module, pictured, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined, inclined
+from palpate.sensors.tactip.side_on import SideOn
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, lattice
-from palpate.sensors.tactip.tabulated_press import TabulatedPress
 
 TILT = float(np.deg2rad(30))
 FORCES = np.array([0.5, 1.0, 2.0, 4.0])
 
 
 @pytest.fixture(scope="module")
-def tilted() -> dict[str, Inclined | TabulatedPress]:
+def tilted() -> dict[str, Inclined | SideOn]:
     """A rigid and a soft specimen at 30 degrees; meshes and states fewer than shipped, and nothing cached."""
     table = tip_table("base")
     coarse = tip_modes(
@@ -38,12 +38,12 @@ def tilted() -> dict[str, Inclined | TabulatedPress]:
 BOTH = pytest.mark.parametrize("name", ["rigid", "soft", "table"])
 
 
-def depth(specimen: Inclined | TabulatedPress, force_n: float) -> float:
+def depth(specimen: Inclined | SideOn, force_n: float) -> float:
     deep = np.linspace(0, specimen.deepest_m, 2000)
     return float(np.interp(force_n, specimen.force_n(deep), deep))
 
 
-def places(specimen: Inclined | TabulatedPress, force_n: float, lean=(0.0, 0.0)):
+def places(specimen: Inclined | SideOn, force_n: float, lean=(0.0, 0.0)):
     spec = tactip()
     skin = specimen.skin(depth(specimen, force_n), lean)
     return skin.at(*lattice(spec.pins, specimen.inner_radius_m))
@@ -164,7 +164,7 @@ def test_what_is_not_modelled_is_refused(pa, tilt) -> None:
 def test_where_there_is_a_table_a_press_is_of_the_head_on_law() -> None:
     smooth = tactip_sensor.TacTip(TacTipSpec(friction=0.0))
     upright, leaning = (smooth.on(words) for words in ("rigid", "rigid@30"))
-    assert isinstance(leaning, TabulatedPress)
+    assert isinstance(leaning, SideOn)
     assert leaning.law == upright.law == "finite strain, without friction"
 
 

@@ -18,7 +18,7 @@ from palpate.recordings.exchange.press_table import read_press_table
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import HeadOn, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined
-from palpate.sensors.tactip.tabulated_press import TabulatedPress
+from palpate.sensors.tactip.side_on import SideOn
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.workflows.tactip_trials import (
@@ -235,7 +235,7 @@ def said_at(spec, tilt_deg, out):
 
 def test_inclined_trials_say_their_tilt_and_law(spec, tmp_path) -> None:
     press, law = said_at(at_finite_strain(spec, [math.inf], math.radians(30)), 30, tmp_path / "a")
-    assert isinstance(press, TabulatedPress)
+    assert isinstance(press, SideOn)
     assert law == "finite strain, without friction"
 
 

@@ -1,10 +1,12 @@
 """A hemispherical tip pressed along its axis on an inclined cylinder: tables solved at finite strain.
 
 Solved in three dimensions by `tools/inclined_tables.py`, without friction, the tip at finite strain as in
-`tip_table`, the cylinder linear. There are tables of some tips at some tilts only, each on cylinders of one
-size and a few Young's moduli, the stiffest rigid. Between forces they are read as `tip_table` is; between
-moduli by a parabola over the head-on approach at `COMPARED_N`, along which head-on presses hardly bend (area
-as its ratio to the head-on one); between tilts they are not.
+`tip_table`. Shipped is the tip "base" on a rigid plate at 30 and 45 degrees; the form holds cylinders of one
+size too, by their Young's moduli. Areas are some 2 % too small, by the mesh.
+
+Between forces they are read as `tip_table` is; between moduli by a smooth curve over the head-on approach at
+`COMPARED_N`, along which head-on presses hardly bend (area as its ratio to the head-on one); between tilts
+they are not.
 
 The tip's axis is z, upwards to its base; the top's normal leans from z towards -x by the tilt.
 """
@@ -128,7 +130,7 @@ class InclinedTable:
 
 
 def _place(upright: HeadOnPress) -> float:
-    """Of a specimen among the table's, between which it is read [m]."""
+    """Head-on approach, by which a specimen has its place among the table's [m]."""
     return float(upright.at("approach_m", np.array([COMPARED_N]))[0])
 
 

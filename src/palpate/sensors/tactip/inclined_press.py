@@ -24,8 +24,8 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
     top_modes,
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
+from palpate.sensors.tactip.side_on import SideOn
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
-from palpate.sensors.tactip.tabulated_press import TabulatedPress
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 STATES = 22
@@ -127,7 +127,7 @@ class MovedDome:
         return np.stack([*(ab.T * out), self.radius_m - self.inner_radius_m * np.cos(phi)], axis=-1)
 
 
-def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined | TabulatedPress:
+def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined | SideOn:
     """The spec's tip on a specimen of the tables' size, its top inclined.
 
     From a table at finite strain where there is one of this tip, tilt and specimen and `friction` is 0;
@@ -143,7 +143,7 @@ def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined 
     """
     table = inclined_table(spec.tip)
     if table and has_table(spec, specimen_pa, tilt_rad):
-        return TabulatedPress(table.press(specimen_pa, tilt_rad), spec.inner_radius_m, spec.table.radius_m)
+        return SideOn(table.press(specimen_pa, tilt_rad), spec.inner_radius_m, spec.table.radius_m)
     return linear_inclined(spec, specimen_pa, tilt_rad)
 
 

@@ -16,7 +16,7 @@ MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class TabulatedPress:
+class SideOn:
     """A specimen under the tip's side, of which there is a table.
 
     Attributes:
