@@ -50,6 +50,12 @@ def test_a_table_ends_at_its_deepest_approach_but_for_rounding() -> None:
     press.force_at(np.array([1e-3 * float(end)]))  # as printed
 
 
+@pytest.mark.parametrize("specimen_mpa", np.linspace(0.04, 0.25, 43))
+def test_the_force_of_the_deepest_approach_is_one_that_the_table_knows(specimen_mpa) -> None:
+    press = tip_table("base").press(1e6 * specimen_mpa)
+    press.at("area_m2", press.force_at(press.approach_m[-1:]))
+
+
 def test_forces_and_approaches_belong_together() -> None:
     press = tip_table("base").press(1.3e5)
     force = np.linspace(0.1, 5.4, 40)
