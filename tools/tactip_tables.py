@@ -2,6 +2,7 @@
 
     python tools/tactip_tables.py                    # every table, and the numbers of the text under it
     python tools/tactip_tables.py --only flow        # one part
+    python tools/tactip_tables.py --preset 331-fitted  # of the tip with lever and camera fitted to real taps
 
 Four numbers in a row are S1 / Snew / S2 / S3, stiffest first.
 """
@@ -22,11 +23,13 @@ from tactip.tactip_model_errors import (
     equation_12,
     inclined_error,
     linear_error,
+    peak_motion,
     press_truth,
     sensitivity,
 )
 
 from palpate.reproductions.tactip.tactip_conditions import (
+    AS_IS,
     KAPPA_N_M,
     Row,
     compared,
@@ -34,16 +37,21 @@ from palpate.reproductions.tactip.tactip_conditions import (
 )
 from palpate.reproductions.tactip.tactip_setup import KAPPA, under_plate
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
-from palpate.sensors.tactip import PINS_127, PINS_331, TacTipSpec
+from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
 
 SHOWN_N = (1.0, 3.0, 5.0)
 REGIONS = ("contact", "middle", "disc")
-FLOW = ("as assumed", "wider pins", "tight crop")
+FLOW = (AS_IS, "wider pins", "tight crop")
 COUNTED = (
-    "as assumed", "half the speed", "twice the speed", "linear rig", "20 frames each",
+    AS_IS, "half the speed", "twice the speed", "linear rig", "20 frames each",
     "tight crop, 20 frames each",
 )  # fmt: skip
 MM2 = 1e6
+PRESETS = {
+    "127": (TacTipSpec(), (0.0, 1.0, 2.5), (TacTipSpec(), TacTipSpec(pins=PINS_331))),
+    "331-fitted": (fitted_tactip(), (0.26, 0.29, 0.33), (fitted_tactip(),)),
+}
+"""The sensor, lengths of pins that are tried [mm], and sensors on which methods are compared."""
 
 
 def four(values: Iterable[float], digits: int = 3) -> str:
@@ -62,9 +70,9 @@ def line(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def true_values() -> Iterator[str]:
+def true_values(preset: str) -> Iterator[str]:
     """What is true, at three forces."""
-    tables = [press_truth(TacTipSpec(), kappa, SHOWN_N) for kappa in KAPPA_N_M.values()]
+    tables = [press_truth(PRESETS[preset][0], kappa, SHOWN_N) for kappa in KAPPA_N_M.values()]
     columns = {
         "contact area, mm²": [MM2 * one.area_m2 for one in tables],
         "dA/dF, mm²/N": [MM2 * one.casr_m2_n for one in tables],
@@ -76,9 +84,9 @@ def true_values() -> Iterator[str]:
         yield line(name, *(four(v[i] for v in values) for i in range(len(SHOWN_N))), orders)
 
 
-def sensitivities() -> Iterator[str]:
+def sensitivities(preset: str) -> Iterator[str]:
     """Orders over tips, pins and refraction."""
-    rows = sensitivity()
+    rows = sensitivity(*PRESETS[preset][:2])
     for region in REGIONS:
         some = [row for row in rows if row.region == region]
         counts = (str(sum(row.order == one for row in some)) for one in ("right", "reversed", "mixed"))
@@ -87,9 +95,9 @@ def sensitivities() -> Iterator[str]:
 
 
 @cache
-def conditions() -> dict[tuple[str, str, str, str], Row]:
+def conditions(preset: str) -> dict[tuple[str, str, str, str], Row]:
     """Rows by condition, source, region and way; some six seconds a condition."""
-    rows = compared(tuple(dict.fromkeys((*FLOW, *COUNTED))))
+    rows = compared(tuple(dict.fromkeys((*FLOW, *COUNTED))), base=PRESETS[preset][0])
     return {(row.condition, row.source, row.region, row.way): row for row in rows}
 
 
@@ -98,12 +106,12 @@ def cell(row: Row, scale: float = 1.0) -> str:
     return f"{four(scale * value for value in row.mean)} ({row.concordance:+.2f})"
 
 
-def flow() -> Iterator[str]:
+def flow(preset: str) -> Iterator[str]:
     """What flow makes of the presses, and of the whole image with other crops."""
-    rows = conditions()
+    rows = conditions(preset)
     for region in (*REGIONS, "whole"):
         divergence, regression, paper = (
-            rows["as assumed", "flow", region, way] for way in ("divergence", "regression", "paper")
+            rows[AS_IS, "flow", region, way] for way in ("divergence", "regression", "paper")
         )
         yield line(region, cell(divergence), cell(regression, MM2), cell(paper, MM2))
         if region == "whole":
@@ -112,20 +120,20 @@ def flow() -> Iterator[str]:
             )
             yield line("its spread over trials, at most", *(f"{size:.1g}" for size in sizes))
     secant, steps = (
-        rows["as assumed", "truth", "contact", "secant"],
-        rows["as assumed", "camera", "", "steps"],
+        rows[AS_IS, "truth", "contact", "secant"],
+        rows[AS_IS, "camera", "", "steps"],
     )
     yield line("true area", "", f"{cell(secant, MM2)}, secant", f"frames: {four(steps.mean)}")
     for name in FLOW[1:]:
         yield f"whole image, {name}: {cell(rows[name, 'flow', 'whole', 'divergence'])}"
 
 
-def counted() -> Iterator[str]:
+def counted(preset: str) -> Iterator[str]:
     """Equation (12) where frames, and not specimens, change."""
     yield "equation (12) of one straight line: " + four(
         equation_12(kappa) for kappa in (7600.0, 3100.0, 1100.0)
     )
-    rows = conditions()
+    rows = conditions(preset)
     for name in COUNTED:
         yield line(name, *(cell(rows[name, "flow", region, "paper"], MM2) for region in ("contact", "disc")))
     for region in ("contact", "disc"):
@@ -138,10 +146,10 @@ def counted() -> Iterator[str]:
     yield f"paper over the disc, at half the speed over that at the full: {four(slow / usual)}"
 
 
-def growths() -> Iterator[str]:
+def growths(preset: str) -> Iterator[str]:
     """Equation (3), at 3 N, and its extremes at all forces."""
     count, at = len(KAPPA_N_M), 1  # 3 N, of the forces 2, 3 and 4 N
-    skin, image = contours(view="skin"), contours(view="image")
+    skin, image = (contours(PRESETS[preset][0], view=view) for view in ("skin", "image"))
     for first in range(0, len(skin), count):
         some = skin[first : first + count]
         cells = (_mm2(some, name, at) for name in ("area_m2", "growth_m2_n", "flux_m2_n"))
@@ -158,32 +166,35 @@ def _mm2(some: Sequence[Contour], name: str, at: int) -> str:
     return four(MM2 * float(getattr(one, name)[at]) for one in some)
 
 
-def seen_shares() -> Iterator[str]:
+def seen_shares(preset: str) -> Iterator[str]:
     """How much of the true divergence each method sees, S1 and S3."""
-    ends = (KAPPA_N_M["S1"], KAPPA_N_M["S3"])
-    some = [
-        one
-        for pins in (PINS_127, PINS_331)
-        for kappa in ends
-        for one in divergence_shares(TacTipSpec(pins=pins), kappa)
-    ]
+    ends, sensors = (KAPPA_N_M["S1"], KAPPA_N_M["S3"]), PRESETS[preset][2]
+    some = [one for sensor in sensors for kappa in ends for one in divergence_shares(sensor, kappa)]
     means = {(one.pins, one.kappa_n_m, one.method, one.region): one.mean for one in some}
     for method in METHODS:
         yield line(
             method,
             *(
-                ", ".join(f"{means[pins.count, kappa, method, region]:.2f}" for kappa in ends)
-                for pins in (PINS_127, PINS_331)
+                ", ".join(f"{means[sensor.pins.count, kappa, method, region]:.2f}" for kappa in ends)
+                for sensor in sensors
                 for region in ("disc", "contact")
             ),
         )
 
 
-def model_costs() -> Iterator[str]:
+def rings(preset: str) -> Iterator[str]:
+    """Where markers move outwards most, beside the contact's edge, and what of it the outermost pin moves."""
+    for kappa_name, kappa in KAPPA_N_M.items():
+        one = peak_motion(PRESETS[preset][0], kappa, SHOWN_N)
+        peak, edge = (" / ".join(f"{np.rad2deg(v):.1f}" for v in at) for at in (one.peak_rad, one.edge_rad))
+        yield line(kappa_name, peak, edge, four(one.moved_px))
+
+
+def model_costs(preset: str) -> Iterator[str]:
     """Errors of the linear model, head-on and inclined, and areas by friction at 30 degrees."""
     for tip in ("base", "even"):
         for name, kappa in (("rigid", np.inf), ("S3", KAPPA_N_M["S3"])):
-            one = linear_error(tip, kappa, SHOWN_N)
+            one = linear_error(tip, kappa, SHOWN_N, PRESETS[preset][0])
             yield _cost_line(f"{tip}, {name}", one)
     for degrees in (30, 45):
         one = inclined_error(np.inf, np.deg2rad(degrees), SHOWN_N)
@@ -198,16 +209,16 @@ def _cost_line(name: str, one: LinearModelError) -> str:
     return line(name, *(f"{text} %" for text in errors), f"{motion} %")
 
 
-def driven() -> Iterator[str]:
+def driven(preset: str) -> Iterator[str]:
     """Stiffness under a plate on the linear rig, by its encoder and by the command; steps and secants."""
     for over in ("encoder", "command"):
-        plates = [under_plate(TacTipSpec(), name, 5, 0, LINEAR_RIG, over) for name in KAPPA]
+        plates = [under_plate(PRESETS[preset][0], name, 5, 0, LINEAR_RIG, over) for name in KAPPA]
         yield line(over, four(1e-3 * float(np.mean([one.slope for one in plate.lines])) for plate in plates))
     series = [1e-3 / (1e-3 / one.value + 1 / LINEAR_RIG.stiffness_n_m) for one in KAPPA.values()]
     yield line("by 1/kappa + 1/Kp", four(series))
     yield f"droop at 5 N: {1e3 * LINEAR_RIG.droop_m(5.0):.2f} mm"
-    rows = conditions()
-    for name in ("as assumed", "linear rig"):
+    rows = conditions(preset)
+    for name in (AS_IS, "linear rig"):
         cells = [cell(rows[name, "flow", region, "secant"], MM2) for region in ("contact", "disc")]
         yield line(name, cell(rows[name, "camera", "", "steps"]), *cells)
 
@@ -220,6 +231,7 @@ PARTS = {
     "rig": driven,
     "contours": growths,
     "shares": seen_shares,
+    "rings": rings,
     "costs": model_costs,
 }
 
@@ -230,8 +242,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", choices=list(PARTS), action="append")
-    for name in parser.parse_args().only or PARTS:
-        print(f"\n{name}", *PARTS[name](), sep="\n", flush=True)
+    parser.add_argument("--preset", choices=list(PRESETS), default="127")
+    asked = parser.parse_args()
+    for name in asked.only or PARTS:
+        print(f"\n{name}", *PARTS[name](asked.preset), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,19 +10,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.reproductions.tactip.tactip_conditions import (
+    AS_IS,
     CONDITIONS,
     FROM_N,
     KAPPA_N_M,
     TO_N,
     compared,
     concordance,
+    conditions_of,
     cues,
     head_on,
     order,
     recorded,
     true_divergence,
 )
-from palpate.sensors.tactip import PINS_331, TacTipSpec
+from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
@@ -33,6 +35,7 @@ from tactip.tactip_model_errors import (
     divergence_shares,
     equation_12,
     linear_error,
+    peak_motion,
     press_truth,
     sensitivity,
 )
@@ -89,6 +92,32 @@ def test_over_the_contact_the_softest_spreads_least_and_the_others_alike(fine) -
     s1, new, s2, s3 = (float(D["contact"].sum()) for D in fine)
     assert s3 < 0.9 * min(s1, new, s2)
     assert max(s1, new, s2) < 1.02 * min(s1, new, s2)  # no order to be found
+
+
+def test_with_a_real_tips_lever_contact_and_middle_are_reversed_and_the_disc_ranks() -> None:
+    tip, force = fitted_tactip(), np.linspace(FROM_N, TO_N, 200)
+    fine = [true_divergence(tip, head_on(tip, kappa).press, force) for kappa in KAPPA_N_M.values()]
+    orders = {region: order([D[region].sum() for D in fine]) for region in ("contact", "middle", "disc")}
+    assert orders == {"contact": "reversed", "middle": "reversed", "disc": "right"}
+    assert_allclose(fine[-1]["contact"].sum() / fine[0]["contact"].sum(), 0.83, atol=0.01)
+
+
+def test_the_ring_is_at_the_contacts_edge_unless_the_lever_is_short_and_the_specimen_soft(spec) -> None:
+    long, short = (
+        peak_motion(tip, kappa, (1.0, 2.0, 3.0)) for tip, kappa in ((spec, S3), (fitted_tactip(), S1))
+    )
+    assert (long.peak_rad < long.edge_rad).all()
+    assert_allclose(short.peak_rad, short.edge_rad, atol=np.deg2rad(0.6))
+    lost = peak_motion(fitted_tactip(), S3, (5.0,))
+    assert lost.peak_rad[0] > lost.edge_rad[0] + np.deg2rad(8)
+
+
+def test_conditions_change_the_sensor_that_they_are_given() -> None:
+    tip = fitted_tactip()
+    changed = conditions_of(tip)
+    assert changed[AS_IS].spec == tip
+    assert changed["half the speed"].spec == replace(tip, speed_m_s=tip.speed_m_s / 2)
+    assert changed["tight crop"].spec.pins == tip.pins
 
 
 def test_divergence_hardly_depends_on_how_many_steps_there_are(spec) -> None:

@@ -18,6 +18,7 @@ from palpate.reproductions.tactip.tactip_conditions import (
     KAPPA_N_M,
     LOW_N,
     NEAR,
+    POLAR,
     TO_N,
     DivergenceSeries,
     Row,
@@ -25,6 +26,7 @@ from palpate.reproductions.tactip.tactip_conditions import (
     circles_px,
     flow_divergence,
     head_on,
+    marker_radii_px,
     middle_px,
     recorded,
     row_of,
@@ -129,10 +131,13 @@ class LinearModelError:
 
 
 def linear_error(
-    tip: str, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)
+    tip: str,
+    kappa_n_m: float,
+    force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0),
+    base: TacTipSpec = ASSUMED,
 ) -> LinearModelError:
     """Error of the linear model at forces; half a minute for a new tip."""
-    spec, at = TacTipSpec(tip, friction=0.0), np.array(force_n)
+    spec, at = replace(base, tip=tip, friction=0.0), np.array(force_n)
     true = head_on(spec, kappa_n_m)
     linear = linear_inclined(spec, modulus_pa(spec.table, kappa_n_m), 0.0)
     deep = np.linspace(0.0, linear.deepest_m, 2000)
@@ -207,13 +212,44 @@ def tracked_divergence(trial: VirtualPress, circles: DivergenceSeries) -> Diverg
     return {name: np.array(values) for name, values in results.items()}
 
 
-def sensitivity() -> tuple[Row, ...]:
-    """True markers' divergence from 1 to 4 N: four tips, three lengths of pins, refraction or none."""
+@dataclass(frozen=True)
+class PeakMotion:
+    """Where markers have moved outwards most in the image, on one specimen at forces.
+
+    Attributes:
+        peak_rad: polar angle on the skin's inside of the pin that has, among those within the field; NaN
+            where it is the outermost, so that there is no ring [rad].
+        edge_rad: of the contact's edge [rad].
+        moved_px: how far that pin has moved outwards; the farthest of all where there is no ring [px].
+    """
+
+    kappa_n_m: float
+    force_n: Steps
+    peak_rad: Steps
+    edge_rad: Steps
+    moved_px: Steps
+
+
+def peak_motion(
+    spec: TacTipSpec, kappa_n_m: float, force_n: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0)
+) -> PeakMotion:
+    """The ring of greatest outward motion, from the true motion of imagined pins at every polar angle."""
+    press, at = head_on(spec, kappa_n_m).press, np.array(force_n)
+    away = marker_radii_px(spec, press, at) - marker_radii_px(spec, press, np.zeros(1))
+    outermost = np.arcsin(spec.pins.rings * spec.pins.pitch_m / spec.inner_radius_m)
+    inside = outermost >= POLAR
+    best = np.argmax(away[:, inside], axis=1)
+    peak = np.where(best < inside.sum() - 1, POLAR[best], np.nan)
+    return PeakMotion(kappa_n_m, at, peak, press.at("angle_rad", at), away[:, inside].max(axis=1))
+
+
+def sensitivity(base: TacTipSpec = ASSUMED, lengths_mm: Sequence[float] = (0.0, 1.0, 2.5)) -> tuple[Row, ...]:
+    """True markers' divergence from 1 to 4 N: four tips, lengths of pins, refraction or none."""
     force = np.linspace(FROM_N, TO_N, FINE_STEPS)
     rows = []
-    for tip, mm, index in product(("base", "soft-skin", "stiff-skin", "even"), (0.0, 1.0, 2.5), (1.0, 1.41)):
-        pins, camera = replace(ASSUMED.pins, length_m=1e-3 * mm), replace(ASSUMED.camera, gel_index=index)
-        spec = TacTipSpec(tip, pins=pins, camera=camera)
+    for tip, mm, index in product(("base", "soft-skin", "stiff-skin", "even"), lengths_mm, (1.0, 1.41)):
+        pins, camera = replace(base.pins, length_m=1e-3 * mm), replace(base.camera, gel_index=index)
+        spec = replace(base, tip=tip, pins=pins, camera=camera)
         results = [true_divergence(spec, head_on(spec, k).press, force) for k in KAPPA_N_M.values()]
         for region in results[0]:
             names = (f"{tip}, pins of {mm:g} mm, index {index:g}", "true", region, "divergence")

@@ -251,38 +251,48 @@ class TacTipCondition:
 
 
 ASSUMED = TacTipSpec()
+AS_IS = "as assumed"  # nothing changed
 
 
-def _seen_by(**camera: Any) -> TacTipSpec:
-    return replace(ASSUMED, camera=replace(ASSUMED.camera, **camera))
+def conditions_of(base: TacTipSpec) -> dict[str, TacTipCondition]:
+    """A sensor as it is, and with one thing changed at a time, by name."""
+
+    def seen_by(**camera: Any) -> TacTipSpec:
+        return replace(base, camera=replace(base.camera, **camera))
+
+    def pins_of(length_m: float) -> TacTipSpec:
+        return replace(base, pins=replace(base.pins, length_m=length_m))
+
+    return {
+        AS_IS: TacTipCondition(base),
+        "half the speed": TacTipCondition(replace(base, speed_m_s=2.5e-3)),
+        "twice the speed": TacTipCondition(replace(base, speed_m_s=10e-3)),
+        "20 frames each": TacTipCondition(base, 20),
+        "wider pins": TacTipCondition(seen_by(disc_px=130.0)),
+        "tight crop": TacTipCondition(seen_by(disc_px=165.0)),
+        "tight crop, 20 frames each": TacTipCondition(seen_by(disc_px=165.0), 20),
+        "no pin length": TacTipCondition(pins_of(0.0)),
+        "pins of 1 mm": TacTipCondition(pins_of(1e-3)),
+        "331 pins": TacTipCondition(replace(base, pins=PINS_331)),
+        "no refraction": TacTipCondition(seen_by(gel_index=1.0)),
+        "soft-skin tip": TacTipCondition(replace(base, tip="soft-skin")),
+        "stiff-skin tip": TacTipCondition(replace(base, tip="stiff-skin")),
+        "even tip": TacTipCondition(replace(base, tip="even")),
+        "linear rig": TacTipCondition(base, rig=LINEAR_RIG),
+    }
 
 
-def _pins_of(length_m: float) -> TacTipSpec:
-    return replace(ASSUMED, pins=replace(ASSUMED.pins, length_m=length_m))
+CONDITIONS = conditions_of(ASSUMED)
 
 
-CONDITIONS: dict[str, TacTipCondition] = {
-    "as assumed": TacTipCondition(ASSUMED),
-    "half the speed": TacTipCondition(replace(ASSUMED, speed_m_s=2.5e-3)),
-    "twice the speed": TacTipCondition(replace(ASSUMED, speed_m_s=10e-3)),
-    "20 frames each": TacTipCondition(ASSUMED, 20),
-    "wider pins": TacTipCondition(_seen_by(disc_px=130.0)),
-    "tight crop": TacTipCondition(_seen_by(disc_px=165.0)),
-    "tight crop, 20 frames each": TacTipCondition(_seen_by(disc_px=165.0), 20),
-    "no pin length": TacTipCondition(_pins_of(0.0)),
-    "pins of 1 mm": TacTipCondition(_pins_of(1e-3)),
-    "331 pins": TacTipCondition(replace(ASSUMED, pins=PINS_331)),
-    "no refraction": TacTipCondition(_seen_by(gel_index=1.0)),
-    "soft-skin tip": TacTipCondition(replace(ASSUMED, tip="soft-skin")),
-    "stiff-skin tip": TacTipCondition(replace(ASSUMED, tip="stiff-skin")),
-    "even tip": TacTipCondition(replace(ASSUMED, tip="even")),
-    "linear rig": TacTipCondition(ASSUMED, rig=LINEAR_RIG),
-}
-
-
-def compared(names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5)) -> tuple[Row, ...]:
-    """Every cue under every condition; about a second a trial."""
-    return tuple(row for name in names for row in _rows(name, CONDITIONS[name], seeds))
+def compared(
+    names: Sequence[str] = tuple(CONDITIONS),
+    seeds: Sequence[int] = range(5),
+    base: TacTipSpec = ASSUMED,
+) -> tuple[Row, ...]:
+    """Every cue of a sensor under every condition; about a second a trial."""
+    conditions = conditions_of(base)
+    return tuple(row for name in names for row in _rows(name, conditions[name], seeds))
 
 
 def _rows(name: str, condition: TacTipCondition, seeds: Sequence[int]) -> Iterator[Row]:
