@@ -5,7 +5,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger, invert_hertz
+from palpate.estimators.compliance.hertz_inversion import (
+    OF_MODULUS,
+    OF_RADIUS,
+    Finger,
+    PressCurves,
+    fit_finger,
+    invert_hertz,
+)
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, shipped_tips, tip_table
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
@@ -115,12 +123,33 @@ def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:
     bent = PressCurves(alone.force_n, 6e-3 * (1 - np.exp(-alone.approach_m / 6e-3)), alone.area_m2)
     found = fit_finger([bent])
     assert 0.1 < found.misfit < 1
-    assert_allclose(found.modulus_spread, found.misfit / 4, rtol=0.3)
+    assert_allclose(found.modulus_spread, OF_MODULUS * found.misfit, rtol=0.3)
+    assert_allclose(found.radius_spread, OF_RADIUS * found.misfit, rtol=0.3)
     wide, tight = (
         invert_hertz([press(D)], Finger(FINGER, spread, spread), rng)
         for spread in (found.modulus_spread, 0.0)
     )
     assert np.diff(wide.modulus_pa[1:]) > np.diff(tight.modulus_pa[1:])
+
+
+def on_a_cylinder(table_press: HeadOnPress) -> PressCurves:
+    """The truth of a tip's table from 1 to 5.2 N, by even steps of approach and without noise."""
+    force = table_press.force_at(np.linspace(*table_press.at("approach_m", np.array([1.0, 5.2])), 20))
+    return PressCurves(force, table_press.at("approach_m", force), table_press.at("area_m2", force))
+
+
+def test_the_misfit_counts_as_much_as_tips_that_are_no_hertz_bodies_err(rng) -> None:
+    """The error of the object's 1 / E over the finger's, root mean square over tips and specimens."""
+    errors, misfits = [], []
+    for tip in map(tip_table, shipped_tips()):
+        finger = fit_finger([on_a_cylinder(tip.press(np.inf))])
+        for kappa in (7600, 6500, 5300, 4000, 3100, 2000, 1500, 1100):
+            modulus = kappa * tip.specimen_height_m / (np.pi * tip.specimen_radius_m**2)
+            true = modulus / (1 - tip.poisson_ratio**2)
+            found = invert_hertz([on_a_cylinder(tip.press(modulus))], finger, rng).modulus_pa[0]
+            errors.append((1 / found - 1 / true) * finger.body.modulus_pa)
+            misfits.append(finger.misfit)
+    assert_allclose(np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(misfits))), OF_MODULUS, atol=0.02)
 
 
 def test_a_press_too_short_to_halve_has_no_misfit() -> None:

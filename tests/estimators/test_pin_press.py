@@ -45,11 +45,7 @@ def test_a_good_press_is_followed_through_its_loading_part(made, frames) -> None
 
 
 def test_motion_is_what_the_markers_did(made, frames) -> None:
-    """Centroids are good to some hundredths of a pixel.
-
-    The pins round the apex may be off by 0.2 px: the frame before the force sensor tells contact, which
-    counts as untouched, may be touched already by less than the sensor's step.
-    """
+    """Centroids are good to some hundredths of a pixel, those round the apex as well."""
     press = watch(made, frames)
     (rest, _), (last, _) = (made.points_px(int(i)) for i in (0, press.frame[-1]))
     order = [int(np.argmin(np.hypot(*(rest - xy).T))) for xy in press.untouched_px]

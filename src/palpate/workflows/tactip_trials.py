@@ -172,7 +172,7 @@ class VirtualPress:
 
 
 def record_press(
-    spec: TacTipSpec,
+    spec: TacTipSpec | TacTip,
     words: str,
     seed: int,
     rig: LinearRig | None = None,
@@ -184,7 +184,7 @@ def record_press(
     """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
 
     Args:
-        spec: the sensor and its rig.
+        spec: the sensor and its rig, or a sensor made of one.
         words: what is pressed, see `TacTip.probe`.
         seed: of everything random, 0 or more.
         rig: that drives the tip; None for an ideal one.
@@ -208,7 +208,8 @@ def record_press(
         raise InputError(
             f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"
         )
-    sensor, rate_hz = TacTip(spec), spec.force.rate_hz
+    sensor = spec if isinstance(spec, TacTip) else TacTip(spec)
+    spec, rate_hz = sensor.spec, sensor.spec.force.rate_hz
     viscous = sensor.viscous(sensor.probe(words), sensor.specimen(words))
     if viscous is not None and (back or rig is not None):
         raise InputError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -61,6 +62,7 @@ Samples = Float[ndarray, " _"]
 
 MIN_RING_SHARE = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
 LEVELS_N = np.arange(1.0, 4.51, 0.5)
+AREA_AT_N = 4.0  # where an area is told
 MIN_AREAS = 6  # of a press, for a spread rate
 APPROACH_PX = 2e5  # px/m: what a metre of approach weighs beside pins' motion; scatter is discounted anyway
 
@@ -118,6 +120,8 @@ class ComplianceCalibration:
         latency_s: of the camera, which the references' frames were corrected for; None for none [s].
         shape: modulus and radius by motion and approach; None without spheres among the references, or
             without their positions, and in calibrations of before.
+        level: areas at 4 N against known ones; None as `rate` is, and in calibrations of before, whose areas
+            there have the error of the worst reference's frames at any force.
     """
 
     names: tuple[str, ...]
@@ -140,8 +144,9 @@ class ComplianceCalibration:
     rigid_plate: RigidPlateStretch | None = None
     latency_s: float | None = None
     shape: ShapeSurface | None = None
+    level: RateFit | None = None
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Name by the contents."""
         return contents_id(self, "compliance")
@@ -206,7 +211,7 @@ def calibrate_compliance(
         both = curve(joined)
         shape = fit_shapes([one.body for one in references], joined, which)
     flat_trials = [(i, t, m) for (i, t), m in zip(trials, motions_px, strict=True) if i in flat]
-    motions, area, ring, rate = _areas(
+    motions, area, ring, rate, level = _areas(
         [(i, t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
     )
     touch = curve(touch_rows)
@@ -232,6 +237,7 @@ def calibrate_compliance(
             trial.press for one in references if np.isinf(one.kappa_n_m) for trial in one.trials
         ),
         shape=shape,
+        level=level,
     )
 
 
@@ -294,10 +300,10 @@ def _areas(
     trials: Sequence[tuple[int, ReferenceTrial]],
     moved: Sequence[Float[ndarray, "_ p 2"]],
     layout: Float[ndarray, "p 2"],
-) -> tuple[Motions | None, AreaFit | None, AreaFit | None, RateFit | None]:
+) -> tuple[Motions | None, AreaFit | None, AreaFit | None, RateFit | None, RateFit | None]:
     known = [(i, m, t.area_m2) for (i, t), m in zip(trials, moved, strict=True) if t.area_m2 is not None]
     if len({i for i, _, _ in known}) < 2:
-        return None, None, None, None
+        return None, None, None, None, None
     which = [i for i, _, _ in known]
     areas = [a for _, _, a in known]
     motions = fit_motions([m for _, m, _ in known])
@@ -306,8 +312,9 @@ def _areas(
     forces = [t.press.force_n for _, t in trials if t.area_m2 is not None]
     rings = [ring_measures(layout, m) for _, m, _ in known]
     whole = all(np.isfinite(one).all(axis=1).mean() > MIN_RING_SHARE for one in rings)
-    rate = _rate(forces, left_out_areas(measures, areas), areas, which)
-    return motions, area, fit_area(rings, areas, which) if whole else None, rate
+    found = left_out_areas(measures, areas)
+    rate, level = (_against_known(of, forces, found, areas, which) for of in (rate_by_areas, area_at_4_n))
+    return motions, area, fit_area(rings, areas, which) if whole else None, rate, level
 
 
 def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
@@ -326,15 +333,30 @@ def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
     return float(np.polyfit(LEVELS_N, area, 1)[0])
 
 
-def _rate(
-    forces: Sequence[Samples], found: Sequence[Samples], true: Sequence[Samples], which: Sequence[int]
+def area_at_4_n(force_n: Samples, area_m2: Samples) -> float:
+    """Area at 4 N by areas at other forces; NaN where too few are known [m^2]."""
+    known = np.isfinite(area_m2)
+    if known.sum() < MIN_AREAS:
+        return float("nan")
+    try:
+        return float(at_forces(force_n[known], area_m2[known], np.array([AREA_AT_N]))[0])
+    except RangeError:
+        return float("nan")
+
+
+def _against_known(
+    measure: Callable[[Samples, Samples], float],
+    forces: Sequence[Samples],
+    found: Sequence[Samples],
+    true: Sequence[Samples],
+    which: Sequence[int],
 ) -> RateFit | None:
-    """Spread rates by areas against known ones, of trials whose areas were fitted without them."""
-    rates = [
-        (rate_by_areas(f, np.where(np.isfinite(known), a, np.nan)), rate_by_areas(f, known), i)
+    """A measure of areas against that of known ones, of trials whose areas were fitted without them."""
+    pairs = [
+        (measure(f, np.where(np.isfinite(known), a, np.nan)), measure(f, known), i)
         for f, a, known, i in zip(forces, found, true, which, strict=True)
     ]
-    usable = [one for one in rates if one[0] > 0 and one[1] > 0]
+    usable = [one for one in pairs if one[0] > 0 and one[1] > 0]
     try:
         return fit_rate(*zip(*usable, strict=True)) if usable else None
     except InputError:

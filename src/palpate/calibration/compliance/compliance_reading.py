@@ -9,8 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from palpate.calibration.compliance.compliance_calibration import (
+    AREA_AT_N,
     ComplianceCalibration,
     approach_row,
+    area_at_4_n,
     rate_by_areas,
     touch_row,
 )
@@ -28,7 +30,6 @@ from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
 
 COVERAGE = 0.9
 NORMAL = 1.645  # standard deviations from the mean to either end of an interval of that coverage
-AREA_AT_N = 4.0
 OUTSIDE = "{:.3g} N/mm is outside of the calibrated range, {:.3g} to {:.3g} N/mm"
 AREA_OUTSIDE = "{:.4g} mm2 is outside of the calibrated range, {:.4g} to {:.4g} mm2"
 EDGE = 1.05  # how far beyond the outermost reference an interval may begin: it scatters about its own value
@@ -303,9 +304,16 @@ class _PressReader:
         return self.reading(quantity, (kappa, low, high), "N_per_m", range_, why)
 
     def area(self, courses: Sequence[AreaCourse]) -> Reading:
-        fit = self._fit
-        level = np.array([AREA_AT_N])
-        value = np.mean([at_forces(one.force_n, one.area_m2, level)[0] for one in courses], axis=0)
+        fit, at = self._fit, np.array([AREA_AT_N])
+        if self.calibration.level is not None:
+            areas = np.array([area_at_4_n(one.force_n, one.area_m2[:, 0]) for one in courses])
+            if not (areas > 0).all():
+                raise InputError(
+                    f"a press has no contact area at {AREA_AT_N:g} N; press as far as the references were"
+                )
+            value = np.array(self.calibration.level.of(areas, COVERAGE))
+        else:
+            value = np.mean([at_forces(one.force_n, one.area_m2, at)[0] for one in courses], axis=0)
         low, high = fit.range_m2
         why = [] if np.isfinite(fit.spread) else [NO_BETWEEN]
         if not low <= value[0] <= high:

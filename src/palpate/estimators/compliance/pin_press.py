@@ -6,8 +6,9 @@ straight, and read at fixed forces; so presses of any speed and frame rate can b
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -79,6 +80,39 @@ def follow_press(
         InputError: no loading part, too few frames in it, or pins lost.
         ImageError: no pins in the first frame.
     """
+    found: list[PinTracks] = []
+
+    def centres(used: Int[ndarray, " u"]) -> Float[ndarray, "f p 2"]:
+        pins, xy = _pin_positions(frames, int(used[-1]) + 1)
+        if len(xy) <= used[-1]:
+            raise InputError(
+                f"{len(xy)} frames, and the table tells of {len(frame_sample)}; give the frames and the "
+                "table of one press"
+            )
+        found.append(pins)
+        return xy
+
+    press = press_of_centres(centres, force_n, frame_sample, position_m, time_s)
+    return replace(press, cells=found[0].cells)
+
+
+def press_of_centres(
+    centres_px: Callable[[Int[ndarray, " u"]], Float[ndarray, "f p 2"]],
+    force_n: Samples,
+    frame_sample: Int[ndarray, " f"],
+    position_m: Samples | None = None,
+    time_s: Samples | None = None,
+) -> PinPress:
+    """The loading part of a press whose pins' centres are known.
+
+    Args:
+        centres_px: gives places (x, y) of the pins from the first frame to the last of those it is asked for,
+            NaN where one is lost [px].
+        force_n, frame_sample, position_m, time_s: see `follow_press`.
+
+    Raises:
+        InputError: no loading part, too few frames in it, or pins lost.
+    """
     smooth = smoothed(force_n)
     part = loading(smooth)
     samples = within(smooth, part, CONTACT_N, np.inf)
@@ -89,11 +123,7 @@ def follow_press(
             f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: "
             "press more slowly, or take more frames a second"
         )
-    pins, xy = _pin_positions(frames, int(used[-1]) + 1)
-    if len(xy) <= used[-1]:
-        raise InputError(
-            f"{len(xy)} frames, and the table tells of {len(at)}; give the frames and the table of one press"
-        )
+    xy = centres_px(used)
     still = _still(smooth[at[: used[0] + 1]])
     untouched = xy[:still].mean(axis=0)
     lost = ~np.isfinite(xy[used]).all(axis=(0, 2))
@@ -110,7 +140,7 @@ def follow_press(
     time = None if time_s is None else time_s[at[used]]
     return PinPress(
         used, smooth[at[used]], untouched, xy[used] - untouched, position,
-        _speed(position, time), tuple(flaws), pins.cells, time,
+        _speed(position, time), tuple(flaws), None, time,
     )  # fmt: skip
 
 
@@ -127,7 +157,10 @@ def _pin_positions(
 
 
 def _still(force_n: Samples) -> int:
-    """Number of frames before any touch, less the last of them, in which it may have begun."""
+    """Number of frames that are surely before any touch: half of those in which no force is felt.
+
+    Pins move before a force is felt, and the longer so the softer the contact and the lower the force's zero.
+    """
     touched = force_n >= UNTOUCHED_N
     before = int(np.argmax(touched)) if touched.any() else len(force_n)
     if before == 0:
@@ -135,7 +168,7 @@ def _still(force_n: Samples) -> int:
             f"the first frame is under {force_n[0]:.3g} N; it must be taken before contact (below "
             f"{UNTOUCHED_N:g} N), since motion is counted from there: begin higher, or bias the force sensor"
         )
-    return max(1, before - 1)
+    return max(1, before // 2)
 
 
 def _speed(position_m: Samples | None, time_s: Samples | None) -> float:
@@ -188,7 +221,9 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     Raises:
         InputError: its pins are not those of the layout.
     """
-    spacing = float(np.median(cKDTree(layout_px).query(layout_px, k=2)[0][:, 1]))
+    spacing = _spacing_px(np.ascontiguousarray(layout_px, np.float64).tobytes())
+    if _in_order(press.untouched_px, layout_px, NEAR * spacing) and np.isfinite(press.moved_px).all():
+        return press.moved_px
     tracked = np.isfinite(press.moved_px).all(axis=(0, 2))
     at = press.untouched_px[tracked]
     if not len(at):
@@ -196,8 +231,10 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     # Hidden pins move the mean of those seen; then the camera as it stands, or the field's extent, is nearer.
     extent = [(xy.min(axis=0) + xy.max(axis=0)) / 2 for xy in (at, layout_px)]
     starts = at.mean(axis=0) - layout_px.mean(axis=0), extent[0] - extent[1], np.zeros(2)
-    found = [_matched(at, layout_px, start, NEAR * spacing) for start in starts]
-    near, which = max(found, key=lambda one: one[0].sum())
+    near, which = _matched(at, layout_px, starts[0], NEAR * spacing)
+    if not near.all():
+        found = [_matched(at, layout_px, start, NEAR * spacing) for start in starts]
+        near, which = max(found, key=lambda one: one[0].sum())
     if near.mean() < MIN_MATCHED or len(at) > len(layout_px) / MIN_MATCHED:
         raise InputError(
             f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
@@ -206,6 +243,22 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     motion = np.full((len(press.force_n), len(layout_px), 2), np.nan)
     motion[:, near] = press.moved_px[:, tracked][:, which[near]]
     return motion
+
+
+@lru_cache(maxsize=16)
+def _spacing_px(layout: bytes) -> float:
+    """Median distance of a layout's pins from their neighbours [px]."""
+    places = np.frombuffer(layout, np.float64).reshape(-1, 2)
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+
+
+def _in_order(at: Float[ndarray, "q 2"], layout_px: Layout, within_px: float) -> bool:
+    """Whether pins are those of a layout one by one, but for a shift of all."""
+    if at.shape != layout_px.shape:
+        return False
+    off = at - layout_px
+    off = off - np.median(off, axis=0)
+    return bool((np.hypot(*off.T) < within_px).all())  # False where one is NaN
 
 
 def _matched(

@@ -1,10 +1,13 @@
 """Spread rate dA/dF calibrated on spread rates: what the areas of one press say of it, against known ones.
 
+The area at one force is calibrated in the same way: the areas' fit errs by another share at each force.
+
 Areas of one press err together, so that the relative error of an area says little about that of a slope: the
 slope of trials that were left out of the area's fit is compared with the true one instead. The logarithm of
 the true rate is a polynomial of that of the rate from areas, whose scatter over these trials gives the
 interval of a new press (a prediction interval of regression), beside the error by which the other references
-tell each reference between them.
+tell each reference between them. Soft specimens scatter several times as much as stiff ones, so the scatter
+grows along the line: one for all would be too wide for stiff specimens and too narrow for soft ones.
 """
 
 from __future__ import annotations
@@ -13,11 +16,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.optimize import minimize_scalar
 
 from palpate.core import Float, InputError, Int, ndarray
+from palpate.estimators.compliance.stiffness_curve import student_quantile
 
 MAX_DEGREE = 2
+MAX_GROWTH = 1.5  # e-folds of the spread for each standard deviation of the references' rates
+MAX_Z = 2.0  # standard deviations from the references' middle: farther the spread grows no more
 RECTANGULAR = np.sqrt(3.0)  # of a bound over the standard deviation of what lies anywhere within it
 
 Values = Float[ndarray, " _"]
@@ -31,10 +37,11 @@ class RateFit:
         middle, scale: of log of the rate by areas.
         coefficients: of the powers of what is so normalised, from the constant on.
         covariance: of the coefficients, in units of the squared spread.
-        spread: standard deviation of log of the true rate around it, of one trial.
+        spread: standard deviation of log of the true rate around it, of one trial in the middle.
         freedom: trials less coefficients.
         between: error of log of the rate by which the others tell the references between them, root mean
             square; it is taken for a bound, since with that reference the gap is half as wide.
+        growth: of log of the spread along what is so normalised.
     """
 
     middle: float
@@ -44,16 +51,16 @@ class RateFit:
     spread: float
     freedom: int
     between: float
+    growth: float = 0.0
 
     def of(self, rates_m2_n: Float[ndarray, " t"], coverage: float = 0.9) -> tuple[float, float, float]:
         """The true rate, low and high of its interval, of trials' rates by areas on one specimen [m^2/N]."""
         z = (float(np.mean(np.log(rates_m2_n))) - self.middle) / self.scale
         powers = z ** np.arange(len(self.coefficients))
         log_rate = float(powers @ self.coefficients)
-        spread = self.spread * np.sqrt(1 / len(rates_m2_n) + powers @ self.covariance @ powers)
-        half = float(
-            stats.t.ppf((1 + coverage) / 2, self.freedom) * np.hypot(spread, self.between / RECTANGULAR)
-        )
+        own = self.spread * np.exp(self.growth * float(np.clip(z, -MAX_Z, MAX_Z)))
+        spread = own * np.sqrt(1 / len(rates_m2_n) + powers @ self.covariance @ powers)
+        half = float(student_quantile(coverage, self.freedom) * np.hypot(spread, self.between / RECTANGULAR))
         return float(np.exp(log_rate)), float(np.exp(log_rate - half)), float(np.exp(log_rate + half))
 
 
@@ -70,17 +77,31 @@ def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequen
     """
     x, y = np.asarray(by_areas, np.float64), np.asarray(true, np.float64)
     kinds = len(set(reference))
-    if kinds < 3 or len(x) < kinds + 2:
-        raise InputError(f"{len(x)} trials of {kinds} references with a known rate; five of three are needed")
+    if kinds < 3 or len(x) < kinds + 3:
+        raise InputError(f"{len(x)} trials of {kinds} references with a known rate; six of three are needed")
     if not ((x > 0).all() and (y > 0).all()):
         raise InputError("a contact that shrinks as the force grows; look at the areas in the tables")
     x, y, which = np.log(x), np.log(y), np.asarray(reference)
     middle, scale = float(x.mean()), float(x.std() + 1e-12)
     z = (x - middle) / scale
     fit, covariance = _solved(z, y, min(MAX_DEGREE, kinds - 2))
-    freedom = len(x) - len(fit)
-    spread = float(np.sqrt(np.sum((y - _powers(z, len(fit)) @ fit) ** 2) / freedom))
-    return RateFit(middle, scale, fit, covariance, spread, freedom, _between(z, y, which))
+    freedom = len(x) - len(fit) - 1  # one more for the growth
+    off = y - _powers(z, len(fit)) @ fit
+    growth = _growth(z, off)
+    spread = float(np.sqrt(np.sum((off * np.exp(-growth * z)) ** 2) / freedom))
+    return RateFit(middle, scale, fit, covariance, spread, freedom, _between(z, y, which), growth)
+
+
+def _growth(z: Values, off: Values) -> float:
+    """Growth of log of the spread of Gaussian errors along z, whose mean is 0: the likeliest."""
+    if not off.any():
+        return 0.0
+    found = minimize_scalar(
+        lambda b: np.log(np.mean((off * np.exp(-b * z)) ** 2)),
+        bounds=(-MAX_GROWTH, MAX_GROWTH),
+        method="bounded",
+    )
+    return float(found.x)
 
 
 def _between(z: Values, y: Values, which: Int[ndarray, " t"]) -> float:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy import stats
@@ -137,7 +138,7 @@ class SoftnessCurve:
         slope = self._slope(s)
         trials = 1 / len(np.atleast_2d(presses)) + len(self.means) / (self.freedom + len(self.means))
         spread = np.sqrt(trials / (slope @ weight @ slope))
-        t = stats.t.ppf((1 + coverage) / 2, self.freedom)
+        t = student_quantile(coverage, self.freedom)
         half = float(np.hypot(t * spread, self._bend(y, s)))
         off = y - self.at(np.array([s]))[0]
         kappa = (self._kappa(s), self._kappa(s + half), self._kappa(s - half))
@@ -181,6 +182,12 @@ class SoftnessCurve:
         best = int(np.argmin(far(grid)))
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
         return float(minimize_scalar(lambda s: far(np.array([s]))[0], bounds=bounds, method="bounded").x)
+
+
+@cache
+def student_quantile(coverage: float, freedom: int) -> float:
+    """Half width of an interval, in standard deviations that are known by so many degrees of freedom."""
+    return float(stats.t.ppf((1 + coverage) / 2, freedom))
 
 
 def softness(kappa_n_m: Float[ndarray, " k"], turning_n_m: float) -> Float[ndarray, " k"]:
