@@ -1,6 +1,6 @@
 """How often intervals of compliance presses contain the truth: many presses, by their pins' centres.
 
-    python tools/compliance_coverage.py --keep /tmp/solved          # both presets, 0, 30 and 45 degrees
+    python tools/compliance_coverage.py --keep solved               # both presets, 0, 30 and 45 degrees
     python tools/compliance_coverage.py --preset 331-fitted --tilt 0 --presses 900 --calibrations 20
 
 Every press has a specimen of its own (1.5 to 6.5 N/mm), its own seating, noise and nuisances, and is read
