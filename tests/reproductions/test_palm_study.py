@@ -1,17 +1,20 @@
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
 
-from palpate.core.errors import ExistsError, InputError
+from palpate.core.errors import ExistsError, InputError, PalpateError
 from palpate.estimators.networks import make_model, model_kind
-from palpate.reproductions.palm import Scale, reproduce_palm, scale_of
+from palpate.reproductions.palm import Scale, palm_reproduction, reproduce_palm, scale_of
 from palpate.reproductions.palm.palm_conditions import record_loads
 from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
 from palpate.reproductions.palm.palm_reproduction import beside, study_folder, write_up
 from palpate.reproductions.palm.palm_setup import MODELS, NETWORKS, PUBLISHED, noisier
 from palpate.reproductions.palm.palm_summary import summary_of
+from palpate.reproductions.study_results import kept_result
 
 SHORT = {"epochs": 1}
 BRIEF = {"epochs": 1, "rendered": 24}
@@ -101,9 +104,60 @@ def test_unfinished_work_of_another_seed_is_not_gone_on_with(tmp_path):
 
 
 def test_an_unknown_part_is_refused(tmp_path):
-    with pytest.raises(InputError, match="all, headline"):
+    with pytest.raises(InputError, match=r"all, headline, recorded, .*latency"):
         reproduce_palm(tmp_path / "out", TINY, part="tables")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_part_that_fails_keeps_the_others_and_the_same_command_makes_it_alone(tmp_path, monkeypatch):
+    made, broken = [], [True]
+
+    def stage(name):
+        def make(_):
+            if name == "b" and broken:
+                raise ValueError("no such thing")
+            made.append(name)
+            return {}
+
+        return make
+
+    stages = {name: stage(name) for name in "abc"}
+    monkeypatch.setattr(palm_reproduction, "STAGES", stages)
+    monkeypatch.setitem(palm_reproduction.PARTS, "all", stages)
+    with pytest.raises(PalpateError, match=r"1 of 3 parts failed: b; .*no such thing \(ValueError\)"):
+        reproduce_palm(tmp_path / "out", TINY)
+    assert made == ["a", "c"]
+    assert not (tmp_path / "out").exists()
+    broken.clear()
+    reproduce_palm(tmp_path / "out", TINY)
+    assert made == ["a", "c", "b"]
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_a_part_made_alone_is_gone_on_with_by_the_whole(tmp_path, monkeypatch):
+    made = []
+
+    def stage(name):
+        return lambda _: made.append(name) or {}
+
+    stages = {name: stage(name) for name in ("recorded", "a", "b")}
+    monkeypatch.setattr(palm_reproduction, "STAGES", stages)
+    monkeypatch.setitem(palm_reproduction.PARTS, "all", stages)
+    monkeypatch.setattr(palm_reproduction, "write_up", lambda study, found: None)
+    reproduce_palm(tmp_path / "out", TINY, part="b")
+    assert made == ["recorded", "b"]
+    assert not (tmp_path / "out").exists()
+    reproduce_palm(tmp_path / "out", TINY)
+    assert made == ["recorded", "b", "a"]
+
+
+def test_the_time_of_a_result_counts_the_processes_that_it_waited_for(tmp_path):
+    def make():
+        subprocess.run([sys.executable, "-c", "for _ in range(3_000_000): pass"], check=True)
+
+    kept_result(tmp_path, "x", make)
+    kept = json.loads((tmp_path / "results" / "x.json").read_text())
+    assert 0.05 < kept["cpu_seconds"] < kept["seconds"] + 1
 
 
 def test_a_study_of_nothing_has_no_numbers():

@@ -6,6 +6,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from palpate.core import silent
 from palpate.core.errors import InputError
 from palpate.estimators.guard import thumbnail
 from palpate.estimators.networks.model_interface import TrainingData
@@ -145,6 +146,20 @@ def test_the_same_seed_trains_the_same_network(data):
     recipe = PalmCompact(rendered=24, epochs=1, batch=16)
     one, same = (recipe.fit(data, np.arange(48), seed=3).predict(data.fetch(np.arange(8))) for _ in range(2))
     np.testing.assert_array_equal(one, same)
+
+
+def test_presses_that_were_drawn_before_leave_chance_where_drawing_them_leaves_it():
+    model = PalmCompact(rendered=24)
+    first, after = model._drawn(SIDE, 1, silent)
+    again, after_again = model._drawn(SIDE, 1, silent)
+    other, _ = model._drawn(SIDE, 2, silent)
+    anew, after_anew = model._drawn(SIDE, 1, silent)
+    assert again is first
+    assert anew is not first
+    np.testing.assert_array_equal(anew.images, first.images)
+    assert (other.values != first.values).any()
+    following = [one.random(3).tolist() for one in (after, after_again, after_anew)]
+    assert following[0] == following[1] == following[2]
 
 
 def test_without_rendered_presses_it_learns_from_the_recorded_alone(data):

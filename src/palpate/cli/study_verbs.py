@@ -42,7 +42,7 @@ def palm(
     scale: Annotated[
         str, Option(help="small: for two cores. small-five-folds: a night on them. full: for a GPU.")
     ] = "small",
-    part: Annotated[str, Option(help="all, or headline for the comparison of the models alone.")] = "all",
+    part: Annotated[str, Option(help="all, headline, or one stage: leakage, mirror, noise, …")] = "all",
     seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
     json_: Json = False,
     quiet: Quiet = False,
@@ -50,7 +50,7 @@ def palm(
     """Compare the palm's four networks with ours and with what needs none.
 
     Records the virtual palm, trains the networks and writes it up: report.html and summary.json.
-    Interrupted, the same command goes on from where it was.
+    Interrupted, the same command goes on from where it was; a stage made alone is kept for it.
 
     Example: palpate reproduce palm --scale small --out palm-study
     """

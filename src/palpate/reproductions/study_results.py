@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -86,19 +87,29 @@ def unfinished_work(out: Path, asked: Mapping[str, Any]) -> Path:
 
 
 def kept_result(folder: Path, name: str, make: Callable[[], Any]) -> Any:
-    """A result as plain values, made once; beside it the time that took."""
+    """A result as plain values, made once; beside it the time that took, and the processor's."""
     path = folder / "results" / f"{name}.json"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        begun = time.monotonic()
+        begun, cpu_begun = time.monotonic(), cpu_seconds()
         result = make()
-        document = {"seconds": round(time.monotonic() - begun, 1), "found": result}
+        document = {
+            "seconds": round(time.monotonic() - begun, 1),
+            "cpu_seconds": round(cpu_seconds() - cpu_begun, 1),
+            "found": result,
+        }
         with new_file(path) as temporary:
             temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
     return json.loads(path.read_text())["found"]
 
 
+def cpu_seconds() -> float:
+    """Processor time of this process and of those that it has waited for [s]."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
 def kept_seconds(folder: Path) -> dict[str, float]:
-    """Time that each kept result took [s]."""
+    """Time that each kept result took by the clock [s]."""
     files = sorted((folder / "results").glob("*.json"))
     return {path.stem: float(json.loads(path.read_text())["seconds"]) for path in files}

@@ -105,7 +105,7 @@ def common_budget(study: StudyFolder) -> list[dict[str, Any]]:
 
     The MLP, which is scikit-learn's, keeps its rate as it is.
     """
-    return [{"model": model, **_on_both(study, setup)} for model, setup in study.common_setups.items()]
+    return [{"model": model, **_kept_on_both(study, setup)} for model, setup in study.common_setups.items()]
 
 
 GROUPINGS = {
@@ -141,7 +141,7 @@ def leakage(study: StudyFolder) -> list[dict[str, Any]]:
         setups = {m: baseline_setup(m, f"{m}{tag}", split=split) for m in CONTROLS}
         setups[NETWORK_ALONE] = network_setup(study, tag, split=split)
         for model, setup in setups.items():
-            results.append({"grouping": grouping, "model": model, **_on_both(study, setup)})
+            results.append({"grouping": grouping, "model": model, **_kept_on_both(study, setup)})
     return results
 
 
@@ -152,7 +152,7 @@ def factorial(study: StudyFolder) -> list[dict[str, Any]]:
         for seen, delta in (("raw", False), ("delta", True)):
             tag = "" if (colour, seen) == ("RGB", "delta") else f"-{colour.lower()}-{seen}"
             setup = network_setup(study, tag, channels=channels, delta=delta)
-            results.append({"colour": colour, "seen": seen, **_on_both(study, setup)})
+            results.append({"colour": colour, "seen": seen, **_kept_on_both(study, setup)})
     return results
 
 
@@ -175,9 +175,20 @@ def mirror(study: StudyFolder) -> list[dict[str, Any]]:
         for taught, tag in runs.items():
             setup = baseline_setup(model, f"{model}{tag}", run=f"protocol{tag}")
             for tested, other in runs.items():
-                scores = study.scored(study.calibrated(setup), study.run(f"new-places{other}"), tested)
+
+                def scored(setup: CalibrationSetup = setup, other: str = other) -> dict[str, Any]:
+                    run = study.run(f"new-places{other}")
+                    return study.scored(study.calibrated(setup), run, f"new places{other}")
+
+                scores = study.kept_part("mirror", (model, taught, tested), scored)
                 results.append({"model": model, "taught": taught, "tested": tested, **scores})
     return results
+
+
+def _kept_on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
+    """Scores on both, of this very setup made once, whichever stages ask for it."""
+    found: dict[str, Any] = study.kept_part("setup", (setup.name,), partial(_on_both, study, setup))
+    return found
 
 
 def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:

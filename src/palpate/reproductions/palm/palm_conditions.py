@@ -17,7 +17,7 @@ import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -122,7 +122,7 @@ CONDITIONS: tuple[PalmCondition, ...] = (
 
 
 def conditions(study: StudyFolder) -> dict[str, Any]:
-    """Every model's scores under each condition."""
+    """Scores of the models studied under each condition."""
     return {one.name: {"said": one.said, "models": _models(study, one)} for one in CONDITIONS}
 
 
@@ -152,9 +152,14 @@ def record_condition(study: StudyFolder, one: PalmCondition) -> Run:
 
 
 def _models(study: StudyFolder, one: PalmCondition) -> dict[str, Any]:
-    run = record_condition(study, one)
+    recorded = cache(partial(record_condition, study, one))
+
+    def scored(setup: CalibrationSetup) -> dict[str, Any]:
+        return study.scored(study.calibrated(setup), recorded(), one.said)
+
     return {
-        m: study.scored(study.calibrated(setup), run, one.said) for m, setup in study.sensing_setups.items()
+        model: study.kept_part("condition", (one.name, model), partial(scored, setup))
+        for model, setup in study.studied_setups.items()
     }
 
 
@@ -190,7 +195,7 @@ def sustained(study: StudyFolder, seconds: float = 60.0) -> dict[str, Any]:
 
 def _held(study: StudyFolder, run: Run) -> dict[str, Any]:
     results: dict[str, Any] = {}
-    for model, setup in study.sensing_setups.items():
+    for model, setup in study.studied_setups.items():
         table = study.estimated(study.calibrated(setup), run, "a press held")
         held = table[table["phase"] == "hold"]
         names = [c for c in ("depth_mm", "force_N") if f"estimate:{c}" in held]
@@ -220,25 +225,28 @@ def copy_of(spec: PalmSpec) -> PalmSpec:
 
 def adaptation(study: StudyFolder) -> list[dict[str, Any]]:
     """Scores on the copy after no, 10, 20 and 50 presses of it; "0" has the copy's own untouched frame."""
-    spec = copy_of(study.spec)
-    test = study.recorded(
-        "copy", study.scale.new_places(study.seed, coarse=True), spec, seed=study.seed + COPY
-    )
-    results = []
-    for model in COPIED:
-        setup = study.setups[model]
-        results.append(
-            {"model": model, "presses": 0, **study.scored(study.calibrated(setup), test, "a copy")}
-        )
-        for presses in ADAPTATION_PRESSES:
-            run = study.recorded(
-                f"copy-{presses}", _lesson(study.scale, presses), spec, seed=study.seed + COPY
-            )
-            out = study.folder / "calibrations" / f"{model}-copy-{presses}"
+    spec, seed = copy_of(study.spec), study.seed + COPY
+    plan = study.scale.new_places(study.seed, coarse=True)
+
+    def scored(setup: CalibrationSetup, presses: int) -> dict[str, Any]:
+        test = study.recorded("copy", plan, spec, seed=seed)
+        out = study.calibrated(setup)
+        if presses:
+            run = study.recorded(f"copy-{presses}", _lesson(study.scale, presses), spec, seed=seed)
+            before, out = out, study.folder / "calibrations" / f"{setup.name}-copy-{presses}"
             if not out.exists():
-                adapt(study.calibrated(setup), run, out, study.progress)
-            results.append({"model": model, "presses": presses, **study.scored(out, test, "a copy")})
-    return results
+                adapt(before, run, out, study.progress)
+        return study.scored(out, test, "a copy")
+
+    return [
+        {
+            "model": model,
+            "presses": presses,
+            **study.kept_part("copy", (model, str(presses)), partial(scored, study.setups[model], presses)),
+        }
+        for model in COPIED
+        for presses in (0, *ADAPTATION_PRESSES)
+    ]
 
 
 def _lesson(scale: Scale, presses: int) -> StepHold:
@@ -310,18 +318,20 @@ def loads(study: StudyFolder) -> dict[str, Any]:
     """Results of each kind: what the models make of it, and what a kernel ridge can learn of it."""
     results: dict[str, Any] = {}
     for kind in KINDS:
-        run = record_loads(study, kind)
         results[kind] = {
-            "models": {m: _as_it_comes(study, setup, run, kind) for m, setup in study.sensing_setups.items()},
-            "learnt": _learnt(study, kind),
+            "models": {
+                model: study.kept_part("loads", (kind, model), partial(_as_it_comes, study, setup, kind))
+                for model, setup in study.studied_setups.items()
+            },
+            "learnt": study.kept_part("loads", (kind, "learnt"), partial(_learnt, study, kind)),
         }
     results["shapes"]["told apart"] = shape_classification(study.run("loads-shapes"))
     return results
 
 
-def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: str) -> dict[str, Any]:
+def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, kind: str) -> dict[str, Any]:
     """The whole force as a model reads it, with the untouched skin beside it as the reference."""
-    table = study.estimated(study.calibrated(setup), run, kind)
+    table = study.estimated(study.calibrated(setup), record_loads(study, kind), kind)
     errors = (table["estimate:force_N"] - table["force_N"]).abs().to_numpy()
     valid = table["valid"].to_numpy(bool)
     return {
@@ -334,6 +344,7 @@ def _as_it_comes(study: StudyFolder, setup: CalibrationSetup, run: Run, kind: st
 def _learnt(study: StudyFolder, kind: str) -> dict[str, Any]:
     if kind not in LOAD_PRESSES:
         return {}
+    record_loads(study, kind)
     name = f"kernel-ridge-{kind}"
     setup = baseline_setup("kernel-ridge", name, run=f"loads-{kind}", targets=LOAD_PRESSES[kind])
     table = study.held_out(setup)
@@ -381,23 +392,29 @@ SEVERAL = {"two-contacts": "two contacts at once", "grasp": "three or four conta
 
 def validity(study: StudyFolder) -> list[dict[str, Any]]:
     """Shares of frames that each calibration says are not of its kind, or out of its range."""
-    runs = [("places off the grid", True, study.run("new-places"))]
-    runs += [(said, False, record_loads(study, kind)) for kind, said in SEVERAL.items()]
-    runs += [(one.said, False, record_condition(study, one)) for one in FOREIGN]
-    rows = [
-        (
-            "held-out places of the grid",
-            True,
-            {m: _held_out(study, s) for m, s in study.sensing_setups.items()},
-        )
-    ]
-    rows += [
-        (said, good, {m: _flags(study, setup, run) for m, setup in study.sensing_setups.items()})
-        for said, good, run in runs
-    ]
+    frames: dict[tuple[str, str], Callable[[], Run]] = {
+        ("new-places", "places off the grid"): partial(study.run, "new-places")
+    }
+    frames |= {(kind, said): partial(record_loads, study, kind) for kind, said in SEVERAL.items()}
+    frames |= {(one.name, one.said): partial(record_condition, study, one) for one in FOREIGN}
+    good = {"held-out", "new-places"}
+
+    def rate(name: str, setup: CalibrationSetup) -> dict[str, float]:
+        if name == "held-out":
+            return _rate(_held_out(study, setup))
+        return _rate(_flags(study, setup, runs[name]()))
+
+    runs = {name: cache(run) for (name, _), run in frames.items()}
     return [
-        {"said": said, "good": good, "models": {m: _rate(flagged) for m, flagged in flags.items()}}
-        for said, good, flags in rows
+        {
+            "said": said,
+            "good": name in good,
+            "models": {
+                model: study.kept_part("validity", (name, model), partial(rate, name, setup))
+                for model, setup in study.studied_setups.items()
+            },
+        }
+        for name, said in (("held-out", "held-out places of the grid"), *frames)
     ]
 
 

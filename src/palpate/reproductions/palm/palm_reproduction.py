@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import InputError, Progress, silent
+from palpate.core import InputError, PalpateError, Progress, silent
 from palpate.reports import study_figures as draw
 from palpate.reports.certificate_page import filled_template
 from palpate.reproductions.palm import palm_comparison as comparison, palm_conditions as cond
@@ -90,7 +90,8 @@ def palm_page(study: StudyFolder, found: Mapping[str, Any]) -> str:
         targets=targets,
         headline=HEADLINE,
         sensing=SENSING,
-        by_target={t: [m for m in SENSING if t in targets[m]] for t in HEADLINE},
+        studied=study.scale.studied,
+        by_target={t: [m for m in study.scale.studied if t in targets[m]] for t in HEADLINE},
         networks=NETWORKS,
         short=INITIALS,
         printed=MAE,
@@ -153,12 +154,12 @@ def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, 
     if "one-frame" in found:
         figures["frame"] = _frame(study, found["one-frame"]["frame"])
     if "noise" in found:
-        figures["noise"] = draw.curves(_against(found["noise"], "times"), "noise, over the rig's own")
+        panels = _against(found["noise"], "times", study.scale.studied)
+        figures["noise"] = draw.curves(panels, "noise, over the rig's own")
     if "durability" in found:
-        panels = _against(found["durability"], "presses")
-        figures["durability"] = draw.curves(
-            panels | _stood_by(found["durability"]), "presses", log_across=True
-        )
+        panels = _against(found["durability"], "presses", study.scale.studied)
+        panels |= _stood_by(found["durability"], study.scale.studied)
+        figures["durability"] = draw.curves(panels, "presses", log_across=True)
     if "sustained" in found:
         figures["sustained"] = _sustained(found["sustained"])
     return figures
@@ -191,12 +192,12 @@ def _frame(study: StudyFolder, frame: int) -> str:
     return draw.annotated(run.frame(frame).image, boxes)
 
 
-def _against(rows: list[dict[str, Any]], across: str) -> Panels:
-    """Errors of every model, a panel a target."""
+def _against(rows: list[dict[str, Any]], across: str, models: Sequence[str]) -> Panels:
+    """Errors of the models, a panel a target."""
     panels: Panels = {}
     for target in HEADLINE:
         lines = {}
-        for model in SENSING:
+        for model in models:
             known = [row for row in rows if target in row["models"][model]["targets"]]
             if known:
                 y = [row["models"][model]["targets"][target]["mae"] for row in known]
@@ -205,9 +206,9 @@ def _against(rows: list[dict[str, Any]], across: str) -> Panels:
     return panels
 
 
-def _stood_by(rows: list[dict[str, Any]]) -> Panels:
+def _stood_by(rows: list[dict[str, Any]], models: Sequence[str]) -> Panels:
     across = [row["presses"] for row in rows]
-    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in SENSING}
+    lines = {SHORT[m]: (across, [100 * row["models"][m]["valid"] for row in rows]) for m in models}
     return {"frames accepted [%]": lines}
 
 
@@ -246,7 +247,8 @@ STAGES: Stages = HEADLINE_STAGES | {
 }
 """What makes each result, in the order in which they are made."""
 
-PARTS = {"all": STAGES, "headline": HEADLINE_STAGES}
+PARTS: Mapping[str, Stages] = {"all": STAGES, "headline": HEADLINE_STAGES}
+"""What is written up when it is done. Any one stage can be made alone, too, and is kept."""
 
 
 def reproduce_palm(
@@ -254,39 +256,60 @@ def reproduce_palm(
 ) -> list[StudyEntry]:
     """Record, train, score and write up the study into a new folder.
 
-    Interrupted, the same call goes on from the first part that is missing.
+    Every stage's result is kept as it ends, and so are the parts of the long ones. Interrupted, the same call
+    goes on from the first that is missing; where a stage fails, the others are made all the same.
 
     Args:
         out: folder to make; must not exist. It appears when everything is done.
         scale: how large.
         seed: of everything random: the rig's noise, which places are held out, the networks' beginnings.
-        part: "all", or "headline" for the comparison of the models alone.
+        part: "all", "headline" for the comparison of the models alone, or one of `STAGES`, which is kept in
+            the unfinished work that a later call for all or for the headline goes on with.
         progress: called with what is being done.
 
     Returns:
         The numbers, as `summary.json` holds them.
 
     Raises:
-        ExistsError: `out` exists, or unfinished work of another scale, seed or part lies beside it.
+        ExistsError: `out` exists, or unfinished work of another scale or seed lies beside it.
         InputError: there is no such part.
+        PalpateError: stages have failed; the message names them, and what the first said.
     """
+    if part not in PARTS and part not in STAGES:
+        raise InputError(f"there is no part {part!r}; there are {', '.join((*PARTS, *STAGES))}")
+    study = study_folder(out, scale, seed, progress)
     if part not in PARTS:
-        raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
-    study = study_folder(out, scale, seed, part, progress)
-    found = {name: study.kept(name, partial(make, study)) for name, make in PARTS[part].items()}
+        return summary_of(_made(study, {name: STAGES[name] for name in ("recorded", part)}))
+    found = _made(study, PARTS[part])
     write_up(study, found)
     entries = summary_of(found)
     study.folder.rename(out)
     return entries
 
 
-def study_folder(
-    out: Path, scale: Scale, seed: int, part: str = "all", progress: Progress = silent
-) -> StudyFolder:
+def _made(study: StudyFolder, stages: Stages) -> dict[str, Any]:
+    """Every stage's result, made or kept before; one that fails keeps no other from being made."""
+    found, failed = {}, {}
+    for name, make in stages.items():
+        try:
+            found[name] = study.kept(name, partial(make, study))
+        except Exception as error:  # whatever it is: what the others have found in hours is not lost for it
+            failed[name] = error
+    if failed:
+        first = next(iter(failed.values()))
+        raise PalpateError(
+            f"{len(failed)} of {len(stages)} parts failed: {', '.join(failed)}; the first of them said: "
+            f"{first} ({type(first).__name__}). The others are kept in {study.folder}, and the same command "
+            "makes those that are missing"
+        ) from first
+    return found
+
+
+def study_folder(out: Path, scale: Scale, seed: int, progress: Progress = silent) -> StudyFolder:
     """The folder of unfinished work towards `out`, made or found again.
 
     Raises:
-        ExistsError: `out` exists, or work of another scale, seed or part lies beside it.
+        ExistsError: `out` exists, or work of another scale or seed lies beside it.
     """
-    asked = {"study": "palm", "scale": scale.name, "seed": seed, "part": part}
+    asked = {"study": "palm", "scale": scale.name, "seed": seed}
     return StudyFolder(unfinished_work(out, asked), scale, seed, progress)

@@ -6,7 +6,7 @@ by the same command, from the first part that is missing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,8 @@ BASELINES = ("palm-moments", "kernel-ridge", "mean")
 MODELS = (*NETWORKS, *BASELINES)
 SENSING = MODELS[:-1]
 """Those that look at the picture."""
+ACCURATE = ("palm-compact", "palm-moments", "kernel-ridge")
+"""Those that no network of the source is ahead of, from scratch and on some 700 frames."""
 POSE_AND_FORCE = ("depth_mm", "x_mm", "y_mm", "force_N")
 
 WITHIN_MM, PROBE_MM = 20.5, 10.0
@@ -70,6 +72,8 @@ class Scale:
         loads: pictures of each kind of contact that is not one upright ball.
         folds: parts that the grid's places are dealt into.
         scored_folds: how many of them are held out in turn.
+        studied: models that conditions, contacts and foreign frames are tried on. What a model does that is
+            far behind the others tells of that model, not of the frames.
     """
 
     name: str
@@ -89,6 +93,7 @@ class Scale:
     loads: int = 60
     folds: int = 5
     scored_folds: int = 1
+    studied: tuple[str, ...] = ACCURATE
 
     def protocol(self) -> StepHold:
         """The palm's, at its 37 places."""
@@ -179,6 +184,7 @@ FULL = Scale(
     control_steps=20_000,
     loads=1000,
     scored_folds=5,
+    studied=SENSING,
 )
 SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (SMALL, FIVE_FOLDS, FULL)}
 """`small` is for two cores, `small-five-folds` for a night on them, `full` for a GPU. The source records 25
@@ -261,6 +267,11 @@ class StudyFolder:
     def sensing_setups(self) -> dict[str, CalibrationSetup]:
         """`setups` of those that look at the picture."""
         return {name: self.setups[name] for name in SENSING}
+
+    @property
+    def studied_setups(self) -> dict[str, CalibrationSetup]:
+        """`setups` of those that conditions and contacts are tried on."""
+        return {name: self.setups[name] for name in self.scale.studied}
 
     @property
     def common_setups(self) -> dict[str, CalibrationSetup]:
@@ -348,8 +359,13 @@ class StudyFolder:
         """A result as plain values, made once; beside it the time that took."""
         return kept_result(self.folder, name, make)
 
+    def kept_part(self, stage: str, names: Sequence[str], make: Callable[[], Any]) -> Any:
+        """A part of a stage's result, kept as it ends, so that a stage that was stopped goes on after it."""
+        tag = "-".join(name.replace(" ", "-") for name in names)
+        return kept_result(self.folder, f"parts/{stage}-{tag}", make)
+
     def seconds(self) -> dict[str, float]:
-        """Time that each result took [s]."""
+        """Time that each result took [s]; of a stage that was stopped, since it went on."""
         return kept_seconds(self.folder)
 
 

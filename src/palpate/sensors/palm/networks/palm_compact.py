@@ -11,6 +11,7 @@ palm they are a model of it, and how much they help there is not known.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -206,8 +207,7 @@ class PalmCompact:
     ) -> FittedCompact:
         columns = self._columns(data.names)
         side = self._side(data.shape)
-        rng = np.random.default_rng(seed)
-        drawn = self._drawn(side, rng, progress)
+        drawn, rng = self._drawn(side, seed, progress)
         own, watch = data.inner_validation(rows, self.watched, rng) if self.patience else (rows, rows[:0])
         scales = Scales.of(data, own, columns, True, rng)
         values = data.values[:, columns]
@@ -250,16 +250,27 @@ class PalmCompact:
             )
         return side
 
-    def _drawn(self, side: int, rng: np.random.Generator, progress: Progress) -> Presses | None:
+    def _drawn(self, side: int, seed: int, progress: Progress) -> tuple[Presses | None, np.random.Generator]:
+        """Rendered presses, and what goes on as the source of chance after them."""
         if self.rendered == 0:
-            return None
+            return None, np.random.default_rng(seed)
         count = max(1, round(self.rendered / DEPTHS_EACH))
+        spec, key = cropped(preset(self.palm), side, "palm-rendered"), (self.palm, side, count, seed)
+        if key not in _DRAWN:
+            rng = np.random.default_rng(seed)
 
-        def report(done: int, total: int) -> None:
-            progress("rendering presses", done, total)
+            def report(done: int, total: int) -> None:
+                progress("rendering presses", done, total)
 
-        spec = cropped(preset(self.palm), side, "palm-rendered")
-        return draw_presses(spec, count, DEPTHS_EACH, rng, report, processes=self.processes)
+            drawn = draw_presses(spec, count, DEPTHS_EACH, rng, report, processes=self.processes)
+            _DRAWN.clear()
+            _DRAWN[key] = drawn, rng
+        drawn, rng = _DRAWN[key]
+        return drawn, deepcopy(rng)
+
+
+_DRAWN: dict[tuple[str, int, int, int], tuple[Presses, np.random.Generator]] = {}
+"""Presses drawn last, and the source of chance as they left it: a study trains on the same ones again."""
 
 
 def _seen(drawn: Presses, channels: int) -> RenderedImages:
