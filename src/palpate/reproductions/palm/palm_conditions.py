@@ -391,7 +391,10 @@ SEVERAL = {"two-contacts": "two contacts at once", "grasp": "three or four conta
 
 
 def validity(study: StudyFolder) -> list[dict[str, Any]]:
-    """Shares of frames that each calibration says are not of its kind, or out of its range."""
+    """Shares of frames that each calibration says are not of its kind, or out of its range.
+
+    Beside them the force's error: what is not flagged may do no harm.
+    """
     frames: dict[tuple[str, str], Callable[[], Run]] = {
         ("new-places", "places off the grid"): partial(study.run, "new-places")
     }
@@ -399,10 +402,13 @@ def validity(study: StudyFolder) -> list[dict[str, Any]]:
     frames |= {(one.name, one.said): partial(record_condition, study, one) for one in FOREIGN}
     good = {"held-out", "new-places"}
 
-    def rate(name: str, setup: CalibrationSetup) -> dict[str, float]:
+    def rate(name: str, setup: CalibrationSetup) -> dict[str, float | None]:
         if name == "held-out":
-            return _rate(_held_out(study, setup))
-        return _rate(_flags(study, setup, runs[name]()))
+            return {**_rate(_held_out(study, setup))}
+        table = study.estimated(study.calibrated(setup), runs[name](), name)
+        errors_n = (table["estimate:force_N"] - table["force_N"]).abs()
+        error_n = None if errors_n.isna().all() else float(errors_n.mean())
+        return {**_rate(~table["valid"].to_numpy(bool)), "force_mae_N": error_n}
 
     runs = {name: cache(run) for (name, _), run in frames.items()}
     return [
@@ -421,10 +427,6 @@ def validity(study: StudyFolder) -> list[dict[str, Any]]:
 def _rate(flagged: np.ndarray) -> dict[str, float]:
     low, high = coverage_interval(int(flagged.sum()), len(flagged))
     return {"flagged": float(flagged.mean()), "low": low, "high": high, "n": len(flagged)}
-
-
-def _flags(study: StudyFolder, setup: CalibrationSetup, run: Run) -> np.ndarray:
-    return ~study.estimated(study.calibrated(setup), run, run.path.name)["valid"].to_numpy(bool)
 
 
 def _held_out(study: StudyFolder, setup: CalibrationSetup) -> np.ndarray:

@@ -106,6 +106,8 @@ def _validity(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
     for row in results.get("validity", []):
         for model, rate in row["models"].items():
             yield entry(f"{row['said']}, {model}: frames flagged", rate["flagged"], "1")
+            if rate.get("force_mae_N") is not None:
+                yield entry(f"{row['said']}, {model}: force_N, MAE", rate["force_mae_N"], "N")
 
 
 def _latency(results: Mapping[str, Any]) -> Iterator[StudyEntry]:
