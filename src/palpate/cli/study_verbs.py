@@ -144,6 +144,8 @@ def _beside_the_source(warning: str, entries: Sequence[Mapping[str, Any]], out: 
         for one in beside
     ]
     files = [f"all {len(entries)} numbers: {out / 'summary.json'}", f"report: {out / 'report.html'}"]
+    if not out.exists():  # one part alone
+        files = [f"{len(entries)} numbers, kept for when all is asked for with the same --out"]
     return "\n".join([warning, *lines, *files])
 
 
