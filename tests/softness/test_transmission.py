@@ -9,20 +9,34 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import InputError, RangeError
-from palpate.mechanics.fingertip_laws import hertz_fingertip
+from palpate.mechanics.fingertip_laws import hertz_fingertip, on_flat
 from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.psychophysics.observers import combined_sensitivity
 from palpate.softness import Mode, read_object
 from palpate.softness.rendering_simulation import simulate
 from palpate.softness.touched_flat import Cylinder, TouchedFlat, read_touched_flat
-from palpate.softness.transmission import CueNoise, judged, order_kept, shared_peak_n, transmit
-from palpate.softness.transmission.transmitted_cues import felt_factor, modulus_of_chord, object_under
+from palpate.softness.transmission import (
+    CueNoise,
+    judged,
+    order_kept,
+    shared_peak_n,
+    transmit,
+    transmitted_cues,
+)
+from palpate.softness.transmission.transmitted_cues import (
+    SOFTEST,
+    felt_factor,
+    modulus_of_chord,
+    object_under,
+)
 
 FINGER = hertz_fingertip(Body(30e3 / 0.75, 15e-3))
+OFTEN = 2.0  # presses a second, whose renderings are short
 READING = {
     "quantity": "modulus", "unit": "MPa", "value": 0.2, "low": 0.15, "high": 0.3, "valid": True, "why": "",
     "coverage": 0.9, "calibration": "compliance-1",
@@ -40,7 +54,9 @@ def two():
     flats = {"stiff": flat(200), "soft": flat(50)}
     peak = shared_peak_n(FINGER, list(flats.values()))
     return [
-        transmit(name, one, FINGER, peak_n=peak, true_flat_pa=one.flat_pa, seed=i, draws=200)
+        transmit(
+            name, one, FINGER, peak_n=peak, true_flat_pa=one.flat_pa, seed=i, draws=200, frequency_hz=OFTEN
+        )
         for i, (name, one) in enumerate(flats.items())
     ]
 
@@ -70,6 +86,7 @@ def test_what_is_felt_is_what_was_touched_within_the_display_s_error_and_softer_
         for cue in one.cues.values():
             assert cue.lost["touch"] == pytest.approx(0, abs=1e-12)
             assert abs(cue.lost["display"]) < 0.05
+            assert cue.way_in > cue.felt / cue.touched > cue.way_out  # pressure and arm follow with a delay
             assert cue.held
     assert order_kept(two) == {"touched": True, "felt": True}
     wrong = [
@@ -79,18 +96,63 @@ def test_what_is_felt_is_what_was_touched_within_the_display_s_error_and_softer_
     assert order_kept(wrong) == {"touched": False, "felt": False}
 
 
-def test_the_interval_felt_is_the_reading_s_own_interval_through_the_finger(two) -> None:
-    stiff = two[0]
-    low, high = stiff.cues["displacement"].interval()
+@pytest.fixture
+def one_frequency(monkeypatch):
+    """A finger whose frequency is known."""
+    monkeypatch.setattr(transmitted_cues, "FASTER", 1.0001)
+
+
+def test_at_one_frequency_the_interval_felt_is_the_reading_s_through_the_finger(one_frequency) -> None:
+    made = {"peak_n": 0.3, "draws": 200, "frequency_hz": OFTEN}
+    one = transmit("n", flat(200), FINGER, true_flat_pa=200e3, **made)
+    low, high = one.cues["displacement"].interval()
     ends = [
-        stiff.peak_n / float(object_under(FINGER, pa, stiff.peak_n).displacement.at_force(stiff.peak_n))
-        for pa in (stiff.touched.low_pa, stiff.touched.high_pa)
+        0.3 / float(object_under(FINGER, pa, 0.3).displacement.at_force(0.3))
+        for pa in (one.touched.low_pa, one.touched.high_pa)
     ]
-    assert high - low == pytest.approx(ends[1] - ends[0], rel=0.25)  # and the display's factor beside it
-    narrow = transmit(
-        "n", flat(200, 0.98, 1.02), FINGER, peak_n=stiff.peak_n, true_flat_pa=100e3, seed=3, draws=100
-    )
-    assert not any(cue.held for cue in narrow.cues.values())  # a reading that is off by half misses the truth
+    assert high - low == pytest.approx(ends[1] - ends[0], rel=0.3)
+    narrow = transmit("n", flat(200, 0.98, 1.02), FINGER, true_flat_pa=60e3, **made)
+    for cue in narrow.cues.values():  # a reading that is three times too stiff
+        assert not cue.held
+        assert not cue.true_held
+
+
+def test_how_fast_the_finger_presses_is_in_the_interval(two) -> None:
+    """At twice the frequency the display's force is another, by more than the reading leaves open."""
+    wide = two[0].cues["displacement"]
+    low, high = wide.interval()
+    assert high - low > 0.05 * wide.felt
+
+
+def test_a_display_of_half_the_force_is_seen_by_the_object_itself_and_not_by_the_interval(
+    monkeypatch,
+) -> None:
+    """What the interval is of goes through the same display; only the object itself tells of its bias."""
+    plain = felt_factor
+    monkeypatch.setattr(transmitted_cues, "felt_factor", lambda *a, **k: 0.5 * plain(*a, **k))
+    halved = transmit("h", flat(100), FINGER, peak_n=0.3, true_flat_pa=100e3, draws=100, frequency_hz=OFTEN)
+    for cue in halved.cues.values():
+        assert cue.held
+        assert not cue.true_held
+        assert cue.lost["display"] == pytest.approx(-0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("radius_mm", [8.0, 15.0])
+def test_no_draw_is_softer_than_the_force_that_all_can_be_pressed_to_allows(radius_mm) -> None:
+    finger = hertz_fingertip(Body(20e3 / 0.75, 1e-3 * radius_mm))
+    one = flat(50, 0.7, 1.6)
+    peak = shared_peak_n(finger, [one])
+    drawn = one.drawn(4000, np.random.default_rng(0), SOFTEST)
+    assert on_flat(finger, float(drawn.min())).greatest_n >= peak * (1 - 1e-9)
+    if radius_mm == 8.0:  # there the finger ends before the display does
+        with pytest.raises(RangeError):
+            object_under(finger, 0.9 * float(drawn.min()), peak)
+
+
+def test_a_reading_without_an_interval_is_felt_as_one_value(one_frequency) -> None:
+    sure = transmit("s", flat(100, 1.0, 1.0), FINGER, peak_n=0.3, draws=100, frequency_hz=OFTEN)
+    low, high = sure.cues["displacement"].interval()
+    assert sure.cues["displacement"].felt == pytest.approx((low + high) / 2, rel=0.01)
 
 
 def test_a_rendering_with_a_tenth_more_force_has_a_factor_of_a_tenth_more() -> None:
@@ -117,15 +179,21 @@ def test_cues_that_differ_alike_add_in_quadrature_and_one_that_is_not_perceived_
 
     both, arm, skin = told(CueNoise(0.2, 0.2)), told(CueNoise(0.2, math.inf)), told(CueNoise(math.inf, 0.2))
     assert both > max(arm, skin) > 0.5
-    from scipy.stats import norm
-
     d = [math.sqrt(2) * float(norm.ppf(p)) for p in (arm, skin, both)]
     assert d[2] == pytest.approx(combined_sensitivity(d[0], d[1]), rel=0.02)
     assert told(CueNoise(0.2, 0.2), "drawn") < both + 0.02
     alike = [two[0], replace(two[0], name="same")]
     assert judged(alike, CueNoise(0.1, 0.1))["felt"].pairs["stiff", "same"] == pytest.approx(0.5)
-    turned = judged(two[::-1], CueNoise(0.2, 0.2))["true"]
-    assert turned.pairs["soft", "stiff"] == pytest.approx(1 - both)  # named softer: the one that is not
+    assert judged(two[::-1], CueNoise(0.2, 0.2)) == judged(
+        two, CueNoise(0.2, 0.2)
+    )  # in order by what they are
+    wrong = [replace(two[0], true_flat_pa=1e3), two[1]]
+    assert judged(wrong, CueNoise(0.2, 0.2))["true"].pairs["soft", "stiff"] == pytest.approx(1 - both)
+    chord = {"displacement": 100.0, "area": 1.0}
+    apart = CueNoise(0.2, math.inf).place(chord) - CueNoise(0.2, math.inf).place(
+        {**chord, "displacement": 120.0}
+    )
+    assert norm.cdf(apart / math.sqrt(2)) == pytest.approx(0.75)  # a Weber fraction apart
 
 
 def test_bad_input_is_refused(tmp_path, two) -> None:
@@ -133,11 +201,15 @@ def test_bad_input_is_refused(tmp_path, two) -> None:
     for change, said in (
         ({"valid": False, "why": "drift"}, "not valid"), ({"unit": "kPa"}, "'MPa' is needed"),
         ({"value": -1.0}, "above 0"), ({"quantity": "radius"}, "0 readings of modulus"),
-        ({"low": 0.25}, "inside its interval"),
+        ({"low": 0.25}, "inside its interval"), ({"value": 10**400}, "above 0"), ({"low": 1e-300}, "above 0"),
+        ({"coverage": 0.9999999999999999}, "0.999 is allowed"), ({"calibration": "\ud800"}, "is no name"),
     ):  # fmt: skip
         path.write_text(json.dumps({"readings": [READING | change]}))
         with pytest.raises((InputError, RangeError), match=said):
             read_touched_flat(path, "modulus")
+    path.write_text("[" * 100_000)
+    with pytest.raises(InputError, match="no record"):
+        read_touched_flat(path, "modulus")
     path.write_text(json.dumps({"readings": [READING]}))
     with pytest.raises(InputError, match="needs its cylinder"):
         read_touched_flat(path, "stiffness")
@@ -145,6 +217,9 @@ def test_bad_input_is_refused(tmp_path, two) -> None:
         read_touched_flat(path, "hardness")
     with pytest.raises(RangeError, match="asked outside"):
         transmit("x", flat(100), FINGER, peak_n=50.0)
+    for force in (0.0, 1e-9, math.nan, math.inf):
+        with pytest.raises(RangeError, match="N and more are allowed"):
+            transmit("x", flat(100), FINGER, peak_n=force)
     with pytest.raises(InputError, match="20 or more"):
         transmit("x", flat(100), FINGER, peak_n=0.3, draws=3)
     with pytest.raises(InputError, match="different names"):
@@ -159,7 +234,15 @@ def test_the_verb_renders_readings_writes_a_page_and_objects_and_overwrites_noth
         one = READING | {"value": value, "low": 0.8 * value, "high": None if name == "A" else 1.2 * value}
         (tmp_path / name / "readings.json").write_text(json.dumps({"readings": [one]}))
     words = ["transmit", "press", *(str(tmp_path / n / "readings.json") for n in "AB"), "--finger", "30:15"]
-    words += ["--true-kpa", "200,60", "--out", str(tmp_path / "felt"), "--quiet"]
+    words += [
+        "--frequency-hz",
+        f"{OFTEN}",
+        "--true-kpa",
+        "200,60",
+        "--out",
+        str(tmp_path / "felt"),
+        "--quiet",
+    ]
     said = CliRunner().invoke(app, [*words, "--json"])
     assert said.exit_code == 0, said.output
     told = json.loads(said.output)
@@ -171,7 +254,8 @@ def test_the_verb_renders_readings_writes_a_page_and_objects_and_overwrites_noth
     for option, given, text in (
         ("--weber", "0.1", "ARM:SKIN"), ("--true-kpa", "200", "1 values for 2"),
         ("--cylinder", "20:40", "as in"),
-        ("--finger", "soft", "not MODULUS_KPA"), ("--live-s", "-1", "0 for none"),
+        ("--finger", "soft", "not MODULUS_KPA"), ("--peak-n", "0", "N and more"),
+        ("--live-s", "-1", "0 for none"),
     ):  # fmt: skip
         other = [*words[:-2], str(tmp_path / "other"), "--quiet", option, given]
         said = CliRunner().invoke(app, other)

@@ -21,6 +21,10 @@ app = group("Let a finger feel what a tactile sensor has touched, and say what i
 Weber = Annotated[
     str, Option(help="Weber fractions of an observer's cues, ARM:SKIN; assumed, give your participants' own.")
 ]
+Frequency = Annotated[
+    float,
+    Option(min=0.2, max=2.2, help="Presses of the virtual finger, or up to 2.2 times slower or faster [Hz]."),
+]
 Peak = Annotated[float | None, Option(help="Force at the end of a press [N]; else the greatest for all.")]
 
 
@@ -41,6 +45,7 @@ def press(
     ] = None,
     finger_poisson: Poisson = 0.5,
     peak_n: Peak = None,
+    frequency_hz: Frequency = 1.0,
     weber: Weber = "0.15:0.15",
     live_s: Annotated[
         float, Option(help="Also render the first object live on the virtual bench [s].")
@@ -67,12 +72,21 @@ def press(
         raise InputError("two readings of one name; write NAME=PATH to tell them apart")
     flats = {name: read_touched_flat(path, use, shape) for name, path in named}
     known = _known(true_kpa, len(flats))
-    peak = peak_n or shared_peak_n(tip, list(flats.values()))
+    peak = shared_peak_n(tip, list(flats.values())) if peak_n is None else peak_n
     found = []
     with progress_bar(quiet) as progress:
         for i, (name, flat) in enumerate(flats.items()):
             found.append(
-                transmit(name, flat, tip, peak_n=peak, true_flat_pa=known[i], seed=100 * i, progress=progress)
+                transmit(
+                    name,
+                    flat,
+                    tip,
+                    peak_n=peak,
+                    true_flat_pa=known[i],
+                    frequency_hz=frequency_hz,
+                    seed=100 * i,
+                    progress=progress,
+                )
             )
     _keep(out, found, tip, finger, noise, json_, live_s=live_s)
 
@@ -87,6 +101,7 @@ def study(
     ] = False,
     finger_poisson: Poisson = 0.5,
     peak_n: Peak = None,
+    frequency_hz: Frequency = 1.0,
     weber: Weber = "0.15:0.15",
     json_: Json = False,
     quiet: Quiet = False,
@@ -104,7 +119,14 @@ def study(
     refuse_existing(out)
     tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
     with progress_bar(quiet) as progress:
-        found = transmission_study(tip, range(seeds), one_session=not apart, peak_n=peak_n, progress=progress)
+        found = transmission_study(
+            tip,
+            range(seeds),
+            one_session=not apart,
+            peak_n=peak_n,
+            frequency_hz=frequency_hz,
+            progress=progress,
+        )
     first = list(found[0].transmissions.values())
     _keep(out, first, tip, finger, noise, json_, study_=study_record(found, tip))
 
@@ -149,24 +171,34 @@ def _text(record: dict[str, Any]) -> str:
     if record["ranks"]:
         lines.append(f"order kept in what is felt: {'yes' if record['ranks']['felt'] else 'no'}")
     if study_ := record["study"]:
-        n, presses = study_["seeds"], study_["presses"]
-        lines.append(
-            f"{n} rigs: readings in order in {study_['readings_in_order']}, felt in order "
-            f"{study_['felt_in_order']['displacement']} (arm), {study_['felt_in_order']['area']} (skin)"
-        )
-        lines.append(
-            f"intervals hold what would be felt of the object: {study_['held']['displacement']} and "
-            f"{study_['held']['area']} of {presses}"
-        )
-        lines.append(
-            f"median error of what is felt: {study_['median_error']['displacement']['together']:.1%} (arm), "
-            f"{study_['median_error']['area']['together']:.1%} (skin); told as the object's modulus "
-            f"{study_['median_error_as_modulus']['displacement']:.1%} and "
-            f"{study_['median_error_as_modulus']['area']:.1%}"
-        )
+        lines += _study_lines(study_)
     if live := record.get("live"):
         lines.append(f"live: {live['periods']} periods, peak {live['peak_N']:.2f} N")
     return "\n".join([*lines, record["simulated"], f"page, numbers and objects: {record['out']}"])
+
+
+def _study_lines(study_: dict[str, Any]) -> list[str]:
+    rigs, (arm, skin) = study_["rigs"], study_["felt_in_order"].values()
+
+    def of(counts: dict[str, int]) -> str:
+        return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+    felt, own = study_["intervals_hold_what_would_be_felt"], study_["intervals_hold_the_object_itself"]
+    sizes, moduli = study_["median_size_of_error"], study_["median_size_of_error_as_modulus"]
+    errors = study_["median_error"]["displacement"]
+    return [
+        f"{rigs} rigs: readings in order {study_['readings_in_order']}, felt {arm} (arm), {skin} (skin)",
+        f"readings hold the truth: {of(study_['readings_hold'])}",
+        f"intervals hold what would be felt, arm: {of(felt['displacement'])}; skin: {of(felt['area'])}",
+        f"they hold the object itself, arm: {of(own['displacement'])}; skin: {of(own['area'])}",
+        *(
+            f"median error, {mark}, arm: "
+            + ", ".join(f"{name} {one:+.1%}" for name, one in errors[mark].items())
+            for mark in errors
+        ),
+        f"median size of the whole: {sizes['displacement']:.1%} (arm), {sizes['area']:.1%} (skin)",
+        f"told as the object's modulus: {moduli['displacement']:.0%} and {moduli['area']:.0%}",
+    ]
 
 
 def _noise(words: str) -> CueNoise:

@@ -5,9 +5,8 @@
     E = kappa h / (pi r^2)                             ends free to slide
     E from `specimens.bonded_disc_n_m`                 ends that stick to their plates
 
-What is felt through a finger follows from E / (1 - nu^2) alone. Its uncertainty is carried by draws: they are
-even in 1 / E, in which readings of softness err evenly, and have the reading's value for their median and its
-ends for their quantiles.
+What is felt through a finger follows from E / (1 - nu^2) alone. Its uncertainty is carried by draws of 1 / E:
+half a Gaussian to either side, with the reading's value for their median and its ends for their quantiles.
 """
 
 from __future__ import annotations
@@ -27,6 +26,8 @@ from palpate.softness.specimens import bonded_disc_n_m
 
 Ends = Literal["bonded", "free"]
 MAX_BYTES = 1 << 26
+LEAST = 1e-6  # of a value in its unit, MPa or N/mm; its reciprocal is the greatest
+MAX_COVERAGE = 0.999
 CUES = {
     "modulus": ("modulus", "MPa", 1e6),
     "stiffness": ("stiffness", "N_per_mm", 1e3),
@@ -108,9 +109,10 @@ class TouchedFlat:
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.maximum(compliance, 0.0))
 
-    def drawn(self, count: int, rng: np.random.Generator) -> Float[ndarray, " n"]:
-        """Moduli drawn from it, one in each of `count` even shares [Pa]."""
-        return self.at((rng.permutation(count) + rng.uniform(size=count)) / count)
+    def drawn(self, count: int, rng: np.random.Generator, beyond: float = 0.0) -> Float[ndarray, " n"]:
+        """Moduli drawn, one in each of `count` even shares, none `beyond` a share of either end [Pa]."""
+        share = (rng.permutation(count) + rng.uniform(size=count)) / count
+        return self.at(np.clip(share, beyond, 1 - beyond))
 
 
 def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) -> TouchedFlat:
@@ -165,7 +167,7 @@ def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
         raw = path.read_bytes()
     try:
         found = [one for one in json.loads(raw)["readings"] if one["quantity"] == quantity]
-    except (ValueError, KeyError, TypeError) as e:
+    except (ValueError, KeyError, TypeError, RecursionError) as e:
         raise InputError(f"{path} is no record of `palpate compliance`: it has no readings ({e})") from e
     if len(found) != 1:
         raise InputError(
@@ -183,10 +185,15 @@ def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
     for key in ("value", "coverage"):
         if not _positive(one[key]):
             raise RangeError(f"{path}: {key} of {quantity} is {one[key]!r}; above 0 {unit} is allowed")
+    if one["coverage"] > MAX_COVERAGE:
+        raise RangeError(f"{path}: an interval of {one['coverage']}; at most {MAX_COVERAGE} is allowed")
+    if not (isinstance(one["calibration"], str) and one["calibration"].isprintable()):
+        raise InputError(f"{path}: the calibration of {quantity} is no name")
     if not all(end is None or _positive(end) for end in (one["low"], one["high"])):
         raise RangeError(f"{path}: {quantity} lies in {one['low']!r} to {one['high']!r} {unit}; above 0")
     return dict(one)
 
 
 def _positive(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+    """Whether it is a number above 0, of a size that a modulus, stiffness or share may have."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and LEAST < value < 1 / LEAST

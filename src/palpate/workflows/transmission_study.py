@@ -10,7 +10,7 @@ reading is then rendered to a finger.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -33,6 +33,7 @@ from palpate.sensors.tactip import TacTipSpec
 from palpate.softness.touched_flat import Cylinder, TouchedFlat
 from palpate.softness.transmission.transmitted_cues import (
     CUES,
+    CueTransmission,
     Transmission,
     modulus_of_chord,
     shared_peak_n,
@@ -84,8 +85,8 @@ def cylinder_of(spec: TacTipSpec) -> Cylinder:
 
 def transmission_study(
     finger: Fingertip, seeds: Sequence[int] = range(20), *, one_session: bool = True,
-    spec: TacTipSpec | None = None,
-    peak_n: float | None = None, nuisances: Nuisances | None = None, progress: Progress = silent,
+    spec: TacTipSpec | None = None, peak_n: float | None = None, frequency_hz: float = 1.0,
+    nuisances: Nuisances | None = None, progress: Progress = silent,
 ) -> list[StudySeed]:  # fmt: skip
     """Touch and render the four specimens once a seed.
 
@@ -95,6 +96,7 @@ def transmission_study(
         one_session: nuisances are drawn once for the four specimens of a seed, not for each.
         spec: of the TacTip; the base tip without.
         peak_n: force at the end of a finger's press; without, the greatest that all can be pressed to [N].
+        frequency_hz: see `transmit`.
         nuisances: whose standard sizes presses are drawn with, and intervals contain; the standard ones.
         progress: called with how many specimens are done.
 
@@ -115,48 +117,80 @@ def transmission_study(
             more, again = _read(spec, calibration, pressed, sizes, part, part)
             read, refused = read | more, refused + again
         flats = {name: _flat(spec, one) for name, one in read.items()}
-        force = peak_n or shared_peak_n(finger, list(flats.values()))
+        force = shared_peak_n(finger, list(flats.values())) if peak_n is None else peak_n
         transmissions = {}
         for j, (name, flat) in enumerate(flats.items()):
             progress("specimens felt", i * len(SPECIMENS_N_M) + j, total)
             true_pa = cylinder_of(spec).flat_pa(SPECIMENS_N_M[name])
             transmissions[name] = transmit(
-                name, flat, finger, peak_n=force, true_flat_pa=true_pa, seed=_number(seed, 600 + 10 * j)
+                name,
+                flat,
+                finger,
+                peak_n=force,
+                true_flat_pa=true_pa,
+                frequency_hz=frequency_hz,
+                seed=_number(seed, 600 + 20 * j),
             )
         found.append(StudySeed(seed, read, transmissions, refused))
     return found
 
 
 def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any]:
-    """What all seeds say together; errors also as the modulus, which a soft finger hardly tells."""
-    all_ = [one for seed in found for one in seed.transmissions.values()]
+    """What all rigs say together.
+
+    Errors are medians over rigs, signed, by specimen, since those of one session are nearly one error and
+    stages cancel; also as the object's own modulus, which a soft finger hardly tells.
+    """
+    names = list(found[0].transmissions)
+
+    def each(name: str) -> list[Transmission]:
+        return [one.transmissions[name] for one in found]
 
     def as_modulus(one: Transmission, cue: str) -> float:
         assert one.true_flat_pa is not None
-        felt_pa = modulus_of_chord(finger, one.cues[cue].felt, one.peak_n, cue)
-        return abs(felt_pa / one.true_flat_pa - 1)
+        return modulus_of_chord(finger, one.cues[cue].felt, one.peak_n, cue) / one.true_flat_pa - 1
 
+    def medians(cue: str, of: Callable[[Transmission], float]) -> dict[str, float]:
+        return {name: float(np.median([of(one) for one in each(name)])) for name in names}
+
+    def counted(of: Callable[[CueTransmission], bool | None]) -> dict[str, dict[str, int]]:
+        return {
+            cue: {name: sum(bool(of(one.cues[cue])) for one in each(name)) for name in names} for cue in CUES
+        }
+
+    all_ = [one for name in names for one in each(name)]
     return {
-        "seeds": len(found), "days_not_used": sum(seed.refused for seed in found),
+        "rigs": len(found), "days_not_used": sum(seed.refused for seed in found),
         "readings_in_order": sum(seed.read_in_order for seed in found),
         "felt_in_order": {cue: sum(seed.in_order("felt", cue) for seed in found) for cue in CUES},
-        "presses": len(all_),
-        "held": {cue: sum(bool(one.cues[cue].held) for one in all_) for cue in CUES},
+        "readings_hold": {
+            name: sum(
+                seed.readings[name].low <= SPECIMENS_N_M[name] <= seed.readings[name].high for seed in found
+            )
+            for name in names
+        },
+        "intervals_hold_what_would_be_felt": counted(lambda one: one.held),
+        "intervals_hold_the_object_itself": counted(lambda one: one.true_held),
         "median_error": {
             cue: {
-                mark: float(np.median([abs(one.cues[cue].lost[mark]) for one in all_]))
-                for mark in all_[0].cues[cue].lost
+                mark: medians(cue, lambda one, cue=cue, mark=mark: one.cues[cue].lost[mark])  # type: ignore[misc]
+                for mark in ("touch", "display", "together")
             }
             for cue in CUES
         },
-        "median_error_as_modulus": {
-            cue: float(np.median([as_modulus(one, cue) for one in all_])) for cue in CUES
+        "median_size_of_error": {
+            cue: float(np.median([abs(one.cues[cue].lost["together"]) for one in all_])) for cue in CUES
         },
-        "readings_hold": sum(
-            one.low <= SPECIMENS_N_M[name] <= one.high
-            for seed in found
-            for name, one in seed.readings.items()
-        ),
+        "median_size_of_error_as_modulus": {
+            cue: float(np.median([abs(as_modulus(one, cue)) for one in all_])) for cue in CUES
+        },
+        "median_factor": {
+            cue: {
+                way: medians(cue, lambda one, cue=cue, way=way: getattr(one.cues[cue], way))  # type: ignore[misc]
+                for way in ("way_in", "way_out")
+            }
+            for cue in CUES
+        },
         "inside": [min(one.inside for one in all_), max(one.inside for one in all_)],
     }  # fmt: skip
 

@@ -67,7 +67,10 @@ def transmission_record(one: Transmission, finger: Fingertip) -> dict[str, Any]:
         record[name] = {
             "unit": EDGE[name], "true": None if cue.true is None else cue.true / 1e3,
             "touched": cue.touched / 1e3, "felt": cue.felt / 1e3, "low": low / 1e3, "high": high / 1e3,
-            "coverage": 0.9, "lost": dict(cue.lost), "as_modulus": as_modulus, "held": cue.held,
+            "coverage": 0.9, "lost": dict(cue.lost), "as_modulus": as_modulus,
+            "way_in": cue.way_in, "way_out": cue.way_out,
+            "felt_true": None if cue.felt_true is None else cue.felt_true / 1e3,
+            "held": cue.held, "true_held": cue.true_held,
             "off_rms_of_peak": one.off_rms(name),
         }  # fmt: skip
     return record
@@ -83,6 +86,7 @@ def order_kept(found: Sequence[Transmission]) -> dict[str, bool] | None:
             getattr(one.cues[cue], stage) > getattr(other.cues[cue], stage)
             for one, other in pairwise(order)
             for cue in CUES
+            if one.true_flat_pa != other.true_flat_pa
         )
         for stage in ("touched", "felt")
     }

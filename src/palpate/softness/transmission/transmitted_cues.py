@@ -12,17 +12,19 @@ Each object is a thick flat, and it is mapped through the finger's own radius an
 or over area. A rendering's is that of what it renders, times the least-squares factor of force felt over
 force due at the displacements (areas) that were felt, over the part of the press that can be rendered.
 
-The reading's uncertainty is carried by draws: of each the curves follow exactly, and the display's factor by
-interpolation between renderings at quantiles of the reading.
+Two things are not known: the reading, and how fast the finger will press, on which the display's error
+depends. Both are carried by draws. Of each draw the curves follow by a spline, and the display's factor by
+interpolation between renderings at quantiles of the reading and three frequencies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Float, InputError, Progress, RangeError, ndarray, silent
@@ -34,9 +36,12 @@ from palpate.softness.rendering_simulation import Rendering, simulate
 from palpate.softness.touched_flat import TouchedFlat
 
 CUES = ("displacement", "area")
-NODES = (0.02, 0.25, 0.5, 0.75, 0.98)  # quantiles of a reading that are rendered
+NODES = (0.02, 0.5, 0.98)  # quantiles of a reading that are rendered
+FASTER = 2.2  # than the middle frequency a finger may press, or as much slower
 DRAWS = 400
+SOFTEST = 0.002  # share of a reading beyond which no draw lies
 SPLINE_POINTS = 12
+MIN_PEAK_N = 0.02  # of a press that the display feels at all
 FILLED = 0.9  # of the display's base, at the end of a press
 MIN_INSIDE = 0.2  # of the scored periods, for a factor
 
@@ -49,13 +54,17 @@ class CueTransmission:
 
     Attributes:
         touched: of the object as read.
-        felt: of what the finger feels.
-        drawn: of what it would feel, by draws of the reading.
-        true, felt_true: of the object itself, and of what would be felt if it were rendered; None unknown.
+        felt: of what the finger feels at the middle frequency.
+        way_in, way_out: factors of force felt over force due as the finger goes in, and as it comes back.
+        drawn: of what it would feel, by draws of the reading and of the frequency.
+        true, felt_true: of the object itself, and of what would be felt if it were rendered to a finger that
+            presses at a frequency of its own; None unknown.
     """
 
     touched: float
     felt: float
+    way_in: float
+    way_out: float
     drawn: Values
     true: float | None = None
     felt_true: float | None = None
@@ -67,11 +76,19 @@ class CueTransmission:
 
     @property
     def held(self) -> bool | None:
-        """Whether the interval of 90 % holds what would be felt of the object itself."""
-        if self.felt_true is None:
+        """Whether the interval of 90 % holds what would be felt if the object itself were rendered."""
+        return self._holds(self.felt_true)
+
+    @property
+    def true_held(self) -> bool | None:
+        """Whether it holds the object's own chord, which no display's error moves."""
+        return self._holds(self.true)
+
+    def _holds(self, chord: float | None) -> bool | None:
+        if chord is None:
             return None
         low, high = self.interval()
-        return low <= self.felt_true <= high
+        return low <= chord <= high
 
     @property
     def lost(self) -> Mapping[str, float]:
@@ -132,7 +149,7 @@ def shared_peak_n(
     widest = FILLED * (display or ConeDisplay()).greatest_m2
     ends = []
     for flat in flats:
-        tip = on_flat(finger, float(flat.at(np.array([0.002]))[0]))
+        tip = on_flat(finger, float(flat.at(np.array([SOFTEST]))[0]))
         force = np.linspace(0.0, tip.greatest_n, 2000)
         ends.append(min(tip.greatest_n, float(np.interp(widest, tip.area_m2(force), force))))
     return min(ends)
@@ -150,7 +167,7 @@ def transmit(
         finger: that feels it, on a rigid flat.
         peak_n: force at the end of a press, alike for all objects that are compared [N].
         true_flat_pa: its true modulus over 1 - nu^2, where it is known [Pa].
-        frequency_hz: of the virtual finger's presses [Hz].
+        frequency_hz: at which the virtual finger presses, or up to 2.2 times slower or faster [Hz].
         seed: of the reading's draws and the bench's noise.
         draws: of the reading.
         progress: called with how many renderings are done.
@@ -159,35 +176,44 @@ def transmit(
         RangeError: a force beyond what is known of the finger, or an object that the display cannot render.
         InputError: too few draws.
     """
+    if not MIN_PEAK_N <= peak_n < np.inf:
+        raise RangeError(f"a press to {peak_n:g} N; {MIN_PEAK_N:g} N and more are allowed, such as 0.3")
     if draws < 20:
         raise InputError(f"{draws} draws; 20 or more are needed for an interval")
     rng = np.random.default_rng(seed)
     at_nodes = touched.at(np.array(NODES))
-    renderings, done = [], len(NODES) + (true_flat_pa is not None)
-    for i, flat_pa in enumerate(at_nodes):
-        progress("renderings", i, done)
+    at_hz = frequency_hz * np.array([1 / FASTER, 1.0, FASTER])
+    renderings, count = [], len(at_nodes) * len(at_hz)
+    for i, (flat_pa, f_hz) in enumerate(product(at_nodes, at_hz)):
+        progress("renderings", i, count)
         soft = object_under(finger, float(flat_pa), peak_n, name)
-        renderings.append(_rendered(soft, peak_n, frequency_hz, seed + i))
-    middle = renderings[len(NODES) // 2]
-    drawn_pa = touched.drawn(draws, rng)
-    true = None if true_flat_pa is None else object_under(finger, true_flat_pa, peak_n, name)
-    felt_true = None if true is None else _rendered(true, peak_n, frequency_hz, seed + len(NODES))
+        renderings.append(simulate(soft, Mode.BOTH, peak_n=peak_n, frequency_hz=float(f_hz), seed=seed + i))
+    drawn_pa = touched.drawn(draws, rng, SOFTEST)
+    drawn_hz = frequency_hz * FASTER ** rng.uniform(-1.0, 1.0, draws)
+    middle, felt_true = renderings[count // 2], None
+    if true_flat_pa is not None:
+        own_hz = frequency_hz * FASTER ** float(rng.uniform(-1.0, 1.0))
+        true = object_under(finger, true_flat_pa, peak_n, name)
+        felt_true = simulate(true, Mode.BOTH, peak_n=peak_n, frequency_hz=own_hz, seed=seed + count)
     cues = {}
     for cue in CUES:
-        factors = np.array([felt_factor(one, cue) for one in renderings])
-        chords = _chords_of(finger, drawn_pa, peak_n, cue)
-        factor = _between(at_nodes, factors, drawn_pa)
-        touched_chord = _chord_of(finger, touched.flat_pa, peak_n, cue)
+        factors = np.array([felt_factor(one, cue) for one in renderings]).reshape(len(NODES), len(at_hz))
+        display = RegularGridInterpolator((_rising(-1 / at_nodes), np.log(at_hz)), factors)
+        at = np.stack([np.clip(-1 / drawn_pa, -1 / at_nodes[0], -1 / at_nodes[-1]), np.log(drawn_hz)], axis=1)
+        chord = _chord_of(finger, touched.flat_pa, peak_n, cue)
+        own = None if true_flat_pa is None else _chord_of(finger, true_flat_pa, peak_n, cue)
         cues[cue] = CueTransmission(
-            touched_chord,
-            touched_chord * float(factors[len(NODES) // 2]),
-            chords * factor,
-            None if true_flat_pa is None else _chord_of(finger, true_flat_pa, peak_n, cue),
-            None if true_flat_pa is None or felt_true is None
-            else _chord_of(finger, true_flat_pa, peak_n, cue) * felt_factor(felt_true, cue),
-        )  # fmt: skip
+            chord,
+            chord * felt_factor(middle, cue),
+            felt_factor(middle, cue, way=1),
+            felt_factor(middle, cue, way=-1),
+            _chords_of(finger, drawn_pa, peak_n, cue) * display(at),
+            own,
+            None if own is None or felt_true is None else own * felt_factor(felt_true, cue),
+        )
     inside = float(middle.inside.sum() / max(1, middle.scored.sum()))
-    return Transmission(name, touched, peak_n, cues, middle, true, inside, true_flat_pa)
+    soft = None if true_flat_pa is None else object_under(finger, true_flat_pa, peak_n, name)
+    return Transmission(name, touched, peak_n, cues, middle, soft, inside, true_flat_pa)
 
 
 def modulus_of_chord(finger: Fingertip, chord: float, peak_n: float, cue: str) -> float:
@@ -208,10 +234,15 @@ def modulus_of_chord(finger: Fingertip, chord: float, peak_n: float, cue: str) -
             least += 0.25
 
 
-def felt_factor(felt: Rendering, cue: str) -> float:
+def felt_factor(felt: Rendering, cue: str, way: int = 0) -> float:
     """Least-squares factor of the force felt over the force due at the displacements or areas felt.
 
     Over the part of the presses that can be rendered as it is.
+
+    Args:
+        felt: presses.
+        cue: ``displacement`` or ``area``.
+        way: 1 for the way in alone, -1 for the way back, 0 for both.
 
     Raises:
         RangeError: that is too little of them.
@@ -224,12 +255,19 @@ def felt_factor(felt: Rendering, cue: str) -> float:
         )
     curve: Characteristic = getattr(felt.law.object, cue)
     x = felt.displacement_m if cue == "displacement" else felt.area_m2
+    if way:
+        inside = inside & (way * np.gradient(felt.displacement_m) > 0)
     due = np.interp(x[inside], curve.x, curve.force_n)
+    if not due @ due > 0:
+        raise RangeError(
+            f"{felt.law.object.name}: no force is due in a press to {felt.peak_n:.2g} N; press more"
+        )
     return float(due @ felt.force_n[inside] / (due @ due))
 
 
-def _rendered(soft: SoftObject, peak_n: float, frequency_hz: float, seed: int) -> Rendering:
-    return simulate(soft, Mode.BOTH, peak_n=peak_n, frequency_hz=frequency_hz, seed=seed)
+def _rising(values: Values) -> Values:
+    """Values that rise, and do so by a little where they are equal, as of a reading without an interval."""
+    return np.asarray(values + 1e-9 * np.abs(values).max() * np.arange(len(values)))
 
 
 def _chord_of(finger: Fingertip, flat_pa: float, peak_n: float, cue: str) -> float:
@@ -239,12 +277,10 @@ def _chord_of(finger: Fingertip, flat_pa: float, peak_n: float, cue: str) -> flo
 
 def _chords_of(finger: Fingertip, flats_pa: Values, peak_n: float, cue: str) -> Values:
     """Chords of many flats, by a spline through some: they are smooth in 1 / E."""
-    at = np.linspace(np.min(1 / flats_pa), np.max(1 / flats_pa), SPLINE_POINTS)
+    low, high = float(np.min(1 / flats_pa)), float(np.max(1 / flats_pa))
+    if high - low < 1e-9 * high:  # a reading without an interval
+        return np.full_like(flats_pa, _chord_of(finger, float(flats_pa[0]), peak_n, cue))
+    at = np.linspace(low, high, SPLINE_POINTS)
     with np.errstate(divide="ignore"):
         chords = [_chord_of(finger, float(pa), peak_n, cue) for pa in 1 / at]
     return np.asarray(CubicSpline(at, chords)(1 / flats_pa))
-
-
-def _between(at_nodes: Float[ndarray, " k"], factors: Float[ndarray, " k"], drawn_pa: Values) -> Values:
-    """The display's factor at moduli between those rendered, level beyond them."""
-    return np.asarray(np.interp(-1 / drawn_pa, -1 / at_nodes, factors))
