@@ -212,8 +212,8 @@ def transmit(
             None if own is None or felt_true is None else own * felt_factor(felt_true, cue),
         )
     inside = float(middle.inside.sum() / max(1, middle.scored.sum()))
-    soft = None if true_flat_pa is None else object_under(finger, true_flat_pa, peak_n, name)
-    return Transmission(name, touched, peak_n, cues, middle, soft, inside, true_flat_pa)
+    itself = None if true_flat_pa is None else object_under(finger, true_flat_pa, peak_n, name)
+    return Transmission(name, touched, peak_n, cues, middle, itself, inside, true_flat_pa)
 
 
 def modulus_of_chord(finger: Fingertip, chord: float, peak_n: float, cue: str) -> float:
