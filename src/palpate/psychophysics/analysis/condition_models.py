@@ -6,9 +6,9 @@ Three ways, since each has another claim:
   participant taken as independent: then the estimates are the pooled proportions' log odds, and the
   covariance is the sandwich of whole participants. It speaks of the population's odds.
 * `fit_mixed_logistic` has a random intercept of each participant, logit P = beta_condition + b, b ~ N(0, s²),
-  integrated by Gauss and Hermite. It speaks of one participant's odds, which are further from even. Each
-  condition has the penalty of a log-F(1, 1) prior, one half of an answer each way, so that 30 right of 30
-  have a finite beta.
+  integrated by Gauss and Hermite about each participant's likeliest intercept. It speaks of one participant's
+  odds, which are further from even. Each condition has the penalty of a log-F(1, 1) prior, one half of an
+  answer each way, so that 30 right of 30 have a finite beta.
 * `sign_flip_p` asks of participants' own differences between two conditions whether their signs could as
   well be otherwise. It is exact for few participants, and stands where a model is not to be told.
 
@@ -19,7 +19,8 @@ below 0.05 in 2 to 3 % by the mixed model, 5 to 6.5 % by the estimating equation
 References: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13; of few
 participants L. A. Mancl, T. A. DeRouen, Biometrics 57 (2001) 126,
 doi:10.1111/j.0006-341X.2001.00126.x; S. Greenland, M. A. Mansournia, Statist. Med. 34 (2015) 3133,
-doi:10.1002/sim.6537.
+doi:10.1002/sim.6537; of nodes about each participant's own answers Q. Liu, D. A. Pierce, Biometrika 81 (1994)
+624, doi:10.1093/biomet/81.3.624.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from scipy import optimize, special, stats
 from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.psychophysics.trial_statistics import corrected_by_holm
 
-NODES = 31  # of Gauss and Hermite
+NODES = 31  # of Gauss and Hermite, for each participant
+MAX_STEPS = 100  # of Newton, to a participant's likeliest intercept
 MAX_INTERCEPT_SD = 8.0  # logits
 MAX_FLIPPED = 16  # participants of whom all signs are counted
 SIGN_DRAWS = 20_000
@@ -177,16 +179,43 @@ def mixed_log_likelihood(counts: ConditionCounts, log_odds: Float[ndarray, " c"]
 
 
 def _log_likelihood(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[float, ndarray]:
-    """Log likelihood, and its slope over the log odds and the scatter."""
+    """Log likelihood, and its slope over the log odds and the scatter.
+
+    Nodes lie about each participant's likeliest intercept, as far apart as his answers tell it: of many
+    answers they tell it far better than the scatter does, and nodes of the scatter's size would miss it.
+    """
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    eta = log_odds + sd * nodes[:, None]
-    right, wrong = -np.logaddexp(0.0, -eta), -np.logaddexp(0.0, eta)
-    each = counts.right @ right.T + (counts.n - counts.right) @ wrong.T + np.log(weights / weights.sum())
+    middle, size = _likeliest_intercepts(counts, log_odds, sd)
+    u = middle[:, None] + size[:, None] * nodes  # intercepts over their scatter, a row a participant
+    eta = log_odds + sd * u[:, :, None]
+    right, wrong = counts.right[:, None, :], (counts.n - counts.right)[:, None, :]
+    each = -(right * np.logaddexp(0.0, -eta) + wrong * np.logaddexp(0.0, eta)).sum(axis=2)
+    each += np.log(weights / weights.sum()) + nodes**2 / 2 - u**2 / 2 + np.log(size)[:, None]
     of_person = special.logsumexp(each, axis=1)
     share = np.exp(each - of_person[:, None])
-    over = counts.right[:, None, :] - counts.n[:, None, :] * special.expit(eta)
+    over = right - counts.n[:, None, :] * special.expit(eta)
     slope = np.einsum("sq,sqc->c", share, over)
-    return float(of_person.sum()), np.append(slope, np.einsum("sq,sqc,q->", share, over, nodes))
+    return float(of_person.sum()), np.append(slope, np.einsum("sq,sqc,sq->", share, over, u))
+
+
+def _likeliest_intercepts(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[ndarray, ndarray]:
+    """Each participant's likeliest intercept and its standard error, over their scatter, by Newton's steps.
+
+    A step moves no log odds by more than 1: the curvature then changes by at most a factor e, and the
+    steps, of a function that is concave, cannot run away.
+    """
+    u = np.zeros(len(counts.n))
+    for _ in range(MAX_STEPS):
+        p = special.expit(log_odds + sd * u[:, None])
+        pull = sd * (counts.right - counts.n * p).sum(axis=1) - u
+        curvature = 1 + sd**2 * (counts.n * p * (1 - p)).sum(axis=1)
+        reach = 1 / max(sd, 1e-3)
+        step = np.clip(pull / curvature, -reach, reach)
+        u = u + step
+        if np.abs(step).max() < 1e-9:
+            break
+    p = special.expit(log_odds + sd * u[:, None])
+    return u, 1 / np.sqrt(1 + sd**2 * (counts.n * p * (1 - p)).sum(axis=1))
 
 
 def sign_flip_p(differences: Sequence[float] | ndarray, rng: np.random.Generator | None = None) -> float:
