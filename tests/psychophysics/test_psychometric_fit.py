@@ -45,6 +45,29 @@ def test_a_function_is_half_at_its_threshold_and_three_quarters_a_spread_above(s
     assert f(1e3) == pytest.approx(0.8, abs=1e-9)
 
 
+@pytest.mark.parametrize("lapse", [0.0, None])
+@pytest.mark.parametrize(("far", "n"), [(7.0, 40_000), (100.0, 280), (100.0, 40_000), (1000.0, 280)])
+def test_neither_a_level_far_off_nor_many_answers_move_the_posterior(
+    far: float, n: int, lapse: float | None
+) -> None:
+    """Answers as they are expected: the medians are the truth, the widths those of the Fisher information."""
+    x, m, slip = np.append(LEVELS, far), np.full(6, n), 0.0 if lapse is not None else 0.03
+    k = np.round(n * (slip + (1 - 2 * slip) * stats.norm.cdf((x - 3.1) / 0.8 * stats.norm.ppf(0.75)))).astype(
+        int
+    )
+    fit = fit_psychometric(x, k, m, lapse=lapse, guess_is_lapse=lapse is None, deviance_draws=0)
+    line = most_likely(x, k, m, guess=slip, lapse=slip)
+    error = math.sqrt(np.array([1, 3.1]) @ line.covariance @ np.array([1, 3.1])) / line.b
+    assert fit.threshold.value == pytest.approx(3.1, abs=0.15 * error)
+    assert fit.threshold.high - fit.threshold.low == pytest.approx(2 * 1.96 * error, rel=0.03)
+    error = math.sqrt(line.covariance[1, 1]) / line.b
+    unknown = 1.0 if lapse is not None else 1.5  # a lapse rate to be found widens the spread's
+    width = math.log(fit.spread.high / fit.spread.low) / (2 * 1.96 * error)
+    assert 0.97 < width < 1.05 * unknown
+    assert fit.spread.value == pytest.approx(0.8, rel=0.15 * unknown * error)
+    assert all(fit.threshold.bounded + fit.spread.bounded)
+
+
 def test_a_sharp_posterior_has_its_middle_at_the_greatest_likelihood() -> None:
     truth = PsychometricFunction(SigmoidShape.LOGISTIC, 2.8, 0.6)
     n = [3000] * 5

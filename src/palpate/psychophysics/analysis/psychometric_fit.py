@@ -8,7 +8,9 @@ one range of the levels below them to one above, the spread even in its logarith
 least step to five ranges, a free lapse rate Beta(1, 30), of which 3 % is the mean. The values are posterior
 medians. Where the data do not bound a parameter the interval reaches the prior's end, and
 `PosteriorRange.bounded` says so: answers that are all right, all wrong or perfectly apart have wide
-intervals, not none.
+intervals, not none. The grid is narrowed to where the likelihood is: with levels 1 to 5 and one at 100, a
+threshold of 3.1 and a spread of 0.8, intervals held both in 93 to 97 % of 400 studies of 40, 280 and 40,000
+answers a level. Of ten a level the spread's hold in 92 %, as the prior then reaches up to 500.
 
 The fit is judged by its deviance against that of data drawn from the fitted function and fitted again, as
 chi-square is no good law at 30 answers a level.
@@ -25,7 +27,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special, stats
+from scipy import optimize, special, stats
 
 from palpate.core import Float, InputError, Int, RangeError, ndarray
 from palpate.psychophysics.analysis.psychometric_function import (
@@ -37,8 +39,12 @@ from palpate.psychophysics.analysis.psychometric_function import (
 
 MAX_LAPSE = 0.3
 LAPSE_PRIOR = (1.0, 30.0)
-COARSE, FINE = (49, 49, 10), (57, 57, 13)
+SEEDS = np.array([-8.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0, 8.0])  # nodes about the likeliest, in errors
+RESOLVED = 1 / 6  # of a box, which the coarse nodes have then in steps that are a posterior's own
+MAX_NARROWINGS = 12
+COARSE, FINE = (49, 49, 10), (41, 41, 9)
 KEPT_OF_PEAK = 1e-6  # of the coarse posterior: where the fine grid lies
+CORE_OF_PEAK = 0.01  # where its nodes are even
 BOUNDED_OF_PEAK = 0.03  # a marginal that ends above this share of its peak is not bounded there
 DEVIANCE_DRAWS = 400
 MAX_STEPS = 60
@@ -269,7 +275,8 @@ def _scored(
         s0, s1, s2 = weight.sum(axis=1), weight @ u, weight @ u**2
         determinant = np.maximum(s0 * s2 - s1**2, 1e-30)
         da, db = (s2 * g0 - s1 * g1) / determinant, (s0 * g1 - s1 * g0) / determinant
-        scale = np.minimum(1.0, 4.0 / np.maximum(np.hypot(da, db), 1e-300))
+        reach = np.maximum(4.0, np.hypot(a, b))  # a far level makes b large: steps that may double reach it
+        scale = np.minimum(1.0, reach / np.maximum(np.hypot(da, db), 1e-300))
         moved = np.zeros(len(a), bool)
         for _ in range(12):
             a_new, b_new = a + scale * da, b + scale * db
@@ -319,41 +326,104 @@ def _judged(
 def _posterior(
     x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
 ) -> tuple[list[ndarray], ndarray]:
-    """Axes of threshold, log spread and lapse, and the posterior's weights on their grid."""
+    """Axes of threshold, log spread and lapse, and the posterior's mass at each node of their grid.
+
+    A posterior may lie between the nodes of a grid as wide as the priors: so nodes are added about the
+    greatest likelihood, and the box is narrowed again while it shrinks by more than its nodes tell.
+    The fine grid is stretched, since a sharp posterior of few answers has long tails.
+    """
     size, step = float(np.ptp(x)), float(np.diff(np.unique(x)).min())
     box = [
         (x.min() - size, x.max() + size),
         (math.log(step / 20), math.log(5 * size)),
         (0.0, MAX_LAPSE) if lapse is None else (lapse, lapse),
     ]
-    for points in (COARSE, FINE):
-        axes = [
-            np.linspace(low, high, count) if high > low else np.array([low])
-            for (low, high), count in zip(box, points, strict=True)
-        ]
-        t, s, slips = np.meshgrid(*axes, indexing="ij")
+
+    def weights(axes: list[ndarray]) -> ndarray:
+        t, s, slips = np.meshgrid(*axes, indexing="ij", sparse=True)
         below = slips if both else guess
-        log_weight = np.zeros(t.shape)
+        log_weight = np.zeros([len(axis) for axis in axes])
         for x_i, k_i, m_i in zip(x, k, m, strict=True):
             z = shape.middle + shape.reach * (x_i - t) * np.exp(-s)
             p, _ = _probability(z, shape, below, slips)
             log_weight += k_i * np.log(p) + (m_i - k_i) * np.log1p(-p)
         if lapse is None:
             log_weight += stats.beta.logpdf(np.maximum(slips, 1e-9), *LAPSE_PRIOR)
-        weight = np.exp(log_weight - log_weight.max())
-        if points is COARSE:
-            box = [_kept(axis, weight, i) for i, axis in enumerate(axes)]
-    return axes, weight
+        return np.asarray(np.exp(log_weight - log_weight.max()))
+
+    seeds = _likely_nodes(x, k, m, shape, guess, lapse, both)
+    for _ in range(MAX_NARROWINGS):
+        axes = [
+            np.union1d(_axis(*ends, count), near[(near > ends[0]) & (near < ends[1])])
+            for ends, count, near in zip(box, COARSE, seeds, strict=True)
+        ]
+        weight = weights(axes)
+        wide, box = box, [_kept(axis, weight, i) for i, axis in enumerate(axes)]
+        if all(new[1] - new[0] >= RESOLVED * (old[1] - old[0]) for new, old in zip(box, wide, strict=True)):
+            break
+    cores = [_kept(axis, weight, i, CORE_OF_PEAK) for i, axis in enumerate(axes)]
+    axes = [_stretched(*args) for args in zip(box, cores, FINE, strict=True)]
+    cells = [np.gradient(axis) if len(axis) > 1 else np.ones(1) for axis in axes]
+    return axes, weights(axes) * cells[0][:, None, None] * cells[1][:, None] * cells[2]
+
+
+def _axis(low: float, high: float, count: int) -> ndarray:
+    return np.linspace(low, high, count) if high > low else np.array([low])
+
+
+def _stretched(box: tuple[float, float], core: tuple[float, float], count: int) -> ndarray:
+    """Even nodes in the core, and steps outside that grow up to the ends of the box."""
+    inside = _axis(*core, count)
+    step = (core[1] - core[0]) / (count - 1)
+    tails = [
+        end + sign * np.geomspace(step, sign * (last - end), count // 3)
+        for end, last, sign in ((core[0], box[0], -1), (core[1], box[1], 1))
+        if 0 < step < sign * (last - end)
+    ]
+    return np.unique(np.concatenate([inside, *tails]))
+
+
+def _likely_nodes(
+    x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
+) -> list[ndarray]:
+    """Thresholds, log spreads and lapses about those of greatest likelihood, by their standard errors.
+
+    None where no rising function is likeliest: the posterior is then as wide as the priors.
+    """
+
+    def line(rate: float) -> tuple[float, float, float, ndarray]:
+        below = rate if both else guess
+        a, b = (float(each[0]) for each in _scored(x, k[None].astype(float), m, shape, below, rate))
+        p, dp = _probability(a + b * x, shape, below, rate)
+        prior = float(stats.beta.logpdf(max(rate, 1e-9), *LAPSE_PRIOR)) if lapse is None else 0.0
+        return a, b, float(_log_likelihood(p, k, m)) + prior, _inverse(x, m * dp**2 / (p * (1 - p)))
+
+    rates = np.array([] if lapse is None else [lapse])
+    if lapse is None:
+        found = optimize.minimize_scalar(
+            lambda rate: -line(rate)[2], bounds=(0.0, MAX_LAPSE), method="bounded", options={"xatol": 1e-5}
+        )
+        h = 0.2 * math.sqrt((found.x + 1e-4) / float(m.sum()))
+        bend = (2 * line(found.x)[2] - line(found.x + h)[2] - line(max(found.x - h, 0.0))[2]) / h**2
+        error = min(1 / math.sqrt(max(bend, 1e-9)), MAX_LAPSE)
+        rates = np.clip(found.x + SEEDS * error, 0.0, MAX_LAPSE)
+    a, b, _, covariance = line(float(np.median(rates)))
+    if not b > 0 or not np.isfinite(covariance).all():
+        return [np.array([])] * 3
+    t = (shape.middle - a) / b
+    t_error = math.sqrt(max(covariance[0, 0] + 2 * t * covariance[0, 1] + t**2 * covariance[1, 1], 0.0)) / b
+    s_error = math.sqrt(max(covariance[1, 1], 0.0)) / b
+    return [t + SEEDS * t_error, math.log(shape.reach / b) + SEEDS * s_error, rates]
 
 
 def _marginal(weight: ndarray, i: int) -> ndarray:
     return np.asarray(weight.sum(axis=tuple(j for j in range(weight.ndim) if j != i)))
 
 
-def _kept(axis: ndarray, weight: ndarray, i: int) -> tuple[float, float]:
+def _kept(axis: ndarray, weight: ndarray, i: int, of_peak: float = KEPT_OF_PEAK) -> tuple[float, float]:
     """Stretch of an axis outside which the marginal is nothing, a step wider at both ends."""
     marginal = _marginal(weight, i)
-    inside = np.flatnonzero(marginal > KEPT_OF_PEAK * marginal.max())
+    inside = np.flatnonzero(marginal > of_peak * marginal.max())
     return float(axis[max(inside[0] - 1, 0)]), float(axis[min(inside[-1] + 1, len(axis) - 1)])
 
 
@@ -361,8 +431,8 @@ def _summary(axis: ndarray, weight: ndarray, i: int, coverage: float) -> Posteri
     """Median and equal tails of one axis, by the trapezium rule."""
     if len(axis) == 1:
         return PosteriorRange(float(axis[0]), float(axis[0]), float(axis[0]), (True, True))
-    density = _marginal(weight, i)
-    area = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    density = _marginal(weight, i) / np.gradient(axis)
+    area = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) * np.diff(axis))])
     value, low, high = np.interp([0.5, (1 - coverage) / 2, (1 + coverage) / 2], area / area[-1], axis)
     ends = density[[0, -1]] < BOUNDED_OF_PEAK * density.max()
     return PosteriorRange(float(value), float(low), float(high), (bool(ends[0]), bool(ends[1])))
