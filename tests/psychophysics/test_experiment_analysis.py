@@ -78,6 +78,23 @@ def test_thresholds_come_back_in_the_level_s_unit_and_the_spread_is_the_noise(fo
         assert one.given[0] > one.given[-1]  # a greater modulus is called softer less often
 
 
+def test_a_participant_whose_point_of_equality_is_beyond_the_levels_is_counted_and_said(found) -> None:
+    assert all((one.own_bounded, one.participants) == (10, 10) for one in found.thresholds[::2])
+    beyond = [
+        replace(one, answer=("SS3",)) if (one.participant, one.task) == ("P02", Task.PAIR) else one
+        for one in simulated(4)
+    ]  # to P02 the standard is always softer
+    said = analyse_experiment(beyond, STIMULI)
+    one = said.thresholds[0]
+    assert (one.own_bounded, one.participants) == (3, 4)
+    assert any("direct I: 3 of 4 participants' own answers bound" in line for line in said.caveats)
+    without = analyse_experiment([one for one in simulated(4) if one.participant != "P02"], STIMULI)
+    assert one.own_pse[0] == pytest.approx(without.thresholds[0].own_pse[0], rel=0.05)
+    assert not any(
+        "participants' own answers bound" in line for line in without.caveats if "direct I" in line
+    )
+
+
 def test_rankings_have_their_matrix_and_a_tau_that_falls_with_noise(found) -> None:
     taus = [one.tau for one in found.rankings]
     assert taus[0] > taus[2] > taus[1] > 0.2

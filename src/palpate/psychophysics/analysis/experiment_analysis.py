@@ -112,6 +112,8 @@ class SettingThreshold:
         counted: levels as the fit counts them.
         pse: level that is as often called softer as harder, with its interval [the stimuli's unit].
         own_pse: mean of participants' own with Student's 95 % interval; None where fewer than two have one.
+        own_bounded: number of participants whose own answers bound it, of whom the mean is.
+        participants: number of all; where `own_bounded` is less, the mean lies towards the levels' middle.
     """
 
     setting: str
@@ -123,6 +125,8 @@ class SettingThreshold:
     counted: Float[ndarray, " n"]
     pse: tuple[float, float, float]
     own_pse: tuple[float, float, float] | None
+    own_bounded: int
+    participants: int
 
 
 @dataclass(frozen=True)
@@ -289,9 +293,14 @@ def _thresholds(
                 "are needed"
             )
             continue
-        found.append(
-            _threshold(setting, next(iter(common)), judgements, stimuli, shape, logarithmic, lapse, rng)
-        )
+        one = _threshold(setting, next(iter(common)), judgements, stimuli, shape, logarithmic, lapse, rng)
+        found.append(one)
+        if 1 < one.participants > one.own_bounded:
+            left_out.append(
+                f"{setting}: {one.own_bounded} of {one.participants} participants' own answers bound a point "
+                "of equality; the others' lies near the end of the levels or beyond, and the mean of these "
+                "alone is drawn towards the middle: take the pooled one, or set levels further out"
+            )
     return tuple(found), left_out
 
 
@@ -311,9 +320,11 @@ def _threshold(
         logarithmic=logarithmic, deviance_draws=DEVIANCE_DRAWS, rng=rng,
     )  # fmt: skip
     low, high = sorted((turned(fit.threshold.low), turned(fit.threshold.high)))
+    own = _own_pses(standard, judgements, stimuli, fit, turned)
     return SettingThreshold(
         setting, standard, levels, given, n, fit, counted, (turned(fit.threshold.value), low, high),
-        _own_pse(standard, judgements, stimuli, fit, turned),
+        (float(np.mean(own)), *mean_interval(own)) if len(own) > 1 else None, len(own),
+        len({one.participant for one in judgements}),
     )  # fmt: skip
 
 
@@ -334,11 +345,11 @@ def _counts(
     )
 
 
-def _own_pse(
+def _own_pses(
     standard: str, judgements: Sequence[Judgement], stimuli: Mapping[str, Stimulus], pooled: PsychometricFit,
     turned: Callable[[Any], Any],
-) -> tuple[float, float, float] | None:  # fmt: skip
-    """Mean of participants' own points of equality, of those whose answers bound it; lapses as pooled."""
+) -> list[float]:  # fmt: skip
+    """Participants' own points of equality, of those whose answers bound it; lapses as pooled."""
     values = []
     for person in sorted({one.participant for one in judgements}):
         levels, (given, n) = _counts(
@@ -353,7 +364,7 @@ def _own_pse(
         )  # fmt: skip
         if all(own.threshold.bounded):
             values.append(float(turned(own.threshold.value)))
-    return (float(np.mean(values)), *mean_interval(values)) if len(values) > 1 else None
+    return values
 
 
 def _compared(task: Task, counted: Mapping[tuple[Task, str], Answers]) -> TaskComparison:
