@@ -161,3 +161,31 @@ def test_a_planned_study_has_its_power_and_none_where_nothing_differs() -> None:
     assert simulated_power(PlannedStudy(0.6, 0.8, 12), 5, rng, studies=150).power < needed.power
     with pytest.raises(RangeError, match="plan more each"):
         participants_needed(PlannedStudy(0.6, 0.601, 1), rng, studies=40)
+
+
+def test_where_the_effect_differs_between_people_more_of_them_are_needed() -> None:
+    rng = np.random.default_rng(9)
+    alike, own = (
+        simulated_power(PlannedStudy(0.6, 0.8, 12, effect_sd=sd), 10, rng, studies=600) for sd in (0.0, 1.5)
+    )
+    assert own.high < alike.low
+    null = simulated_power(PlannedStudy(0.7, 0.7, 12, effect_sd=1.5), 10, rng, studies=600)
+    assert null.low <= 0.05  # signs keep their rate
+    with pytest.raises(RangeError, match="scatters of 0 logits"):
+        PlannedStudy(0.6, 0.8, 12, effect_sd=-1.0)
+
+
+def test_own_effects_deceive_the_mixed_model_and_neither_the_estimating_equation_nor_signs() -> None:
+    rng, found, studies = np.random.default_rng(10), np.zeros(3), 120
+    for _ in range(studies):
+        b = 0.5 * rng.standard_normal((10, 1)) + rng.standard_normal((10, 1)) * np.array([-0.5, 0.5])
+        right = rng.binomial(40, special.expit(0.5 + b)).astype(float)
+        counts = ConditionCounts(("I", "K"), tuple("ABCDEFGHIJ"), right, np.full((10, 2), 40.0))
+        found += [
+            fit_mixed_logistic(counts).pairs[0].p < 0.05,
+            marginal_log_odds(counts)[0].p < 0.05,
+            share_differences(counts)[0].p < 0.05,
+        ]
+    mixed, marginal, signs = found / studies
+    assert mixed > 0.15
+    assert max(marginal, signs) <= stats.binom.ppf(0.999, studies, 0.05) / studies

@@ -16,6 +16,11 @@ Intervals are Student's with one degree of freedom less than there are participa
 400 simulated studies the mixed model's 95 % intervals held in 97.5 to 98.5 %; where nothing differed p was
 below 0.05 in 2 to 3 % by the mixed model, 5 to 6.5 % by the estimating equation, 2 to 4 % by signs.
 
+The mixed model has no random slope: it takes conditions to differ by the same for all people. Where nothing
+differs on average, but participants' own differences scatter by 1 logit, its p is below 0.05 in 10 % of
+studies of 12 answers a condition and in 28 % of 40 answers; the estimating equation's in 4 to 5 %, that of
+signs in 3 to 4 %. So answers are told by signs, and the mixed model stands beside them.
+
 References: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13; of few
 participants L. A. Mancl, T. A. DeRouen, Biometrics 57 (2001) 126,
 doi:10.1111/j.0006-341X.2001.00126.x; S. Greenland, M. A. Mansournia, Statist. Med. 34 (2015) 3133,
@@ -95,7 +100,7 @@ class LogOddsDifference:
 
 @dataclass(frozen=True)
 class MixedLogistic:
-    """A logistic model with participants' intercepts.
+    """A logistic model with participants' intercepts, and one difference of conditions for all people.
 
     Attributes:
         conditions: names.

@@ -1,11 +1,13 @@
 """Numbers of participants, planned by simulating the study that is to be made.
 
-Participants differ by an intercept in logits; each answers so often in two conditions, and the study's own
-test, `sign_flip_p` of their differences, is applied. The power found has the interval of its simulations.
+Participants differ by an intercept, and in how much the conditions differ for them, both in logits; each
+answers so often in two conditions, and the study's own test, `sign_flip_p` of their differences, is applied.
+The power found has the interval of its simulations.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +31,8 @@ class PlannedStudy:
         first, second: shares of right answers in the population, above 0 and below 1.
         answers: of each participant in each condition.
         intercept_sd: how far participants scatter [logits].
+        effect_sd: how far participants' own differences between the conditions scatter [logits]; 0 is that
+            all differ by the same, which is seldom so and asks for too few.
         significance: below which p counts.
 
     Raises:
@@ -39,14 +43,15 @@ class PlannedStudy:
     second: float
     answers: int
     intercept_sd: float = 0.5
+    effect_sd: float = 0.0
     significance: float = 0.05
 
     def __post_init__(self) -> None:
         if not (0 < self.first < 1 and 0 < self.second < 1):
             raise RangeError(f"shares of {self.first:g} and {self.second:g}; above 0 and below 1 are allowed")
-        if self.answers < 1 or self.intercept_sd < 0 or not 0 < self.significance < 1:
+        if self.answers < 1 or min(self.intercept_sd, self.effect_sd) < 0 or not 0 < self.significance < 1:
             raise RangeError(
-                "a study has one answer or more a condition, a scatter of 0 logits or more, and a "
+                "a study has one answer or more a condition, scatters of 0 logits or more, and a "
                 "significance between 0 and 1"
             )
 
@@ -77,9 +82,14 @@ def simulated_power(
     """
     if not 2 <= participants <= MAX_PARTICIPANTS:
         raise RangeError(f"{participants} participants; 2 to {MAX_PARTICIPANTS} are allowed")
-    shifts = [_conditional_logit(share, study.intercept_sd) for share in (study.first, study.second)]
+    sd = math.hypot(study.intercept_sd, study.effect_sd / 2)  # of one condition's log odds over participants
+    shifts = [_conditional_logit(share, sd) for share in (study.first, study.second)]
     b = study.intercept_sd * rng.standard_normal((studies, participants))
-    one, other = (rng.binomial(study.answers, special.expit(shift + b)) for shift in shifts)
+    half = study.effect_sd / 2 * rng.standard_normal((studies, participants))
+    one, other = (
+        rng.binomial(study.answers, special.expit(shift + b + own))
+        for shift, own in zip(shifts, (-half, half), strict=True)
+    )
     p = _flipped(((other - one) / study.answers), rng)
     found = int((p < study.significance).sum())
     return StudyPower(participants, found / studies, *wilson_interval(found, studies))
