@@ -22,6 +22,7 @@ from palpate.psychophysics.observers import (
     gaussian_matrix,
     needs_of,
     predict_by_accuracy,
+    predict_of_unlike_people,
     predict_with_faults,
     predict_with_spacing,
     sensitivity_at,
@@ -195,6 +196,44 @@ def test_predictions_with_faults_lie_below_those_that_leave_them_behind() -> Non
     spaced = predict_with_spacing(*matrices, matrices[0], rng, studies=10)
     assert spaced.low <= spaced.accuracy + 0.05
     assert predict_by_accuracy(*matrices, matrices[0], rng, studies=60, gains=(2.0, 2.0)).accuracy > 0.9
+
+
+def test_people_alike_are_one_observer_and_those_good_at_either_cue_are_better_with_both() -> None:
+    rng = np.random.default_rng(20)
+    k, c = (
+        confusion_of_places(NAMES, RankObserver.evenly(d).drawn_places(30, rng)) for d in (0.9, 1.2)
+    )  # fmt: skip
+
+    def accuracy(log_scatter: float, skills: float) -> float:
+        return predict_of_unlike_people(
+            k, c, k, rng, log_scatter=log_scatter, skills=skills, studies=20
+        ).accuracy  # fmt: skip
+
+    one = predict_by_accuracy(k, c, k, rng, studies=20).accuracy
+    assert accuracy(0.0, 0.0) == pytest.approx(one, abs=1e-3)
+    assert accuracy(1.0, -1.0) > accuracy(0.5, -1.0) > one + 0.01
+    assert accuracy(1.0, 1.0) < one - 0.01
+    with pytest.raises(RangeError, match="people of"):
+        predict_of_unlike_people(k, c, k, rng, log_scatter=1.0, people=7)
+
+
+def test_a_prediction_of_unlike_people_is_refuted_seldom_where_they_are_and_mostly_where_it_is_not() -> None:
+    rng, refuted = np.random.default_rng(21), np.zeros(2)
+    for _ in range(30):
+        z = rng.standard_normal(10)
+        d = np.exp([z, -z])
+        k, c, i = (
+            confusion_of_places(
+                NAMES, np.concatenate([RankObserver.evenly(float(one)).drawn_places(3, rng) for one in each])
+            )
+            for each in (d[0], d[1], np.hypot(*d))
+        )
+        refuted += [
+            predict_of_unlike_people(k, c, i, rng, log_scatter=1.0, studies=100).p < 0.05,
+            predict_by_accuracy(k, c, i, rng, studies=200).p < 0.05,
+        ]
+    assert refuted[0] <= 4
+    assert refuted[1] >= 10
 
 
 def test_observers_that_cannot_be_are_refused() -> None:

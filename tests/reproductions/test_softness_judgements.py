@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from palpate.psychophysics import Condition, Presentation
-from palpate.psychophysics.observers import RankObserver, correlation_needed, needs_of, predict_by_accuracy
+from palpate.psychophysics.observers import (
+    RankObserver,
+    correlation_needed,
+    needs_of,
+    predict_by_accuracy,
+    predict_of_unlike_people,
+)
 from palpate.reproductions.softness.judged_softness import _interval_entries, _table_entries, fewest_answers
 from palpate.reproductions.softness.published_judgements import RANKINGS_PRINTED, printed_ranking
 
@@ -92,3 +98,16 @@ def test_what_would_be_needed_is_what_gives_the_counted_accuracy() -> None:
         assert RankObserver.evenly(needs.gain * np.hypot(d[0], d[1])).total_accuracy() == pytest.approx(
             i.total_accuracy, abs=1e-3
         )
+
+
+@pytest.mark.parametrize(
+    ("presentation", "percent"), [(Presentation.DIRECT, 87.6), (Presentation.RENDERED, 85.3)]
+)
+def test_people_who_are_good_at_either_cue_would_explain_it(
+    presentation: Presentation, percent: float
+) -> None:
+    """87.6 and 85.3 % are another code's, by 200,000 drawn people."""
+    i, k, c = matrices(presentation)
+    found = predict_of_unlike_people(k, c, i, np.random.default_rng(0), log_scatter=1.0, studies=400)
+    assert 100 * found.accuracy == pytest.approx(percent, abs=0.1)
+    assert found.p > 0.05

@@ -24,6 +24,7 @@ from palpate.psychophysics.observers.observer_fit import (
     sensitivity_at,
 )
 from palpate.psychophysics.observers.rank_observer import RankObserver, gaussian_matrix, mixed_matrix
+from palpate.psychophysics.observers.unlike_people import predict_of_unlike_people
 
 __all__ = [
     "CueNeeds",
@@ -41,6 +42,7 @@ __all__ = [
     "mixed_matrix",
     "needs_of",
     "predict_by_accuracy",
+    "predict_of_unlike_people",
     "predict_with_faults",
     "predict_with_spacing",
     "predictions_of",

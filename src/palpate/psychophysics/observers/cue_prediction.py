@@ -30,7 +30,7 @@ from palpate.psychophysics.observers.rank_observer import RankObserver
 
 STUDIES = 400
 ACCURACY_STUDIES = 2_000
-SHAPE_STUDIES = 40
+SHAPE_STUDIES = 100
 MAX_SHARE = 1 - 1e-4  # of right places taken from simulated matrices: all right has no finite d'
 MIN_ABOVE_CHANCE = 1e-3
 
@@ -106,7 +106,7 @@ def predict_by_accuracy(
     accuracies = [
         _drawn_accuracy(both(k, c), integrated, rng, independent) for k, c in zip(*drawn, strict=True)
     ]
-    return _tested(both(*d), np.array(accuracies), integrated)
+    return tested_prediction(both(*d), np.array(accuracies), integrated)
 
 
 def predict_with_faults(
@@ -133,7 +133,7 @@ def predict_with_faults(
     ]
     pairs = zip(kinesthetic.drawn, cutaneous.drawn, strict=True)
     accuracies = [_drawn_accuracy(both(k, c), integrated, rng) for k, c in pairs]
-    return _tested(both(*own), np.array(accuracies), integrated)
+    return tested_prediction(both(*own), np.array(accuracies), integrated)
 
 
 def predict_with_spacing(
@@ -152,7 +152,7 @@ def predict_with_spacing(
             for observer, one in ((k, kinesthetic), (c, cutaneous))
         ))  # fmt: skip
         accuracies.append(_drawn_accuracy(combined_observer(*again), integrated, rng))
-    return _tested(combined_observer(k, c), np.array(accuracies), integrated)
+    return tested_prediction(combined_observer(k, c), np.array(accuracies), integrated)
 
 
 def needs_of(
@@ -201,6 +201,23 @@ def predictions_of(
     }
 
 
+def tested_prediction(
+    observer: RankObserver, drawn: Float[ndarray, " _"], integrated: RankConfusion
+) -> CuePrediction:
+    """An observer's prediction, its interval and p from simulated studies' total accuracies.
+
+    Args:
+        observer: of both cues.
+        drawn: total accuracy of I in each simulated study.
+        integrated: matrix of I.
+    """
+    seen = integrated.total_accuracy
+    tails = [(1 + (drawn <= seen + 1e-9).sum()), (1 + (drawn >= seen - 1e-9).sum())]
+    low, high = _ends(drawn)
+    p = float(min(1.0, 2 * min(tails) / (len(drawn) + 1)))
+    return CuePrediction(observer, observer.total_accuracy(), low, high, seen, p)
+
+
 def _sensitivity(accuracy: float, stimuli: int) -> float:
     return float(_sensitivities(np.array([accuracy]), stimuli)[0])
 
@@ -229,14 +246,6 @@ def _drawn_accuracy(
 ) -> float:
     places = observer.drawn_places(independent or like.rankings, rng)
     return float((places == np.arange(len(like.names))).mean())
-
-
-def _tested(observer: RankObserver, drawn: Float[ndarray, " _"], integrated: RankConfusion) -> CuePrediction:
-    seen = integrated.total_accuracy
-    tails = [(1 + (drawn <= seen + 1e-9).sum()), (1 + (drawn >= seen - 1e-9).sum())]
-    low, high = _ends(drawn)
-    p = float(min(1.0, 2 * min(tails) / (len(drawn) + 1)))
-    return CuePrediction(observer, observer.total_accuracy(), low, high, seen, p)
 
 
 def _ends(drawn: Float[ndarray, " _"]) -> tuple[float, float]:

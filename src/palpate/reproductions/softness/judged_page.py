@@ -8,7 +8,7 @@ from typing import Any
 from palpate.psychophysics import Condition, Presentation
 from palpate.psychophysics.analysis import clopper_pearson_interval
 from palpate.reports.trial_figures import ShareRow, confusion_figure, share_figure
-from palpate.reproductions.softness.judged_softness import ALIKE, JudgedSoftness, fewest_answers
+from palpate.reproductions.softness.judged_softness import ALIKE, UNLIKE, JudgedSoftness, fewest_answers
 from palpate.reproductions.softness.published_judgements import (
     PEOPLE,
     RANKINGS_PRINTED,
@@ -38,9 +38,9 @@ def judged_shown(found: JudgedSoftness, entries: Sequence[StudyEntry]) -> Mappin
         "differences": found.differences,
         "failures": [_failure(found, one) for one in Presentation],
         "gains": found.gains,
-        "faulty_p": f"{min(single):.3f} to {max(single):.3f}",
+        "faulty_p": f"{min(single):.2g} to {max(single):.2g}",
         "predicted": {f"{one}: both cues predicted": _predicted(found, one) for one in Presentation},
-        "shuffled": ", ".join(f"{d:.1f}" for d in found.shuffled.values()),
+        "shuffled": ", ".join(f"{middle:.1f} ({ninth:.1f})" for middle, ninth in found.shuffled.values()),
         "wrong_sign": " and ".join(f"{lost:.0f}" for lost in found.wrong_sign.values()),
         "pair_heads": [f"{presentation} {condition}" for presentation, condition in heads],
         "pair_rows": {
@@ -65,6 +65,9 @@ def _failure(found: JudgedSoftness, presentation: Presentation) -> dict[str, Any
         "low": 100 * one.low,
         "high": 100 * one.high,
         "observed": 100 * one.observed,
+        "alike_p": found.predictions[presentation][ALIKE].p,
+        "unlike": 100 * found.predictions[presentation][UNLIKE].accuracy,
+        "unlike_p": found.predictions[presentation][UNLIKE].p,
         "alike_low": 100 * found.predictions[presentation][ALIKE].low,
         "alike_high": 100 * found.predictions[presentation][ALIKE].high,
         "p": one.p,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, permutations
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from palpate.psychophysics.observers import (
     fit_observer,
     needs_of,
     predict_by_accuracy,
+    predict_of_unlike_people,
     predictions_of,
 )
 from palpate.reproductions.softness.published_judgements import (
@@ -50,6 +51,10 @@ from palpate.softness import SoftObject
 
 SIMULATED = 2_000
 ALIKE = "no faults, each person's rankings alike"
+UNLIKE = "no faults, people good at either cue"
+ALIKE_STUDIES = 10_000
+FIT_DRAWS = 1_500
+LOG_SCATTER = 1.0  # of people's d', for the row of those who are good at either cue
 MECHANICS = "no faults, cues apart as the mechanics has them"
 
 
@@ -95,7 +100,8 @@ class JudgedSoftness:
         predictions: of the integrated condition, by presentation and kind of observer.
         needs: what the plain observer would need, by presentation.
         fits: observers with lapses and reversals, one of each matrix.
-        shuffled: plain observers fitted to K's and C's matrices with the places given shuffled.
+        shuffled: size of d' of plain observers fitted to K's and C's matrices with the places given in every
+            other order: its median and the nine tenths' end.
         wrong_sign: composite likelihood that the plain observer loses with its sign turned, by presentation,
             of K and C together.
         pairs: Figures 10 and 11.
@@ -107,7 +113,7 @@ class JudgedSoftness:
     predictions: Mapping[Presentation, Mapping[str, CuePrediction]]
     needs: Mapping[Presentation, CueNeeds]
     fits: Mapping[tuple[Presentation, Condition], ObserverFit]
-    shuffled: Mapping[tuple[Presentation, Condition], float]
+    shuffled: Mapping[tuple[Presentation, Condition], tuple[float, float]]
     wrong_sign: Mapping[Presentation, float]
     pairs: Sequence[JudgedPair]
     differences: Sequence[TouchDifference]
@@ -132,7 +138,8 @@ def judged_softness(
         i, k, c = (printed_ranking(presentation, one).confusion for one in Condition)
         predictions[presentation] = {
             **predictions_of(k, c, i, rng),
-            ALIKE: predict_by_accuracy(k, c, i, rng, independent=PEOPLE),
+            ALIKE: predict_by_accuracy(k, c, i, rng, independent=PEOPLE, studies=ALIKE_STUDIES),
+            UNLIKE: predict_of_unlike_people(k, c, i, rng, log_scatter=LOG_SCATTER, people=PEOPLE),
             MECHANICS: predict_by_accuracy(k, c, i, rng, gains=gains),
         }
         needs[presentation] = needs_of(k, c, i, rng)
@@ -144,7 +151,9 @@ def judged_softness(
         )
         pairs += _pairs(presentation, d)
     fits = {
-        (one.presentation, one.condition): fit_observer(one.confusion, rng, lapses=True, reversals=True)
+        (one.presentation, one.condition): fit_observer(
+            one.confusion, rng, lapses=True, reversals=True, draws=FIT_DRAWS
+        )
         for one in RANKINGS_PRINTED
     }
     return JudgedSoftness(
@@ -172,13 +181,17 @@ def _pairs(presentation: Presentation, sensitivities: Sequence[float]) -> Iterat
             yield JudgedPair(presentation, condition, name, observer.pair_accuracy(other, 2), printed)
 
 
-def _shuffled(rng: np.random.Generator) -> dict[tuple[Presentation, Condition], float]:
-    found: dict[tuple[Presentation, Condition], float] = {}
+def _shuffled(rng: np.random.Generator) -> dict[tuple[Presentation, Condition], tuple[float, float]]:
+    found: dict[tuple[Presentation, Condition], tuple[float, float]] = {}
     for one in RANKINGS_PRINTED:
         if one.condition is not Condition.INTEGRATED:
-            counts = one.confusion.counts[:, [2, 4, 1, 0, 3]]
-            fit = fit_observer(RankConfusion(one.confusion.names, counts), rng, draws=1)
-            found[one.presentation, one.condition] = fit.sensitivity
+            names, counts = one.confusion.names, one.confusion.counts
+            sizes = [
+                abs(fit_observer(RankConfusion(names, counts[:, list(order)]), rng, draws=1).sensitivity)
+                for order in list(permutations(range(len(names))))[1:]
+            ]
+            middle, ninth = np.percentile(sizes, [50, 90])
+            found[one.presentation, one.condition] = float(middle), float(ninth)
     return found
 
 
@@ -301,8 +314,9 @@ def _observer_entries(source: str, found: JudgedSoftness) -> Iterator[StudyEntry
         yield study_entry(source, f"{named}, lapses", fit.observer.lapse, "1")
         yield study_entry(source, f"{named}, reversals", fit.observer.reversal, "1")
         yield study_entry(source, f"{named}, p of its fit", fit.deviance_p, "1")
-    for (presentation, condition), d in found.shuffled.items():
-        yield study_entry(source, f"{presentation} {condition} shuffled: d'", d, "1")
+    for (presentation, condition), (middle, ninth) in found.shuffled.items():
+        yield study_entry(source, f"{presentation} {condition} shuffled: size of d', median", middle, "1")
+        yield study_entry(source, f"{presentation} {condition} shuffled: size of d', 90 %", ninth, "1")
     for cue, gain in zip(("displacement", "area"), found.gains, strict=True):
         other = "CL2" if cue == "displacement" else "CL3"
         yield study_entry(source, f"CL1 over {other}, log {cue}, assumed moduli", gain, "1")
