@@ -6,7 +6,7 @@ the score test turned round; Clopper and Pearson's covers at least at its rate, 
 
 All three take N answers as independent. Three answers of each of ten participants are not thirty: what
 differs between people is shared by a participant's answers, so N = 30 is pseudo-replication, and the
-interval is too short wherever people differ. `cluster_interval` draws whole participants instead.
+interval is too short wherever people differ. `cluster_interval` is over participants instead.
 
 References: E. B. Wilson, JASA 22 (1927) 209, doi:10.1080/01621459.1927.10502953; C. J. Clopper,
 E. S. Pearson, Biometrika 26 (1934) 404, doi:10.1093/biomet/26.4.404; R. G. Newcombe, Statist. Med. 17 (1998)
@@ -20,12 +20,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from palpate.core import Float, InputError, RangeError, ndarray
 
 BOOTSTRAP_DRAWS = 4_000
 MIN_CLUSTERS = 2
+MAX_LOG_ODDS = 12.0  # of a mean share
+MEANS, CORRELATIONS = 401, 40  # nodes of the beta-binomial posterior
 
 Ends = tuple[float, float]
 
@@ -116,14 +118,16 @@ def cluster_interval(
     coverage: float = 0.95,
     draws: int = BOOTSTRAP_DRAWS,
 ) -> Ends:
-    """Interval of a proportion over participants: whole participants are drawn again.
+    """Interval of a proportion over participants.
 
-    The percentiles are those of Student's t of so many participants, and so wider than the bootstrap's own.
-    In 1,500 simulated studies of ten participants who scatter by 0 to 1.5 logits it held the truth in 94.4 to
-    98.1 % where 95 are claimed, the bootstrap's own in 90 to 92 %, Wilson's down to 66 %. It is never shorter
-    than Wilson's of all answers. Where every participant answers all right, or all wrong, drawing says
-    nothing: then a participant counts as one answer (Clopper and Pearson's of their number), the most that
-    answers of one can be alike.
+    It reaches as far as any of three: whole participants drawn again, with the percentiles of Student's t of
+    so many; `beta_binomial_interval`, which knows that few participants seldom show a long tail, and speaks
+    where all answers are right; and Wilson's of all answers.
+
+    In 500 simulated studies each of ten participants, with shares of 0.5, 0.75, 0.85, 0.9 and 0.95, scatters
+    of 0, 0.5, 1, 1.5 and 2.5 logits, and 3, 12 and 40 answers, it held the share in 95.4 to 100 %, in the
+    mean in 98.6 %, where 95 are claimed. Drawing alone falls to 75 % (share 0.95, scatter 2.5, 40 answers,
+    300 studies): ten people seldom have the few of whom a long tail is made, and misses lie below its end.
 
     Args:
         right, n: right answers and all, of each participant; those without answers are left out.
@@ -143,13 +147,39 @@ def cluster_interval(
         )
     for a, b in zip(k, m, strict=True):
         _checked(int(a), int(b))
-    wilson = wilson_interval(int(k.sum()), int(m.sum()), coverage)
-    if k.sum() in (0, m.sum()):
-        return clopper_pearson_interval(len(m) if k.sum() else 0, len(m), coverage)
-    at = rng.integers(len(m), size=(draws, len(m)))
-    means = k[at].sum(axis=1) / m[at].sum(axis=1)
-    low, high = expanded_percentiles(means, len(m), coverage)
-    return min(low, wilson[0]), max(high, wilson[1])
+    ends = [wilson_interval(int(k.sum()), int(m.sum()), coverage), beta_binomial_interval(k, m, coverage)]
+    if 0 < k.sum() < m.sum():
+        at = rng.integers(len(m), size=(draws, len(m)))
+        ends.append(expanded_percentiles(k[at].sum(axis=1) / m[at].sum(axis=1), len(m), coverage))
+    lows, highs = zip(*ends, strict=True)
+    return min(lows), max(highs)
+
+
+def beta_binomial_interval(
+    right: Float[ndarray, " s"], n: Float[ndarray, " s"], coverage: float = 0.95
+) -> Ends:
+    """Posterior interval of the mean of participants' shares, which are drawn of a beta law.
+
+    The mean has Jeffreys' prior of a proportion, the correlation of one participant's answers an even one
+    from 0, all participants alike, to 1, each all right or all wrong.
+
+    Args:
+        right, n: right answers and all, of each participant.
+        coverage: of the interval, equal tails; it reaches 1 where all are right, and 0 where none are.
+    """
+    each, times = np.unique(np.column_stack([right, n]).astype(np.float64), axis=0, return_counts=True)
+    k, m = each.T[:, :, None, None]
+    logit = np.linspace(-MAX_LOG_ODDS, MAX_LOG_ODDS, MEANS)
+    alike = (np.arange(CORRELATIONS) + 0.5) / CORRELATIONS
+    mean, size = special.expit(logit), (1 / alike - 1)[:, None]
+    a, b = mean * size, (1 - mean) * size
+    likelihood = np.tensordot(times, special.betaln(a + k, b + m - k) - special.betaln(a, b), 1)
+    log_weight = likelihood + 0.5 * np.log(mean * (1 - mean))  # Jeffreys' over the logit
+    weight = np.exp(log_weight - log_weight.max()).sum(axis=0)
+    area = np.concatenate([[0.0], np.cumsum(weight[1:] + weight[:-1])])
+    tail = (1 - coverage) / 2
+    low, high = special.expit(np.interp([tail, 1 - tail], area / area[-1], logit))
+    return (0.0 if k.sum() == 0 else float(low)), (1.0 if k.sum() == m.sum() else float(high))
 
 
 def expanded_percentiles(means: Float[ndarray, " draws"], units: int, coverage: float) -> Ends:

@@ -72,7 +72,8 @@ def predict_of_unlike_people(
 
     def drawn(at: list[float]) -> ndarray:
         """Right places of K, C and I of one simulated study."""
-        k, c = _sensitivities_of(at, *rng.standard_normal((2, people)), log_scatter, skills)
+        one, other = rng.standard_normal((2, people))
+        k, c = _sensitivities_of(at, one, other, log_scatter, skills)
         d = np.repeat(np.stack([k, c, np.hypot(k, c)]), integrated.rankings // people, axis=1)
         percept = d[:, :, None] * np.arange(m) + rng.standard_normal((*d.shape, m))
         return np.asarray((percept.argsort(axis=2).argsort(axis=2) == np.arange(m)).mean(axis=(1, 2)))
