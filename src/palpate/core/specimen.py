@@ -113,7 +113,7 @@ def _shaped(cls: type[Specimen], words: str, name: str, kind: str, numbers: str)
 
 
 def _numbers(words: str, kind: str, numbers: str) -> dict[str, float]:
-    """Of "R_mm=20,E_MPa=0.3"."""
+    """Numbers of words such as "R_mm=20,E_MPa=0.3"."""
     allowed = NUMBERS[kind]
     given: dict[str, float] = {}
     for part in numbers.split(","):

@@ -163,11 +163,11 @@ class SoftnessCurve:
         return SmallSpace(self.middle, self.basis, self.means, self.scatter, self.outside, self.freedom)
 
     def novelty_score(self, press: Vector) -> float:
-        """As `SmallSpace.novelty_score`."""
+        """Part of a press that no reference shows, see `SmallSpace`."""
         return self.space.novelty_score(press)
 
     def place(self, press: Vector) -> Float[ndarray, " q"]:
-        """As `SmallSpace.place`."""
+        """Place of a press in the basis, see `SmallSpace`."""
         return self.space.place(press)
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:

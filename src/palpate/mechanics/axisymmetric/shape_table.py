@@ -74,7 +74,7 @@ class ShapeTable:
 
     @property
     def least_radius_m(self) -> float:
-        """Of a dome [m]."""
+        """Least radius of a dome [m]."""
         return float(1 / self.domes.shape[-1])
 
     @property

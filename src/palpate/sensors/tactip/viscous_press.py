@@ -36,7 +36,7 @@ class ViscousPress:
     body: Prony
 
     def approach_m(self, force_n: float, modulus_pa: float) -> float:
-        """Of the elastic specimen [m]."""
+        """Approach to the elastic specimen [m]."""
         return float(self._law(softness_share(modulus_pa), np.cbrt(force_n))[0, 0])
 
     def modulus_pa(self, depth_m: float, force_n: float) -> float:

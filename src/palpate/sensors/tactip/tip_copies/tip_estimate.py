@@ -121,7 +121,7 @@ class TipCopyFit:
 
 
 def _weight(pin_px: float) -> float:
-    """Of a pin's coordinate, where those of a patch count as one [1/px]."""
+    """Weight of a pin's coordinate, where those of a patch count as one [1/px]."""
     return 1 / (pin_px * math.sqrt(PATCH))
 
 
@@ -269,7 +269,7 @@ class TipEstimate:
         return float(at - stated + math.log(design_force_n(self._known.spec, STATED_MM)) + terms[0])
 
     def _slopes(self, state: State) -> Float[ndarray, "r u"]:
-        """Of all rows over all unknowns; a press's own move its own pins alone."""
+        """Slopes of all rows over all unknowns; a press's own move its own pins alone."""
         t, n = self._t, self._n
         terms, own = state[:t], state[t : t + OWN * n].reshape(n, OWN)
         pins = np.zeros((n, self._pins * 2, self._size))
@@ -322,7 +322,7 @@ class TipEstimate:
         return np.concatenate([*blocks, np.reshape(rows, (-1, self._size)), zeros])
 
     def force_slopes(self, terms: TermVector, depth_mm: float, i: int) -> State:
-        """Of the logarithm of a press's force over all unknowns."""
+        """Slopes of the logarithm of a press's force over all unknowns."""
         row = np.zeros(self._size)
         row[0] = 1.0
         there, here = self._ends(terms, 1, TERM_STEP[1])
