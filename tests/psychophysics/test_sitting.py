@@ -174,7 +174,7 @@ def test_nothing_that_is_told_or_named_says_which_stimulus_it_is(tmp_path) -> No
     for k in range(4):
         enrol(design, f"P{k}", Enrolment(True))
     for one in records(design):
-        desk, presenter = Desk(["9", "1", "12", "2", "x", "1", "2", "q"]), Presenter()
+        desk, presenter = Desk(["9", "s2", "1", "12", "s2", "2", "x", *["s2", "1"] * 2, "q"]), Presenter()
         presenter.refuses = 2
         answer = noisy_answers(design, one.participant, 20.0)
         with opened(design, one.participant) as sitting:
@@ -209,17 +209,68 @@ def test_a_device_that_refuses_pauses_the_sitting_and_nothing_is_lost(tmp_path) 
     enrol(design, "P01", Enrolment(True))
     presenter = Presenter()
     presenter.refuses = 1
-    desk = Desk(["", "1", "s2", "2", "q"])  # mended, answered, shown again, answered
+    desk = Desk(["", "s2", "1", "s2", "2", "q"])  # mended, both felt, answered; both felt, answered
     outcome = sit(design, desk, presenter)
     assert (outcome.kept, outcome.fault) == (2, None)
     assert "the valve does not answer\nNothing is lost: 0 judgements are kept" in "\n".join(desk.told)
     first, second = read_judgements(table(design))
     names = [name for _, name, _ in presenter.shown]
-    assert names[:3] == [first.presented[0], second.presented[0], second.presented[1]]
+    assert names[:4] == [*first.presented, *second.presented]
     presenter.refuses = 1
     outcome = sit(design, Desk([]), presenter)  # nobody mends it
     assert isinstance(outcome.fault, DeviceError)
     assert outcome.kept == 2
+
+
+def test_no_rendered_answer_is_taken_before_each_stimulus_was_shown(tmp_path) -> None:
+    design = make_experiment(tmp_path / "study", "threshold", 3)
+    enrol(design, "P01", Enrolment(True))
+    with opened(design) as sitting:
+        trial = sitting.next
+        second = sitting.codes[trial.presentation, trial.condition, trial.presented[1]]
+    desk, presenter = Desk(["1", "2", "s2", "1", "q"]), Presenter()
+    assert sit(design, desk, presenter).kept == 1
+    said = "\n".join(desk.told)
+    assert said.count(f"{second} not shown yet: type s2") == 2
+    assert "s2 shows the one still to be felt" in said
+    assert said.index("still to be felt") < said.index("shows one again"), "that is for what was shown"
+    assert [name for _, name, _ in presenter.shown[:2]] == list(trial.presented)
+    [kept] = read_judgements(table(design))
+    assert kept.answer == trial.presented[:1]
+
+
+def test_what_was_felt_before_a_fault_has_to_be_felt_again(tmp_path) -> None:
+    design = make_experiment(tmp_path / "study", "threshold", 3)
+    enrol(design, "P01", Enrolment(True))
+    presenter = Presenter()
+
+    def breaks() -> str:
+        presenter.refuses = 1
+        return "s2"
+
+    desk = Desk([breaks, "", "1", "s1", "1", "q"])  # the second after the fault; the first is lacking then
+    assert sit(design, desk, presenter).kept == 1
+    assert "not shown yet: type s1" in "\n".join(desk.told)
+
+
+def test_of_a_rendered_ranking_all_have_to_be_shown(tmp_path) -> None:
+    design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
+    for k in range(4):
+        enrol(design, f"P{k}", Enrolment(True))
+    rendered = next(one.participant for one in records(design) if one.group == "rendered")
+    answer, presenter = noisy_answers(design, rendered, 0.0), Presenter()
+    desk = Desk(["1 2 3 4 5", "s2", "s4", "5 4 3 2 1", "s3", "s5", "1 2 3 4 5", "q"])
+    with opened(design, rendered) as sitting:
+        while sitting.next.task is Task.PAIR:
+            sitting.take(answer(sitting.next), 1.0)
+        before = len(sitting.judgements)
+        SittingDialogue(sitting, desk, presenter, desk.clock).run()
+        assert len(sitting.judgements) == before + 1
+        *_, last = sitting.judgements
+        assert last.answer == last.presented
+    said = "\n".join(desk.told)
+    assert "not shown yet: type s2 s3 s4 s5, one after the other" in said
+    assert "not shown yet: type s3 s5, one after the other" in said
 
 
 def test_an_answer_to_what_had_ended_by_itself_is_not_taken(tmp_path) -> None:
@@ -227,7 +278,7 @@ def test_an_answer_to_what_had_ended_by_itself_is_not_taken(tmp_path) -> None:
     enrol(design, "P01", Enrolment(True))
     presenter = Presenter()
     presenter.has_ended = 1
-    desk = Desk(["1", "", "2", "q"])
+    desk = Desk(["s2", "1", "", "s2", "2", "q"])
     outcome = sit(design, desk, presenter)
     [kept] = read_judgements(table(design))
     assert outcome.kept == 1

@@ -193,6 +193,7 @@ class SittingDialogue:
         self._clock, self._answerer = clock, answerer
         self._place: tuple[Presentation, Condition] | None = None
         self._block: tuple[object, ...] = ()
+        self._shown: set[int] = set()  # places of the trial whose stimuli were shown, since the last fault
 
     def run(self) -> SittingOutcome:
         """Ask until all is answered, or until it pauses; Ctrl-C leaves everything that was kept."""
@@ -262,6 +263,7 @@ class SittingDialogue:
         done, schedule = len(self._sitting.judgements), self._sitting.schedule
         bound = "" if schedule.is_fixed else "at most "
         self._desk.tell(f"[{done + 1} of {bound}{schedule.max_trials}] {letters}")
+        self._shown.clear()
         if trial.presentation is Presentation.RENDERED:
             self._show(trial, 0)
         elif self._answerer is None:
@@ -273,22 +275,40 @@ class SittingDialogue:
             raise InputError("rendered stimuli, and no display; name its bench by --bench")
         name = trial.presented[which]
         self._presenter.show(trial.condition, name, self._code(trial, name))
+        self._shown.add(which)
+
+    def _unshown(self, trial: PlannedTrial) -> list[int]:
+        """Places of stimuli that have still to be shown before an answer can be one."""
+        if trial.presentation is Presentation.DIRECT or isinstance(self._presenter, UnrenderedStimuli):
+            return []
+        return [k for k in range(len(trial.presented)) if k not in self._shown]
 
     def _typed(self, trial: PlannedTrial) -> tuple[str, ...]:
         """The answer, typed until it is one."""
-        shown = ", s1 s2 ... shows one again" if trial.presentation is Presentation.RENDERED else ""
+        rendered = trial.presentation is Presentation.RENDERED
         wanted = "softer, 1 or 2" if trial.task is Task.PAIR else "from the hardest to the softest"
         while True:
-            text = self._desk.ask(f"{wanted} ({PAUSE} pauses{shown})").strip()
+            said = _of_showing(self._unshown(trial)) if rendered else ""
+            text = self._desk.ask(f"{wanted} ({PAUSE} pauses{said})").strip()
             self._command(text)
             try:
-                which = _again(text, len(trial.presented)) if shown else None
+                which = _wished(text, len(trial.presented)) if rendered else None
                 if which is None:
-                    return read_answer(text, trial, [self._code(trial, one) for one in trial.presented])
+                    answer = read_answer(text, trial, [self._code(trial, one) for one in trial.presented])
+                    self._check_shown(trial)
+                    return answer
             except InputError as e:
                 self._desk.tell(str(e))
                 continue
             self._mended(lambda which=which: self._show(trial, which))  # type: ignore[misc]
+
+    def _check_shown(self, trial: PlannedTrial) -> None:
+        """Refuse an answer to what has not been felt."""
+        if unshown := self._unshown(trial):
+            letters = " ".join(self._code(trial, trial.presented[k]) for k in unshown)
+            keys = " ".join(f"s{k + 1}" for k in unshown)
+            each = ", one after the other, then the answer" if len(unshown) > 1 else ""
+            raise InputError(f"{letters} not shown yet: type {keys}{each}")
 
     def _still_shown(self, trial: PlannedTrial) -> bool:
         if trial.presentation is Presentation.DIRECT or self._presenter is None:
@@ -307,6 +327,7 @@ class SittingDialogue:
                 work()
                 return self._clock.now_ns()
             except PalpateError as e:
+                self._shown.clear()
                 self._fault(e, "this trial is not asked yet")
 
     def _fault(self, fault: PalpateError, so: str) -> None:
@@ -356,12 +377,20 @@ def _ordinal(k: int) -> str:
     return ORDINALS[k] if k < len(ORDINALS) else f"{k + 1}."
 
 
-def _again(text: str, count: int) -> int | None:
-    """Which stimulus is wished again, of ``s2``; None of another text."""
+def _of_showing(unshown: Sequence[int]) -> str:
+    """The keys that show a stimulus, those that were not shown first."""
+    if not unshown:
+        return ", s1 s2 ... shows one again"
+    each = "shows the one" if len(unshown) == 1 else "show those"
+    return f", {' '.join(f's{k + 1}' for k in unshown)} {each} still to be felt"
+
+
+def _wished(text: str, count: int) -> int | None:
+    """Which stimulus is wished, of ``s2``; None of another text."""
     if not text.lower().startswith("s") or not text[1:].isdigit():
         return None
     if not 1 <= int(text[1:]) <= count:
-        raise InputError(f"{text!r}; s1 to s{count} show one again")
+        raise InputError(f"{text!r}; s1 to s{count} show one")
     return int(text[1:]) - 1
 
 
