@@ -385,6 +385,25 @@ def test_a_rehearsal_is_counted_and_kept_apart_from_what_was_measured(tmp_path) 
     assert [one.simulated for one in records(design)] == [False]
 
 
+@pytest.mark.parametrize("preset", ["jelly", "threshold"])
+def test_a_rehearsal_tells_neither_letters_nor_orders_of_the_participant_of_its_number(
+    preset: str, tmp_path
+) -> None:
+    design = make_experiment(tmp_path / "study", preset, 5)
+    person = enrol(design, "P01", Enrolment(True))
+    rehearsed = enrol(design, "R01", Enrolment(True, simulated=True))
+    assert person.number == rehearsed.number
+    assert person.group == rehearsed.group, "who meets what is no secret"
+    homes = [participant_folder(design, "P01"), participant_folder(design, "R01", simulated=True)]
+    for name in (KEY, SCHEDULE):
+        one, other = ((home / name).read_text() for home in homes)
+        assert one != other
+    mine, theirs = (letter_codes(design, 1, simulated) for simulated in (False, True))
+    assert sum(mine[place] == theirs[place] for place in mine) < len(mine) / 2
+    with Sitting(design, "R01", lambda: NOW, simulated=True) as sitting:
+        assert sitting.codes == theirs
+
+
 @pytest.mark.parametrize(
     "code", ["../P01", "/etc/P01", "..", "a/b", "a\\b", "", "P 01", "P01\n", "é", "-P", "x" * 33]
 )

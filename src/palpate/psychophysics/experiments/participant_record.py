@@ -17,7 +17,7 @@ from pathlib import Path
 
 from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign, StimuliPart
-from palpate.psychophysics.experiments.trial_schedule import drawn_order
+from palpate.psychophysics.experiments.trial_schedule import draw_of, drawn_order
 from palpate.psychophysics.judgements import Condition, Presentation, checked_code
 
 PARTICIPANT = "participant.json"
@@ -134,10 +134,13 @@ class ParticipantRecord:
 Place = tuple[Presentation, Condition, str]
 
 
-def letter_codes(design: ExperimentDesign, number: int) -> dict[Place, str]:
+def letter_codes(
+    design: ExperimentDesign, number: int, simulated: bool = False
+) -> dict[Place, str]:
     """A letter for each stimulus of each condition, drawn anew for each participant.
 
-    No letter is met twice by a participant, and none is the name of a stimulus.
+    No letter is met twice by a participant, and none is the name of a stimulus. A rehearsal's are others than
+    those of the participant of its number, so that its key gives nothing away.
     """
     names = {name.upper() for name in design.stimuli}
     sets: list[StimuliPart] = [design.file.set_of(*place) for place in design.file.places()]
@@ -147,7 +150,7 @@ def letter_codes(design: ExperimentDesign, number: int) -> dict[Place, str]:
         codes = [a + b for a in LETTERS for b in LETTERS if a + b not in names]
     if len(codes) < len(places):
         raise InputError(f"{len(places)} stimuli in all conditions; {len(codes)} have letters of their own")
-    drawn = drawn_order(codes, design.file.seed, number, "letters")
+    drawn = drawn_order(codes, *draw_of(design.file.seed, number, simulated), "letters")
     return dict(zip(places, drawn, strict=False))
 
 

@@ -112,7 +112,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
                 record.write(part)
             return record
         number = 1 + max((one.number for one in records(design, told.simulated)), default=0)
-        schedule = make_schedule(design, number)
+        schedule = make_schedule(design, number, told.simulated)
         if told.simulated and not (folder.parent / STIMULI).exists():
             write_stimuli(folder.parent / STIMULI, design.stimuli.values())
         record = ParticipantRecord(
@@ -123,7 +123,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
             record.write(part)
             (part / RESPONSES).write_text(HEADER, encoding="utf-8", newline="")
             (part / SCHEDULE).write_text(schedule.text, encoding="utf-8", newline="")
-            key = key_text(letter_codes(design, number))
+            key = key_text(letter_codes(design, number, told.simulated))
             (part / KEY).write_text(key, encoding="utf-8", newline="")
             (part / SITTINGS).write_text("when,event,why\n", encoding="utf-8", newline="")
     return record
@@ -196,7 +196,7 @@ class Sitting(Closing):
         if self.record.consent not in ("yes", "simulated"):
             raise InputError(f"participant {participant} has not consented, so that there is no trial")
         self.schedule: Schedule = schedule_of(design, self.record)
-        self.codes: Mapping[Place, str] = letter_codes(design, self.record.number)
+        self.codes: Mapping[Place, str] = letter_codes(design, self.record.number, simulated)
         self._check_schedule()
         self._log = ResponseLog(folder, self.record.simulated)
         try:
@@ -277,7 +277,7 @@ def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule
             "participant goes on by one design alone; put it back as it was, or begin another experiment by "
             "`palpate trial new`"
         )
-    schedule = make_schedule(design, record.number)
+    schedule = make_schedule(design, record.number, record.simulated)
     if schedule.digest != record.schedule:
         raise InputError(
             f"the schedule of {record.participant} is not the one that was begun: {PARTICIPANT} was changed, "

@@ -52,6 +52,11 @@ def drawn_order(items: Sequence[Item], *place: object) -> list[Item]:
     return sorted(items, key=lambda one: hashlib.sha256(f"{words}\0{one}".encode()).digest())
 
 
+def draw_of(seed: int, number: int, simulated: bool) -> tuple[object, ...]:
+    """The first words of what is drawn for a participant; a rehearsal's are others than a person's."""
+    return (seed, number, "simulated") if simulated else (seed, number)
+
+
 def williams_rows(count: int) -> list[tuple[int, ...]]:
     """Orders of `count` conditions, balanced for what comes before what; every other is the mirror of one.
 
@@ -328,12 +333,14 @@ def _block_row(block: PlannedBlock) -> dict[str, object]:
     return row | {"sides": block.sides, "softer": block.softer, "rule": rule, "turns": block.turns}
 
 
-def make_schedule(design: ExperimentDesign, number: int) -> Schedule:
+def make_schedule(design: ExperimentDesign, number: int, simulated: bool = False) -> Schedule:
     """The schedule of a participant.
 
     Args:
         design: of the experiment, with its seed.
         number: of the participant, from 1, in the order in which they came.
+        simulated: whether it is a rehearsal: of the same group and conditions as the participant of that
+            number, but with trials drawn for itself, so that it tells nothing of theirs.
 
     Raises:
         InputError: a number below 1, or a task that the stimuli cannot carry.
@@ -346,7 +353,7 @@ def make_schedule(design: ExperimentDesign, number: int) -> Schedule:
         count = {Task.PAIR: 0, Task.RANK: 0}
         for k, part in enumerate(design.file.task):
             begin = count[task_of(part)] + 1
-            place = (design.file.seed, number, presentation.value, condition.value, k)
+            place = (*draw_of(design.file.seed, number, simulated), presentation.value, condition.value, k)
             made = list(_blocks(design, stimuli, part, begin, place))
             count[task_of(part)] += len(made)
             blocks += made
