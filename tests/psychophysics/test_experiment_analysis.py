@@ -195,12 +195,14 @@ def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path)
 
 def test_rehearsed_answers_are_said_to_be_no_measurement(study: Path, tmp_path) -> None:
     assert "nothing here is a measurement" not in palpate("trial", "analyse", study)
-    (study / "sub-P02" / "participant.json").write_text('{"simulated": true}')
+    (study / "sub-P02" / "participant.json").write_text(
+        '{"participant": "P02", "consent": "simulated", "simulated": true}'
+    )
     assert "nothing here is a measurement" in palpate("trial", "analyse", study, "--out", tmp_path / "p.html")
     page = (tmp_path / "p.html").read_text()
     assert "<b>Simulated.</b>" in page
     (study / "sub-P02" / "participant.json").write_text("{")
-    assert "cannot be read" in palpate("trial", "analyse", study, status=2)
+    assert "participant.json is damaged" in palpate("trial", "analyse", study, status=2)
 
 
 def test_the_verb_refuses_what_is_wrong_in_a_line_and_counts_rows_without_an_answer(study: Path) -> None:

@@ -21,7 +21,7 @@ from palpate.core import (
     RecordingError,
     StorageError,
 )
-from palpate.psychophysics import Presentation, Task, read_judgements, read_stimuli
+from palpate.psychophysics import Presentation, Task, read_judgements
 from palpate.psychophysics.experiments import (
     Enrolment,
     Sitting,
@@ -33,6 +33,7 @@ from palpate.psychophysics.experiments import (
     noisy_answers,
     participant_folder,
     read_design,
+    read_kept_answers,
     records,
 )
 from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
@@ -381,7 +382,8 @@ def test_a_rehearsal_is_counted_and_kept_apart_from_what_was_measured(tmp_path) 
     assert (rehearsal / "sub-P01" / "responses.csv").read_text().splitlines()[1].endswith(",yes")
     assert len(read_judgements(rehearsal)) == 1
     assert read_judgements(design.folder) == ()
-    assert read_stimuli(rehearsal) == design.stimuli
+    assert read_kept_answers(rehearsal).stimuli == design.stimuli
+    assert not (rehearsal / "stimuli.csv").exists(), "the design's table is the only one"
     assert [one.simulated for one in records(design)] == [False]
 
 

@@ -27,27 +27,29 @@ def analyse(
 
     Example: palpate trial analyse STUDY --out study.html
     """
-    from palpate.core import InputError, LabelError, refuse_existing
-    from palpate.psychophysics import is_rehearsal, read_judgements, read_stimuli
+    from dataclasses import replace
+
+    from palpate.core import InputError, refuse_existing
     from palpate.psychophysics.analysis import SigmoidShape, analyse_experiment
+    from palpate.psychophysics.experiments import read_kept_answers
     from palpate.reports.trial_page import analysis_answers, write_trial_page
 
     if shape not in list(SigmoidShape):
         raise InputError(f"--shape {shape!r}; {', '.join(SigmoidShape)} are known")
     if out is not None:
         refuse_existing(out)
-    if not folder.is_dir():
-        raise LabelError(f"{folder} is no folder; give the one of stimuli.csv and the participants' answers")
-    unanswered: list[str] = []
-    judgements = read_judgements(folder, unanswered)
-    home = folder if (folder / "stimuli.csv").is_file() else folder.parent
+    kept = read_kept_answers(folder)
     found = analyse_experiment(
-        judgements, read_stimuli(home), unanswered=unanswered, simulated=is_rehearsal(folder),
+        kept.judgements, kept.stimuli, unanswered=kept.unanswered, simulated=kept.simulated,
         shape=SigmoidShape(shape), logarithmic=logarithmic, lapse=lapse, seed=seed,
     )  # fmt: skip
+    if kept.withdrawn:
+        left_out = f"{len(kept.withdrawn)} with answers whose consent does not stand are left out"
+        found = replace(found, caveats=(*found.caveats, left_out))
     if out is not None:
         write_trial_page(found, out, str(folder.name))
-    told = [*analysis_answers(found), *(f"Note: {one}." for one in found.caveats)]
+    said = ["Simulated: nothing here is a measurement of people."] if kept.simulated else []
+    told = [*said, *analysis_answers(found), *(f"Note: {one}." for one in found.caveats)]
     if out is not None:
         told.append(f"page: {out}")
     print_found(found.to_dict() | {"answers": list(analysis_answers(found))}, "\n".join(told), json_)

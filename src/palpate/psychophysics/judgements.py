@@ -224,14 +224,18 @@ def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Ju
 
 
 def is_rehearsal(folder: Path) -> bool:
-    """Whether answers in a folder are simulated: it is called so, or a participant's record says it."""
+    """Whether answers in a folder are simulated: it is called so, or a record or a row of a table says it."""
     records = [folder / PARTICIPANT_RECORD, *sorted(folder.glob(f"*/{PARTICIPANT_RECORD}"))]
     try:
         told = [json.loads(path.read_text(encoding="utf-8")) for path in records if path.is_file()]
     except (OSError, ValueError) as e:
         raise LabelError(f"{folder} holds a {PARTICIPANT_RECORD} that cannot be read: {e}") from e
-    return folder.resolve().name == "rehearsal" or any(
-        isinstance(one, dict) and one.get("simulated") is True for one in told
+    recorded = any(isinstance(one, dict) and one.get("simulated") is True for one in told)
+    tables = [path for path in (folder / RESPONSES, *folder.glob(f"*/{RESPONSES}")) if path.is_file()]
+    return (
+        folder.resolve().name == "rehearsal"
+        or recorded
+        or any(row.get("simulated") == "yes" for path in tables for row in _rows(path, RESPONSE_COLUMNS))
     )
 
 

@@ -6,6 +6,7 @@ from palpate.psychophysics.experiments.experiment_file import (
     read_design,
 )
 from palpate.psychophysics.experiments.experiment_presets import PRESETS, make_experiment
+from palpate.psychophysics.experiments.kept_answers import KeptAnswers, read_kept_answers
 from palpate.psychophysics.experiments.participant_record import ParticipantRecord, laterality_quotient
 from palpate.psychophysics.experiments.sitting import (
     Enrolment,
@@ -35,6 +36,7 @@ __all__ = [
     "ExperimentDesign",
     "ExperimentFile",
     "ExportSummary",
+    "KeptAnswers",
     "ParticipantRecord",
     "PlannedTrial",
     "Schedule",
@@ -54,5 +56,6 @@ __all__ = [
     "noisy_answers",
     "participant_folder",
     "read_design",
+    "read_kept_answers",
     "records",
 ]

@@ -277,12 +277,17 @@ def read_design(folder: Path) -> ExperimentDesign:
         _check_set(path, part, stimuli)
     _check_words(path, file, stimuli)
     digests = {EXPERIMENT: _digest(file.model_dump(mode="json"))}
-    digests[STIMULI] = _digest([[s.name, repr(s.level), s.softer, s.unit] for s in stimuli.values()])
+    digests[STIMULI] = stimuli_digest(stimuli)
     for one in sorted({one for part in file.stimuli for one in part.objects}):
         if not (folder / one).is_file():
             raise InputError(f"{path}: there is no object's file {folder / one}")
         digests[one] = sha256_of(folder / one)
     return ExperimentDesign(folder, file, stimuli, digests)
+
+
+def stimuli_digest(stimuli: Mapping[str, Stimulus]) -> str:
+    """SHA-256 of what a table of stimuli says, as 64 hexadecimal digits."""
+    return _digest([[s.name, repr(s.level), s.softer, s.unit] for s in stimuli.values()])
 
 
 def _check_set(path: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -> None:

@@ -28,6 +28,7 @@ ACTIVITIES = (
 MARKS = {"LL": (2, 0), "L": (1, 0), "B": (1, 1), "R": (0, 1), "RR": (0, 2), "": (0, 0)}
 """Marks of the left and of the right hand by what is typed; nothing where there is no experience."""
 
+CONSENT = ("yes", "no", "simulated")
 BAND = re.compile(r"(\d{1,3})(?:-(\d{1,3})|\+)\Z")
 MAX_AGE = 120
 LETTERS = "ABCDEFGHJKLMNPRTUVWXYZ"  # no I and O, which look like digits; no Q and S, which are keys
@@ -114,21 +115,41 @@ class ParticipantRecord:
         """Read it from a participant's folder.
 
         Raises:
-            LabelError: it is damaged.
+            LabelError: it is damaged or missing.
             StorageError: it cannot be read.
         """
         path = folder / PARTICIPANT
         with storage_errors(path):
+            if folder.is_dir() and not path.exists():
+                raise LabelError(f"{path} is missing, which says who was asked what; put it back")
             data = path.read_bytes()
         try:
             record = cls(**json.loads(data))
-            checked_code(record.participant, "participant")
-            whole = isinstance(record.number, int) and isinstance(record.design, dict | None)
+            checked_code(str(record.participant), "participant")
         except (ValueError, TypeError) as e:
             raise LabelError(f"{path} is damaged: {e}; put it back as it was written") from e
-        if not whole:
-            raise LabelError(f"{path} is damaged: number or design; put it back as it was written")
+        wrong = [name for name, right in record._fields_right().items() if not right]
+        if wrong:
+            said = ", ".join(f"{name} {getattr(record, name)!r}" for name in wrong)
+            raise LabelError(f"{path} is damaged: {said}; put it back as it was written")
         return record
+
+    def _fields_right(self) -> dict[str, bool]:
+        """Of each field whether it is what `write` may have written; JSON tells no types."""
+        words = ("participant", "group", "age", "schedule", "version")
+        quotient = self.laterality_quotient
+        digests = self.design.items() if isinstance(self.design, dict) else ()
+        return {
+            **{name: isinstance(getattr(self, name), str) for name in words},
+            "consent": self.consent in CONSENT,
+            "number": type(self.number) is int and self.number >= 0,
+            "laterality_quotient": quotient is None
+            or (type(quotient) in (int, float) and -100 <= quotient <= 100),
+            "simulated": isinstance(self.simulated, bool),
+            "seed": type(self.seed) is int and self.seed >= 0,
+            "design": isinstance(self.design, dict | None)
+            and all(isinstance(text, str) for pair in digests for text in pair),
+        }
 
 
 Place = tuple[Presentation, Condition, str]

@@ -19,7 +19,7 @@ import io
 import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +45,7 @@ from palpate.psychophysics.experiments.participant_record import (
 )
 from palpate.psychophysics.experiments.response_log import HEADER, ResponseLog
 from palpate.psychophysics.experiments.trial_schedule import PlannedTrial, Schedule, make_schedule
-from palpate.psychophysics.judgements import RESPONSES, STIMULI, Judgement, checked_code, write_stimuli
+from palpate.psychophysics.judgements import RESPONSES, Judgement, checked_code
 from palpate.version import __version__
 
 SITTINGS, SCHEDULE, KEY = "sittings.csv", "schedule.jsonl", "key.csv"
@@ -113,8 +113,6 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
             return record
         number = 1 + max((one.number for one in records(design, told.simulated)), default=0)
         schedule = make_schedule(design, number, told.simulated)
-        if told.simulated and not (folder.parent / STIMULI).exists():
-            write_stimuli(folder.parent / STIMULI, design.stimuli.values())
         record = ParticipantRecord(
             participant, "simulated" if told.simulated else "yes", number, schedule.group.name, quotient,
             told.age, told.simulated, design.file.seed, design.digests, schedule.digest, __version__,
@@ -142,10 +140,12 @@ def records(design: ExperimentDesign, simulated: bool = False) -> list[Participa
     """
     home = home_of(design, simulated)
     with storage_errors(home):
-        folders = sorted(path.parent for path in home.glob(f"{PREFIX}*/{PARTICIPANT}"))
+        kept = [path for name in (PARTICIPANT, RESPONSES) for path in home.glob(f"{PREFIX}*/{name}")]
+    folders = sorted({path.parent for path in kept})
     found = [ParticipantRecord.read(folder) for folder in folders]
     for folder, one in zip(folders, found, strict=True):
-        if folder.name != f"{PREFIX}{one.participant}" or one.simulated != simulated:
+        check_owner(folder, one, ())
+        if one.simulated != simulated:
             raise LabelError(
                 f"{folder / PARTICIPANT} is of {one.participant}, simulated: {one.simulated}; put it back"
             )
@@ -182,7 +182,7 @@ class Sitting(Closing):
 
     Raises:
         InputError: no consent; or design, schedule or key are not those that the participant began with.
-        LabelError: the judgements are not those that the schedule asks for.
+        LabelError: the judgements are not those that the schedule asks for, or another's.
         RecordingError: another sitting of the participant goes on.
         StorageError: the folder cannot be read or written.
     """
@@ -191,6 +191,7 @@ class Sitting(Closing):
         folder = participant_folder(design, participant, simulated)
         self.design, self._folder, self._now = design, folder, now
         self.record = ParticipantRecord.read(folder)
+        check_owner(folder, self.record, ())
         if self.record.simulated != simulated:
             raise InputError(f"{folder / PARTICIPANT} was changed: simulated; put it back as it was written")
         if self.record.consent not in ("yes", "simulated"):
@@ -200,6 +201,7 @@ class Sitting(Closing):
         self._check_schedule()
         self._log = ResponseLog(folder, self.record.simulated)
         try:
+            check_owner(folder, self.record, self._log.judgements)
             self.next: PlannedTrial | None = self.schedule.next(self._log.judgements)
             if self._log.torn:
                 self.note("cut", f"{self._log.torn} bytes of a row that was not finished; it is asked again")
@@ -263,25 +265,66 @@ class Sitting(Closing):
                 raise InputError(f"{path} was changed since {whose} began; put it back as it was written")
 
 
+def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where: Path) -> None:
+    """Refuse a design that is not the one that a participant began with.
+
+    Args:
+        record: of the participant.
+        digests: of each of the design's files, as it is now.
+        where: they lie.
+
+    Raises:
+        InputError: which file it is, and what to do.
+    """
+    begun = record.design or {}
+    changed = [one for one in sorted({*begun, *digests}) if begun.get(one) != digests.get(one)]
+    if changed:
+        mend = "put it back as it was, or begin another experiment by `palpate trial new`"
+        if record.simulated:
+            mend = f"delete the folder {REHEARSAL}, and rehearse again; or put it back as it was"
+        raise InputError(
+            f"{', '.join(changed)} of {where} changed since {record.participant} began, and a participant's "
+            f"answers belong to one design alone; {mend}"
+        )
+
+
+def check_owner(folder: Path, record: ParticipantRecord, judgements: Sequence[Judgement]) -> None:
+    """Refuse a folder in which another participant's record or answers lie.
+
+    Raises:
+        LabelError: whose they are, and what to do.
+    """
+    named = folder.resolve().name
+    if named.startswith(PREFIX) and named != f"{PREFIX}{record.participant}":
+        raise LabelError(
+            f"{folder / PARTICIPANT} is of {record.participant}: the folder was copied or renamed; put it "
+            "back, and enrol whoever is new by a code that has no folder yet"
+        )
+    others = sorted({one.participant for one in judgements} - {record.participant})
+    if others:
+        raise LabelError(
+            f"{folder / RESPONSES} has answers of {', '.join(others)}, and the folder is of "
+            f"{record.participant}; put the table back as it was written"
+        )
+
+
 def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule:
     """The schedule that a participant began with.
 
     Raises:
         InputError: the design has changed since, or another schedule comes of it; which file it is.
     """
-    begun = record.design or {}
-    changed = [one for one in sorted({*begun, *design.digests}) if begun.get(one) != design.digests.get(one)]
-    if changed:
-        raise InputError(
-            f"{', '.join(changed)} of {design.folder} changed since {record.participant} began, and a "
-            "participant goes on by one design alone; put it back as it was, or begin another experiment by "
-            "`palpate trial new`"
-        )
+    check_begun_by(record, design.digests, design.folder)
     schedule = make_schedule(design, record.number, record.simulated)
     if schedule.digest != record.schedule:
         raise InputError(
             f"the schedule of {record.participant} is not the one that was begun: {PARTICIPANT} was changed, "
             f"or palpate {record.version} made another one than {__version__}; put back the file, or that "
             "version"
+        )
+    if record.group != schedule.group.name:
+        raise InputError(
+            f"{PARTICIPANT} of {record.participant} was changed: group {record.group!r}, where the schedule has "
+            f"{schedule.group.name!r}; put it back as it was written"
         )
     return schedule

@@ -25,7 +25,13 @@ from palpate.core import InputError, new_folder
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign
 from palpate.psychophysics.experiments.participant_record import ParticipantRecord
 from palpate.psychophysics.experiments.response_log import HEADER, response_lines
-from palpate.psychophysics.experiments.sitting import home_of, participant_folder, records, schedule_of
+from palpate.psychophysics.experiments.sitting import (
+    check_owner,
+    home_of,
+    participant_folder,
+    records,
+    schedule_of,
+)
 from palpate.psychophysics.experiments.trial_schedule import Schedule, tracks_of
 from palpate.psychophysics.judgements import (
     RESPONSES,
@@ -131,7 +137,7 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
         LabelError: judgements that are not those that the schedule asks for.
         StorageError: the disk refused; nothing is left then.
     """
-    enrolled = [one for one in records(design, simulated) if one.consent != "no"]
+    enrolled = [one for one in records(design, simulated) if one.consent in ("yes", "simulated")]
     if not enrolled:
         where = home_of(design, simulated)
         raise InputError(f"{where} has no participant yet; `palpate trial run` enrols one")
@@ -144,9 +150,9 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
     with new_folder(out) as part:
         source = part / "sourcedata"
         for record, label in zip(enrolled, labels, strict=True):
-            judgements = read_judgements(
-                participant_folder(design, record.participant, simulated) / RESPONSES
-            )
+            home = participant_folder(design, record.participant, simulated)
+            judgements = read_judgements(home / RESPONSES)
+            check_owner(home, record, judgements)
             schedule = schedule_of(design, record)
             complete = schedule.next(judgements) is None
             people.append(_person(record, label, len(judgements), complete))
