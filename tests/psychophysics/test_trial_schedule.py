@@ -217,6 +217,22 @@ def test_a_design_that_cannot_be_is_refused_with_the_field(
         read_design(folder)
 
 
+@pytest.mark.parametrize("words", ["cup3's", "cup3/cup1", "CUP3", "(cup3)", "soft-cup3", "_cup3_", "“cup3”"])
+def test_words_that_are_said_name_no_stimulus_whatever_stands_beside_it(words: str, tmp_path: Path) -> None:
+    folder = make_experiment(tmp_path / "jelly", "jelly", 5).folder
+    text = (folder / EXPERIMENT).read_text()
+    for field in ("question", "request"):
+        (folder / EXPERIMENT).write_text(
+            text.replace('age = "no"', f'age = "no"\n{field} = "Is {words} softer?"'), encoding="utf-8"
+        )
+        with pytest.raises(InputError, match="names the stimulus cup"):
+            read_design(folder)
+        (folder / EXPERIMENT).write_text(
+            text.replace('age = "no"', f'age = "no"\n{field} = "Is cup33 or teacup3 softer?"')
+        )
+        read_design(folder)
+
+
 @pytest.mark.parametrize("path", ["../a.toml", "/a.toml", "..\\\\a.toml", "objects/none.toml"])
 def test_an_object_outside_the_folder_or_not_there_is_refused(path: str, tmp_path: Path) -> None:
     folder = make_experiment(tmp_path / "study", "bianchi-2010", 5).folder

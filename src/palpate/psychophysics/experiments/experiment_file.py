@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -304,8 +305,11 @@ def _check_set(path: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -
 def _check_words(path: Path, file: ExperimentFile, stimuli: Mapping[str, Stimulus]) -> None:
     """Refuse words for participants or experimenter that tell which stimulus is meant."""
     for words in (file.question, file.request, *(part.layout for part in file.stimuli)):
-        said = {word.strip(".,;:()?!'\"").lower() for word in words.split()}
-        told = [name for name in stimuli if name.lower() in said]
+        told = [
+            name
+            for name in stimuli
+            if re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", words, re.IGNORECASE)
+        ]
         if told:
             raise InputError(f"{path}: {words!r} names the stimulus {told[0]}, so that nobody would be blind")
 
