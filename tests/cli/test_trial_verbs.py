@@ -93,6 +93,8 @@ def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None
     [
         (("run", "{}", "--participant", "../P01"), "letters, digits"),
         (("run", "{}", "--participant", "Anna Schmidt"), "no person's name"),
+        (("run", "{}", "--participant", "Anna"), "a code has a digit"),
+        (("run", "{}", "--participant", "sub-P01"), "give P01"),
         (("run", "{}/none", "--participant", "P01"), "has no experiment.toml"),
         (("run", "{}", "--participant", "P01", "--answers", "{}/none.txt"), "check the path"),
         (("run", "{}", "--participant", "P01", "--noise", "-1"), "0 or more"),

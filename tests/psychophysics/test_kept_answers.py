@@ -1,4 +1,4 @@
-"""Answers are analysed with the stimuli that they are about, of those whose consent stands, and as what they are."""
+"""Answers are analysed by the design that they belong to, with consent, and as what they are."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_rehearsal_is_scored_by_the_design_as_it_is_or_not_at_all(study: Exper
         shutil.rmtree(study.folder / f"sub-{code}")
     changed(study.folder / "stimuli.csv", "3.3", "3.4")
     answered(read_design(study.folder), "R02", simulated=True)
-    with pytest.raises(InputError, match="since R01 began.*delete the folder rehearsal"):
+    with pytest.raises(InputError, match=r"since R01 began.*delete the folder rehearsal"):
         read_kept_answers(home)
     shutil.rmtree(home / "sub-R01")
     assert read_kept_answers(home).stimuli["cup2"].level == 3.4
@@ -114,12 +114,16 @@ def test_an_exported_rehearsal_is_said_to_be_simulated_before_anything_else(
     assert len(read_kept_answers(tmp_path / "real").judgements) == 26
 
 
-def test_whose_consent_does_not_stand_is_left_out_and_counted(study: ExperimentDesign, tmp_path: Path) -> None:
+def test_whose_consent_does_not_stand_is_left_out_and_counted(
+    study: ExperimentDesign, tmp_path: Path
+) -> None:
     changed(study.folder / "sub-P01" / "participant.json", '"consent": "yes"', '"consent": "no"')
     kept = read_kept_answers(study.folder)
     assert {one.participant for one in kept.judgements} == {"P02"}
     assert kept.withdrawn == ("P01",)
-    assert "1 with answers whose consent does not stand are left out" in told("trial", "analyse", study.folder)
+    assert "1 with answers whose consent does not stand are left out" in told(
+        "trial", "analyse", study.folder
+    )
     assert export_trials(study, tmp_path / "bids").participants == ("P02",)
     changed(study.folder / "sub-P01" / "participant.json", '"consent": "no"', '"consent": "withdrawn"')
     for read in (read_kept_answers, lambda folder: export_trials(study, tmp_path / "again")):
@@ -132,7 +136,8 @@ def test_whose_consent_does_not_stand_is_left_out_and_counted(study: ExperimentD
     [
         ("laterality_quotient", "x"), ("laterality_quotient", float("nan")), ("laterality_quotient", 101),
         ("laterality_quotient", True), ("number", "1"), ("number", True), ("number", -1), ("age", 27),
-        ("group", None), ("simulated", "no"), ("seed", 1.5), ("design", []), ("design", {"experiment.toml": 1}),
+        ("group", None), ("simulated", "no"), ("seed", 1.5), ("design", []),
+        ("design", {"experiment.toml": 1}),
         ("schedule", None), ("version", 1), ("consent", "maybe"), ("consent", ["yes"]), ("participant", 1),
         ("group", "rendered"),
     ],

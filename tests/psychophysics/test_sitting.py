@@ -421,7 +421,15 @@ def test_codes_that_differ_by_capitals_alone_are_refused(tmp_path) -> None:
     design = jelly(tmp_path)
     with pytest.raises(InputError, match="there is 'sub-P01' already"):
         enrol(design, "p01", Enrolment(True))
-    assert enrol(design, "CON", Enrolment(True)).number == 2, "sub-CON is no device of Windows"
+    assert enrol(design, "CON1", Enrolment(True)).number == 2, "sub-CON1 is no device of Windows"
+
+
+@pytest.mark.parametrize("code", ["Anna", "Anna-Schmidt", "AB", "sub-P01", "SUB-P02"])
+def test_a_name_or_a_folder_s_name_is_no_code(code: str, tmp_path: Path) -> None:
+    design = make_experiment(tmp_path / "jelly", "jelly", 1)
+    with pytest.raises(InputError, match=r"a code has a digit|comes by itself"):
+        enrol(design, code, Enrolment(True))
+    assert not list(design.folder.glob("sub-*"))
 
 
 def test_the_laterality_quotient_is_the_inventory_s() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pandas as pd
 import pytest
@@ -18,7 +19,7 @@ from palpate.psychophysics.experiments import (
     noisy_answers,
     participant_folder,
 )
-from palpate.psychophysics.experiments.trial_export import label_of
+from palpate.psychophysics.experiments.participant_record import label_of
 
 
 def filled(design, participant: str, noise: float, trials: int = 10_000, simulated: bool = False) -> None:
@@ -56,6 +57,8 @@ def test_an_export_has_who_consented_and_was_measured(exported) -> None:
     assert json.loads((out / "dataset_description.json").read_text())["BIDSVersion"] == "1.10.0"
     everything = "".join(path.read_text() for path in out.rglob("*") if path.is_file())
     assert "R01" not in everything
+    assert "2026-01-01" not in everything, "no date"
+    assert not re.search(r"\d\d:\d\d", everything), "no time of day"
     assert "letter" not in everything
 
 
@@ -127,13 +130,22 @@ def test_nothing_is_overwritten_and_what_cannot_be_is_refused_whole(exported, tm
     empty = make_experiment(tmp_path / "jelly", "jelly", 5)
     with pytest.raises(InputError, match="no participant yet"):
         export_trials(empty, tmp_path / "bids")
-    filled(empty, "P-1", 0.0, 2)
     filled(empty, "P1", 0.0, 2)
+    for code in ("P-1", "P_1", "p1"):
+        with pytest.raises(InputError, match="there is 'sub-P1' already"):
+            enrol(empty, code, Enrolment(True))
+    filled(empty, "P-2", 0.0, 2)
+    other = participant_folder(empty, "P-2")
+    record = (other / "participant.json").read_text()
+    (other / "participant.json").write_text(record.replace('"P-2"', '"P-1"'))
+    table = other / "responses.csv"
+    table.write_text(table.read_text().replace("P-2,", "P-1,"))
+    renamed = other.rename(other.with_name("sub-P-1"))
     with pytest.raises(InputError, match="P-1, P1 have one label"):
         export_trials(empty, tmp_path / "bids")
+    renamed.rename(tmp_path / "gone")
     table = participant_folder(empty, "P1") / "responses.csv"
     table.rename(tmp_path / "responses.csv")
-    participant_folder(empty, "P-1").rename(tmp_path / "gone")
     table.write_text("".join((tmp_path / "responses.csv").read_text().splitlines(keepends=True)[::2]))
     with pytest.raises(LabelError, match="row is missing"):
         export_trials(empty, tmp_path / "bids")

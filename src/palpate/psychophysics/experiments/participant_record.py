@@ -75,6 +75,27 @@ def checked_age(text: str, asked: str) -> str:
     return text
 
 
+def checked_participant(code: str) -> str:
+    """A code that a new participant may have: one of `checked_code` with a digit, so that it is no name.
+
+    Raises:
+        InputError: it is none.
+    """
+    checked_code(code, "participant")
+    if code.lower().startswith("sub-"):
+        raise InputError(f"participant {code!r}: the folder's sub- comes by itself; give {code[4:] or 'P01'}")
+    if not any(one.isdigit() for one in code):
+        raise InputError(
+            f"participant {code!r}: a code has a digit, and no name has; give a code such as P01"
+        )
+    return code
+
+
+def label_of(participant: str) -> str:
+    """A code as BIDS allows it: letters and digits alone."""
+    return "".join(one for one in participant if one.isalnum())
+
+
 @dataclass(frozen=True, slots=True)
 class ParticipantRecord:
     """What is kept of a participant.
@@ -155,9 +176,7 @@ class ParticipantRecord:
 Place = tuple[Presentation, Condition, str]
 
 
-def letter_codes(
-    design: ExperimentDesign, number: int, simulated: bool = False
-) -> dict[Place, str]:
+def letter_codes(design: ExperimentDesign, number: int, simulated: bool = False) -> dict[Place, str]:
     """A letter for each stimulus of each condition, drawn anew for each participant.
 
     No letter is met twice by a participant, and none is the name of a stimulus. A rehearsal's are others than

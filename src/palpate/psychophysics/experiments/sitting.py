@@ -40,7 +40,9 @@ from palpate.psychophysics.experiments.participant_record import (
     PARTICIPANT,
     ParticipantRecord,
     Place,
+    checked_participant,
     key_text,
+    label_of,
     letter_codes,
 )
 from palpate.psychophysics.experiments.response_log import HEADER, ResponseLog
@@ -81,16 +83,23 @@ def participant_folder(design: ExperimentDesign, participant: str, simulated: bo
     """The folder of a participant, whether there is one yet or not.
 
     Raises:
-        InputError: it is no code, or differs from another's by capitals alone.
+        InputError: it is no code; or no new one, since it has no digit, or differs from another's by
+            capitals, - and _ alone, which no export tells apart.
     """
     checked_code(participant, "participant")
-    name = f"{PREFIX}{participant}"
-    home = home_of(design, simulated)
-    with storage_errors(home):
-        others = [path.name for path in home.glob(f"{PREFIX}*") if path.name.lower() == name.lower()]
-    if others and others != [name]:
-        raise InputError(f"participant {participant!r}; there is {others[0]!r} already: give another code")
-    return home / name
+    folder = home_of(design, simulated) / f"{PREFIX}{participant}"
+    with storage_errors(folder.parent):
+        names = [path.name for path in folder.parent.glob(f"{PREFIX}*")]
+    if folder.name not in names:
+        checked_participant(participant)
+        label = label_of(participant).lower()
+        others = [one for one in names if label_of(one.removeprefix(PREFIX)).lower() == label]
+        if others:
+            raise InputError(
+                f"participant {participant!r}; there is {others[0]!r} already, which differs by capitals, - "
+                "or _ alone: give another code"
+            )
+    return folder
 
 
 def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> ParticipantRecord:
@@ -324,7 +333,7 @@ def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule
         )
     if record.group != schedule.group.name:
         raise InputError(
-            f"{PARTICIPANT} of {record.participant} was changed: group {record.group!r}, where the schedule has "
-            f"{schedule.group.name!r}; put it back as it was written"
+            f"{PARTICIPANT} of {record.participant} was changed: group {record.group!r}, where the schedule "
+            f"has {schedule.group.name!r}; put it back as it was written"
         )
     return schedule

@@ -3,8 +3,8 @@ columns.
 
 Behaviour without neural recordings is ``sub-P01/beh/sub-P01_task-pair_beh.tsv``, by the Brain Imaging Data
 Structure (https://bids-specification.readthedocs.io, Behavioral experiments). ``onset`` and ``response_time``
-are in seconds, as there and in PsychoPy; jsPsych has milliseconds. Times of day are left out: onsets count
-from a participant's first stimulus. The key of letters stays where it is.
+are in seconds, as there and in PsychoPy; jsPsych has milliseconds. Times of day are left out, of the source's
+table too: onsets count from a participant's first stimulus. The key of letters stays where it is.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ import numpy as np
 
 from palpate.core import InputError, new_folder
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign
-from palpate.psychophysics.experiments.participant_record import ParticipantRecord
+from palpate.psychophysics.experiments.participant_record import ParticipantRecord, label_of
 from palpate.psychophysics.experiments.response_log import HEADER, response_lines
 from palpate.psychophysics.experiments.sitting import (
     check_owner,
@@ -163,18 +163,13 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
         _write_json(part / "dataset_description.json", _description(design))
         (part / "README").write_text(_readme(design), encoding="utf-8")
         source.mkdir()
-        rows = HEADER + response_lines(everybody, simulated)
+        rows = HEADER + response_lines((replace(one, when="") for one in everybody), simulated)
         (source / RESPONSES).write_text(rows, encoding="utf-8", newline="")
         write_stimuli(source / STIMULI, design.stimuli.values())
     return ExportSummary(
         tuple(labels), tuple(one["participant_id"][4:] for one in people if one["complete"] == "yes"),
         len(everybody), simulated,
     )  # fmt: skip
-
-
-def label_of(participant: str) -> str:
-    """A code as BIDS allows it: letters and digits alone."""
-    return "".join(one for one in participant if one.isalnum())
 
 
 def _person(record: ParticipantRecord, label: str, judgements: int, complete: bool) -> Row:
