@@ -182,6 +182,32 @@ def test_kill_9_loses_at_most_the_judgement_being_given(seed: int, tmp_path: Pat
     assert kept == meant
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("full", ["stdout", "stderr"])
+def test_a_terminal_that_takes_nothing_more_ends_it_by_one_line_and_answers_are_kept(
+    full: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "jelly"
+    palpate("trial", "new", folder, "--seed", 1)
+    palpate("trial", "run", folder, "--participant", "P01", typed="yes\n\n1\n\n2\nq\n")
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with (
+        Path("/dev/full").open("w") as taken,
+        child(
+            "palpate.cli", "trial", "run", folder, "--participant", "P01", **pipes | {full: taken}
+        ) as process,
+    ):
+        told, complained = process.communicate("\n1\nq\n", timeout=60)
+    assert process.returncode == 2
+    assert "Traceback" not in f"{told}{complained}"
+    assert "Exception ignored" not in f"{told}{complained}"
+    if full == "stdout":
+        assert "palpate: nothing more can be printed: " in complained.splitlines()[-1]
+    kept = 3 if full == "stdout" else 2
+    assert len(read_judgements(folder)) == kept
+    assert palpate("trial", "run", folder, "--participant", "P01", typed="q\n").exit_code == 0
+
+
 def test_ctrl_c_leaves_all_whole_and_says_how_to_go_on(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
     palpate("trial", "new", folder, "--seed", 1)

@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 from palpate.cli.trial_analysis_verbs import analyse
-from palpate.cli.verb_support import Json, group, print_found
+from palpate.cli.verb_support import Json, group, print_found, say
 
 if TYPE_CHECKING:
     from palpate.psychophysics.experiments import (
@@ -145,10 +145,10 @@ class _Terminal:
     """The experimenter's terminal: what is told goes to stderr, so that stdout has the answer alone."""
 
     def tell(self, text: str) -> None:
-        typer.echo(text, err=True)
+        say(text, err=True)
 
     def ask(self, prompt: str) -> str:
-        typer.echo(f"{prompt} > ", err=True, nl=False)
+        say(f"{prompt} > ", err=True, nl=False)
         line = sys.stdin.readline() if sys.stdin is not None and not sys.stdin.closed else ""
         if not line:
             raise EOFError
@@ -164,7 +164,7 @@ class _Script:
         self._lines = iter(lines)
 
     def tell(self, text: str) -> None:
-        typer.echo(text, err=True)
+        say(text, err=True)
 
     def ask(self, prompt: str) -> str:
         for line in self._lines:
@@ -251,7 +251,7 @@ def _went(
         return SittingDialogue(sitting, desk, presenter, MonotonicClock(), answerer).run()
     except KeyboardInterrupt as e:
         kept = len(sitting.judgements)
-        typer.echo(f"\npalpate: paused; {kept} judgements are kept, and the same command goes on", err=True)
+        say(f"\npalpate: paused; {kept} judgements are kept, and the same command goes on", err=True)
         raise typer.Exit(130) from e
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +38,21 @@ MOVING = ("home", "jog", "zero", "check", "setup")
 """Verbs of the group `rig` that move a stage."""
 
 
+def say(text: str, err: bool = False, nl: bool = True) -> None:
+    """Print to stdout or stderr; where that takes nothing more, end by one line, on the other if it can."""
+    try:
+        typer.echo(text, err=err, nl=nl)
+    except OSError as e:
+        if e.errno == errno.EPIPE:  # whoever read it has gone: click ends it
+            raise
+        with suppress(OSError, ValueError):  # what is left in the buffer would be written again at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
+        said = f"palpate: nothing more can be printed: {e.strerror or e}; what is on disk is kept"
+        with suppress(OSError):
+            typer.echo(said, err=True)
+        raise typer.Exit(2) from e
+
+
 class Group(TyperGroup):
     """Commands under their headings, each with the whole first sentence of its help."""
 
@@ -45,18 +62,18 @@ class Group(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt as e:
             moved = ctx.info_name == "rig" and ctx.invoked_subcommand in MOVING
-            typer.echo(f"palpate: {INTERRUPTED_STAGE if moved else INTERRUPTED}", err=True)
+            say(f"palpate: {INTERRUPTED_STAGE if moved else INTERRUPTED}", err=True)
             raise typer.Exit(130) from e
         except SystemExit as e:  # a verb ends by typer.Exit: this is of a plug-in, and may claim success
             from palpate.core.plugins import told
 
-            typer.echo(f"palpate: a plug-in ended it: {told(e)}", err=True)
+            say(f"palpate: a plug-in ended it: {told(e)}", err=True)
             raise typer.Exit(2) from e
         except Exception as e:
             core = sys.modules.get("palpate.core")  # not imported: it loads NumPy, which no help needs
             if core is None or not isinstance(e, core.PalpateError):
                 raise
-            typer.echo(f"palpate: {' '.join(str(e).split())}", err=True)
+            say(f"palpate: {' '.join(str(e).split())}", err=True)
             raise typer.Exit(2) from e
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -236,4 +253,4 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
 
 def print_found(result: Any, text: str, as_json: bool) -> None:
     """Print what was found, as text or as JSON."""
-    typer.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else text)
+    say(json.dumps(result, indent=1, allow_nan=False) if as_json else text)
