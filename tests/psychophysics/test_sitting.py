@@ -108,12 +108,30 @@ def test_a_row_that_was_cut_anywhere_is_asked_again(tmp_path) -> None:
     sit(design, Desk(["1", "2", "q"]))
     whole = table(design).read_bytes()
     begin = whole[:-1].rfind(b"\n") + 1
-    for cut in range(begin, len(whole), 7):
+    assert whole.endswith(b",no\n")
+    for cut in [*range(begin, len(whole) - 2, 7), len(whole) - 2]:
         table(design).write_bytes(whole[:cut])
         with opened(design) as sitting:
             assert len(sitting.judgements) == 1
             assert table(design).read_bytes() == whole[:begin]
             assert (sitting.next.block, sitting.next.trial) == (1, 2)
+            assert sitting.torn == cut - begin
+            desk = Desk(["q"])
+            SittingDialogue(sitting, desk, None, desk.clock).run()
+        assert any("is asked again" in one for one in desk.told) is (cut > begin)
+
+
+def test_a_row_that_lacks_its_end_of_line_alone_stays(tmp_path) -> None:
+    design = jelly(tmp_path)
+    sit(design, Desk(["1", "2", "q"]))
+    whole = table(design).read_bytes()
+    table(design).write_bytes(whole[:-1])
+    with opened(design) as sitting:
+        assert len(sitting.judgements) == 2
+        assert sitting.torn == 0
+        sitting.take(sitting.next.presented[:1], 1.0)
+    assert table(design).read_bytes().startswith(whole)
+    assert len(read_judgements(table(design))) == 3
 
 
 def test_a_table_with_a_row_missing_twice_or_changed_is_refused(tmp_path) -> None:

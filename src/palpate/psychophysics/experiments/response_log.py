@@ -1,7 +1,8 @@
 """The table of a participant's judgements as it grows: a row at a time, on disk before the next trial.
 
-Whoever holds it holds its lock. A row that a kill or a full disk cut short has no end of line; it is taken
-off when the table is opened again, so that at most the judgement that was being given is lost.
+Whoever holds it holds its lock. A row that a kill or a full disk cut short has no end of line. When the table
+is opened again it is taken off, so that at most the judgement that was being given is lost; if nothing but the
+end of line is missing, that is put there, and the judgement stays.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class ResponseLog(Closing):
                 f"{folder.name} is being run in another terminal; end that sitting first, by q or Ctrl-C"
             ) from e
         try:
-            self.torn = self._take_off_torn()
+            self.torn = self._mend_tail()
             self.judgements = list(read_judgements(self._path))
             self._size = self._path.stat().st_size
         except BaseException:
@@ -97,11 +98,24 @@ class ResponseLog(Closing):
     def close(self) -> None:
         self._file.close()
 
-    def _take_off_torn(self) -> int:
+    def _mend_tail(self) -> int:
+        """Complete or take off a row without an end of line; bytes that were taken off."""
         with storage_errors(self._path):
             data = self._path.read_bytes()
             whole = data.rfind(b"\n") + 1
-            if whole and whole < len(data):
-                os.ftruncate(self._file.fileno(), whole)
-                os.fsync(self._file.fileno())
-        return len(data) - whole
+            if not whole or whole == len(data):
+                return len(data) - whole
+            handle = self._file.fileno()
+            if complete := _is_row(data[whole:]):
+                os.lseek(handle, len(data), os.SEEK_SET)
+                os.write(handle, b"\n")
+            else:
+                os.ftruncate(handle, whole)
+            os.fsync(handle)
+        return 0 if complete else len(data) - whole
+
+
+def _is_row(tail: bytes) -> bool:
+    """Whether a row has all its columns, the last of them whole."""
+    fields = tail.decode("ascii", "replace").split(",")
+    return len(fields) == len(COLUMNS) and fields[-1] in ("yes", "no")

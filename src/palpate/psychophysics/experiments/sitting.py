@@ -188,6 +188,7 @@ class Sitting(Closing):
         schedule: of the participant.
         codes: a letter for each presentation, condition and stimulus.
         next: the trial that comes; None when all is done.
+        torn: bytes of an answer that was not kept whole, and so is asked again.
 
     Raises:
         InputError: no consent; or design, schedule or key are not those that the participant began with.
@@ -212,8 +213,9 @@ class Sitting(Closing):
         try:
             check_owner(folder, self.record, self._log.judgements)
             self.next: PlannedTrial | None = self.schedule.next(self._log.judgements)
-            if self._log.torn:
-                self.note("cut", f"{self._log.torn} bytes of a row that was not finished; it is asked again")
+            self.torn = self._log.torn
+            if self.torn:
+                self.note("cut", f"{self.torn} bytes of a row that was not finished; it is asked again")
         except BaseException:
             self._log.close()
             raise

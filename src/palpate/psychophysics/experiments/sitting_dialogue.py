@@ -201,6 +201,8 @@ class SittingDialogue:
         sitting.note("goes on" if sitting.judgements else "begins")
         if any(one.presentation is Presentation.DIRECT for one in sitting.schedule.blocks):
             self._desk.tell(f"Specimens carry the letters of {sitting.key}; whoever labels them looks there.")
+        if sitting.torn:
+            self._desk.tell("The last answer was not kept whole: its trial is asked again.")
         why = ""
         fault: PalpateError | None = None
         try:
