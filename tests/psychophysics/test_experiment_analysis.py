@@ -102,6 +102,20 @@ def test_rankings_have_their_matrix_and_a_tau_that_falls_with_noise(found) -> No
     assert found.rankings[0].tau_interval[0] < taus[0] < found.rankings[0].tau_interval[1] + 1e-9
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_interval_of_kendall_s_tau_ends_at_one(turned: bool) -> None:
+    head = (Condition.INTEGRATED, Presentation.DIRECT, Task.RANK, 1, 1, NAMES)
+    orders = [NAMES, NAMES, ("SS1", "SS3", "SS2", "SS4", "SS5")]  # tau 1, 1 and 0.8
+    answers = [order[::-1] if turned else order for order in orders]
+    judgements = [Judgement(f"P{k}", *head, answer) for k, answer in enumerate(answers)]
+    (rankings,) = analyse_experiment(judgements, STIMULI).rankings
+    low, high = rankings.tau_interval
+    student = 2.8 / 3 + np.array([-1, 1]) * 4.302653 * np.std([1, 1, 0.8], ddof=1) / np.sqrt(3)
+    assert student[1] > 1.2, "Student's would end beyond"
+    inner = student[0]
+    assert (low, high) == pytest.approx((-1.0, -inner) if turned else (inner, 1.0), abs=1e-5)
+
+
 def test_the_wrong_sign_of_softness_makes_all_of_it_worse_than_chance() -> None:
     turned = {name: replace(one, softer=1) for name, one in STIMULI.items()}
     found = analyse_experiment(simulated(4), turned)

@@ -86,7 +86,8 @@ class SettingRankings:
         perfect: number without a fault.
         tau, rho: mean of Kendall's and of Spearman's over rankings.
         told: rankings whose tau has an exact two-sided p below 0.05.
-        tau_interval: Student's 95 % of participants' means; None for one, or where all are the same.
+        tau_interval: Student's 95 % of participants' means, cut at -1 and 1; None for one, or where all are
+            the same.
     """
 
     setting: str
@@ -265,7 +266,10 @@ def _rankings(
     for one, each in zip(judgements, found, strict=True):
         taus.setdefault(one.participant, []).append(each.tau)
     means = [float(np.mean(each)) for each in taus.values()]
-    interval = mean_interval(means) if len(means) > 1 and np.ptp(means) > 0 else None
+    interval = None
+    if len(means) > 1 and np.ptp(means) > 0:
+        low, high = mean_interval(means)
+        interval = (max(low, -1.0), min(high, 1.0))  # no tau lies beyond
     return SettingRankings(
         setting,
         confusion_of_places(names, places),
