@@ -59,6 +59,16 @@ def test_five_cups_are_judged_paused_gone_on_with_and_exported(tmp_path: Path) -
     assert palpate("trial", "export", folder, tmp_path / "bids").exit_code == 2
 
 
+def test_a_new_design_says_what_of_it_is_to_be_made_one_s_own(tmp_path: Path) -> None:
+    assert "levels in" in palpate("trial", "new", tmp_path / "a").stdout
+    rendered = palpate("trial", "new", tmp_path / "b", "--preset", "threshold").stdout
+    assert "change both or none" in rendered
+    assert "--bench FILE" in rendered
+    assert "by --moduli-kpa" in palpate("trial", "new", tmp_path / "c", "--preset", "bianchi-2010").stdout
+    given = ("--preset", "bianchi-2010", "--moduli-kpa", "800,500,300,150,100")
+    assert "moduli" not in palpate("trial", "new", tmp_path / "d", *given).stdout
+
+
 def test_whoever_does_not_consent_has_no_trial(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
     palpate("trial", "new", folder)
@@ -101,6 +111,7 @@ def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None
         (("new", "{}"), "nothing is ever overwritten"),
         (("new", "{}x", "--preset", "jam"), "there are jelly, bianchi-2010, threshold"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2"), "five above 0"),
+        (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2,3,4,5"), "have to fall"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "soft"), "five numbers"),
         (("new", "{}x", "--seed", "-1"), "seed"),
         (("export", "{}", "{}-bids"), "no participant yet"),

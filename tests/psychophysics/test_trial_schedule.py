@@ -184,6 +184,9 @@ def test_presets_are_read_back_and_their_objects_can_be_rendered(tmp_path) -> No
         make_experiment(tmp_path / "x", "jam", 1)
     with pytest.raises(InputError, match="five above 0"):
         make_experiment(tmp_path / "x", "bianchi-2010", 1, (1.0, 2.0))
+    for rising in ((100.0, 150.0, 300.0, 500.0, 800.0), (800.0, 500.0, 500.0, 150.0, 100.0)):
+        with pytest.raises(InputError, match="of softener they have to fall"):
+            make_experiment(tmp_path / "x", "bianchi-2010", 1, rising)
     assert not (tmp_path / "x").exists()
 
 
@@ -247,6 +250,18 @@ def test_two_stimuli_of_one_level_are_refused(tmp_path: Path) -> None:
     table = folder / "stimuli.csv"
     table.write_text(table.read_text().replace("cup2,3.3", "cup2,2.7"))
     with pytest.raises(LabelError, match="neither answer would be right"):
+        read_design(folder)
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new"), [("stimuli.csv", "F03,94.1", "F03,95"), ("objects/F03.toml", "= 94.1", "= 95")]
+)
+def test_a_flat_is_as_stiff_as_its_level_says(path: str, old: str, new: str, tmp_path: Path) -> None:
+    folder = make_experiment(tmp_path / "study", "threshold", 5).folder
+    text = (folder / path).read_text()
+    assert old in text
+    (folder / path).write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=r"F03\.toml: modulus_kPa = .* and stimuli\.csv has F03"):
         read_design(folder)
 
 

@@ -62,8 +62,8 @@ def new(
     text = (
         f"{folder}: {design.file.name}, seed {chosen}, {answer['participants']} participants, "
         f"{answer['judgements_of_the_first']} judgements at most of the first\n"
-        f"  put in your own levels in {folder / 'stimuli.csv'}, then: "
-        f"palpate trial run {folder} --participant P01"
+        f"  {_levels_said(folder, preset, moduli_kpa is not None)}then: "
+        f"palpate trial run {folder} --participant P01{' --bench FILE' if preset == 'threshold' else ''}"
     )
     print_found(answer, text, json_)
 
@@ -268,6 +268,16 @@ def _moduli(text: str | None) -> tuple[float, ...] | None:
         return tuple(float(one) for one in text.split(","))
     except ValueError as e:
         raise InputError(f"--moduli-kpa {text!r}; five numbers are needed, as in 800,500,300,150,100") from e
+
+
+def _levels_said(folder: Path, preset: str, given: bool) -> str:
+    """What to edit before the first participant; a display's objects do not follow the table."""
+    if preset == "jelly":
+        return f"put in your own levels in {folder / 'stimuli.csv'}, "
+    if preset == "threshold":
+        both = f"{folder / 'stimuli.csv'} and in {folder / 'objects'}"
+        return f"a flat's modulus is in {both}: change both or none, "
+    return "" if given else "make it anew with your silicones' moduli by --moduli-kpa, "
 
 
 def _text(answer: dict[str, Any], folder: Path) -> str:

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -283,6 +284,8 @@ def read_design(folder: Path) -> ExperimentDesign:
         if not (folder / one).is_file():
             raise InputError(f"{path}: there is no object's file {folder / one}")
         digests[one] = sha256_of(folder / one)
+    for part in file.stimuli:
+        _check_moduli(folder, part, stimuli)
     return ExperimentDesign(folder, file, stimuli, digests)
 
 
@@ -300,6 +303,19 @@ def _check_set(path: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -
     softness = [stimuli[name].softness for name in part.names]
     if len(set(softness)) < len(softness):
         raise LabelError(f"{at}: two of one level; of such a pair neither answer would be right")
+
+
+def _check_moduli(folder: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -> None:
+    """Refuse a flat that is not as stiff as its level says, where levels are moduli."""
+    for name, path in zip(part.names, part.objects, strict=False):
+        level = stimuli[name]
+        material = read_toml(folder / path).get("material") if level.unit == "kPa" else None
+        modulus = material.get("modulus_kPa") if isinstance(material, dict) else None
+        if isinstance(modulus, int | float) and not math.isclose(modulus, level.level, rel_tol=1e-4):
+            raise InputError(
+                f"{folder / path}: modulus_kPa = {modulus:g}, and {STIMULI} has {name} at {level.level:g} "
+                "kPa; what is felt and what is counted have to be one: give both files the same"
+            )
 
 
 def _check_words(path: Path, file: ExperimentFile, stimuli: Mapping[str, Stimulus]) -> None:

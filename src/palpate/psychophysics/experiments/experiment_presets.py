@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from palpate.core import InputError, new_folder
@@ -52,7 +53,7 @@ def make_experiment(
             silicone in particular if left out, which the objects' files then say.
 
     Raises:
-        InputError: there is no such preset; or moduli for another one, or not five above 0.
+        InputError: there is no such preset; or moduli for another one, or not five above 0 that fall.
         ExistsError: the folder exists.
         StorageError: it cannot be written.
     """
@@ -63,6 +64,9 @@ def make_experiment(
     moduli = tuple(moduli_kpa or MODULI_KPA)
     if len(moduli) != len(MODULI_KPA) or not all(0 < one < float("inf") for one in moduli):
         raise InputError(f"moduli {moduli} kPa; five above 0 are needed, from 0 to 45 % of softener")
+    if any(softer >= harder for harder, softer in pairwise(moduli)):
+        said = " ".join(f"{one:g}" for one in moduli)
+        raise InputError(f"moduli {said} kPa; from 0 to 45 % of softener they have to fall")
     stimuli, files = PRESETS[preset](seed, moduli, moduli_kpa is not None)
     with new_folder(folder) as part:
         write_stimuli(part / STIMULI, stimuli)

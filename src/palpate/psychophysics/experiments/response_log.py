@@ -1,8 +1,8 @@
 """The table of a participant's judgements as it grows: a row at a time, on disk before the next trial.
 
 Whoever holds it holds its lock. A row that a kill or a full disk cut short has no end of line. When the table
-is opened again it is taken off, so that at most the judgement that was being given is lost; if nothing but the
-end of line is missing, that is put there, and the judgement stays.
+is opened again it is taken off, so that at most the judgement that was being given is lost; if nothing but
+the end of line is missing, that is put there, and the judgement stays.
 """
 
 from __future__ import annotations
