@@ -52,6 +52,9 @@ def test_five_cups_are_judged_paused_gone_on_with_and_exported(tmp_path: Path) -
     again = palpate("trial", "run", folder, "--participant", "P01", "--json", typed="\n2\n" * 7 + "\n54321\n")
     answer = json.loads(again.stdout)
     assert answer["complete"]
+    after = palpate("trial", "run", folder, "--participant", "P01").stdout
+    assert f"palpate trial analyse {folder} --out" in after
+    assert palpate("trial", "analyse", folder).exit_code == 0
     assert answer["judgements"] == 13
     assert not answer["simulated"]
     done = palpate("trial", "export", folder, tmp_path / "bids", "--json")
@@ -113,7 +116,7 @@ def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2"), "five above 0"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2,3,4,5"), "have to fall"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "soft"), "five numbers"),
-        (("new", "{}x", "--seed", "-1"), "seed"),
+        (("new", "{}x", "--seed", "-1"), "palpate: seed -1; 0 to"),
         (("export", "{}", "{}-bids"), "no participant yet"),
     ],
 )
@@ -140,6 +143,7 @@ def test_answers_of_a_file_and_a_simulated_observer_are_a_rehearsal(tmp_path: Pa
     }  # fmt: skip
     observed = palpate("trial", "run", folder, "--participant", "R02", "--noise", 0.3)
     assert "simulated: no measurement" in observed.stdout
+    assert f"palpate trial analyse {folder / 'rehearsal'} --out" in observed.stdout
     assert len(read_judgements(folder / "rehearsal")) == 26
     assert not list(folder.glob("sub-*"))
     short = tmp_path / "short.txt"
@@ -191,6 +195,23 @@ def test_kill_9_loses_at_most_the_judgement_being_given(seed: int, tmp_path: Pat
     kept = [(one.key, one.presented, one.answer) for one in read_judgements(table)]
     meant = [(one.key, one.presented, one.answer) for one in read_judgements(whole.folder)]
     assert kept == meant
+
+
+def test_ctrl_c_at_consent_makes_nothing_and_says_so(tmp_path: Path) -> None:
+    folder = tmp_path / "jelly"
+    palpate("trial", "new", folder, "--seed", 1)
+    with child(
+        "palpate.cli", "trial", "run", folder, "--participant", "P01",
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        assert "agreed" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert told.strip().endswith("palpate: stopped before the first trial; nothing was made")
+    assert "calibration" not in told
+    assert not list(folder.glob("sub-*"))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")

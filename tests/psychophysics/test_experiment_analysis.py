@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -196,10 +197,18 @@ def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path)
     page = tmp_path / "study.html"
     said = palpate("trial", "analyse", study, "--out", page)
     assert said.startswith("Pairs: ")
+    assert "direct with the arm alone, pairs: " in said
+    assert "direct with both cues" in said
+    assert "as soft as SS3 at" in said
+    assert "I: both cues; K: the arm alone; C: the skin alone" in said
+    assert not re.search(r"\[[-+.\d]+, [-+.\d]+\]", said), "an interval says of what share it is"
+    assert said.count("[95 %: ") >= 9
     assert "so few participants cannot give p below 0.25" in said
     text = page.read_text()
     assert text.index('<ul class="answers">') < text.index("Right answers")
     assert text.count("<img") == 3
+    assert "direct with both cues" in text
+    assert "in three of four answers" in text
     assert "Before you use these numbers" in text
     found = json.loads(CliRunner().invoke(app, ["trial", "analyse", str(study), "--json"]).output)
     assert found["judgements"] == 3 * 3 * 27

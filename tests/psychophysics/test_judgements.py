@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from palpate.core import ExistsError, InputError, LabelError
+from palpate.core import ExistsError, InputError, LabelError, RangeError
 from palpate.psychophysics import (
     Condition,
     Judgement,
@@ -105,6 +105,31 @@ def test_damaged_tables_are_named_by_their_row(tmp_path) -> None:
         read_judgements(path)
     with pytest.raises(LabelError, match=r"holds no responses\.csv"):
         read_judgements(_empty(tmp_path))
+
+
+@pytest.mark.parametrize("seconds", [-1.0, math.inf, -math.inf])
+def test_no_answer_comes_before_its_question_or_never(seconds: float, tmp_path) -> None:
+    with pytest.raises(RangeError, match="s to the answer"):
+        replace(PAIR, seconds=seconds)
+    path = tmp_path / "responses.csv"
+    write_judgements(path, [PAIR])
+    path.write_text(path.read_text().replace(",2.500,", f",{seconds},"))
+    with pytest.raises(LabelError, match=r"row 1: participant P01.* s to the answer"):
+        read_judgements(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("stimulus;level;unit;softer\nA;3,3;g;1\n", "semicolons between its columns; save it with commas"),
+        ('stimulus,level,unit,softer\nA,"3,3",g,1\n', "row 1: level '3,3'; a number has a point"),
+        ("stimulus,level,unit,softer\nA,3,3,g,1\n", "row 1: 4 columns are needed; a number has a point"),
+    ],
+)
+def test_a_table_with_decimal_commas_or_semicolons_is_told_its_mend(rows: str, said: str, tmp_path) -> None:
+    (tmp_path / "stimuli.csv").write_text(rows)
+    with pytest.raises(LabelError, match=said):
+        read_stimuli(tmp_path)
 
 
 def _empty(tmp_path):

@@ -53,9 +53,11 @@ def opened(design, participant: str = "P01") -> Sitting:
 
 def test_a_sitting_asks_all_in_the_order_of_the_schedule_and_keeps_each_answer(tmp_path) -> None:
     design = jelly(tmp_path)
-    outcome = sit(design, Desk(["1", "2"] * 6 + ["2 1 5 4 3"]))
+    desk = Desk(["1", "2"] * 6 + ["2 1 5 4 3"])
+    outcome = sit(design, desk)
     assert outcome.complete
     assert outcome.kept == 13
+    assert "\nCondition I (both cues), direct." in desk.told
     judgements = read_judgements(tmp_path / "jelly")
     with opened(design) as sitting:
         assert sitting.next is None

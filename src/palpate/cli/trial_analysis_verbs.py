@@ -32,7 +32,7 @@ def analyse(
     from palpate.core import InputError, refuse_existing
     from palpate.psychophysics.analysis import SigmoidShape, analyse_experiment
     from palpate.psychophysics.experiments import read_kept_answers
-    from palpate.reports.trial_page import analysis_answers, write_trial_page
+    from palpate.reports.trial_page import LEGEND, analysis_answers, write_trial_page
 
     if shape not in list(SigmoidShape):
         raise InputError(f"--shape {shape!r}; {', '.join(SigmoidShape)} are known")
@@ -49,7 +49,7 @@ def analyse(
     if out is not None:
         write_trial_page(found, out, str(folder.name))
     said = ["Simulated: nothing here is a measurement of people."] if kept.simulated else []
-    told = [*said, *analysis_answers(found), *(f"Note: {one}." for one in found.caveats)]
+    told = [*said, *analysis_answers(found), f"({LEGEND}.)", *(f"Note: {one}." for one in found.caveats)]
     if out is not None:
         told.append(f"page: {out}")
     print_found(found.to_dict() | {"answers": list(analysis_answers(found))}, "\n".join(told), json_)

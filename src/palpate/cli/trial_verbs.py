@@ -235,6 +235,9 @@ def _sitting(
     if not participant_folder(design, participant, simulated).exists():
         try:
             told = Enrolment(True, simulated=True) if simulated else ask_enrolment(design, desk)
+        except KeyboardInterrupt as e:
+            say("\npalpate: stopped before the first trial; nothing was made", err=True)
+            raise typer.Exit(130) from e
         except EOFError as e:
             raise InputError("the input is closed, so that nobody can consent; nothing was made") from e
         enrol(design, participant, told)
@@ -284,6 +287,9 @@ def _text(answer: dict[str, Any], folder: Path) -> str:
     code, kept = answer["participant"], answer["judgements"]
     said = f"{code}: {kept} judgements are kept; "
     said += "all is answered" if answer["complete"] else f"paused: {answer['paused']}"
-    if not answer["complete"]:
+    if answer["complete"]:
+        analysed = folder / "rehearsal" if answer["simulated"] else folder
+        said += f"\n  palpate trial analyse {analysed} --out PAGE.html says what was found so far"
+    else:
         said += f"\n  palpate trial run {folder} --participant {code} goes on, with the same options"
     return said + ("\nsimulated: no measurement" if answer["simulated"] else "")

@@ -44,6 +44,14 @@ class Condition(StrEnum):
     CUTANEOUS = "C"
 
 
+CUES = {
+    Condition.INTEGRATED: "both cues",
+    Condition.KINESTHETIC: "the arm alone",
+    Condition.CUTANEOUS: "the skin alone",
+}
+"""Conditions in words, for whoever has not the letters at hand."""
+
+
 class Presentation(StrEnum):
     """How a stimulus is presented: a specimen under the finger itself, or rendered by a display."""
 
@@ -131,6 +139,10 @@ class Judgement:
         checked_code(self.participant, "participant")
         if self.block < 1 or self.trial < 1:
             raise InputError(f"{self.said}: block and trial count from 1")
+        if not (math.isnan(self.seconds) or 0 <= self.seconds < math.inf):
+            raise RangeError(
+                f"{self.said}: {self.seconds:g} s to the answer; 0 or more, or nothing, is allowed"
+            )
         if len(set(self.presented)) != len(self.presented) or len(self.presented) < 2:
             raise InputError(
                 f"{self.said}: presented {' '.join(self.presented)!r}; two or more different stimuli are "
@@ -274,7 +286,7 @@ def read_stimuli(path: Path) -> dict[str, Stimulus]:
     stimuli: dict[str, Stimulus] = {}
     for i, row in enumerate(_rows(table, STIMULUS_COLUMNS), start=1):
         try:
-            one = Stimulus(row["stimulus"], float(row["level"]), int(row["softer"]), row["unit"])
+            one = Stimulus(row["stimulus"], _with_point(row["level"]), int(row["softer"]), row["unit"])
         except (ValueError, InputError) as e:
             raise LabelError(f"{table}, row {i}: {e}") from e
         if one.name in stimuli:
@@ -296,6 +308,12 @@ def write_stimuli(path: Path, stimuli: Iterable[Stimulus]) -> None:
     _write(path, STIMULUS_COLUMNS, rows)
 
 
+def _with_point(word: str) -> float:
+    if "," in word:
+        raise InputError(f"level {word!r}; a number has a point, as 3.3, and no comma")
+    return float(word)
+
+
 def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     with storage_errors(path):
         data = path.read_bytes()
@@ -305,11 +323,17 @@ def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     except (UnicodeDecodeError, csv.Error) as e:
         raise LabelError(f"{path} is no table: {e}") from e
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
+    if missing and any(";" in name for name in reader.fieldnames or ()):
+        raise LabelError(
+            f"{path} has semicolons between its columns; save it with commas there, and points in numbers"
+        )
     if missing:
         raise LabelError(f"{path} has no column {', '.join(missing)}; it needs {', '.join(columns)}")
     for i, row in enumerate(rows, start=1):
         if None in row or any(row[name] is None for name in columns):
-            raise LabelError(f"{path}, row {i}: {len(columns)} columns are needed")
+            raise LabelError(
+                f"{path}, row {i}: {len(columns)} columns are needed; a number has a point, as 3.3, no comma"
+            )
     return rows
 
 

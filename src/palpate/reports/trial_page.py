@@ -13,7 +13,7 @@ from palpate.psychophysics.analysis import (
     TaskComparison,
 )
 from palpate.psychophysics.analysis.experiment_analysis import SIMULATED
-from palpate.psychophysics.judgements import Task
+from palpate.psychophysics.judgements import CUES, Condition, Task
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.trial_figures import (
     PanelOfAnswers,
@@ -25,7 +25,14 @@ from palpate.reports.trial_figures import (
 from palpate.version import __version__
 
 SIGNIFICANT = 0.05
+LEGEND = "; ".join(f"{condition.value}: {cues}" for condition, cues in CUES.items())
 SAID = {Task.PAIR: "pairs", Task.RANK: "rankings"}
+
+
+def setting_said(setting: str) -> str:
+    """A setting, such as "direct I", with its condition in words: "direct with both cues"."""
+    presentation, condition = setting.rsplit(" ", 1)
+    return f"{presentation} with {CUES[Condition(condition)]}"
 
 
 def analysis_answers(found: ExperimentAnalysis) -> tuple[str, ...]:
@@ -56,6 +63,7 @@ def write_trial_page(found: ExperimentAnalysis, path: Path, source: str) -> None
         found=found,
         simulated=SIMULATED in found.caveats,
         answers=analysis_answers(found),
+        legend=LEGEND,
         shares=share_figure(
             [_share_row(one) for one in found.accuracies],
             "right answers, of rankings right places [%]; 95 % intervals",
@@ -85,17 +93,21 @@ def _softness_label(found: ExperimentAnalysis) -> str:
 
 def _share_row(one: SettingAccuracy) -> ShareRow:
     low, high = one.clusters or one.wilson
-    return ShareRow(f"{one.setting}, {SAID[one.task]}", one.share, low, high)
+    return ShareRow(f"{setting_said(one.setting)}, {SAID[one.task]}", one.share, low, high)
 
 
 def _difference_said(one: TaskComparison) -> str:
     told = [pair for pair in one.shares if pair.holm_p < SIGNIFICANT]
-    untold = [f"{pair.first} and {pair.second}" for pair in one.shares if pair.holm_p >= SIGNIFICANT]
+    untold = [
+        f"{setting_said(pair.first)} and {setting_said(pair.second)}"
+        for pair in one.shares
+        if pair.holm_p >= SIGNIFICANT
+    ]
     parts = [
         f"{better} above {worse} by {100 * abs(pair.value):.0f} points (p {pair.holm_p:.3g})"
         for pair in told
-        for better, worse in [
-            (pair.second, pair.first) if pair.value > 0 else (pair.first, pair.second)
+        for worse, better in [
+            map(setting_said, (pair.first, pair.second) if pair.value > 0 else (pair.second, pair.first))
         ]
     ]  # fmt: skip
     if untold:
@@ -110,25 +122,25 @@ def _accuracy_said(one: SettingAccuracy) -> str:
     over = "over participants" if one.clusters else "one participant's answers as independent"
     what = "places right" if one.task is Task.RANK else "right"
     return (
-        f"{one.setting}, {SAID[one.task]}: {100 * one.share:.1f} % {what} "
-        f"[{100 * low:.1f}, {100 * high:.1f}], {one.right} of {one.n}, {over}."
+        f"{setting_said(one.setting)}, {SAID[one.task]}: {100 * one.share:.1f} % {what} "
+        f"[95 %: {100 * low:.1f} to {100 * high:.1f}], {one.right} of {one.n}, {over}."
     )
 
 
 def _threshold_said(one: SettingThreshold, unit: str) -> str:
     value, low, high = one.pse
     if not all(one.fit.threshold.bounded):
-        return f"{one.setting}: these answers bound no threshold: {'; '.join(one.fit.notes)}."
+        return f"{setting_said(one.setting)}: these answers bound no threshold: {'; '.join(one.fit.notes)}."
     spread, scale = one.fit.spread, "in the natural logarithm" if one.fit.function.logarithmic else unit
     jnd = {
-        (True, True): f"{spread.value:.2g} {scale} [{spread.low:.2g}, {spread.high:.2g}]",
+        (True, True): f"{spread.value:.2g} {scale} [95 %: {spread.low:.2g} to {spread.high:.2g}]",
         (False, True): f"at most {spread.high:.2g} {scale}, not bounded below",
         (True, False): f"at least {spread.low:.2g} {scale}, not bounded above",
         (False, False): "not told",
     }[spread.bounded]
     badly = one.fit.deviance_p < SIGNIFICANT
     return (
-        f"{one.setting}: as soft as {one.standard} at {value:.3g} {unit} [{low:.3g}, {high:.3g}], just "
-        f"noticeable difference {jnd}"
+        f"{setting_said(one.setting)}: as soft as {one.standard} at {value:.3g} {unit} [95 %: {low:.3g} to "
+        f"{high:.3g}], just noticeable difference {jnd}"
         f"{f'; the function fits badly (p {one.fit.deviance_p:.2g})' if badly else ''}."
     )

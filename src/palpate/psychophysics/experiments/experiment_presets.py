@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from palpate.core import InputError, new_folder
+from palpate.core import InputError, RangeError, new_folder
 from palpate.psychophysics.experiments.experiment_file import EXPERIMENT, ExperimentDesign, read_design
 from palpate.psychophysics.judgements import STIMULI, Stimulus, write_stimuli
 
@@ -54,11 +54,14 @@ def make_experiment(
 
     Raises:
         InputError: there is no such preset; or moduli for another one, or not five above 0 that fall.
+        RangeError: a seed below 0, or of more than 63 bits.
         ExistsError: the folder exists.
         StorageError: it cannot be written.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}; there are {', '.join(PRESETS)}")
+    if not 0 <= seed < 1 << 63:
+        raise RangeError(f"seed {seed}; 0 to {(1 << 63) - 1} are allowed")
     if moduli_kpa is not None and preset != "bianchi-2010":
         raise InputError(f"moduli are for the preset bianchi-2010; {preset} has none: leave them out")
     moduli = tuple(moduli_kpa or MODULI_KPA)

@@ -24,7 +24,7 @@ from palpate.psychophysics.experiments.participant_record import (
 )
 from palpate.psychophysics.experiments.sitting import Enrolment, Sitting
 from palpate.psychophysics.experiments.trial_schedule import PlannedTrial
-from palpate.psychophysics.judgements import Condition, Presentation, Task
+from palpate.psychophysics.judgements import CUES, Condition, Presentation, Task
 
 PAUSE = "q"
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
@@ -241,7 +241,9 @@ class SittingDialogue:
         if place != self._place:
             stimuli = sitting.design.file.set_of(*place)
             codes = sorted(sitting.codes[(*place, name)] for name in stimuli.names)
-            self._desk.tell(f"\nCondition {trial.condition.value}, {trial.presentation.value}.")
+            self._desk.tell(
+                f"\nCondition {trial.condition.value} ({CUES[trial.condition]}), {trial.presentation.value}."
+            )
             if trial.presentation is Presentation.DIRECT:
                 said = f" {stimuli.layout}" if stimuli.layout else ""
                 self._desk.tell(f"Have the specimens {' '.join(codes)} at hand.{said}")
