@@ -156,7 +156,7 @@ class ParticipantRecord:
         return record
 
     def _fields_right(self) -> dict[str, bool]:
-        """Of each field whether it is what `write` may have written; JSON tells no types."""
+        """Whether each field is what `write` may have written; JSON tells no types."""
         words = ("participant", "group", "age", "schedule", "version")
         quotient = self.laterality_quotient
         digests = self.design.items() if isinstance(self.design, dict) else ()
