@@ -28,7 +28,9 @@ def calibrate(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find a tip's stiffness, ratio of skin and gel, pins, camera and seat from known forces.
+    """Find a tip's own constants from presses of known force.
+
+    Stiffness, ratio of skin and gel, pins, camera and seat.
 
     Takes frames of a folder that has specimens.csv (those on a rigid plate), of a run of one press, or of a
     run on a rig.
@@ -86,7 +88,7 @@ def weigh(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check a copy by a flat rigid object of known mass, laid level on the tip.
+    """Check a copy by a flat rigid object of known mass.
 
     It sees a change of stiffness, which an untouched frame cannot show.
 

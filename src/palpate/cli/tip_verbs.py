@@ -10,7 +10,7 @@ from typer import Argument, Option
 from palpate.cli.tip_copy_verbs import calibrate, force, weigh
 from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
-app = group("Fit a virtual TacTip to a real one: to taps of known pose, or to presses of known force.")
+app = group("Fit a virtual TacTip to a real one, read by it, and check it.")
 for verb in (calibrate, force, weigh):
     app.command()(verb)
 
@@ -25,7 +25,7 @@ def fit(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find lever, camera, lens and grip of a tip from taps of known pose.
+    """Find a tip's lever, camera and grip from taps of known pose.
 
     Images are binarised, pins bright; labels.csv has image_file, depth_mm, tilt_x_deg, tilt_y_deg,
     shear_x_mm, shear_y_mm and twist_deg. A tip then reads poses: `palpate tip read`. Some eight minutes for

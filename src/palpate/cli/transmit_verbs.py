@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from palpate.softness.touched_flat import Cylinder
     from palpate.softness.transmission import CueNoise, Transmission
 
-app = group("Let a finger feel what a tactile sensor has touched, and say what is lost.")
+app = group("Let a virtual finger feel what a TacTip has touched.")
 
 Weber = Annotated[
     str, Option(help="Weber fractions of an observer's cues, ARM:SKIN; assumed, give your participants' own.")
@@ -106,7 +106,7 @@ def study(
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Touch four virtual specimens and render them, on one or more virtual rigs.
+    """Touch and render four virtual specimens on virtual rigs.
 
     Some fifteen seconds a seed.
 

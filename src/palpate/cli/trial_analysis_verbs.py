@@ -23,7 +23,9 @@ def analyse(
     seed: Annotated[int, Option(min=0, help="Seed of draws.")] = 0,
     json_: Json = False,
 ) -> None:
-    """Say which conditions differ, how often answers were right, and thresholds, with their intervals.
+    """Say which conditions differ, how often answers were right.
+
+    Thresholds too, all with their intervals.
 
     Example: palpate trial analyse STUDY --out study.html
     """

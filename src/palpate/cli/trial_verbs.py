@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         StimulusPresenter,
     )
 
-trial_app = group("Run an experiment on softness: a design, participants one by one, tables for analysis.")
+trial_app = group("Run an experiment on softness with people, and analyse it.")
 trial_app.command()(analyse)
 Folder = Annotated[Path, Argument(help="Folder of the experiment.")]
 
@@ -40,7 +40,9 @@ def new(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Make an experiment's folder from a ready design, to be edited before the first participant.
+    """Make an experiment's folder from a ready design.
+
+    It may be edited before the first participant.
 
     jelly: five cups, pairs and a ranking, ten minutes. bianchi-2010: three conditions, direct and rendered,
     fifteen participants. threshold: staircases and Bayesian placement on a display.
@@ -84,7 +86,9 @@ def run(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Run a participant's sitting, or go on with it: each answer is on disk before the next trial.
+    """Run a participant's sitting, or go on with it.
+
+    Each answer is on disk before the next trial.
 
     The experimenter reads letters and types 1 or 2, or an order; q pauses. After a pause, a crash or a kill
     the same command goes on where it was. Rendered stimuli need --bench; with --rehearse the display may be
@@ -123,7 +127,9 @@ def export(
     rehearsal: Annotated[bool, Option("--rehearsal", help="Simulated participants instead.")] = False,
     json_: Json = False,
 ) -> None:
-    """Write all participants' judgements in the layout of BIDS, as tables with their columns described.
+    """Write all participants' judgements in the layout of BIDS.
+
+    Tables have their columns described.
 
     Example: palpate trial export jelly jelly-bids
     """

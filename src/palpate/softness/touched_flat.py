@@ -26,7 +26,7 @@ from palpate.softness.specimens import bonded_disc_n_m
 
 Ends = Literal["bonded", "free"]
 MAX_BYTES = 1 << 26
-LEAST = 1e-6  # of a value in its unit, MPa or N/mm; its reciprocal is the greatest
+MIN_VALUE = 1e-6  # of a value in its unit, MPa or N/mm; its reciprocal is the greatest
 MAX_COVERAGE = 0.999
 CUES = {
     "modulus": ("modulus", "MPa", 1e6),
@@ -196,4 +196,6 @@ def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
 
 def _positive(value: object) -> bool:
     """Whether it is a number above 0, of a size that a modulus, stiffness or share may have."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and LEAST < value < 1 / LEAST
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and MIN_VALUE < value < 1 / MIN_VALUE
+    )

@@ -75,7 +75,7 @@ LEAD_M = 1e-3  # above the specimen, where a press is at its speed
 MAX_N = 5.2  # at whose first sample a press ends
 TARE_S = 0.5
 POLL_S = 0.1
-LONGEST_HOLD_S = 60.0
+MAX_HOLD_S = 60.0
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
 ORIGIN = "rendered by palpate; virtual, not measured"
@@ -202,8 +202,8 @@ def record_press(
     """
     if not math.isfinite(late_s):
         raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
-    if not 0 <= hold_s <= LONGEST_HOLD_S:
-        raise RangeError(f"a hold of {hold_s:g} s; 0 to {LONGEST_HOLD_S:g} s are allowed")
+    if not 0 <= hold_s <= MAX_HOLD_S:
+        raise RangeError(f"a hold of {hold_s:g} s; 0 to {MAX_HOLD_S:g} s are allowed")
     if (back or hold_s) and rig is not None:
         raise InputError(
             f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"

@@ -46,7 +46,7 @@ SPECIMENS_N_M = {"S1": 7.6e3, "Snew": 5.3e3, "S2": 3.1e3, "S3": 1.1e3}
 REFERENCES_N_M = {"rigid": math.inf, "R1": 9.5e3, "R2": 4.2e3, "R3": 2.0e3, "R4": 0.95e3}
 """None of them is a specimen [N/m]."""
 TRIALS = 3  # of a reference
-TRIES = 8  # days
+MAX_DAYS = 8  # days
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +226,7 @@ def _read(
 
     A day whose nuisances make one of its presses invalid is not used: nuisances are drawn anew for all.
     """
-    for again in range(TRIES):
+    for again in range(MAX_DAYS):
         amounts = np.random.default_rng([day, again]).standard_normal(len(fields(sizes)))
         found: dict[str, Reading] = {}
         with suppress(InputError):  # too much force before contact
@@ -240,7 +240,7 @@ def _read(
                 found[name] = reading
         if len(found) == len(words):
             return found, again
-    raise InputError(f"no valid readings of {', '.join(words)} on {TRIES} days; are nuisances too large?")
+    raise InputError(f"no valid readings of {', '.join(words)} on {MAX_DAYS} days; are nuisances too large?")
 
 
 def _flat(spec: TacTipSpec, reading: Reading) -> TouchedFlat:

@@ -32,7 +32,13 @@ from palpate.core import Float, InputError, ndarray
 from palpate.estimators.compliance.stiffness_curve import SmallSpace, Vectors, fit_small_space, softness
 
 TERMS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1), (3, 0), (2, 1), (1, 2))  # powers of s and of c
-LEAST = (1, 2, 2, 2, 2)  # rigid plate; moduli of flats; radii of rigid spheres; moduli, radii of soft spheres
+MIN_REFERENCES = (
+    1,
+    2,
+    2,
+    2,
+    2,
+)  # rigid plate; moduli of flats; radii of rigid spheres; moduli, radii of soft spheres
 STRAIGHT = (1.0, 0.0)
 BENDS = ((0.5, 0.0), (2.0, 0.0), (1.0, 0.5))  # of E_0, and of c as c / (1 + bend c)
 BOUNDS = ((-0.1, -0.5), (0.95, 2.0))  # of places that are looked at, in s and c
@@ -206,7 +212,7 @@ def _counts(E: Float[ndarray, " k"], R: Float[ndarray, " k"]) -> tuple[int, ...]
 
 
 def _enough(counts: tuple[int, ...]) -> bool:
-    return all(count >= least for count, least in zip(counts, LEAST, strict=True))
+    return all(count >= least for count, least in zip(counts, MIN_REFERENCES, strict=True))
 
 
 def _between(surface: ShapeSurface) -> tuple[float, float]:

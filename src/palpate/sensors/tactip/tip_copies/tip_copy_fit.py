@@ -15,7 +15,7 @@ from palpate.sensors.tactip.tip_copies.tip_estimate import PlateReading, TipCopy
 
 OFF_PX = 0.3  # root mean square, that no frame is held against
 MAX_FORCE_Z = 3.0  # root mean square of forces' residuals over their standard deviations
-LEAST_SPAN = 1.5  # greatest over least known force, below which presses have one load
+MIN_SPAN = 1.5  # greatest over least known force, below which presses have one load
 SAME_PX = 0.5  # root mean square, by which untouched pins may differ from the copy's
 MAX_TURN_RAD = math.radians(3.5)  # of a plate, to which presses are taken for flat
 
@@ -56,10 +56,10 @@ def read_plate_press(known: TipCopy, press: PlatePress, progress: Progress = sil
 
 
 def _refuse_one_load(forces_n: Sequence[float]) -> None:
-    if len(forces_n) > 1 and max(forces_n) < LEAST_SPAN * min(forces_n):
+    if len(forces_n) > 1 and max(forces_n) < MIN_SPAN * min(forces_n):
         raise InputError(
             f"all presses have about one load, {min(forces_n):.3g} to {max(forces_n):.3g} N; stiffness and "
-            f"shape are told apart by loads of which the greatest is {LEAST_SPAN:g} times the least or more"
+            f"shape are told apart by loads of which the greatest is {MIN_SPAN:g} times the least or more"
         )
 
 

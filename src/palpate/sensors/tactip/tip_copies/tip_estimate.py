@@ -43,13 +43,13 @@ OWN_SD = np.array([np.inf, 0.006, 0.006, 0.3, 0.3])
 """Of the same from press to press; the shift is of the tip's seat between two frames. Assumed."""
 OWN_STEP = np.array([2e-3, 1e-3, 1e-3])  # a shift is told without one
 TERM_STEP = np.array([1e-3, 5e-3, 5e-3, 5e-2, 2e-3, 1e-3, 1e-2, 1e-2, 1e-3, 1e-3])
-PIN_PX, LEAST_PIN_PX = 0.1, 0.03  # of a pin's coordinate, until its residuals are seen, and at best
+PIN_PX, MIN_PIN_PX = 0.1, 0.03  # of a pin's coordinate, until its residuals are seen, and at best
 PATCH = 6.0  # pins that err together
 MODEL_SHARE = 0.003  # of a force, by what the model leaves out
 POSITION_MM = 0.03
 ZERO_MM = 20.0  # to which the zero of a stage is known
 AXIS_MM = 0.08  # by which pins beside their lattice move the middle that the camera's axis is told from
-LEAST_MM = 0.05
+MIN_DEPTH_MM = 0.05
 ROUNDS = 40
 OUTLIER = 6.0  # standard deviations by their median, from which a pin is left out
 
@@ -166,7 +166,7 @@ class TipEstimate:
         stray = size > OUTLIER * np.maximum(usual, PIN_PX)
         self._moved[stray] = np.nan
         left = math.sqrt(float(np.nanmean(self._off(state) ** 2)))
-        self._weight = _weight(max(left, LEAST_PIN_PX))
+        self._weight = _weight(max(left, MIN_PIN_PX))
         return self._solved(state, progress)
 
     def _solved(self, start: State, progress: Progress) -> State:
@@ -174,7 +174,7 @@ class TipEstimate:
         low[1], high[1] = (math.log(one) for one in ratio_range())
         low[2], low[3] = 0.0, 1e3 * self._known.spec.table.radius_m + 1
         depths = self._t + OWN * np.arange(self._n)
-        low[depths], high[depths] = LEAST_MM, 8.0
+        low[depths], high[depths] = MIN_DEPTH_MM, 8.0
         rounds = 0
 
         def slopes(state: State) -> Float[ndarray, "r u"]:
@@ -262,7 +262,7 @@ class TipEstimate:
         """Logarithm of the force at a depth [ln N]; beyond the table along its last power."""
         press = tip_between(float(terms[1])).press
         deepest = 1e3 * float(press.approach_m[-1])
-        depth = np.clip([depth_mm, STATED_MM, 0.97 * deepest, deepest], LEAST_MM, deepest)
+        depth = np.clip([depth_mm, STATED_MM, 0.97 * deepest, deepest], MIN_DEPTH_MM, deepest)
         at, stated, before, last = np.log(press.force_at(1e-3 * depth))
         if depth_mm > deepest:
             at += (last - before) / -math.log(0.97) * math.log(depth_mm / deepest)
