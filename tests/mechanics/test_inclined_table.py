@@ -1,5 +1,6 @@
 """Inclined tips at finite strain, as shipped: the head-on table's tip, small presses, and what is refused."""
 
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -104,6 +105,16 @@ def test_what_is_not_in_the_table_is_refused(table, pa, degrees) -> None:
     assert not table.holds(pa, tilt)
     with pytest.raises(RangeError, match="the table holds"):
         table.press(pa, tilt)
+
+
+@pytest.mark.parametrize("degrees", [30, 45])
+def test_the_force_of_the_deepest_approach_is_inside_the_table(table, degrees) -> None:
+    """Its last force is the cube of a cube root, which a rounding may lift past the table's end."""
+    press = table.press(np.inf, np.deg2rad(degrees))
+    for last_n in np.linspace(4.0, press.force_n[-1], 40):
+        scaled = replace(press, force_n=press.force_n * last_n / press.force_n[-1])
+        deepest = scaled.force_at(scaled.approach_m[-1:])
+        assert_allclose(scaled.at("approach_m", deepest), scaled.approach_m[-1:], rtol=1e-6)
 
 
 def test_a_force_beyond_the_table_is_refused(table) -> None:

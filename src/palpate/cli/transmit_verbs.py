@@ -108,7 +108,7 @@ def study(
 ) -> None:
     """Touch and render four virtual specimens on virtual rigs.
 
-    Some fifteen seconds a seed.
+    Half a minute a seed.
 
     Example: palpate transmit study --finger 20:15 --seeds 1 --out loop
     """

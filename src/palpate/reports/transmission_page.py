@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from palpate.core import new_file
+from palpate.mechanics.fingertip_laws import Fingertip
 from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE, drawn
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.study_figures import COLOURS
@@ -26,7 +27,7 @@ MARKS = {"touch": "the touch", "display": "display and arm", "together": "all to
 
 def write_transmission_page(
     path: Path, transmissions: Sequence[Transmission], judgements: Mapping[str, StageJudgement],
-    record: Mapping[str, Any], finger_of: Any,
+    record: Mapping[str, Any], finger: Fingertip,
 ) -> None:  # fmt: skip
     """Write the page.
 
@@ -35,7 +36,7 @@ def write_transmission_page(
         transmissions: one an object.
         judgements: by stage; empty for a single object.
         record: what `--json` prints.
-        finger_of: the finger on a rigid flat.
+        finger: on a rigid flat.
 
     Raises:
         ExistsError: `path` exists.
@@ -43,13 +44,13 @@ def write_transmission_page(
     """
     text = filled_template(
         "transmission.html", version=__version__, record=record, stages=STAGES, marks=MARKS,
-        judgements=judgements, curves=_curves(transmissions, finger_of), losses=_losses(transmissions),
+        judgements=judgements, curves=_curves(transmissions, finger), losses=_losses(transmissions),
     )  # fmt: skip
     with new_file(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def _curves(transmissions: Sequence[Transmission], finger: Any) -> str:
+def _curves(transmissions: Sequence[Transmission], finger: Fingertip) -> str:
     """Both cues of each object: itself, as touched with its interval, and what the finger felt."""
     with mpl.rc_context(STYLE):
         rows = len(transmissions)
@@ -67,7 +68,7 @@ def _curves(transmissions: Sequence[Transmission], finger: Any) -> str:
         return drawn(figure)
 
 
-def _cue(axes: Any, one: Transmission, cue: str, scale: float, finger: Any) -> None:
+def _cue(axes: Any, one: Transmission, cue: str, scale: float, finger: Fingertip) -> None:
     force = one.peak_n * np.linspace(0.0, 1.0, 120) ** 1.5
 
     def curve(soft: SoftObject) -> np.ndarray:

@@ -18,10 +18,10 @@ from functools import cache, cached_property
 from importlib import resources
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline
 
 from palpate.core import Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, TipTable, tip_table
+from palpate.mechanics.axisymmetric.tip_table import FOLDER, ForceColumns, HeadOnPress, TipTable, tip_table
 
 SAME_TILT = 1e-6  # rad
 COMPARED_N = 3.0
@@ -31,7 +31,7 @@ Levels = Float[ndarray, " f"]
 
 
 @dataclass(frozen=True)
-class SidePress:
+class SidePress(ForceColumns):
     """One tip on one inclined specimen, at the table's forces; SI.
 
     Attributes:
@@ -50,30 +50,11 @@ class SidePress:
     aside_rad: Float[ndarray, " b"]
     moved_m: Float[ndarray, "f a b 3"]
 
-    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
-        """A column of the table at other forces."""
-        force = np.asarray(force_n, np.float64)
-        if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
-            raise RangeError(
-                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
-            )
-        return np.asarray(self._curves[column](np.cbrt(force)))
+    columns = ("approach_m", "area_m2", "moved_m")
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Force at approaches, 0 before first touch, the greatest beyond the table [N]."""
-        return np.asarray(self._cube_root_of_force(np.clip(approach_m, 0.0, self.approach_m[-1]))) ** 3
-
-    @cached_property
-    def _curves(self) -> dict[str, PchipInterpolator]:
-        root = np.cbrt(self.force_n)
-        return {
-            name: PchipInterpolator(root, getattr(self, name))
-            for name in ("approach_m", "area_m2", "moved_m")
-        }
-
-    @cached_property
-    def _cube_root_of_force(self) -> PchipInterpolator:
-        return PchipInterpolator(self.approach_m, np.cbrt(self.force_n))
+        return self.force_within(np.clip(approach_m, 0.0, self.approach_m[-1]))
 
 
 @dataclass(frozen=True)

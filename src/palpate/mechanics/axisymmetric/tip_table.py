@@ -28,8 +28,43 @@ FOLDER = "tip_tables"
 Levels = Float[ndarray, " f"]
 
 
+class ForceColumns:
+    """Columns of a table over force, read between its rows: smooth in the cube root of force.
+
+    Attributes:
+        columns: names of those that can be read.
+    """
+
+    columns: tuple[str, ...]
+    force_n: Levels
+    approach_m: Levels
+
+    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
+        """A column of the table at other forces."""
+        force = np.asarray(force_n, np.float64)
+        if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
+            raise RangeError(
+                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
+            )
+        return np.asarray(self._curves[column](np.cbrt(force)))
+
+    def force_within(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
+        """Force at approaches inside the table [N]."""
+        force = np.asarray(self._cube_root_of_force(approach_m)) ** 3
+        return np.minimum(force, self.force_n[-1])  # which a root's cube may pass by a rounding
+
+    @cached_property
+    def _curves(self) -> dict[str, PchipInterpolator]:
+        root = np.cbrt(self.force_n)
+        return {name: PchipInterpolator(root, getattr(self, name)) for name in self.columns}
+
+    @cached_property
+    def _cube_root_of_force(self) -> PchipInterpolator:
+        return PchipInterpolator(self.approach_m, np.cbrt(self.force_n))
+
+
 @dataclass(frozen=True)
-class HeadOnPress:
+class HeadOnPress(ForceColumns):
     """One tip on one specimen, at the table's forces; SI.
 
     Attributes:
@@ -52,19 +87,12 @@ class HeadOnPress:
     inside_m: Float[ndarray, "f n 2"]
     energy_pa: Float[ndarray, "f n"]
 
+    columns = ("approach_m", "flattening_m", "radius_m", "angle_rad", "inside_m", "energy_pa", "area_m2")
+
     @property
     def area_m2(self) -> Levels:
         """Area of the contact [m^2]."""
         return np.pi * self.radius_m**2
-
-    def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
-        """A column of the table at other forces."""
-        force = np.asarray(force_n, np.float64)
-        if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
-            raise RangeError(
-                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
-            )
-        return np.asarray(self._curves[column](np.cbrt(force)))
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Force at approaches; 0 before first touch [N]."""
@@ -73,18 +101,7 @@ class HeadOnPress:
             raise RangeError(
                 f"an approach of {1e3 * d.max():.7g} mm; the table ends at {1e3 * deepest:.7g} mm"
             )
-        force = np.asarray(self._cube_root_of_force(np.minimum(d, deepest))) ** 3
-        return np.minimum(force, self.force_n[-1])  # which a root's cube may pass by a rounding
-
-    @cached_property
-    def _curves(self) -> dict[str, PchipInterpolator]:
-        root = np.cbrt(self.force_n)
-        names = ("approach_m", "flattening_m", "radius_m", "angle_rad", "inside_m", "energy_pa", "area_m2")
-        return {name: PchipInterpolator(root, getattr(self, name)) for name in names}
-
-    @cached_property
-    def _cube_root_of_force(self) -> PchipInterpolator:
-        return PchipInterpolator(self.approach_m, np.cbrt(self.force_n))
+        return self.force_within(np.minimum(d, deepest))
 
 
 @dataclass(frozen=True)
