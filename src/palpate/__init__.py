@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from palpate.core import Frame, PalpateError, Reading, Readings
     from palpate.core.sensor import sensor
     from palpate.estimators import Estimator
-    from palpate.live import open_source, sense
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
     from palpate.reports import write_report
+    from palpate.sensing import open_source, sense
     from palpate.workflows import certify, run_demo
 
 _NAMES = {
@@ -24,9 +24,9 @@ _NAMES = {
     "core": ("Frame", "PalpateError", "Reading", "Readings"),
     "core.sensor": ("sensor",),
     "estimators": ("Estimator",),
-    "live": ("open_source", "sense"),
     "recordings": ("Manifest", "Run", "RunWriter", "import_images", "read_image"),
     "reports": ("write_report",),
+    "sensing": ("open_source", "sense"),
     "workflows": ("certify", "run_demo"),
 }
 

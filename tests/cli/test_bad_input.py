@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from palpate import CalibrationPlan, Manifest, calibrate
 from palpate.cli import app
 from palpate.core import ImageError
-from palpate.live.frame_sources import open_source
+from palpate.sensing.frame_sources import open_source
 from palpate.version import __version__, needed_version
 
 DEVICES = """

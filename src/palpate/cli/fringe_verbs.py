@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from palpate.estimators.fringe_map import ColourTable
-    from palpate.live.frame_sources import FrameStream
-    from palpate.live.fringe_frames import MappedFrame, OrderReader
+    from palpate.sensing.frame_sources import FrameStream
+    from palpate.sensing.fringe_frames import MappedFrame, OrderReader
 
 LAMPS = ("led", "tungsten")
 STEPS = {"six-step": 6, "polarisation-camera": 4}
@@ -67,7 +67,7 @@ def fringe_order(
     Example: palpate optics fringe-order disc.png --calibration beam.csv --out orders --json
     """
     from palpate.core import new_folder, refuse_existing
-    from palpate.live.fringe_frames import read_orders
+    from palpate.sensing.fringe_frames import read_orders
 
     if out is not None:
         refuse_existing(out)
@@ -231,9 +231,9 @@ def _stepped(
 
     from palpate.core import Frame
     from palpate.estimators.fringe_map import CAMERA, SIX_STEPS, order_from_phases
-    from palpate.live.fringe_frames import MappedFrame
     from palpate.optics.colour import linear_light
     from palpate.recordings import read_image
+    from palpate.sensing.fringe_frames import MappedFrame
 
     if len(paths) != STEPS[calibration]:
         raise InputError(
@@ -270,8 +270,8 @@ def _reference(text: str | None) -> tuple[int, int, float]:
 
 def _source(paths: list[Path], stack: ExitStack) -> FrameStream:
     from palpate.core import ImageError
-    from palpate.live.frame_sources import ImageFiles
-    from palpate.live.shear_frames import open_frames
+    from palpate.sensing.frame_sources import ImageFiles
+    from palpate.sensing.shear_frames import open_frames
 
     if len(paths) == 1:
         return stack.enter_context(open_frames(paths[0]))

@@ -17,8 +17,8 @@ from palpate.core.sensor import sensor as find_sensor
 
 if TYPE_CHECKING:
     from palpate.estimators.shear import ShearReader, TiledSkin
-    from palpate.live.shear_frames import TouchedFrame
     from palpate.reports.shear_page import ShearPage
+    from palpate.sensing.shear_frames import TouchedFrame
 
 HEAD = ("frame", "contacts", "x", "y", "edge", "gamma", "seen", "notes")
 FLAGS = ("slip", "damage")
@@ -50,7 +50,13 @@ def shear(
     Example: palpate shear press.mp4 --reference untouched.png --sensor nusense --json
     """
     from palpate.calibration.shear import ShearCalibration
-    from palpate.live.shear_frames import ForceInTouch, first_frame, open_frames, read_touches, write_fields
+    from palpate.sensing.shear_frames import (
+        ForceInTouch,
+        first_frame,
+        open_frames,
+        read_touches,
+        write_fields,
+    )
 
     for path in (fields, html):
         if path is not None:

@@ -22,11 +22,11 @@ from palpate.calibration.evaluation import evaluate
 from palpate.core import Frame, ManualClock, PathText, Pose, Progress, new_file, new_folder, silent
 from palpate.estimators.certified import Estimator
 from palpate.estimators.model_card import ScoreCard
-from palpate.live.frame_sources import RunFrames
-from palpate.live.sensing_loop import sense
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.manifest import LabelKind
 from palpate.reports.terminal_text import scores_table
+from palpate.sensing.frame_sources import RunFrames
+from palpate.sensing.sensing_loop import sense
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
 from palpate.workflows.certification import certify

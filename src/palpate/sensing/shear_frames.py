@@ -15,8 +15,8 @@ from palpate.core import Frame, ImageError, InputError, PathText, Readings, stor
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
 from palpate.estimators.surface_strain import StrainFields
-from palpate.live.frame_sources import FrameStream, ImageFiles, Unreadable, open_source
 from palpate.recordings.exchange.frame_sequences import SUFFIXES, TIFFS, FrameSequence, open_sequence
+from palpate.sensing.frame_sources import FrameStream, ImageFiles, Unreadable, open_source
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 
 from palpate.core import Frame
-from palpate.live.frame_sources import OneImage
-from palpate.live.shear_frames import has_clock, open_frames
 from palpate.recordings.exchange.frame_sequences import write_tiff
+from palpate.sensing.frame_sources import OneImage
+from palpate.sensing.shear_frames import has_clock, open_frames
 
 IMAGES = [np.full((48, 64, 3), 40 * i, np.uint8) for i in range(3)]
 

@@ -11,7 +11,7 @@ from typing import Any
 from palpate.core import Drift, Readings
 from palpate.core.reading import plain_number
 from palpate.estimators.certified import Estimator, Zero
-from palpate.live.frame_sources import FrameStream, RunFrames, Unreadable
+from palpate.sensing.frame_sources import FrameStream, RunFrames, Unreadable
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import Frame, Image, InputError
 from palpate.estimators.fringe_map import OrderMap
-from palpate.live.frame_sources import Unreadable
+from palpate.sensing.frame_sources import Unreadable
 
 
 @runtime_checkable

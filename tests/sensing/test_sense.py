@@ -8,8 +8,8 @@ import pytest
 
 from palpate.core import ImageError, InputError
 from palpate.estimators import Estimator
-from palpate.live import frame_sources, open_source, sense
 from palpate.recordings import export_folder, read_image
+from palpate.sensing import frame_sources, open_source, sense
 
 
 @pytest.fixture
