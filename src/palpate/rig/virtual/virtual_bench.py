@@ -15,7 +15,7 @@ from palpate.rig.virtual.disturbances import Fault, Variation
 from palpate.rig.virtual.virtual_camera import TRANSPORT_S, VirtualCamera
 from palpate.rig.virtual.virtual_force import VirtualForce
 from palpate.rig.virtual.virtual_stage import VirtualStage
-from palpate.rig.virtual.virtual_world import World
+from palpate.rig.virtual.virtual_world import Touch, World
 
 PREFIX = "virtual:"
 ORIGIN_M: Position = (0.0, 0.0, 0.0)
@@ -88,7 +88,7 @@ def virtual_rig(
         licence="CC0-1.0",
         origin="recorded on palpate's virtual rig; virtual, not measured",
         seed=seed,
-        truth=lambda time_ns: _truth(world, truths, time_ns),
+        truth=lambda time_ns: truth_at(world, truths, time_ns)[1],
         truths=truths,
         mount=world.mount,
         known_m=world.known_m,
@@ -96,14 +96,14 @@ def virtual_rig(
     )
 
 
-def _truth(world: World, truths: tuple[str, ...], time_ns: int) -> dict[str, float]:
-    """Labels at the middle of the exposure of a frame's time."""
+def truth_at(world: World, truths: tuple[str, ...], time_ns: int) -> tuple[Touch | None, dict[str, float]]:
+    """Touch and labels at the middle of the exposure of a frame that arrived at a time [ns]."""
     touch = world.touch_at(time_ns / 1e9 - TRANSPORT_S - world.sensor.exposure_s / 2)
     if touch is None:
-        return dict.fromkeys(truths, 0.0)
+        return None, dict.fromkeys(truths, 0.0)
     area_mm2 = 1e6 * math.pi * world.radius_at(touch.depth_m) ** 2
     values = (max(touch.depth_m, 0.0) * 1e3, touch.force_n[2], area_mm2)
-    return dict(zip(truths, values, strict=False))
+    return touch, dict(zip(truths, values, strict=False))
 
 
 def _limits(travel: Travel, age_s: float | None) -> Limits:
