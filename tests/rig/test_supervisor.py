@@ -158,19 +158,20 @@ def test_the_limit_of_force_is_the_supervisors_and_has_its_name_here(supervised)
 
 
 def test_an_exception_of_who_watches_halts_the_motion(supervised) -> None:
+    target = (0.0, 0.0, 2 * MM)
     with opened(supervised()) as rig:
         guard = guarded(rig)
+        way_m: list[float] = []
 
         def full(*seen: object) -> None:
-            if guard_z and guard_z[-1] > 0.3 * MM:
+            if way_m and way_m[-1] > FREE_M:
                 raise OSError("no space left")
 
-        guard_z: list[float] = []
-        guard.positions.subscribe(lambda at, time_ns: guard_z.append(at[2]))
+        guard.positions.subscribe(lambda at, time_ns: way_m.append(at[2]))
         guard.looks.subscribe(full)
         with pytest.raises(OSError, match="no space"):
-            guard.towards((0.0, 0.0, 3 * MM), 2 * MM, step_m=5 * MM)
-        assert guard.position_m()[2] < 0.6 * MM
+            guard.towards(target, 1 * MM, step_m=5 * MM)
+        assert FREE_M < guard.position_m()[2] < target[2], "under way, where nothing else ends a motion"
         guard.looks.unsubscribe(full)
         guard.lift()
 

@@ -27,6 +27,7 @@ FLAGS = (
     "--remote-debugging-port=0",
 )
 STARTS_S = 30.0
+MAX_WAIT_S = 60.0  # for a state; a machine with other work may take most of it
 LOOK_S = 0.03
 
 
@@ -101,7 +102,7 @@ class Tab:
         number = next(self._numbers)
         self._connection.send(json.dumps({"id": number, "method": method, "params": params}))
         while True:
-            message = json.loads(self._connection.recv(timeout=20))
+            message = json.loads(self._connection.recv(timeout=MAX_WAIT_S))
             if message.get("id") == number:
                 assert "error" not in message, message
                 return message["result"]
@@ -139,7 +140,7 @@ class Tab:
             raise RuntimeError(found["exceptionDetails"]["exception"].get("description", "")[:300])
         return found["result"].get("value")
 
-    def wait(self, script: str, timeout_s: float = 10.0) -> Any:
+    def wait(self, script: str, timeout_s: float = MAX_WAIT_S) -> Any:
         """Until an expression is true."""
         end_s, value = time.monotonic() + timeout_s, None
         while time.monotonic() < end_s:

@@ -190,20 +190,37 @@ def test_the_served_page_begins_with_the_emergency_stop_and_leads_to_the_rig(ser
     assert "indentation rig" in text
 
 
+STATE = "document.querySelector('#state')?.innerText"
+LIVE = "JSON.parse(document.querySelector('#beat').dataset.ages).beat > 1"  # the server hears this page
+
+
+def begun_reloaded_and_stopped(tab: devtools.Tab) -> tuple[str, str]:
+    """What the page says of a rendering after it was loaded anew, and why that ended."""
+    tab.wait(LIVE)
+    tab.run("document.querySelector('#begin').click()")
+    tab.wait(f"/^(renders|ended): line/.test({STATE})")
+    tab.run("window.old = true")
+    tab.reload()
+    tab.wait(f"!window.old && {LIVE}")
+    circles = "document.querySelectorAll('#skin circle').length > 5"
+    tab.wait(f"{circles} || {STATE}.startsWith('ended')")
+    state = tab.run(STATE)
+    tab.run("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
+    return state, tab.wait("document.querySelector('#why').innerText")
+
+
 def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_stop(served, tmp_path) -> None:
     if devtools.chromium() is None:
         pytest.skip("there is no Chromium to drive")
     browser = devtools.Browser(tmp_path)
     try:
         tab = browser.open(f"http://localhost:{served.port}/softness")
-        tab.wait("!!document.querySelector('#begin')")
-        tab.run("document.querySelector('#begin').click()")
-        tab.wait("document.querySelector('#state').innerText.includes('renders: line')", 20)
-        tab.reload()
-        tab.wait("document.querySelector('#state')?.innerText.includes('renders: line')")
-        tab.wait("document.querySelectorAll('#skin circle').length > 5")
-        tab.run("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))")
-        tab.wait("document.querySelector('#why').innerText.includes('emergency stop')")
+        for _ in range(3):  # a loop that the machine's other work kept waiting ends by itself, as it should
+            state, why = begun_reloaded_and_stopped(tab)
+            if "emergency stop" in why:
+                break
+        assert state.startswith("renders: line")
+        assert "emergency stop" in why
         assert tab.said == []
     finally:
         browser.close()
