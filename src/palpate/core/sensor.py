@@ -251,6 +251,11 @@ def for_rig(sensor: Sensor) -> Sensor:
     return (getattr(sensor, "for_rig", None) or (lambda: sensor))()
 
 
+def for_live(sensor: Sensor) -> Sensor:
+    """The same sensor, drawn as quickly as its camera films: its own `for_live()`, or as on a rig."""
+    return (getattr(sensor, "for_live", None) or (lambda: for_rig(sensor)))()
+
+
 def untouched(sensor: Sensor) -> Contact:
     """The skin at rest, with no probe in sight."""
     return sensor.press(sensor.probe(sensor.default_probe), Pose(0.0, 0.0, 0.0))

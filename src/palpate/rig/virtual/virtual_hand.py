@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, Float, InputError, MonotonicClock, Sensor, ndarray
-from palpate.core.sensor import for_rig, sensor as sensor_of
+from palpate.core.sensor import for_live, sensor as sensor_of
 from palpate.rig.virtual.disturbances import Fault
 from palpate.rig.virtual.virtual_bench import (
     CARRYING,
@@ -315,7 +315,7 @@ class VirtualHand:
     """A hand, the virtual sensor that it presses, and the force sensor beneath.
 
     Args:
-        sensor: a name, whose sensor is filmed at the size that it states for a rig; or a sensor as it is.
+        sensor: a name, whose sensor is filmed and drawn as it states for live frames; or a sensor as it is.
         seed: of the hand and of all that varies between presses.
         clock: time; the machine's own where left out, a `ManualClock` to go faster.
         habits: of the hand.
@@ -348,7 +348,7 @@ class VirtualHand:
         pressing: bool = True,
         faults: tuple[Fault, ...] = (),
     ) -> None:
-        self.design = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
+        self.design = for_live(sensor_of(sensor)) if isinstance(sensor, str) else sensor
         self.clock = clock or MonotonicClock()
         self.world = HandWorld(self.design, self.clock, habits, seed, faults)
         if not pressing:

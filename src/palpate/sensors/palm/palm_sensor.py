@@ -51,6 +51,10 @@ RIG_PX = 128  # side of both regions on a virtual rig
 KNOTS = 1201  # of depth, between which force is read along straight lines
 PRESSES = 13  # of linear layers, between which a curve is laid
 FIRST = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2])  # of the first of them, where an edge already carries much
+LEVEL_M = 50e-6
+"""Step of depth between which live pictures of the own ball are mixed [m]. But for the probe's own edge, 1 in
+100 pixels, they lie within 0.004 of the lamp's light of those drawn anew."""
+NO_DEPTH_M = 1e-9  # of a probe that just touches: at 0 exactly none would be drawn
 PICTURES = 64  # under other probes and lateral loads, which are slow to press and to draw
 
 Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
@@ -62,9 +66,14 @@ class Palm:
 
     Under its own ball it is pressed by the finite-strain table, under any other probe or a lateral load by
     linear layers, and then the relaxed skin is drawn.
+
+    Attributes:
+        spec: every number of it.
+        level_m: depths between which the own ball's pictures are mixed, 0 where each is drawn anew [m].
     """
 
     spec: PalmSpec = field(default_factory=PalmSpec)
+    level_m: float = 0.0
     _slow: OrderedDict[Hashable, Any] = field(default_factory=OrderedDict, repr=False, compare=False)
 
     @property
@@ -161,7 +170,10 @@ class Palm:
         """The camera's frame; see `palm_render.render`."""
         gain = self.spec.lamp_gain * seating.light
         if is_ball(contact, self.spec):
-            return render(contact, replace(self._stiffened(contact.history), lamp_gain=gain), rng)
+            spec = replace(self._stiffened(contact.history), lamp_gain=gain)
+            if self.level_m > 0 and contact.pose.depth_m != 0:
+                return expose(self._mixed(contact, spec), spec, rng)
+            return render(contact, spec, rng)
         at_setup = replace(self.spec, lamp_gain=1.0)
         key = ("picture", contact.pose, contact.probe, contact.lateral_n, contact.moment_nm)
         fringes, below = self._kept(key, lambda: render_clean(contact, at_setup))
@@ -212,6 +224,28 @@ class Palm:
         """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""
         small = max(self.frame_px) <= 2 * RIG_PX
         return self if small else Palm(palm_spec.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
+
+    def for_live(self) -> Palm:
+        """As on a rig, with the ball's pictures mixed between depths that are drawn once, and kept."""
+        return replace(self.for_rig(), level_m=LEVEL_M, _slow=OrderedDict())
+
+    def _mixed(self, contact: Contact, spec: PalmSpec) -> Picture:
+        """Both regions of the ball's press, between those at the depths beside it."""
+        pose = contact.pose
+        place = pose.depth_m / self.level_m
+        most = self.force_law(self._ball).greatest_m / self.level_m
+        lower = math.floor(min(place, most - 1))
+        share = np.float32(place - lower)
+        (light, below), (deeper, deeper_below) = (
+            self._at_level(contact, spec, k) for k in (lower, lower + 1)
+        )
+        return light + share * (deeper - light), below + share * (deeper_below - below)
+
+    def _at_level(self, contact: Contact, spec: PalmSpec, level: int) -> Picture:
+        pose = contact.pose
+        here = Pose(round(pose.x_m, 6), round(pose.y_m, 6), level * self.level_m or NO_DEPTH_M)
+        key = ("level", here, spec.lamp_gain, spec.youngs_modulus_pa)
+        return self._kept(key, lambda: render_clean(replace(contact, pose=here), spec))
 
     @property
     def _ball(self) -> Probe:
