@@ -102,7 +102,8 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
     unit = spec.youngs_modulus_pa * R**2
 
     def force(depth: float) -> float:
-        return table.at(depth).force * unit * applied_rim(spec, Pose(x_m, y_m, depth * R)).force_ratio
+        ratio = applied_rim(spec, Pose(x_m, y_m, depth * R)).force_ratio
+        return float(table.force_at(np.array([depth]))[0]) * unit * ratio  # `at` works out all its stresses
 
     greatest = force(table.greatest_depth)
     if not 0 <= force_n <= greatest * (1 + SAME):
