@@ -1,0 +1,97 @@
+"""What lies still around a skin: tells a camera that has moved, or another light, from a touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from palpate.core import Bool, Float, Shaped, ndarray
+
+MAX_SHIFT_PX = 0.5  # of what lies still beside the skin
+MIN_EXPLAINED = 0.5  # of the rim's difference, by a shift
+MIN_SLOPE = 4.0  # grey levels a pixel: an edge
+MIN_EDGE_PX = 200
+MAX_CONDITION = 100.0  # of the edges' normal matrix: edges of both directions
+EVERY_STILL = 16  # pixel of what lies still is looked at
+RIM = 0.06  # of each side of the frame: what is taken to lie still
+STILL_NOISES = 5.0  # by which what lies still differs, where it does
+MIN_LIT = 8.0  # grey levels: darker pixels tell nothing of a change of brightness
+MIN_LIT_PX = 12
+
+Box = tuple[int, int, int, int]
+
+
+class StillSurround:
+    """What lies beside the skin, and along the sides of the frame.
+
+    Args:
+        frames: 8-bit grey or RGB, of the untouched sensor.
+        region: x, y, width and height of the skin [px].
+    """
+
+    def __init__(self, frames: Sequence[Shaped[ndarray, ...]], region: Box) -> None:
+        grey = np.stack(
+            [(frame if frame.ndim == 2 else frame.mean(axis=2)).astype(np.float32) for frame in frames]
+        )
+        mean = grey.mean(axis=0)
+        still = _outside(region, mean.shape)
+        smooth = cv2.GaussianBlur(mean, (0, 0), 1.0)
+        slope_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
+        slope_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
+        edges = still & (np.hypot(slope_x, slope_y) > MIN_SLOPE)
+        self._edges = np.nonzero(edges)
+        self._slope = np.stack([slope_x[edges], slope_y[edges]], axis=1).astype(np.float64)
+        self._level = mean[edges]
+        normal = self._slope.T @ self._slope
+        told = len(self._slope) >= MIN_EDGE_PX and np.linalg.cond(normal) < MAX_CONDITION
+        self._inverse = np.linalg.inv(normal) if told else None
+        self._even = tuple(a[::EVERY_STILL] for a in np.nonzero(still))
+        self._even_level = mean[self._even]
+        spread = float(
+            np.sqrt(np.mean(grey.std(axis=0)[self._even] ** 2 * (len(frames) / (len(frames) - 1))))
+        )
+        self._limit = STILL_NOISES * max(spread, 1.0)
+
+    def shift(self, image: Shaped[ndarray, ...], gain: float) -> tuple[float, float] | None:
+        """Shift of what lies still; None where there is none, or none can be told.
+
+        Args:
+            image: of the kind of the reference's frames.
+            gain: its brightness over theirs.
+
+        Returns:
+            To the right and downwards [px].
+        """
+        if self._inverse is None:
+            return None
+        apart = _levels(image, self._edges) / gain - self._level
+        moved = -self._inverse @ (self._slope.T @ apart)
+        left = apart + self._slope @ moved
+        explained = float(left @ left) < (1 - MIN_EXPLAINED) * float(apart @ apart)
+        return (float(moved[0]), float(moved[1])) if explained and np.hypot(*moved) > MAX_SHIFT_PX else None
+
+    def changed_share(self, image: Shaped[ndarray, ...]) -> float:
+        """Share of what lies still that differs from the reference, by more than its brightness."""
+        now, then = _levels(image, self._even), self._even_level
+        lit = then > MIN_LIT
+        gain = float(np.median(now[lit] / then[lit])) if lit.sum() > MIN_LIT_PX else 1.0
+        apart = now / gain - then
+        return float(np.mean(np.abs(apart) > self._limit))
+
+
+def _outside(region: Box, shape: tuple[int, ...]) -> Bool[ndarray, "h w"]:
+    """Pixels beside the skin, and along the sides of the frame."""
+    height, width = shape
+    x, y, wide, high = region
+    edge_x, edge_y = round(RIM * width), round(RIM * height)
+    still = np.ones(shape, bool)
+    rows = slice(max(y, edge_y), min(y + high, height - edge_y))
+    still[rows, max(x, edge_x) : min(x + wide, width - edge_x)] = False
+    return still
+
+
+def _levels(image: Shaped[ndarray, ...], at: tuple[ndarray, ...]) -> Float[ndarray, " n"]:
+    part = image[at]
+    return (part if part.ndim == 1 else part.mean(axis=1)).astype(np.float64)

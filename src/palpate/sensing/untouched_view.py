@@ -1,0 +1,394 @@
+"""Touch seen without a calibration: what of a frame differs from the untouched sensor, and where.
+
+A few frames of the untouched sensor give its mean and its noise. From a frame a change of brightness is
+divided out; its difference to that mean is smoothed lightly, so that noise is measured as it is, correlated
+between neighbours or not, squared over the noise, and averaged over a small neighbourhood, so that a contact
+which is bright on one side and dark on the other is one. Without a touch the result is a mean of squares of
+known variance, which gives the threshold for a stated rate of false alarms. A touch that changes more than
+half of the skin by one and the same factor is taken for a change of brightness.
+
+The contact's region ends where the smoothed difference is half of what it is in its strong part: there lies
+the edge of an evenly changed area, whatever its strength. It is what the image shows, and not the area of
+contact, which needs a calibration. Where a press bends the gel so far that its lights shine elsewhere, the
+strongest change is theirs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from palpate.core import Bool, Float, Float32, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
+from palpate.sensing.uncalibrated import StillSurround, edge_share, tail_weights, upper_quantile
+
+TouchVerdict = Literal["untouched", "touched", "view changed"]
+Box = tuple[int, int, int, int]
+Grid = Float32[ndarray, "h w c"]
+
+MIN_FRAMES = 5
+WORKING_PX = 320  # about the longer side of the grid that is worked on; finer images are averaged to it
+SIGMA = 1.5  # px of the grid: by which a difference is smoothed
+SPREAD = 2.0  # px of the grid: over which its square is averaged
+NOISE_OVER = 8.0  # px of the grid over which variances are averaged: few frames tell little of one pixel's
+MIN_NOISE = 0.1  # grey levels, after smoothing: an image without noise is not taken to be known better
+MIN_LIT = 8.0  # grey levels: darker pixels tell nothing of a change of brightness
+SATURATED = 250.0  # grey levels
+EVERY = 4  # pixel along each axis that tells the change of brightness
+GAINS = 0.6, 1.6  # brightness over the reference's, beyond which the view has changed
+MAX_SHARE = 0.6  # of the region, beyond which what lies still beside it tells a touch from another view
+MAX_STILL_SHARE = 0.5  # of what lies still that a touch may change
+MIN_PX = 12  # of the grid: a smaller region is a speck
+HARDLY = 0.05  # probability of what untouched frames reach, below which their noise is not as supposed
+STRONG = 90  # percentile of the strength in a region that is its strong part
+SECOND = 0.25  # of the largest part: smaller ones are not of the contact
+ROUNDS = 3  # of telling the strong part by the region, and the region by the strong part
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedRegion:
+    """Part of the image that a touch has changed.
+
+    Attributes:
+        centre_px: its centroid, x along columns and y along rows of the frame [px].
+        area_px: [px²].
+        outline_px: its outline, closed, in the frame's pixels ``[p 2]``.
+        strength: of its strong part: root mean square difference over the channels [grey levels].
+        centre_mm: from the middle of the skin, x along columns and y along rows [mm]; None without a scale.
+        area_mm2: [mm²]; None without a scale.
+    """
+
+    centre_px: tuple[float, float]
+    area_px: float
+    outline_px: Int[ndarray, "p 2"]
+    strength: float
+    centre_mm: tuple[float, float] | None = None
+    area_mm2: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SeenTouch:
+    """A frame beside the untouched sensor.
+
+    Attributes:
+        verdict: "untouched", "touched", or "view changed" where light, camera or skin are not those of the
+            reference, so that no contact can be told.
+        why: of the verdict, in words.
+        gain: brightness over the reference's, of each channel.
+        change: largest value of the statistic, over that which a touch needs: above 1 is a change.
+        changed_share: of the region in which a difference is seen.
+        region: the largest connected change; None but for "touched".
+    """
+
+    verdict: TouchVerdict
+    why: str
+    gain: tuple[float, ...]
+    change: float
+    changed_share: float
+    region: TouchedRegion | None = None
+
+
+class Difference(NamedTuple):
+    """Difference of a frame on the grid: smoothed [grey levels], and its statistic, whose mean is 1."""
+
+    smoothed: Grid
+    statistic: Float32[ndarray, "h w"]
+    gain: Float[ndarray, " c"]
+
+
+class UntouchedView:
+    """The untouched sensor, with which frames are compared.
+
+    Args:
+        frames: 8-bit grey ``[h w]`` or RGB ``[h w 3]`` images of the untouched sensor, five or more.
+        region: x, y, width and height of the skin in the frame [px]; all of the frame without.
+        false_alarm_rate: about the share of untouched frames in which a touch is seen, at most.
+        mm_per_px: of the skin in the frame [mm]; without it lengths are in px alone.
+        marks_px: distance of neighbouring marks in the skin, where there are any [px]: a region is then one
+            over several marks.
+
+    Raises:
+        InputError: too few frames, or of several kinds.
+        ImageError: a frame that is not 8-bit grey or RGB.
+        RangeError: a rate, region or scale out of range.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> still = [rng.normal(100, 2, (60, 80)).astype(np.uint8) for _ in range(8)]
+        >>> UntouchedView(still).seen(still[0]).verdict
+        'untouched'
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[Shaped[ndarray, ...]],
+        *,
+        region: Box | None = None,
+        false_alarm_rate: float = 1e-3,
+        mm_per_px: float | None = None,
+        marks_px: float = 0.0,
+    ) -> None:
+        if len(frames) < MIN_FRAMES:
+            raise InputError(
+                f"{len(frames)} frames of the untouched sensor; {MIN_FRAMES} or more tell its noise"
+            )
+        self._shape = _kind_of(frames[0])
+        if not 1e-9 <= false_alarm_rate <= 0.5:
+            raise RangeError(f"a false-alarm rate of {false_alarm_rate}; give a share from 1e-9 to 0.5")
+        if mm_per_px is not None and not 0 < mm_per_px < math.inf:
+            raise RangeError(f"{mm_per_px} mm a pixel; give a length above 0 mm")
+        self.region = _within(region, self._shape)
+        self.mm_per_px = mm_per_px
+        self._step = max(1, round(max(self.region[2:]) / WORKING_PX))
+        self._spread = max(SPREAD, 0.5 * marks_px / self._step)
+        grids = np.stack([self._grid(frame) for frame in frames])
+        self._still = StillSurround(frames, self.region)
+        self._learn(grids, false_alarm_rate)
+
+    @property
+    def noise(self) -> float:
+        """Median noise of the smoothed difference [grey levels]."""
+        return float(np.sqrt(np.median(self._variance)))
+
+    def _learn(self, grids: Float32[ndarray, "n h w c"], rate: float) -> None:
+        n = len(grids)
+        mean = grids.mean(axis=0)
+        some = mean[::EVERY, ::EVERY]
+        lit = (some > MIN_LIT) & (some < SATURATED)
+        self._lit = [np.nonzero(lit[..., c]) for c in range(mean.shape[2])]
+        self._levels = [some[..., c][which] for c, which in enumerate(self._lit)]
+        even = np.stack([grid / self._gain(grid).astype(np.float32) for grid in grids])
+        self._mean = even.mean(axis=0)
+        self._brightest = self._mean.max(axis=(0, 1))
+        # Each is compared with the mean of the others, as a new frame is with that of all.
+        apart = [_smooth(one - self._mean, SIGMA) * np.float32(n / (n - 1)) for one in even]
+        variance = np.mean(np.square(apart), axis=0) * ((n * n - 1) / (n * n))
+        self._variance = _smooth(variance, NOISE_OVER) + np.float32(MIN_NOISE**2)
+        self._inverse = 1 / self._variance
+        channels = self._mean.shape[2]
+        weights = tail_weights(SIGMA, self._spread)
+        places = max(mean[..., 0].size / (math.pi * (SIGMA**2 + 2 * self._spread**2)), 1.0)
+        reached = max(float(self._statistic(one, np.ones(channels)).max()) for one in apart)
+        # Untouched frames that reach what they hardly should have other noise than supposed.
+        hardly = upper_quantile(HARDLY / n / places, weights, channels)
+        self.threshold = upper_quantile(rate / places, weights, channels) * max(1.0, reached / hardly)
+
+    def seen(self, image: Shaped[ndarray, ...]) -> SeenTouch:
+        """The frame beside the reference.
+
+        Args:
+            image: of the kind of the reference's frames.
+
+        Raises:
+            InputError: of another size or kind.
+        """
+        difference = self.difference(image)
+        gain = tuple(float(g) for g in difference.gain)
+        over = difference.statistic > self.threshold
+        share, change = float(over.mean()), float(difference.statistic.max()) / self.threshold
+        why = self._why_changed(image, gain, share)
+        if why:
+            return SeenTouch("view changed", why, gain, change, share)
+        region = self._region(difference, over) if change > 1 else None
+        if region is None:
+            return SeenTouch("untouched", "no difference beyond the noise", gain, change, share)
+        x, y = region.centre_px
+        why = f"a change of {region.strength:.1f} grey levels around x {x:.0f}, y {y:.0f} px"
+        return SeenTouch("touched", why, gain, change, share, region)
+
+    def difference(self, image: Shaped[ndarray, ...]) -> Difference:
+        """Difference of a frame to the reference on the grid, brightness divided out."""
+        if image.shape != self._shape or image.dtype != np.uint8:
+            raise InputError(
+                f"a frame {image.dtype} {list(image.shape)} beside a reference of 8-bit {list(self._shape)}; "
+                "give frames of that camera, or take the untouched reference anew"
+            )
+        grid = self._grid(image)
+        gain = self._gain(grid)
+        apart = grid / gain.astype(np.float32) - self._mean
+        smoothed = _smooth(apart, SIGMA)
+        return Difference(smoothed, self._statistic(smoothed, gain), gain)
+
+    def picture(self, image: Shaped[ndarray, ...], times: float = 4.0) -> UInt8[ndarray, "h w *c"]:
+        """Difference as an image of the region: grey level 128 is none, and differences are magnified.
+
+        Args:
+            image: of the kind of the reference's frames.
+            times: magnification of a difference.
+        """
+        width, height = self.region[2:]
+        apart = self.difference(image).smoothed
+        shown = np.clip(128 + times * apart, 0, 255).astype(np.uint8)
+        return cv2.resize(shown, (width, height), interpolation=cv2.INTER_LINEAR)
+
+    def _why_changed(self, image: Shaped[ndarray, ...], gain: tuple[float, ...], share: float) -> str:
+        if not all(GAINS[0] <= g <= GAINS[1] for g in gain):
+            told = ", ".join(f"{g:.2f}" for g in gain)
+            return f"brightness is {told} times the reference's: look at light and exposure, or take it anew"
+        brighter = float(np.mean(gain))
+        shifted = self._still.shift(image, brighter)
+        if shifted is not None:
+            x, y = shifted
+            return (
+                f"what lies beside the skin has moved by {x:.1f}, {y:.1f} px: the camera moved; "
+                "take the untouched reference anew"
+            )
+        if share > MAX_SHARE and (still := self._still.changed_share(image)) > MAX_STILL_SHARE:
+            return (
+                f"{100 * share:.0f} % of the skin and {100 * still:.0f} % of what lies beside it differ from "
+                "the reference: light, focus or camera changed; take the untouched reference anew"
+            )
+        return ""
+
+    def _grid(self, image: Shaped[ndarray, ...]) -> Grid:
+        if _kind_of(image) != self._shape:
+            raise InputError(
+                f"frames of {list(image.shape)} and {list(self._shape)} px; give untouched frames of one kind"
+            )
+        x, y, width, height = self.region
+        step = self._step
+        wide, high = width // step, height // step
+        part = image[y : y + high * step, x : x + wide * step]
+        small = cv2.resize(part.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
+        return small.reshape(high, wide, -1)
+
+    def _gain(self, grid: Grid) -> Float[ndarray, " c"]:
+        """Brightness over the reference's, each channel: the median, which a touch hardly moves."""
+        some = grid[::EVERY, ::EVERY]
+        pairs = ((some[..., c][which], self._levels[c]) for c, which in enumerate(self._lit))
+        gains = [float(np.median(now / then)) if len(then) > MIN_PX else 1.0 for now, then in pairs]
+        return np.clip(np.array(gains), 0.05, 20.0)
+
+    def _statistic(self, smoothed: Grid, gain: Float[ndarray, " c"]) -> Float32[ndarray, "h w"]:
+        """Mean square over the noise, of all channels and around each pixel."""
+        square = smoothed * smoothed
+        square *= self._inverse
+        level = gain.astype(np.float32)
+        if (
+            level * self._brightest
+        ).max() >= SATURATED:  # what would be saturated cannot follow the brightness
+            square[self._mean * level >= SATURATED] = 0.0
+        # A darker frame, brightened, has more noise.
+        weights = np.minimum(level, 1.0) ** 2 / len(level)
+        mean = cv2.transform(square, weights[None]) if len(level) > 1 else weights * square[..., 0]
+        return _smooth(mean.reshape(*square.shape[:2], 1), self._spread)[..., 0]
+
+    def _region(self, difference: Difference, over: Bool[ndarray, "h w"]) -> TouchedRegion | None:
+        found = _largest(over)
+        if found is None:
+            return None
+        seed, box = found
+        rows, columns = _around(box, math.ceil(3 * math.hypot(SIGMA, self._spread)), over.shape)
+        smoothed, seed = difference.smoothed[rows, columns], seed[rows, columns]
+        square = (smoothed * smoothed - self._variance[rows, columns]).sum(axis=2, keepdims=True)
+        energy = _smooth(square, self._spread)[..., 0]
+        share, mask, strong = edge_share(SIGMA, self._spread), seed, 0.0
+        for _ in range(ROUNDS):
+            strong = max(float(np.percentile(energy[mask & seed], STRONG)), 0.0)
+            mask = energy > share * strong
+        parts = _parts(mask & seed)
+        if not parts:
+            return None
+        filled = np.zeros(mask.shape, np.uint8)
+        if len(parts) > 1:  # bright here and dark there, with a band between that is as it was
+            outline = cv2.convexHull(np.concatenate(parts))
+        else:
+            cv2.drawContours(filled, parts, -1, 1, cv2.FILLED)
+            filled = cv2.morphologyEx(filled, cv2.MORPH_CLOSE, _disc(round(2 * self._spread)))
+            outline = max(_outlines(filled), key=len)
+        cv2.drawContours(filled, [outline], -1, 1, cv2.FILLED)
+        # Pixels at a ragged edge count by how strongly they are changed.
+        weight = np.minimum(np.maximum(energy, 0), strong) * filled
+        moments = cv2.moments(weight)
+        corner = np.array([columns.start, rows.start])
+        at = corner + np.array([moments["m10"], moments["m01"]]) / moments["m00"]
+        # Smoothing draws a closed edge inwards: its area shrinks by pi sigma squared, whatever its shape.
+        area = cv2.countNonZero(filled) + math.pi * (SIGMA**2 + self._spread**2)
+        return self._in_frame(at, area, corner + outline[:, 0], math.sqrt(strong / smoothed.shape[2]))
+
+    def _in_frame(
+        self, at: Float[ndarray, 2], area: float, outline: Int[ndarray, "p 2"], strength: float
+    ) -> TouchedRegion:
+        x, y, width, height = self.region
+        corner, step = np.array([x, y]), self._step
+        centre = corner + step * at + (step - 1) / 2
+        lines = corner + step * outline + step // 2
+        if self.mm_per_px is None:
+            return TouchedRegion(_pair(centre), area * step**2, lines, strength)
+        away = (centre - corner - (np.array([width, height]) - 1) / 2) * self.mm_per_px
+        area_px = area * step**2
+        return TouchedRegion(
+            _pair(centre), area_px, lines, strength, _pair(away), area_px * self.mm_per_px**2
+        )
+
+
+def _pair(values: Float[ndarray, 2]) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _smooth(grid: Grid, sigma: float) -> Grid:
+    return cv2.GaussianBlur(grid, (0, 0), sigma, borderType=cv2.BORDER_REFLECT).reshape(grid.shape)
+
+
+def _largest(mask: Bool[ndarray, "h w"]) -> tuple[Bool[ndarray, "h w"], Box] | None:
+    """Largest connected part of a mask and its box; None where that is a speck."""
+    # The algorithm is named, since the usual one takes longer.
+    _, label, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
+        mask.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_BBDT
+    )
+    size = boxes[:, cv2.CC_STAT_AREA].copy()
+    size[0] = 0
+    best = int(size.argmax())
+    if size[best] < MIN_PX:
+        return None
+    x, y, width, height = (int(v) for v in boxes[best, :4])
+    return label == best, (x, y, width, height)
+
+
+def _parts(mask: Bool[ndarray, "h w"]) -> list[Int[ndarray, "p 1 2"]]:
+    """Outlines of the large connected parts of a mask."""
+    outlines = _outlines(mask.view(np.uint8))
+    areas = np.array([cv2.contourArea(one) for one in outlines])
+    large = areas >= SECOND * areas.max(initial=0.0)
+    return [one for one, is_large in zip(outlines, large, strict=True) if is_large]
+
+
+def _outlines(mask: UInt8[ndarray, "h w"]) -> Sequence[Int[ndarray, "p 1 2"]]:
+    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+
+
+def _disc(radius: int) -> UInt8[ndarray, "h w"]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+
+
+def _around(box: Box, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of a box with a margin."""
+    x, y, width, height = box
+    rows = slice(max(y - margin, 0), min(y + height + margin, shape[0]))
+    return rows, slice(max(x - margin, 0), min(x + width + margin, shape[1]))
+
+
+def _kind_of(image: Shaped[ndarray, ...]) -> tuple[int, ...]:
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise ImageError(
+            "a touch is seen in 8-bit grey [h w] or RGB [h w 3] images, got "
+            f"{image.dtype} {list(image.shape)}"
+        )
+    return image.shape
+
+
+def _within(region: Box | None, shape: tuple[int, ...]) -> Box:
+    height, width = shape[:2]
+    if region is None:
+        return 0, 0, width, height
+    x, y, wide, high = region
+    if x < 0 or y < 0 or wide < 16 or high < 16 or x + wide > width or y + high > height:
+        raise RangeError(
+            f"a region {list(region)} px (x, y, width, height) in frames of {width} x {height} px; it lies "
+            "inside the frame and is 16 px or more along each side"
+        )
+    return region
