@@ -1,4 +1,4 @@
-"""Sources of frames when sensing: one image, a folder of images, a run."""
+"""Sources of frames when sensing: one image, a folder of images, a run, a video."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from palpate.recordings.exchange.frame_sequences import FrameSequence
     from palpate.recordings.run_reader import Run
 
+VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 
 
@@ -80,8 +82,23 @@ class RunFrames:
         return self.run.frames()
 
 
+@dataclass(frozen=True, slots=True)
+class SequenceFrames:
+    """A video's or TIFF's images as frames, named by their number; a rate of 0 Hz is not known."""
+
+    sequence: FrameSequence
+    rate_hz: float
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def __iter__(self) -> Iterator[Frame | Unreadable]:
+        for i, image in enumerate(self.sequence):
+            yield Frame(image, i / (self.rate_hz or 1.0), name=str(i))
+
+
 def open_source(path: PathText) -> FrameStream:
-    """Open an image, a folder of images or a run.
+    """Open an image, a folder of images, a run or a video.
 
     Raises:
         InputError: there is nothing to sense there.
@@ -89,7 +106,7 @@ def open_source(path: PathText) -> FrameStream:
     """
     path = Path(path)
     if not path.exists():
-        raise ImageError(f"{path} is not there; give an image, a folder of images or a run")
+        raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
     if (path / MANIFEST).is_file():
         from palpate.recordings.run_reader import Run  # loads tables, which no image needs
 
@@ -99,4 +116,9 @@ def open_source(path: PathText) -> FrameStream:
         if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
         return ImageFiles(images)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        from palpate.recordings.exchange.frame_sequences import VideoFrames  # loads tables, as above
+
+        video = VideoFrames(path)
+        return SequenceFrames(video, video.rate_hz)
     return OneImage(Frame(read_image(path), 0.0, name=path.name))

@@ -15,8 +15,8 @@ from palpate.core import Frame, ImageError, InputError, PathText, Readings, stor
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
 from palpate.estimators.surface_strain import StrainFields
-from palpate.recordings.exchange.frame_sequences import SUFFIXES, TIFFS, FrameSequence, open_sequence
-from palpate.sensing.frame_sources import FrameStream, ImageFiles, Unreadable, open_source
+from palpate.recordings.exchange.frame_sequences import TIFFS, open_sequence
+from palpate.sensing.frame_sources import FrameStream, ImageFiles, SequenceFrames, Unreadable, open_source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,21 +55,6 @@ class TouchedFrame:
         return {**head, "read": read, "why": self.touch.reason, "readings": readings, "contacts": contacts}
 
 
-@dataclass(frozen=True, slots=True)
-class _SequenceFrames:
-    """A video's or TIFF's images as frames, named by their number; a rate of 0 Hz is not known."""
-
-    sequence: FrameSequence
-    rate_hz: float
-
-    def __len__(self) -> int:
-        return len(self.sequence)
-
-    def __iter__(self) -> Iterator[Frame | Unreadable]:
-        for i, image in enumerate(self.sequence):
-            yield Frame(image, i / (self.rate_hz or 1.0), name=str(i))
-
-
 @contextmanager
 def open_frames(path: PathText) -> Iterator[FrameStream]:
     """Open an image, a folder of images, a run, a video or a multi-page TIFF.
@@ -80,16 +65,16 @@ def open_frames(path: PathText) -> Iterator[FrameStream]:
     path = Path(path)
     if not path.exists():
         raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
-    if path.suffix.lower() in SUFFIXES | TIFFS and path.is_file():
+    if path.suffix.lower() in TIFFS and path.is_file():
         with open_sequence(path) as sequence:
-            yield _SequenceFrames(sequence, float(getattr(sequence, "rate_hz", 0.0)))
+            yield SequenceFrames(sequence, 0.0)
     else:
         yield open_source(path)
 
 
 def has_clock(frames: FrameStream) -> bool:
     """Whether times are a clock's; images, TIFFs and a video without a rate have their place for one."""
-    if isinstance(frames, _SequenceFrames):
+    if isinstance(frames, SequenceFrames):
         return frames.rate_hz > 0
     return not isinstance(frames, ImageFiles)
 

@@ -118,7 +118,21 @@ def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
             deeper than 8 bits, CMYK, with transparency, larger than `max_pixels`, or of another format.
     """
     path = Path(path)
-    data = _read_bytes(path, _HEADER_BYTES + _BYTES_PER_PIXEL * max_pixels)
+    return image_from_bytes(
+        _read_bytes(path, _HEADER_BYTES + _BYTES_PER_PIXEL * max_pixels), path, max_pixels=max_pixels
+    )
+
+
+def image_from_bytes(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Image:
+    """Image in the bytes of an image file, as `read_image` reads it.
+
+    Args:
+        data: the whole file.
+        path: what the file is called where it cannot be read.
+        max_pixels: largest image that is decoded.
+
+    Returns, Raises: as `read_image`.
+    """
     decoder = _decoder(path, data)
     with _damage_explained(path):
         image = decoder(BytesIO(data))

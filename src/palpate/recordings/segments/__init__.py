@@ -12,11 +12,19 @@ from palpate.recordings.segments.message_schema import (
     decode,
     decode_json,
 )
-from palpate.recordings.segments.segment_reader import Damage, StoredFrame, StoredMessage, StoredSegment
+from palpate.recordings.segments.segment_reader import (
+    Damage,
+    StoredFrame,
+    StoredMessage,
+    StoredSegment,
+    frames_in,
+    scan,
+    scan_growing,
+)
 from palpate.recordings.segments.segment_writer import KINDS, Segment, file_name, segment_numbers
 
 __all__ = [
     "EVENTS", "FORCE", "FRAMES", "KINDS", "LABELS", "RAW", "RECORDED", "STAGE", "Channel", "Damage",
     "Segment", "StoredFrame", "StoredMessage", "StoredSegment", "decode", "decode_json", "file_name",
-    "segment_numbers",
+    "frames_in", "scan", "scan_growing", "segment_numbers",
 ]  # fmt: skip

@@ -186,6 +186,30 @@ def _by_walking(file: BinaryIO, size: int, name: str) -> tuple[tuple[Chunk, ...]
     return tuple(chunks), damage
 
 
+def scan_growing(path: Path, offset: int = 0) -> tuple[tuple[Chunk, ...], int]:
+    """Chunks that lie whole in a file that is being written, from an offset on, and where to look next.
+
+    What comes behind the last whole chunk is not judged: it may still be written.
+    """
+    chunks: list[Chunk] = []
+    at = max(offset, len(MCAP0_MAGIC))
+    with storage_errors(path), path.open("rb") as file:
+        size = path.stat().st_size
+        while at + _RECORD.size <= size:
+            file.seek(at)
+            opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+            end = at + _RECORD.size + length
+            if opcode not in _OPCODES or opcode == Opcode.DATA_END or end > size:
+                break
+            if opcode == Opcode.CHUNK:
+                try:
+                    chunks.append(_examined(file, at, end - at))
+                except RecordingError:
+                    break
+            at = end
+    return tuple(chunks), at
+
+
 def _examined(file: BinaryIO, offset: int, length: int) -> Chunk:
     contents = list(messages(_chunk_records(_bytes_at(file, offset, length), check=True)))
     if not contents:
@@ -358,7 +382,7 @@ class StoredSegment:
         abouts = tuple(decode_json(message.data, SEGMENT) for message in begun)
         return cls(
             number,
-            tuple(_frames(frames)),
+            tuple(frames_in(frames.path, frames.chunks)),
             frames,
             signals,
             abouts,
@@ -440,8 +464,8 @@ def _beginning(file: SegmentScan) -> list[StoredMessage]:
     return contents
 
 
-def _frames(file: SegmentScan) -> Iterator[StoredFrame]:
+def frames_in(path: Path, chunks: tuple[Chunk, ...]) -> Iterator[StoredFrame]:
+    """Frames that lie in chunks of a segment's file of frames."""
     wanted = {channel_id("frames", FRAMES)}
-    chunks = [chunk for chunk in file.chunks if chunk.channels == wanted]
-    for k, chunk in enumerate(chunks):
-        yield StoredFrame(file.path, chunk, k if chunk.sequence is None else chunk.sequence, chunk.end_ns)
+    for k, chunk in enumerate(chunk for chunk in chunks if chunk.channels == wanted):
+        yield StoredFrame(path, chunk, k if chunk.sequence is None else chunk.sequence, chunk.end_ns)
