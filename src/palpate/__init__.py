@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from palpate.estimators import Estimator
     from palpate.recordings import Manifest, Run, RunWriter, import_images, read_image
     from palpate.reports import write_report
-    from palpate.sensing import open_source, sense
+    from palpate.sensing import live, open_live_source, open_source, sense
     from palpate.workflows import certify, run_demo
 
 _NAMES = {
@@ -26,7 +26,7 @@ _NAMES = {
     "estimators": ("Estimator",),
     "recordings": ("Manifest", "Run", "RunWriter", "import_images", "read_image"),
     "reports": ("write_report",),
-    "sensing": ("open_source", "sense"),
+    "sensing": ("live", "open_live_source", "open_source", "sense"),
     "workflows": ("certify", "run_demo"),
 }
 
@@ -45,6 +45,8 @@ __all__ = [
     "certify",
     "evaluate",
     "import_images",
+    "live",
+    "open_live_source",
     "open_source",
     "read_image",
     "run_demo",

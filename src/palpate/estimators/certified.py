@@ -36,7 +36,7 @@ from palpate.core import (
 )
 from palpate.estimators.card_ground import FileCard, sealed_from
 from palpate.estimators.class_sets import class_count, class_readings
-from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector
+from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector, Verdict
 from palpate.estimators.intervals import intervals_of, layout_of, vector_reading
 from palpate.estimators.model_card import FORMAT, Card, TargetCard
 from palpate.estimators.reading_rules import doubt
@@ -201,6 +201,16 @@ class Estimator:
             why = _copy_reason(self.card)
         outputs = self._outputs(prepared, zero)
         return self._readings(frame, outputs, why, zero), outputs
+
+    def verdict(self, frame: Frame | Image) -> Verdict:
+        """What the guard says of a frame, and what it looks like where that is refused.
+
+        Raises:
+            ImageError: the frame is of another size than the calibration's.
+        """
+        image = frame.image if isinstance(frame, Frame) else Frame(frame).image
+        self._check_size(image)
+        return self._novelty.judge(self._preparation.apply(image))
 
     def outputs(self, frame: Frame | Image, zero: Zero | None = None) -> Outputs:
         """Outputs of the network for one frame ``[1 o]``, see `values`.

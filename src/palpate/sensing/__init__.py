@@ -1,6 +1,35 @@
 """The loop in real time: a source of frames, an estimator, readings."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from palpate.sensing.frame_sources import FrameStream, ImageFiles, RunFrames, open_source
 from palpate.sensing.sensing_loop import Sensed, sense
 
-__all__ = ["FrameStream", "ImageFiles", "RunFrames", "Sensed", "open_source", "sense"]
+if TYPE_CHECKING:
+    from palpate.sensing.live_iteration import Live, live
+    from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
+    from palpate.sensing.live_sources import LiveFrame, LiveSource, open_live_source
+
+_LIVE = {
+    "Live": "live_iteration",
+    "LiveFrame": "live_sources",
+    "LiveLoop": "live_loop",
+    "LiveReading": "live_loop",
+    "LiveSource": "live_sources",
+    "LiveState": "live_loop",
+    "live": "live_iteration",
+    "open_live_source": "live_sources",
+}
+"""What loads tables and video, which the reading of one image does not need: imported when first used."""
+
+__all__ = [
+    "FrameStream", "ImageFiles", "Live", "LiveFrame", "LiveLoop", "LiveReading", "LiveSource", "LiveState",
+    "RunFrames", "Sensed", "live", "open_live_source", "open_source", "sense",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LIVE:
+        return getattr(import_module(f"palpate.sensing.{_LIVE[name]}"), name)
+    raise AttributeError(f"palpate.sensing has no {name!r}; it has {', '.join(__all__)}")

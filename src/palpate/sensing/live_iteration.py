@@ -1,0 +1,161 @@
+"""Live readings in Python: ``for reading in palpate.live("cal", camera=0): ...``, async as well."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.core import Closing, DeviceError, Image, PathText
+from palpate.recordings.exchange.image_files import read_image
+from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
+from palpate.sensing.live_readers import open_reader
+from palpate.sensing.live_slots import NewestSlot, Subscriber
+from palpate.sensing.live_sources import LiveSource, open_live_source
+from palpate.sensing.live_statistics import LiveStatistics
+
+TAKE_S = 0.1  # so that an interrupt is heard
+
+
+class Live(Closing):
+    """Readings of one sensor, as they come, to be gone through once; `live` makes it.
+
+    Whoever takes them slowly gets the newest of a camera, and every one of a file. Leaving the ``with``
+    block, or closing it, lets go of the camera.
+
+    Attributes:
+        loop: that reads, with its state, statistics and drift.
+    """
+
+    def __init__(self, loop: LiveLoop, slot: NewestSlot[LiveReading]) -> None:
+        self.loop = loop
+        self._slot = slot
+        self._begun = False
+
+    def __iter__(self) -> Iterator[LiveReading]:
+        self._begin()
+        return self
+
+    def __next__(self) -> LiveReading:
+        self._begin()
+        while True:
+            reading = self._slot.take(TAKE_S)
+            if reading is not None:
+                return reading
+            if self._slot.over:
+                self._refuse_failed()
+                raise StopIteration
+
+    def __aiter__(self) -> AsyncIterator[LiveReading]:
+        self._begin()
+        return self
+
+    async def __anext__(self) -> LiveReading:
+        self._begin()
+        while True:
+            reading = await asyncio.to_thread(self._slot.take, TAKE_S)
+            if reading is not None:
+                return reading
+            if self._slot.over:
+                self._refuse_failed()
+                raise StopAsyncIteration
+
+    async def __aenter__(self) -> Live:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await asyncio.to_thread(self.close)
+
+    def __del__(self) -> None:
+        self.close()
+
+    def zero(self, untouched: Image | None = None) -> None:
+        """Take the untouched sensor anew: from an image, or the next frames, with nothing on the skin."""
+        self.loop.zero(untouched)
+
+    @property
+    def stats(self) -> LiveStatistics:
+        """Counts and times so far."""
+        return self.loop.stats
+
+    @property
+    def advice(self) -> str:
+        """What to do about the sensor, in words; empty where nothing has to be done."""
+        return self.loop.advice
+
+    def close(self) -> None:
+        """End, and let go of the camera. Closing again does nothing."""
+        self.loop.close()
+
+    def _begin(self) -> None:
+        if not self._begun:
+            self._begun = True
+            self.loop.start()
+
+    def _refuse_failed(self) -> None:
+        if self.loop.state is LiveState.FAILED:
+            raise DeviceError(self.loop.why)
+
+
+def live(
+    calibration: PathText | None = None,
+    *,
+    camera: str | int | Path = 0,
+    zero: bool | Image | PathText | None = None,
+    settings: Any = None,
+    paced: bool = False,
+    idle_s: float = 2.0,
+    threads: int = 1,
+    subscribers: Sequence[Subscriber] = (),
+) -> Live:
+    """Open a sensor and read it live.
+
+    Args:
+        calibration: a calibration's folder; without one, frames come without readings.
+        camera: any address that `open_live_source` opens: a number, a USB serial number, a video, a folder, a
+            run, ``-``, ``virtual:palm``.
+        zero: an image of the untouched sensor, or its path; True takes it from the first frames, False does
+            not. Left out, it is taken from the first frames of a camera, which nothing may touch then, and of
+            a run from its own untouched frames.
+        settings: of a USB camera, `palpate.rig.real.uvc_camera.UvcSettings`.
+        paced: play a file at its own rate, and lose what is not taken in time.
+        idle_s: a folder or run that is being written has ended when nothing came for so long [s].
+        threads: of the inference engine; 0 lets it choose.
+        subscribers: whoever else is told of frames, readings and forces.
+
+    Returns:
+        What gives a `LiveReading` a frame, in a ``for``, an ``async for`` or a ``with``.
+
+    Raises:
+        CertificateError: no calibration, or a damaged one.
+        DeviceError: there is no such camera, or it refuses.
+        InputError, ImageError: there is nothing to read there.
+
+    Example:
+        for reading in palpate.live("cal", camera=0):
+            print(reading.readings["force_N"])
+    """
+
+    def opener() -> LiveSource:
+        return open_live_source(camera, settings=settings, paced=paced, idle_s=idle_s)
+
+    image: Image | None = None
+    if zero is not None and not isinstance(zero, bool):
+        image = zero if isinstance(zero, np.ndarray) else read_image(zero)
+    source = opener()
+    try:
+        reader = None
+        if calibration is not None:
+            reader = open_reader(calibration, source, reference=image, threads=threads)
+        slot: NewestSlot[LiveReading] = NewestSlot()
+        at_start = zero if isinstance(zero, bool) else image is None and not source.waits
+        loop = LiveLoop(
+            opener, reader, source=source, subscribers=subscribers, zero_at_start=at_start, hand_over=slot
+        )
+    except BaseException:
+        source.close()
+        raise
+    return Live(loop, slot)

@@ -1,0 +1,465 @@
+"""The live loop: frames as they come, the newest of them read, and whoever subscribed told.
+
+One thread fetches frames into a place for the newest, another takes them from there, reads them and tells.
+Frames of a camera that were not taken in time are replaced and counted, never queued; those of a file wait.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from palpate.core import Closing, DeviceError, Image, PalpateError, Readings, Wrench
+from palpate.core.reading import plain_number
+from palpate.sensing.live_drift import DriftWatch
+from palpate.sensing.live_readers import FrameReader, mean_image
+from palpate.sensing.live_slots import NewestSlot, Subscriber, SubscriberLine
+from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
+from palpate.sensing.live_statistics import LiveStatistics, StatisticsKeeper
+
+GRAB_S = 0.25  # so that closing waits no longer
+TAKE_S = 0.05  # between two looks at the force while no frame comes
+SILENT_S = 2.0  # without a frame, after which a camera is lost
+REOPEN_S = 0.5  # between two tries to open a lost camera
+ZERO_FRAMES = 10
+TOLD_S = 0.2  # age of the rate and latencies that a reading carries
+MAX_FAULTS = 20
+
+
+class LiveState(StrEnum):
+    """State of a live loop.
+
+    "lost" is a camera that went away, or is not there yet: it is opened again when it comes back.
+    """
+
+    OPENING = "opening"
+    LIVE = "live"
+    ENDED = "ended"
+    FAILED = "failed"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveReading:
+    """One frame and what was read from it.
+
+    Attributes:
+        frame: its name.
+        number: of the frame in its source.
+        time_s: the source's own time of it [s].
+        readings: of the calibration; None without one.
+        latency_s: from the frame's arrival to its readings [s].
+        image: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
+        force_n: normal force of the sensor beside it, its bias at the last zero taken off; None without one.
+        why: why the frame could not be read as an image; empty where it could.
+        source: name of its source.
+        stats: counts and times so far.
+    """
+
+    frame: str
+    number: int
+    time_s: float
+    readings: Readings | None
+    latency_s: float
+    image: Image
+    force_n: float | None
+    why: str
+    source: str
+    stats: LiveStatistics
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for one JSON object; those of `palpate sense` and the loop's own."""
+        readings = self.readings
+        first = None if readings is None else next(iter(readings.values()), None)
+        drift = None
+        if first is not None and first.drift is not None:
+            numbers = {
+                "statistic": plain_number(first.drift.statistic),
+                "limit": plain_number(first.drift.limit),
+            }
+            drift = {**numbers, "drifted": first.drift.drifted}
+        return {
+            "frame": self.frame,
+            "time_s": round(self.time_s, 6),
+            "readings": {name: one.to_dict() for name, one in (readings or {}).items()},
+            "drift": drift,
+            "calibration": None if first is None else first.calibration,
+            "source": self.source,
+            "number": self.number,
+            "latency_ms": round(1e3 * self.latency_s, 3),
+            "force_N": None if self.force_n is None else plain_number(self.force_n),
+            "why": self.why,
+            "rate_hz": None if self.stats.rate_hz is None else round(self.stats.rate_hz, 2),
+            "dropped": self.stats.dropped,
+            "lost": self.stats.lost,
+        }
+
+
+class LiveLoop(Closing):
+    """Loop from a source to whoever subscribed. Start it with `start`, end it with `close`.
+
+    Nothing that goes wrong with a camera, a subscriber or a force sensor ends it: each is a named state or
+    fault, told by `status`.
+    """
+
+    def __init__(
+        self,
+        opener: Callable[[], LiveSource],
+        reader: FrameReader | None = None,
+        *,
+        source: LiveSource | None = None,
+        subscribers: Sequence[Subscriber] = (),
+        zero_at_start: bool = False,
+        zero_frames: int = ZERO_FRAMES,
+        hand_over: NewestSlot[LiveReading] | None = None,
+    ) -> None:
+        """Make a loop.
+
+        Args:
+            opener: opens the source, and opens it again where a camera was lost.
+            reader: of the frames; None shows them without readings.
+            source: where it is open already.
+            subscribers: whoever is told; more can be added by `subscribe`.
+            zero_at_start: take the first frames as those of the untouched sensor.
+            zero_frames: how many are averaged to one untouched image.
+            hand_over: where each reading is laid for a consumer; one of a file waits until it was taken.
+        """
+        self._opener, self._source = opener, source
+        self._reader = reader
+        self._drift = None if reader is None else DriftWatch(reader)
+        self._frames: NewestSlot[LiveFrame] = NewestSlot()
+        self._hand_over = hand_over
+        self._kept = StatisticsKeeper()
+        self._zero_frames, self._zero_images, self._zeroing = zero_frames, deque[Image](), zero_at_start
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
+        self._state, self._why = LiveState.OPENING, ""
+        self._name = "" if source is None else source.name
+        self._faults: deque[str] = deque(maxlen=MAX_FAULTS)
+        self._lines: list[SubscriberLine] = []
+        self._latest: LiveReading | None = None
+        self._wrench: Wrench | None = None
+        self._bias_n = 0.0
+        self._forces: deque[float] = deque(maxlen=200)
+        self._force_why = ""
+        self._outages = 0
+        self._untouched: Image | None = None
+        self._last_arrival_s = time.monotonic()
+        for one in subscribers:
+            self.subscribe(one)
+        self._grabber = threading.Thread(target=self._guarded, args=(self._grab_all,), daemon=True)
+        self._worker = threading.Thread(target=self._guarded, args=(self._read_all,), daemon=True)
+        self._grabber.name, self._worker.name = "palpate-live-grab", "palpate-live-read"
+
+    def start(self) -> None:
+        """Begin; returns at once."""
+        if self._zeroing:
+            self._let_rest(True)
+        self._grabber.start()
+        self._worker.start()
+
+    def close(self) -> None:
+        """End: what subscribers were promised they are given, then the source is closed."""
+        self._closing.set()
+        self._frames.close()
+        if self._hand_over is not None:
+            self._hand_over.close()
+        for thread in (self._grabber, self._worker):
+            if thread.is_alive() and thread is not threading.current_thread():
+                thread.join(SILENT_S + 1.0)
+        for line in self._lines:
+            line.close()
+        self._let_go()
+
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Tell one more of frames, readings and forces, from the next on."""
+        waits = self._source is not None and self._source.waits
+        line = SubscriberLine(subscriber, waits=waits, fault=self._faults.append)
+        with self._lock:
+            self._lines = [*(one for one in self._lines if not one.why), line]
+
+    def unsubscribe(self, subscriber: Subscriber) -> None:
+        """Tell this one no more, after it was given what waits for it."""
+        with self._lock:
+            gone = [line for line in self._lines if line.subscriber is subscriber]
+            self._lines = [line for line in self._lines if line.subscriber is not subscriber]
+        for line in gone:
+            line.close()
+
+    def zero(self, untouched: Image | None = None) -> None:
+        """Take the untouched sensor anew: from an image, or from the next frames, with nothing on the skin.
+
+        The force sensor's bias is taken at the same time.
+        """
+        with self._lock:
+            self._zero_images.clear()
+            self._zeroing = untouched is None
+        if untouched is None:
+            self._let_rest(True)
+        else:
+            self._take_zero(untouched)
+
+    def use(self, reader: FrameReader | None) -> None:
+        """Read by another calibration from the next frame on; None shows frames without readings."""
+        if reader is not None and self._untouched is not None:
+            reader.zero(self._untouched)
+        with self._lock:
+            self._reader = reader
+            self._drift = None if reader is None else DriftWatch(reader)
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until it has ended; False where that did not come in time [s]."""
+        self._worker.join(timeout_s)
+        return not self._worker.is_alive()
+
+    @property
+    def state(self) -> LiveState:
+        """What it does now."""
+        return self._state
+
+    @property
+    def why(self) -> str:
+        """Why it is in that state, where something went wrong."""
+        return self._why
+
+    @property
+    def stats(self) -> LiveStatistics:
+        """Counts and times so far."""
+        return self._kept.now()
+
+    @property
+    def latest(self) -> LiveReading | None:
+        """The newest reading; None before the first."""
+        return self._latest
+
+    @property
+    def untouched(self) -> Image | None:
+        """Image taken as that of the untouched sensor; None where none was taken here."""
+        return self._untouched
+
+    @property
+    def zeroing(self) -> bool:
+        """Whether frames of the untouched sensor are being taken."""
+        return self._zeroing
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Faults of late, oldest first: subscribers that were dropped, a force sensor that is gone."""
+        return tuple(self._faults)
+
+    @property
+    def advice(self) -> str:
+        """What to do about the sensor, in words; empty where nothing has to be done."""
+        reader, latest, drift = self._reader, self._latest, self._drift
+        if drift is not None and drift.advice:
+            return drift.advice
+        if reader is not None and latest is not None and latest.readings is not None and not latest.why:
+            reasons = {one.why for one in latest.readings.values()}
+            first = next(iter(reasons), "")
+            if len(reasons) == 1 and first.startswith(("the image is ", "this calibration reads")):
+                return first  # of another size, or without an untouched image
+        return ""
+
+    def status(self) -> dict[str, Any]:
+        """All of it as plain values, for a page or a log."""
+        latest, reader = self._latest, self._reader
+        reading = None
+        if latest is not None and latest.readings is not None:
+            readings = {name: one.to_dict() for name, one in latest.readings.items()}
+            reading = {"frame": latest.frame, "time_s": round(latest.time_s, 6), "readings": readings}
+        force = self._force_now()
+        return {
+            "state": self._state.value,
+            "why": self._why,
+            "source": self._name,
+            "calibration": None if reader is None else reader.id,
+            **self.stats.to_dict(),
+            "outages": self._outages,
+            "drift": None if self._drift is None else self._drift.to_dict(),
+            "advice": self.advice,
+            "zeroing": self._zeroing,
+            "zeroed": self._untouched is not None,
+            "reading": reading,
+            "force_N": None if force is None else plain_number(force),
+            "force_why": self._force_why,
+            "faults": list(self._faults),
+        }
+
+    # The thread that fetches frames.
+
+    def _grab_all(self) -> None:
+        while not self._closing.is_set():
+            try:
+                source = self._source or self._open()
+                frame = source.grab(GRAB_S)
+            except NoFrameYetError as e:
+                if not source.waits and time.monotonic() - self._last_arrival_s > SILENT_S:
+                    self._lose(str(e))
+                continue
+            except DeviceError as e:
+                if self._source is not None and self._source.waits:
+                    self._end(LiveState.FAILED, str(e))
+                    return
+                self._lose(str(e))
+                continue
+            except PalpateError as e:
+                self._end(LiveState.FAILED, str(e))
+                return
+            if frame is None:
+                self._end(LiveState.ENDED, "")
+                return
+            self._arrive(frame, source)
+
+    def _open(self) -> LiveSource:
+        source = self._opener()
+        self._source, self._name = source, source.name
+        self._last_arrival_s = time.monotonic()
+        return source
+
+    def _arrive(self, frame: LiveFrame, source: LiveSource) -> None:
+        self._last_arrival_s = time.monotonic()
+        if self._state is not LiveState.LIVE:
+            self._state, self._why = LiveState.LIVE, ""
+        replaced = self._frames.put(frame, wait=source.waits)
+        self._kept.arrived(frame.arrived_ns, frame.lost, int(replaced))
+
+    def _lose(self, why: str) -> None:
+        """Close a camera that is gone, and wait a little before it is opened again."""
+        if self._state is not LiveState.LOST:
+            self._outages += self._state is LiveState.LIVE
+            self._faults.append(why)
+        self._state, self._why = LiveState.LOST, why
+        self._let_go()
+        self._closing.wait(REOPEN_S)
+
+    def _let_go(self) -> None:
+        source, self._source = self._source, None
+        if source is not None:
+            try:
+                source.close()
+            except PalpateError as e:
+                self._faults.append(str(e))
+
+    def _end(self, state: LiveState, why: str) -> None:
+        self._state, self._why = state, why
+        self._frames.end()
+
+    # The thread that reads them.
+
+    def _read_all(self) -> None:
+        while not self._frames.over:
+            frame = self._frames.take(TAKE_S)
+            self._poll_force()
+            if frame is not None:
+                self._read(frame)
+        if self._hand_over is not None:
+            self._hand_over.end()
+
+    def _read(self, frame: LiveFrame) -> None:
+        if self._zeroing and not frame.why and not getattr(self._source, "touched", False):
+            self._collect_zero(frame.frame.image)
+        reader = self._reader
+        readings = None if reader is None else reader.read(frame)
+        done_ns = time.monotonic_ns()
+        self._kept.read(frame.arrived_ns, done_ns, broken=bool(frame.why))
+        drift = self._drift
+        if drift is not None and readings is not None and not frame.why:
+            drift.frame(frame.frame.image, readings)
+        self._tell(frame, readings, done_ns)
+
+    def _tell(self, frame: LiveFrame, readings: Readings | None, done_ns: int) -> None:
+        of = frame.frame
+        latest = LiveReading(
+            of.name or str(frame.number),
+            frame.number,
+            of.time_s,
+            readings,
+            (done_ns - frame.arrived_ns) / 1e9,
+            of.image,
+            self._force_now(),
+            frame.why,
+            self._name,
+            self._kept.now(TOLD_S),
+        )
+        self._latest = latest
+        for line in self._lines:
+            line.frame(frame, readings)
+        if self._hand_over is not None:
+            source = self._source
+            self._hand_over.put(latest, wait=source is not None and source.waits)
+
+    def _collect_zero(self, image: Image) -> None:
+        if self._zero_images and self._zero_images[0].shape != image.shape:
+            self._zero_images.clear()
+        self._zero_images.append(image)
+        if len(self._zero_images) >= self._zero_frames:
+            images = list(self._zero_images)
+            self._zero_images.clear()
+            self._zeroing = False
+            self._take_zero(mean_image(images))
+            self._let_rest(False)
+
+    def _let_rest(self, rest: bool) -> None:
+        """Ask whoever presses to let go, or to go on, where that can be asked; a person is told in words."""
+        let_rest = getattr(self._source, "let_rest", None)
+        if let_rest is not None:
+            let_rest(rest)
+
+    def _take_zero(self, image: Image) -> None:
+        self._untouched = image
+        if self._forces:
+            self._bias_n = float(np.median(self._forces))
+        reader, drift = self._reader, self._drift
+        if reader is not None:
+            try:
+                reader.zero(image)
+            except PalpateError as e:
+                self._faults.append(f"the sensor could not be zeroed: {e}")
+        if drift is not None:
+            drift.zeroed()
+
+    # The force sensor beside the camera.
+
+    def _poll_force(self) -> None:
+        source = self._source
+        force = None if source is None else source.force
+        if force is None:
+            return
+        try:
+            samples = force.drain()
+        except DeviceError as e:
+            if not self._force_why:
+                self._faults.append(f"the force sensor: {e}")
+            self._force_why = str(e)
+            return
+        self._force_why = ""
+        good = [one for one in samples if not one.fault]
+        if good:
+            self._wrench = good[-1]
+            self._forces.extend(one.force_n[2] for one in good)
+        for line in self._lines if samples else ():
+            line.force(samples)
+
+    def _force_now(self) -> float | None:
+        wrench = self._wrench
+        return None if wrench is None or self._force_why else wrench.force_n[2] - self._bias_n
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do a thread's work; what nobody thought of is told, and ends the loop as failed."""
+        try:
+            work()
+        except Exception as e:
+            traceback.print_exc()
+            self._end(LiveState.FAILED, f"{type(e).__name__}: {e}")
+            self._frames.close()
+        finally:
+            if work == self._read_all and self._hand_over is not None:
+                self._hand_over.end()

@@ -1,0 +1,140 @@
+"""Readers of live frames: what turns one into readings, and what it must know of the untouched sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
+from palpate.estimators.certified import Estimator, Zero
+from palpate.sensing.live_sources import LiveFrame, LiveSource
+
+NO_ZERO = (
+    "this calibration reads the difference to the untouched sensor, and there is no image of it yet: take "
+    "everything off the skin and zero it"
+)
+
+
+@runtime_checkable
+class FrameReader(Protocol):
+    """Reader of one frame after another, in their order."""
+
+    @property
+    def id(self) -> str:
+        """Id of the calibration."""
+
+    @property
+    def differential(self) -> bool:
+        """Whether it reads the difference to the untouched sensor."""
+
+    def read(self, live: LiveFrame) -> Readings:
+        """Readings of a frame; not valid, with the reason, where it cannot be read."""
+
+    def zero(self, untouched: Image) -> Drift | None:
+        """Take an image as that of the untouched sensor; its drift since calibration where that is known.
+
+        Raises:
+            ImageError: it is of another size than the calibration's.
+        """
+
+    def drift_of(self, image: Image) -> Drift | None:
+        """Distance of an image from the calibration's untouched sensor; None where that is not known."""
+
+    def kind_of(self, image: Image) -> str:
+        """Kind of change that an image looks most like, by the guard's names; "" for none."""
+
+
+class CalibrationReader:
+    """Reads frames by a calibration folder, as `palpate sense` does.
+
+    Args:
+        estimator: the calibration.
+        zero: of the untouched sensor; None where it is taken later, or not needed.
+        zeros: of single frames, by their numbers, as a run has its own.
+    """
+
+    def __init__(
+        self, estimator: Estimator, zero: Zero | None = None, zeros: Mapping[int, Zero] | None = None
+    ) -> None:
+        self.estimator = estimator
+        self._zero, self._zeros = zero, zeros or {}
+
+    @property
+    def id(self) -> str:
+        """Id of the calibration."""
+        return self.estimator.card.id
+
+    @property
+    def differential(self) -> bool:
+        """Whether it reads the difference to the untouched sensor."""
+        return bool(self.estimator.card.input.delta)
+
+    def read(self, live: LiveFrame) -> Readings:
+        """Readings of a frame, those of `Estimator.read`."""
+        frame = live.frame
+        if live.why:
+            return self.estimator.unread(frame.name, frame.time_s, live.why)
+        zero = self._zero or self._zeros.get(live.number)
+        if zero is None and self.differential:
+            return self.estimator.unread(frame.name, frame.time_s, NO_ZERO)
+        return self.estimator.read(frame, zero)
+
+    def zero(self, untouched: Image) -> Drift | None:
+        """Take an image as that of the untouched sensor."""
+        self._zero = self.estimator.zero(untouched)
+        return self._zero.drift
+
+    def drift_of(self, image: Image) -> Drift | None:
+        """Distance of an image from the calibration's untouched sensor."""
+        if image.shape[:2] != self.estimator.card.input.frame_px:
+            return None
+        return self.estimator.zero(image).drift
+
+    def kind_of(self, image: Image) -> str:
+        """Kind of change that the guard sees in an image that it refuses; "" for none."""
+        return self.estimator.verdict(Frame(image)).kind
+
+
+def open_reader(
+    calibration: PathText,
+    source: LiveSource | None = None,
+    *,
+    reference: Image | None = None,
+    threads: int = 1,
+) -> FrameReader:
+    """Open a calibration for live frames.
+
+    Args:
+        calibration: the folder.
+        source: of the frames; a run has the untouched sensor's images within.
+        reference: image of the untouched sensor.
+        threads: of the inference engine; 0 lets it choose.
+
+    Raises:
+        CertificateError: no calibration, or a damaged one.
+        ImageError: the reference is of another size than the calibration's.
+    """
+    folder = Path(calibration)
+    estimator = Estimator.open(folder, threads=threads)
+    zero = None if reference is None else estimator.zero(reference)
+    run: Any = getattr(source, "run", None)
+    zeros: Mapping[int, Zero] = {}
+    if zero is None and run is not None:
+        from palpate.calibration.evaluation import zeros_of  # loads tables, which no camera needs
+
+        zeros = zeros_of(estimator, run)
+    return CalibrationReader(estimator, zero, zeros)
+
+
+def mean_image(images: list[Image]) -> Image:
+    """Mean of several images in whole grey levels, as a run's untouched frames are averaged.
+
+    Raises:
+        ImageError: there is none, or they are of different sizes.
+    """
+    if len({image.shape for image in images}) != 1:
+        raise ImageError("no images, or of different sizes; the untouched sensor is filmed as it is used")
+    return np.asarray(np.mean(images, axis=0).round(), np.uint8)

@@ -1,0 +1,168 @@
+"""Hand-overs between the threads of a live loop: a place for the newest item, and lines to subscribers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+from palpate.core import Readings, Wrench
+from palpate.sensing.live_sources import LiveFrame
+
+Item = TypeVar("Item")
+
+
+class NewestSlot(Generic[Item]):
+    """One place, in which a newer item takes that of an older one, or waits until it is taken."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._item: Item | None = None
+        self._ended = self._closed = False
+
+    def put(self, item: Item, *, wait: bool) -> bool:
+        """Lay an item down; True where one was replaced, which is lost.
+
+        Args:
+            item: the newer one.
+            wait: until the place is free, or nobody takes anything any more.
+        """
+        with self._changed:
+            if wait:
+                self._changed.wait_for(lambda: self._item is None or self._closed)
+            replaced, self._item = self._item is not None, item
+            self._changed.notify_all()
+            return replaced and not self._closed
+
+    def take(self, timeout_s: float) -> Item | None:
+        """The item; None where none came in time, or the last was taken."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._item is not None or self._ended or self._closed, timeout_s)
+            item, self._item = self._item, None
+            self._changed.notify_all()
+            return item
+
+    def end(self) -> None:
+        """Nothing comes any more; what lies there can still be taken."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Nothing is taken any more, and nobody waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing lies there and nothing comes, or nobody takes."""
+        with self._changed:
+            return self._closed or (self._ended and self._item is None)
+
+
+@runtime_checkable
+class Subscriber(Protocol):
+    """Whoever is told of frames, readings and forces, in their order."""
+
+    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+        """Take in a frame and its readings; None without a calibration."""
+
+    def on_force(self, samples: Sequence[Wrench]) -> None:
+        """Take in samples of the force sensor beside the camera."""
+
+
+MAX_LINE = 32  # frames, and as many groups of force samples, that wait for a subscriber
+BLOCKED_S = 3.0  # in one call, after which a subscriber is dropped
+
+
+class SubscriberLine:
+    """Line to one subscriber, who is called from a thread of its own and so holds nobody up.
+
+    What finds the line full waits where nothing may be lost, and is passed over and counted where it may. A
+    subscriber that raises, or that has not come back from a call for three seconds while its line is full, is
+    dropped; `why` then names it and says why.
+    """
+
+    def __init__(self, subscriber: Subscriber, *, waits: bool, fault: Callable[[str], None]) -> None:
+        """Begin to call a subscriber.
+
+        Args:
+            subscriber: who is called.
+            waits: let whoever brings something wait where the line is full.
+            fault: told why the subscriber was dropped.
+        """
+        self.subscriber = subscriber
+        self.name = type(subscriber).__name__
+        self.missed = 0
+        self.why = ""
+        self._waits, self._fault = waits, fault
+        self._line: deque[tuple[str, tuple[Any, ...]]] = deque()
+        self._changed = threading.Condition()
+        self._busy_since_s: float | None = None
+        self._ended = False
+        self._thread = threading.Thread(target=self._call_all, name=f"palpate-live-{self.name}", daemon=True)
+        self._thread.start()
+
+    def frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+        """Bring a frame."""
+        self._bring("on_frame", (frame, readings))
+
+    def force(self, samples: Sequence[Wrench]) -> None:
+        """Bring samples of force."""
+        self._bring("on_force", (samples,))
+
+    def close(self) -> None:
+        """Let it have what waits, for as long as it takes calls."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        while self._thread.is_alive() and not self._is_blocked():
+            self._thread.join(0.05)
+
+    def _bring(self, method: str, arguments: tuple[Any, ...]) -> None:
+        with self._changed:
+            while len(self._line) >= MAX_LINE and not self.why:
+                if self._is_blocked():
+                    self._drop(f"did not come back from a call for {BLOCKED_S:g} s")
+                elif not self._waits:
+                    self.missed += 1
+                    return
+                else:
+                    self._changed.wait(0.05)
+            if not self.why:
+                self._line.append((method, arguments))
+                self._changed.notify_all()
+
+    def _call_all(self) -> None:
+        while (call := self._next()) is not None:
+            method, arguments = call
+            try:
+                getattr(self.subscriber, method)(*arguments)
+            except Exception as e:  # whatever it raises, the loop goes on
+                with self._changed:
+                    self._drop(f"raised {type(e).__name__}: {e}")
+            finally:
+                self._busy_since_s = None
+
+    def _next(self) -> tuple[str, tuple[Any, ...]] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._line or self._ended or self.why)
+            if self.why or not self._line:
+                return None
+            call = self._line.popleft()
+            self._busy_since_s = time.monotonic()
+            self._changed.notify_all()
+            return call
+
+    def _is_blocked(self) -> bool:
+        since_s = self._busy_since_s
+        return since_s is not None and time.monotonic() - since_s > BLOCKED_S
+
+    def _drop(self, why: str) -> None:
+        self.why = f"{self.name} {why}; it was dropped, and the rest goes on"
+        self._line.clear()
+        self._changed.notify_all()
+        self._fault(self.why)

@@ -1,0 +1,352 @@
+"""Sources of frames as they come: cameras, files that are played or still written, pipes, virtual sensors.
+
+A file waits for whoever reads it, and so loses nothing; a camera does not, and what is not taken in time is
+gone. `open_live_source` finds out which it is from an address.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from palpate.core import (
+    Closing,
+    DeviceError,
+    ForceSensor,
+    Frame,
+    FrameSource,
+    ImageError,
+    InputError,
+)
+from palpate.sensing.frame_sources import Unreadable
+
+VIRTUAL = "virtual:"
+STDIN = "-"
+PICAMERA2 = "picamera2"
+LOOK_S = 0.002  # between two looks for a frame of a camera
+
+BEHIND_S = 0.5  # by which a virtual frame that is drawn may lag behind its time
+
+
+class NoFrameYetError(DeviceError):
+    """No frame came within the time given, and the source has not ended."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveFrame:
+    """One frame as it came.
+
+    Attributes:
+        frame: with the source's own time of it, `Frame.time_s` [s].
+        arrived_ns: when it was here whole, on the host's monotonic clock [ns].
+        number: of the frame in its source, from 0.
+        lost: frames that the source itself lost before it.
+        why: why it could not be read as an image; empty where it could. Its frame then shows nothing.
+    """
+
+    frame: Frame
+    arrived_ns: int
+    number: int
+    lost: int = 0
+    why: str = ""
+
+
+@runtime_checkable
+class LiveSource(Protocol):
+    """Source of frames that never keeps its caller waiting longer than asked."""
+
+    @property
+    def name(self) -> str:
+        """What it is called: "virtual:palm", "camera 4B2D", a path."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether it loses nothing by waiting: a file does not, a camera does."""
+
+    @property
+    def force(self) -> ForceSensor | None:
+        """Force sensor beside the camera; None where there is none."""
+
+    def grab(self, timeout_s: float) -> LiveFrame | None:
+        """The next frame; None once it has ended.
+
+        Raises:
+            NoFrameYetError: none came in time.
+            DeviceError: the device is gone.
+        """
+
+    def close(self) -> None:
+        """Let go of it. Closing again does nothing."""
+
+
+def live_frame(item: Frame | Unreadable, number: int, arrived_ns: int | None = None) -> LiveFrame:
+    """A frame, or why there is none, as it arrives."""
+    at_ns = time.monotonic_ns() if arrived_ns is None else arrived_ns
+    if isinstance(item, Unreadable):
+        nothing = Frame(np.zeros((1, 1), np.uint8), item.time_s, name=item.name)
+        return LiveFrame(nothing, at_ns, number, why=item.why)
+    return LiveFrame(item, at_ns, number)
+
+
+class CameraFrames(Closing):
+    """Every frame of a camera, real or virtual, in order; those that nobody fetched are lost in the camera.
+
+    A frame is asked for with `drain`, not with `grab`, which waits for one exposed wholly after the call and
+    so would leave out every other frame.
+
+    Attributes:
+        name: of the camera.
+        waits: False.
+        force: the force sensor beside it; None where there is none.
+    """
+
+    waits = False
+
+    def __init__(
+        self,
+        camera: FrameSource,
+        name: str,
+        *,
+        force: ForceSensor | None = None,
+        behind_ns: int | None = None,
+        let_go: Callable[[], None] | None = None,
+    ) -> None:
+        """Take frames of a camera.
+
+        Args:
+            camera: that is open.
+            name: of it.
+            force: the sensor of force beside it.
+            behind_ns: how long after its own stamp a frame is here, by the camera's settings [ns]; None takes
+                the moment in which it is fetched, as a virtual frame is drawn only then.
+            let_go: closes camera and force sensor; by default both are closed one by one.
+        """
+        self.name, self.force = name, force
+        self._camera, self._behind_ns, self._let_go = camera, behind_ns, let_go
+        self._waiting: deque[tuple[int, Frame]] = deque()
+        self._number = self._lost_before = 0
+
+    def grab(self, timeout_s: float) -> LiveFrame:
+        """The next frame.
+
+        Raises:
+            NoFrameYetError: none came in time.
+            DeviceError: the camera is gone, and why.
+        """
+        end_s = time.monotonic() + timeout_s
+        while not self._waiting:
+            self._waiting.extend(self._camera.drain())
+            if not self._waiting:
+                if time.monotonic() >= end_s:
+                    raise NoFrameYetError(
+                        f"{self.name} gave no frame within {timeout_s:g} s; is it still plugged in?"
+                    )
+                time.sleep(LOOK_S)
+        stamp_ns, frame = self._waiting.popleft()
+        now_ns = time.monotonic_ns()
+        arrived_ns = now_ns if self._behind_ns is None else min(stamp_ns + self._behind_ns, now_ns)
+        number, self._number = self._number, self._number + 1
+        return LiveFrame(frame, arrived_ns, number, self._newly_lost())
+
+    def close(self) -> None:
+        """Let go of camera and force sensor."""
+        if self._let_go is not None:
+            self._let_go()
+            return
+        self._camera.close()
+        if self.force is not None:
+            self.force.close()
+
+    def _newly_lost(self) -> int:
+        """Frames that the camera's own counts say were lost since the last one; 0 where it counts none."""
+        counts: Any = getattr(self._camera, "counts", None)
+        lost = getattr(counts, "dropped", 0)
+        newly, self._lost_before = max(lost - self._lost_before, 0), lost
+        return newly
+
+
+class HandFrames(CameraFrames):
+    """Frames of a virtual sensor that a virtual hand presses, which lets go while the sensor is zeroed.
+
+    Args:
+        hand: a `palpate.rig.virtual.virtual_hand.VirtualHand`.
+        name: of the sensor.
+    """
+
+    def __init__(self, hand: Any, name: str) -> None:
+        super().__init__(hand.camera, name, force=hand.force, let_go=hand.close)
+        self.hand = hand
+
+    def let_rest(self, rest: bool) -> None:
+        """Let the hand wait in the air, or press again."""
+        (self.hand.rest if rest else self.hand.press)()
+
+    @property
+    def touched(self) -> bool:
+        """Whether a press is under way, or ended so lately that a frame of it may be on its way."""
+        world = self.hand.world
+        return any(press.begins_s <= world.now_s < press.ends_s + BEHIND_S for press in world.presses)
+
+
+class PacedFrames(Closing):
+    """A file played at its own rate, as a camera would have given it: what is not taken in time is lost.
+
+    Attributes:
+        name: of the file.
+        waits: False.
+        force: None.
+    """
+
+    waits = False
+    force: ForceSensor | None = None
+
+    def __init__(
+        self, reopened: Callable[[], LiveSource], *, rate_hz: float = 0.0, repeat: bool = False
+    ) -> None:
+        """Play a file.
+
+        Args:
+            reopened: opens it, at its beginning.
+            rate_hz: frames a second where their times tell none, as those of images in a folder [Hz].
+            repeat: begin again at the end, for ever.
+        """
+        self._reopened, self._repeat = reopened, repeat
+        self._period_s = 1.0 / rate_hz if rate_hz > 0 else None
+        self._source = reopened()
+        self.name = self._source.name
+        self._next: LiveFrame | None = None
+        self._number, self._due_s = 0, time.monotonic()
+        self._at_s = self._step_s = 0.0  # of the last frame, and from it to the next
+        self._shift_s = 0.0  # by which a round's times are later than the file's own
+
+    def grab(self, timeout_s: float) -> LiveFrame | None:
+        """The next frame, when its time has come; None at the end.
+
+        Raises:
+            NoFrameYetError: its time has not come.
+        """
+        end_s = time.monotonic() + timeout_s
+        if self._next is None and not self._fetch(timeout_s):
+            return None
+        assert self._next is not None
+        if self._due_s > end_s:
+            time.sleep(max(end_s - time.monotonic(), 0.0))
+            raise NoFrameYetError(f"{self.name}: the next frame is not due within {timeout_s:g} s")
+        time.sleep(max(self._due_s - time.monotonic(), 0.0))
+        frame, self._next = self._next, None
+        return frame
+
+    def close(self) -> None:
+        """Close the file."""
+        self._source.close()
+
+    def _fetch(self, timeout_s: float) -> bool:
+        """Read the next frame and say when it is due; False at the end."""
+        item, again = self._source.grab(timeout_s), False
+        if item is None and self._repeat and self._number:
+            self._source.close()
+            self._source, again = self._reopened(), True
+            item = self._source.grab(timeout_s)
+        if item is None:
+            return False
+        if again:
+            self._shift_s = self._at_s + (self._period_s or self._step_s) - item.frame.time_s
+        at_s = item.frame.time_s + self._shift_s
+        if self._number:
+            self._step_s = self._period_s or max(at_s - self._at_s, 0.0)
+            self._due_s += self._step_s
+        else:
+            self._due_s = time.monotonic()
+        frame = replace(item.frame, time_s=at_s) if self._shift_s else item.frame
+        self._next = LiveFrame(frame, round(self._due_s * 1e9), self._number, why=item.why)
+        self._number, self._at_s = self._number + 1, at_s
+        return True
+
+
+def open_live_source(
+    address: str | int | Path,
+    *,
+    settings: Any = None,
+    paced: bool = False,
+    repeat: bool = False,
+    rate_hz: float = 0.0,
+    idle_s: float = 2.0,
+    seed: int = 0,
+) -> LiveSource:
+    """Open whatever gives frames.
+
+    Args:
+        address: a camera's number, path (``/dev/video2``) or USB serial number; an image, a folder of images,
+            a run or a video, a folder and a run also while they are written; ``-`` for images on standard
+            input; ``virtual:NAME`` for a virtual hand on a virtual sensor; ``picamera2`` for the camera of a
+            Raspberry Pi.
+        settings: of a camera, `palpate.rig.real.uvc_camera.UvcSettings`; by default 640 × 480 px at 30 Hz.
+        paced: play a file at its own rate, and lose what is not taken in time, as a camera does.
+        repeat: begin a paced file again at its end.
+        rate_hz: of a paced folder, whose images have no times [Hz].
+        idle_s: a folder or run that is being written has ended when nothing came for so long [s].
+        seed: of what a virtual hand does.
+
+    Raises:
+        DeviceError: there is no such camera, or it refuses.
+        InputError, ImageError, RecordingError: there is nothing to read there.
+        MissingExtraError: the camera needs a package that is not installed.
+    """
+    text = str(address)
+    if (paced or repeat) and _is_device(text):
+        raise InputError(f"{text} is no file, and has a pace of its own; leave paced and repeat out")
+    if repeat and not paced:
+        raise InputError("repeat plays a file for ever, which has a meaning only when paced; give paced, too")
+    if text.startswith(VIRTUAL):
+        return _virtual(text, seed)
+    if text == PICAMERA2:
+        return _pi_camera(settings)
+    if not _is_device(text) and Path(text).exists():
+        return _file(Path(text), paced, repeat, rate_hz, idle_s)
+    if text == STDIN:
+        from palpate.sensing.replayed_frames import PipedFrames
+
+        return PipedFrames()
+    if not _is_device(text) and ("/" in text or Path(text).suffix):
+        raise ImageError(f"{text} is not there; give a camera, an image, a folder, a run or a video")
+    return _usb_camera(address if isinstance(address, int) else text, settings)
+
+
+def _is_device(text: str) -> bool:
+    return text.startswith((VIRTUAL, "/dev/")) or text in (STDIN, PICAMERA2) or text.isdecimal()
+
+
+def _file(path: Path, paced: bool, repeat: bool, rate_hz: float, idle_s: float) -> LiveSource:
+    from palpate.sensing.replayed_frames import open_file_frames
+
+    if not paced:
+        return open_file_frames(path, idle_s)
+    return PacedFrames(lambda: open_file_frames(path, idle_s), rate_hz=rate_hz, repeat=repeat)
+
+
+def _usb_camera(address: str | int, settings: Any) -> LiveSource:
+    from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
+
+    chosen = settings or UvcSettings()
+    where = int(address) if isinstance(address, str) and address.isdecimal() and len(address) < 3 else address
+    camera = UvcCamera(where, chosen)
+    delay_s = 1 / chosen.rate_hz if chosen.delay_s is None else chosen.delay_s
+    return CameraFrames(camera, f"camera {address}", behind_ns=round(delay_s * 1e9))
+
+
+def _pi_camera(settings: Any) -> LiveSource:
+    from palpate.rig.real.pi_camera import PiCamera
+
+    return CameraFrames(PiCamera(settings), "camera picamera2", behind_ns=0)
+
+
+def _virtual(address: str, seed: int) -> LiveSource:
+    from palpate.rig.virtual.virtual_hand import VirtualHand
+
+    return HandFrames(VirtualHand(address.removeprefix(VIRTUAL), seed=seed), address)

@@ -1,0 +1,99 @@
+"""Statistics of a live loop: true rate and latencies of late, and what was lost on the way."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palpate.core import NS_PER_S, Float
+
+Percentiles = tuple[float | None, float | None, float | None]
+KEPT = 1000  # latencies of which percentiles are told: half a minute at 30 frames a second
+RATE_S = 5.0  # over which a rate is told
+KEPT_ARRIVALS = 2048  # five seconds at 400 frames a second
+
+
+@dataclass(frozen=True, slots=True)
+class LiveStatistics:
+    """Counts and times of a live loop so far.
+
+    Attributes:
+        rate_hz: frames a second that came, over the last five seconds; None until there are two.
+        p50_ms, p95_ms, p99_ms: from a frame's arrival to its reading, of the last thousand; None without any.
+        frames: that were read.
+        dropped: that came, and were replaced by a newer one before they could be read.
+        lost: that the source itself lost before they came.
+        broken: that could not be read as images.
+    """
+
+    rate_hz: float | None
+    p50_ms: float | None
+    p95_ms: float | None
+    p99_ms: float | None
+    frames: int
+    dropped: int
+    lost: int
+    broken: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON, rounded."""
+        rounded = {name: getattr(self, name) for name in ("rate_hz", "p50_ms", "p95_ms", "p99_ms")}
+        counts = {name: getattr(self, name) for name in ("frames", "dropped", "lost", "broken")}
+        return {name: None if v is None else round(v, 2) for name, v in rounded.items()} | counts
+
+
+class StatisticsKeeper:
+    """Keeps the last arrivals and latencies, and no more of them however long it runs."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._arrivals_ns: deque[int] = deque(maxlen=KEPT_ARRIVALS)
+        self._latencies_ns: deque[int] = deque(maxlen=KEPT)
+        self._frames = self._dropped = self._lost = self._broken = 0
+        self._rate: float | None = None
+        self._percentiles: Percentiles = (None, None, None)
+        self._told_s = float("-inf")
+
+    def arrived(self, arrived_ns: int, lost: int, dropped: int) -> None:
+        """Count a frame that came, what was lost before it, and whether it replaced one that waited."""
+        with self._lock:
+            self._arrivals_ns.append(arrived_ns)
+            self._lost += lost
+            self._dropped += dropped
+
+    def read(self, arrived_ns: int, done_ns: int, *, broken: bool) -> None:
+        """Count a frame that was read."""
+        with self._lock:
+            self._frames += 1
+            self._broken += broken
+            self._latencies_ns.append(done_ns - arrived_ns)
+
+    def now(self, age_s: float = 0.0) -> LiveStatistics:
+        """All of it now; rate and percentiles may be so old, as they are not taken at every frame [s]."""
+        with self._lock:
+            counts = self._frames, self._dropped, self._lost, self._broken
+            if time.monotonic() - self._told_s > age_s:
+                self._told_s = time.monotonic()
+                self._rate = _rate_hz(list(self._arrivals_ns))
+                self._percentiles = _percentiles_ms(np.array(self._latencies_ns, np.float64))
+            return LiveStatistics(self._rate, *self._percentiles, *counts)
+
+
+def _percentiles_ms(latencies_ns: Float[np.ndarray, " n"]) -> Percentiles:
+    if not len(latencies_ns):
+        return (None, None, None)
+    p50, p95, p99 = np.percentile(latencies_ns, (50, 95, 99)) / 1e6
+    return float(p50), float(p95), float(p99)
+
+
+def _rate_hz(arrivals_ns: list[int]) -> float | None:
+    if not arrivals_ns:
+        return None
+    recent = [at for at in arrivals_ns if arrivals_ns[-1] - at <= RATE_S * NS_PER_S]
+    span_ns = recent[-1] - recent[0]
+    return (len(recent) - 1) * NS_PER_S / span_ns if span_ns > 0 else None

@@ -1,0 +1,293 @@
+"""Frames of what lies on disk or comes through a pipe, also while it is still being written."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import BinaryIO
+
+from palpate.core import NS_PER_S, Closing, ForceSensor, Frame, ImageError, PalpateError, RecordingError
+from palpate.recordings.exchange.image_files import image_from_bytes, read_image
+from palpate.recordings.exchange.image_stream import ImageCutter
+from palpate.recordings.manifest import MANIFEST, StoredManifest
+from palpate.recordings.run_reader import Run
+from palpate.recordings.segments import file_name, frames_in, scan, scan_growing, segment_numbers
+from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, Unreadable, open_source
+from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError, live_frame
+
+GROWS_LOOK_S = 0.02  # between two looks at what is being written
+STEADY_S = 0.3  # after which a file that cannot be read, and does not change, never will be
+CHUNK = 1 << 16
+
+
+class FileFrames(Closing):
+    """Frames of a source that is whole: an image, a video, a folder, a run.
+
+    Attributes:
+        name: its path.
+        waits: True.
+        force: None.
+        run: the run, where it is one.
+    """
+
+    waits = True
+    force: ForceSensor | None = None
+
+    def __init__(self, stream: FrameStream, name: str) -> None:
+        self.name = name
+        self.run: Run | None = getattr(stream, "run", None)
+        self._frames = iter(stream)
+        self._number = 0
+
+    def grab(self, timeout_s: float) -> LiveFrame | None:
+        """The next frame; None at the end. A frame is read in less time than any time-out is worth."""
+        try:
+            item = next(self._frames, None)
+        except RecordingError as e:
+            item = Unreadable(str(self._number), 0.0, str(e))
+        if item is None:
+            return None
+        frame = live_frame(item, self._number)
+        self._number += 1
+        return frame
+
+    def close(self) -> None:
+        """Forget it; nothing is held open."""
+        self._frames = iter(())
+
+
+class GrowingFrames(Closing):
+    """Frames of a folder or run that is being written; it has ended once nothing came for a while.
+
+    Attributes:
+        name: its path.
+        waits: True.
+        force: None.
+    """
+
+    waits = True
+    force: ForceSensor | None = None
+
+    def __init__(self, path: Path, idle_s: float) -> None:
+        """Follow it.
+
+        Args:
+            path: of the folder or run.
+            idle_s: after which it has ended where nothing more came [s].
+        """
+        self.name = str(path)
+        self._path, self._idle_s = path, idle_s
+        self._found: deque[Frame | Unreadable] = deque()
+        self._number, self._news_s = 0, time.monotonic()
+
+    def grab(self, timeout_s: float) -> LiveFrame | None:
+        """The next frame; None once nothing came for `idle_s`, or it was closed by its writer.
+
+        Raises:
+            NoFrameYetError: none came in time.
+        """
+        end_s = time.monotonic() + timeout_s
+        while True:
+            item = self._next()
+            now_s = time.monotonic()
+            if item is not None:
+                frame = live_frame(item, self._number)
+                self._number, self._news_s = self._number + 1, now_s
+                return frame
+            if now_s - self._news_s >= self._idle_s or self._ended():
+                return None
+            if now_s >= end_s:
+                raise NoFrameYetError(f"nothing new lies in {self.name} since {timeout_s:g} s")
+            time.sleep(min(GROWS_LOOK_S, max(end_s - now_s, 1e-3)))
+
+    def close(self) -> None:
+        """Forget it; nothing is held open."""
+        self._idle_s = 0.0
+
+    def _next(self) -> Frame | Unreadable | None:
+        raise NotImplementedError
+
+    def _ended(self) -> bool:
+        return False
+
+
+class FillingFolder(GrowingFrames):
+    """Images of a folder in the order in which they appear, those of one look by their names."""
+
+    def __init__(self, path: Path, idle_s: float) -> None:
+        super().__init__(path, idle_s)
+        self._known: set[str] = set()
+        self._unread: deque[Path] = deque()
+        self._size, self._since_s = -1, 0.0
+
+    def _next(self) -> Frame | Unreadable | None:
+        if not self._unread:
+            names = {name for name in os.listdir(self._path) if Path(name).suffix.lower() in IMAGE_SUFFIXES}
+            self._unread.extend(self._path / name for name in sorted(names - self._known))
+            self._known |= names
+        if not self._unread:
+            return None
+        path = self._unread[0]
+        try:
+            item: Frame | Unreadable = Frame(read_image(path), float(self._number), name=path.name)
+        except ImageError as e:
+            if self._is_written(path):
+                return None
+            item = Unreadable(path.name, float(self._number), str(e))
+        self._unread.popleft()
+        self._size = -1
+        return item
+
+    def _is_written(self, path: Path) -> bool:
+        """Whether a file that cannot be read has changed of late, and so may be read later."""
+        size = path.stat().st_size if path.is_file() else 0
+        if size != self._size:
+            self._size, self._since_s = size, time.monotonic()
+        return time.monotonic() - self._since_s < STEADY_S
+
+
+class GrowingRun(GrowingFrames):
+    """Frames of a run as its writer puts them on disk, at most about a second later.
+
+    Each file is read on from where it was left, so that a long run costs no more than a short one. Frames are
+    named by their index.
+    """
+
+    def __init__(self, path: Path, idle_s: float) -> None:
+        super().__init__(path, idle_s)
+        self._manifest = StoredManifest.read(path).manifest
+        self._segment, self._offset = -1, 0
+
+    def _next(self) -> Frame | Unreadable | None:
+        if not self._found and not self._look(self._segment):
+            later = [number for number in segment_numbers(self._path) if number > self._segment]
+            if later:
+                self._segment, self._offset = later[0], 0
+                self._look(self._segment)
+        return self._found.popleft() if self._found else None
+
+    def _look(self, number: int) -> bool:
+        """Read what is new in a segment; False where there is nothing."""
+        path = self._path / file_name(number, "frames")
+        if number < 0 or not path.is_file() or path.stat().st_size <= self._offset:
+            return False
+        chunks, self._offset = scan_growing(path, self._offset)
+        for stored in frames_in(path, chunks):
+            at_s = (stored.time_ns - self._manifest.created_ns) / NS_PER_S
+            index = self._number + len(self._found)
+            try:
+                image = stored.image(check=False)  # compared with its checksum a moment ago
+            except PalpateError as e:
+                self._found.append(Unreadable(str(index), at_s, str(e)))
+                continue
+            self._found.append(Frame(image, at_s, None, self._manifest.sensor, str(index)))
+        return bool(self._found)
+
+    def _closed(self, number: int) -> bool:
+        path = self._path / file_name(number, "frames")
+        return path.is_file() and scan(path).data_end is not None
+
+    def _ended(self) -> bool:
+        last = max(segment_numbers(self._path), default=-1)
+        return self._segment == last >= 0 and self._closed(last)
+
+
+def open_file_frames(path: Path, idle_s: float) -> LiveSource:
+    """Open an image, a folder, a run or a video, whole or still being written.
+
+    Args:
+        path: of it.
+        idle_s: after which a folder or run has ended where nothing more came [s]; 0 takes what is there.
+
+    Raises:
+        InputError, ImageError, RecordingError: there is nothing to read there.
+    """
+    if (path / MANIFEST).is_file():
+        if idle_s > 0 and _being_written(path):
+            return GrowingRun(path, idle_s)
+        return FileFrames(open_source(path), str(path))
+    if path.is_dir() and idle_s > 0:
+        return FillingFolder(path, idle_s)
+    return FileFrames(open_source(path), str(path))
+
+
+def _being_written(run: Path) -> bool:
+    """Whether the last segment has no index yet, as one that is written or whose writer was killed."""
+    last = max(segment_numbers(run), default=-1)
+    if last < 0:
+        return True
+    path = run / file_name(last, "frames")
+    return path.is_file() and scan(path).data_end is None
+
+
+class PipedFrames(Closing):
+    """Images that come on standard input: JPEG or PNG files one after the other, or MJPEG.
+
+    The pipe makes its writer wait, so nothing is lost here; a frame's time is that of its arrival, from the
+    first one on.
+
+    Attributes:
+        name: of the pipe.
+        waits: True.
+        force: None.
+    """
+
+    waits = True
+    force: ForceSensor | None = None
+
+    def __init__(self, stream: BinaryIO | None = None, name: str = "standard input") -> None:
+        """Read a stream; standard input where none is given."""
+        self.name = name
+        self._stream = stream or sys.stdin.buffer
+        self._cutter = ImageCutter()
+        self._images: deque[bytes] = deque()
+        self._number, self._first_ns, self._over = 0, 0, False
+
+    def grab(self, timeout_s: float) -> LiveFrame | None:
+        """The next image; None at the end of the stream.
+
+        Raises:
+            NoFrameYetError: none came in time.
+        """
+        end_s = time.monotonic() + timeout_s
+        why = ""
+        while not self._images and not self._over and not why:
+            if not self._ready(max(end_s - time.monotonic(), 0.0)):
+                raise NoFrameYetError(f"{self.name} gave no whole image within {timeout_s:g} s")
+            data = os.read(self._stream.fileno(), CHUNK)
+            self._over = not data
+            try:
+                self._images.extend(self._cutter.feed(data))
+            except ImageError as e:
+                why = str(e)
+        if not self._images and not why:
+            return None
+        return self._shown(why)
+
+    def close(self) -> None:
+        """Read no more; the stream is its owner's to close."""
+        self._over = True
+        self._images.clear()
+
+    def _shown(self, why: str) -> LiveFrame:
+        number, now_ns = self._number, time.monotonic_ns()
+        self._first_ns = self._first_ns or now_ns
+        at_s = (now_ns - self._first_ns) / NS_PER_S
+        item: Frame | Unreadable = Unreadable(str(number), at_s, why)
+        if not why:
+            try:
+                image = image_from_bytes(self._images.popleft(), Path(f"{self.name}, image {number}"))
+                item = Frame(image, at_s, name=str(number))
+            except ImageError as e:
+                item = Unreadable(str(number), at_s, str(e))
+        self._number += 1
+        return live_frame(item, number, now_ns)
+
+    def _ready(self, timeout_s: float) -> bool:
+        if os.name == "nt":  # a pipe cannot be waited for: the read itself waits
+            return True
+        return bool(select.select([self._stream], [], [], timeout_s)[0])

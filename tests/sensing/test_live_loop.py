@@ -1,0 +1,386 @@
+"""The live loop: a camera's old frames are dropped and counted, a file's wait, and nothing ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import numpy as np
+import pytest
+from tests.sensing.live_stand_ins import HandedFrames, MeanReader, numbered, until
+
+from palpate.calibration.calibration_plan import ReferenceRule
+from palpate.core import DeviceError, Drift, InputError
+from palpate.core.device_protocols import Wrench
+from palpate.estimators import Estimator
+from palpate.recordings import export_folder
+from palpate.sensing import live_drift, live_loop, live_slots, open_source, sense
+from palpate.sensing.live_iteration import Live, live
+from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
+from palpate.sensing.live_readers import open_reader
+from palpate.sensing.live_slots import NewestSlot
+
+
+class Kept:
+    """A subscriber that keeps what it is told."""
+
+    def __init__(self, takes_s: float = 0.0) -> None:
+        self.frames, self.values, self.forces, self.takes_s = [], [], [], takes_s
+
+    def on_frame(self, frame, readings) -> None:
+        time.sleep(self.takes_s)
+        self.frames.append(frame.number)
+        self.values.append(None if readings is None else readings["force_N"].value)
+
+    def on_force(self, samples) -> None:
+        self.forces += samples
+
+
+class Raising(Kept):
+    def on_frame(self, frame, readings) -> None:
+        raise ValueError("of no use")
+
+
+class Blocking(Kept):
+    def __init__(self) -> None:
+        super().__init__()
+        self.release = threading.Event()
+
+    def on_frame(self, frame, readings) -> None:
+        self.release.wait(30)
+
+
+class Steps:
+    """A force sensor that gives what a test says."""
+
+    rate_hz, range_n = 100.0, (10.0, 10.0, 10.0)
+
+    def __init__(self) -> None:
+        self.samples, self.gone = [], ""
+
+    def latest(self):
+        return self.samples[-1]
+
+    def drain(self):
+        if self.gone:
+            raise DeviceError(self.gone)
+        samples, self.samples = self.samples, []
+        return samples
+
+    def close(self) -> None:
+        pass
+
+
+def ran(source, reader=None, **options) -> LiveLoop:
+    loop = LiveLoop(lambda: source, reader, source=source, **options)
+    loop.start()
+    return loop
+
+
+def test_nothing_of_a_file_is_lost_however_slow_the_reading() -> None:
+    source, kept = HandedFrames(waits=True), Kept(takes_s=0.002)
+    source.give(*(numbered(i) for i in range(60)), None)
+    with ran(source, MeanReader(0.003), subscribers=[kept]) as loop:
+        assert loop.wait(5.0)
+        assert loop.state is LiveState.ENDED
+        assert (loop.stats.frames, loop.stats.dropped) == (60, 0)
+    assert kept.frames == list(range(60))
+    assert kept.values == [float(i) for i in range(60)]
+
+
+def test_a_camera_s_old_frames_are_dropped_and_counted_and_the_newest_read() -> None:
+    source, reader = HandedFrames(waits=False), MeanReader(0.1)
+    with ran(source, reader) as loop:
+        source.give(numbered(0))
+        until(lambda: loop.stats.frames + len(reader.read_numbers) >= 0 and loop.state is LiveState.LIVE)
+        time.sleep(0.03)  # it is being read
+        source.give(*(numbered(i) for i in range(1, 8)))
+        until(lambda: loop.stats.frames == 2)
+        assert reader.read_numbers == [0, 7]
+        assert loop.stats.dropped == 6
+
+
+def test_what_the_source_lost_is_counted_apart_from_what_was_dropped() -> None:
+    source = HandedFrames(waits=True)
+    first, second = numbered(0), numbered(1)
+    source.give(first, type(second)(second.frame, second.arrived_ns, 1, lost=3), None)
+    with ran(source) as loop:
+        assert loop.wait(5.0)
+        assert (loop.stats.lost, loop.stats.dropped, loop.stats.frames) == (3, 0, 2)
+
+
+def test_latency_is_from_arrival_to_reading_and_rate_is_of_arrivals() -> None:
+    source = HandedFrames(waits=True)
+    begun_ns = time.monotonic_ns()
+    frames = [numbered(i) for i in range(21)]
+    source.give(*(type(f)(f.frame, begun_ns - 10**9 + i * 50_000_000, i) for i, f in enumerate(frames)), None)
+    with ran(source, MeanReader(0.002)) as loop:
+        assert loop.wait(5.0)
+        stats = loop.stats
+    assert stats.rate_hz == pytest.approx(20.0)
+    assert 2.0 < stats.p50_ms < 700.0
+    assert stats.p50_ms <= stats.p95_ms <= stats.p99_ms < 1300.0
+
+
+def test_a_camera_that_comes_back_is_opened_again(monkeypatch) -> None:
+    monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
+    first, second = HandedFrames(waits=False), HandedFrames(waits=False)
+    tries = []
+
+    def opener():
+        tries.append(1)
+        if len(tries) < 3:
+            raise DeviceError("0 cameras have the serial number 'A1'")
+        return second
+
+    with LiveLoop(opener, MeanReader(), source=first) as loop:
+        loop.start()
+        first.give(numbered(0))
+        until(lambda: loop.stats.frames == 1)
+        first.gone = "it gives no frame: it was unplugged"
+        first.give()
+        until(lambda: loop.state is LiveState.LOST)
+        assert "unplugged" in loop.why or "serial number" in loop.why
+        until(lambda: len(tries) == 3)
+        second.give(numbered(0))
+        until(lambda: loop.state is LiveState.LIVE)
+        until(lambda: loop.stats.frames == 2)
+        assert (loop.why, first.closed) == ("", 1)
+        assert loop.status()["outages"] == 1
+
+
+def test_no_camera_is_a_named_state_and_the_loop_waits_for_one(monkeypatch) -> None:
+    monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
+
+    def opener():
+        raise DeviceError("0 cameras have the serial number 'A1'")
+
+    with LiveLoop(opener) as loop:
+        loop.start()
+        until(lambda: loop.state is LiveState.LOST)
+        assert loop.status()["state"] == "lost"
+        assert "serial number" in loop.status()["why"]
+        assert not loop.wait(0.1)
+
+
+def test_a_silent_camera_is_lost_and_a_silent_file_is_waited_for(monkeypatch) -> None:
+    monkeypatch.setattr(live_loop, "SILENT_S", 0.1)
+    monkeypatch.setattr(live_loop, "GRAB_S", 0.02)
+    camera, file = HandedFrames(waits=False), HandedFrames(waits=True)
+    with ran(camera) as lost, ran(file) as waiting:
+        until(lambda: lost.state is LiveState.LOST)
+        assert waiting.state is LiveState.OPENING
+        assert "nothing yet" in lost.why
+
+
+def test_a_subscriber_that_raises_is_dropped_and_named_and_the_rest_are_told() -> None:
+    source, kept = HandedFrames(waits=True), Kept()
+    source.give(*(numbered(i) for i in range(5)), None)
+    with ran(source, subscribers=[Raising(), kept]) as loop:
+        assert loop.wait(5.0)
+        until(lambda: loop.faults)
+        (fault,) = loop.faults
+    assert fault.startswith("Raising raised ValueError: of no use")
+    assert kept.frames == list(range(5))
+
+
+def test_a_subscriber_that_blocks_is_dropped_and_named_and_the_loop_goes_on(monkeypatch) -> None:
+    monkeypatch.setattr(live_slots, "BLOCKED_S", 0.1)
+    source, kept, blocking = HandedFrames(waits=True), Kept(), Blocking()
+    source.give(*(numbered(i) for i in range(80)), None)
+    with ran(source, subscribers=[blocking, kept]) as loop:
+        assert loop.wait(5.0)
+        (fault,) = loop.faults
+        assert "Blocking did not come back" in fault
+        assert loop.stats.frames == 80
+    assert kept.frames == list(range(80))
+    blocking.release.set()
+
+
+def test_what_waits_for_a_subscriber_is_bounded_and_its_misses_are_counted() -> None:
+    source, blocking = HandedFrames(waits=False), Blocking()
+    with ran(source, subscribers=[blocking]) as loop:
+        line = loop._lines[0]
+        for i in range(60):
+            source.give(numbered(i))
+            until(lambda i=i: loop.stats.frames == i + 1)
+        assert line.missed == 60 - 1 - live_slots.MAX_LINE
+        blocking.release.set()
+
+
+def test_a_reader_that_fails_is_a_named_state() -> None:
+    class Failing(MeanReader):
+        def read(self, live):
+            raise RuntimeError("no such tensor")
+
+    source = HandedFrames(waits=True)
+    source.give(numbered(0), numbered(1), None)
+    with ran(source, Failing()) as loop:
+        assert loop.wait(5.0)
+        assert (loop.state, loop.why) == (LiveState.FAILED, "RuntimeError: no such tensor")
+
+
+def test_the_untouched_image_is_the_mean_of_frames_and_is_taken_off() -> None:
+    source, reader = HandedFrames(waits=True), MeanReader()
+    source.give(*(numbered(i, level=level) for i, level in enumerate([10, 12, 14, 50])), None)
+    with ran(source, reader, zero_at_start=True, zero_frames=3) as loop:
+        assert loop.wait(5.0)
+        assert [float(zero.mean()) for zero in reader.zeros] == [12.0]
+        assert loop.latest.readings["force_N"].value == pytest.approx(38.0)
+        assert not loop.zeroing
+
+
+def test_an_untouched_image_may_be_given_and_serves_the_next_calibration() -> None:
+    source, reader, other = HandedFrames(waits=True), MeanReader(), MeanReader()
+    with ran(source, reader) as loop:
+        loop.zero(np.full((4, 6), 9, np.uint8))
+        source.give(numbered(0, level=20))
+        until(lambda: loop.stats.frames == 1)
+        assert loop.latest.readings["force_N"].value == 11.0
+        loop.use(other)
+        source.give(numbered(1, level=30), None)
+        assert loop.wait(5.0)
+        assert loop.latest.readings["force_N"].value == 21.0
+
+
+def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> None:
+    force, kept = Steps(), Kept()
+    source = HandedFrames(waits=True, force=force)
+    with ran(source, MeanReader(), subscribers=[kept], zero_frames=1) as loop:
+        force.samples = [Wrench(i, (0.0, 0.0, 2.0)) for i in range(5)]
+        until(lambda: loop.status()["force_N"] == 2.0)
+        loop.zero()
+        source.give(numbered(0))
+        until(lambda: loop.status()["force_N"] == 0.0)
+        force.samples = [Wrench(9, (0.0, 0.0, 5.5)), Wrench(10, (0.0, 0.0, 99.0), fault="saturated")]
+        until(lambda: loop.status()["force_N"] == 3.5)
+        force.gone = "the force sensor does not answer"
+        until(lambda: loop.faults)
+        source.give(numbered(1), None)
+        assert loop.wait(5.0)
+        assert loop.status()["force_N"] is None
+        assert loop.stats.frames == 2
+    assert [one.time_ns for one in kept.forces] == [0, 1, 2, 3, 4, 9, 10]
+
+
+@pytest.mark.parametrize(
+    ("differential", "drifted", "valid", "kind", "action"),
+    [
+        (True, False, True, "", ""),
+        (True, True, True, "", "re-zero"),
+        (False, True, True, "", "adapt"),
+        (True, False, False, "focus", "refocus"),
+        (False, False, False, "shift", "adapt"),
+        (True, False, False, "shift", "re-zero"),
+    ],
+)
+def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kind, action) -> None:
+    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
+    reader = MeanReader(differential=differential)
+    reader.drifts = Drift(5.0 if drifted else 1.0, 3.0)
+    reader.kind, reader.valid = kind, valid
+    source = HandedFrames(waits=True)
+    source.give(*(numbered(i) for i in range(25)), None)
+    with ran(source, reader) as loop:
+        assert loop.wait(5.0)
+        assert loop.status()["drift"]["action"] == action
+        assert loop.advice.startswith(action)
+        if action == "re-zero":
+            loop.zero(np.zeros((4, 6), np.uint8))
+            assert loop.advice == ""
+
+
+def test_drift_is_the_least_of_the_last_minute_so_that_a_touch_is_none(monkeypatch) -> None:
+    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
+    reader = MeanReader()
+    watch = live_drift.DriftWatch(reader)
+    for statistic in (9.0, 1.2, 8.0):
+        reader.drifts = Drift(statistic, 3.0)
+        live_frame = numbered(0)
+        watch.frame(live_frame.frame.image, reader.read(live_frame))
+    assert watch.drift == Drift(1.2, 3.0)
+
+
+def test_a_slow_consumer_gets_the_newest_of_a_camera_and_all_of_a_file() -> None:
+    for waits, expected in ((False, [0, 9]), (True, list(range(10)))):
+        source, slot = HandedFrames(waits=waits), NewestSlot[LiveReading]()
+        loop = LiveLoop(lambda source=source: source, MeanReader(), source=source, hand_over=slot)
+        with Live(loop, slot) as readings:
+            numbers = []
+            source.give(numbered(0))
+            for reading in readings:
+                numbers.append(reading.number)
+                if len(numbers) == 1:
+                    source.give(*(numbered(i) for i in range(1, 10)), None)
+                    time.sleep(0.15)
+            assert numbers == expected
+
+
+def test_readings_come_in_an_async_loop() -> None:
+    source, slot = HandedFrames(waits=True), NewestSlot[LiveReading]()
+    source.give(*(numbered(i) for i in range(4)), None)
+    loop = LiveLoop(lambda: source, MeanReader(), source=source, hand_over=slot)
+
+    async def read() -> list[int]:
+        async with Live(loop, slot) as readings:
+            return [reading.number async for reading in readings]
+
+    assert asyncio.run(read()) == [0, 1, 2, 3]
+    assert source.closed == 1
+
+
+@pytest.fixture
+def spots(calibrate_spots, record_spots, tmp_path):
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    return calibrate_spots(tmp_path / "cal", **plan)[1], record_spots("fresh", 2, seed=4)
+
+
+def test_live_gives_the_readings_of_sense_frame_by_frame(spots, tmp_path) -> None:
+    calibration, run = spots
+    export_folder(run, tmp_path / "exported")
+    estimator = Estimator.open(calibration, threads=1)
+    for path in (run.path, tmp_path / "exported" / "images"):
+        expected = [sensed.to_dict() for sensed in sense(estimator, open_source(path))]
+        with live(calibration, camera=path, idle_s=0.2) as readings:
+            found = [reading.to_dict() for reading in readings]
+        assert len(found) == 12
+        assert [{key: one[key] for key in expected[0]} for one in found] == expected
+
+
+def test_a_calibration_for_another_size_gives_no_value_and_says_so(spots) -> None:
+    calibration, _ = spots
+    source = HandedFrames(waits=True)
+    source.give(numbered(0), None)
+    with ran(source, open_reader(calibration)) as loop:
+        assert loop.wait(5.0)
+        assert not loop.latest.readings["x_mm"].valid
+        assert loop.advice == "the image is 6x4 px, the calibration is for 64x48 px"
+
+
+def test_a_differential_calibration_says_that_it_needs_a_zero(
+    calibrate_spots, record_spots, tmp_path
+) -> None:
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "delta": True}
+    plan["reference"] = ReferenceRule.parse("reference=true", ("press",))
+    calibration = calibrate_spots(tmp_path / "delta", **plan)[1]
+    run = record_spots("fresh", 2, seed=4)
+    export_folder(run, tmp_path / "exported")
+    with live(calibration, camera=tmp_path / "exported" / "images", idle_s=0.2) as readings:
+        first = next(readings)
+        assert not first.readings["x_mm"].valid
+        assert "zero it" in readings.advice
+        readings.zero(run.frame(0).image)
+        values = [reading.readings["x_mm"].valid for reading in readings]
+    assert any(values)
+    with live(calibration, camera=run.path) as readings:  # a run has its own
+        from_run = [reading.to_dict()["readings"] for reading in readings]
+    expected = [
+        one.to_dict()["readings"] for one in sense(Estimator.open(calibration), open_source(run.path))
+    ]
+    assert from_run == expected
+
+
+def test_a_source_that_cannot_be_opened_is_refused_at_once(tmp_path) -> None:
+    with pytest.raises(InputError, match="not there"):
+        live(camera=tmp_path / "none.avi")

@@ -1,0 +1,298 @@
+"""Sources of live frames: none of a file's is lost, whoever writes it; a camera's keep their own time."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import threading
+import time
+import types
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from palpate.core import DeviceError, ImageError, InputError, ManualClock, MissingExtraError
+from palpate.recordings import Manifest, RunWriter
+from palpate.recordings.exchange.image_files import encode
+from palpate.recordings.exchange.image_stream import ImageCutter
+from palpate.rig.fakes.video_capture import FakeVideoCapture
+from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
+from palpate.sensing.frame_sources import open_source
+from palpate.sensing.live_sources import CameraFrames, NoFrameYetError, PacedFrames, open_live_source
+from palpate.sensing.replayed_frames import PipedFrames
+
+
+def images(count: int, seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.integers(0, 255, (12, 16), dtype=np.uint8) for _ in range(count)]
+
+
+def all_of(source, timeout_s: float = 5.0) -> list:
+    frames = []
+    while (frame := source.grab(timeout_s)) is not None:
+        frames.append(frame)
+    source.close()
+    return frames
+
+
+def video(path, pictures, rate_hz: float = 50.0):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate_hz, (16, 12), isColor=True)
+    for picture in pictures:
+        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
+def test_a_lossless_video_gives_its_frames_and_their_times(tmp_path) -> None:
+    made = images(5)
+    found = all_of(open_live_source(video(tmp_path / "five.avi", made)))
+    assert [frame.number for frame in found] == [0, 1, 2, 3, 4]
+    assert [frame.frame.time_s for frame in found] == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
+    for frame, image in zip(found, made, strict=True):
+        assert np.array_equal(frame.frame.image, image)
+    assert open_live_source(tmp_path / "five.avi").waits
+
+
+def test_a_paced_video_plays_at_its_own_rate_and_goes_on_in_time_when_repeated(tmp_path) -> None:
+    path = video(tmp_path / "five.avi", images(5), rate_hz=50.0)
+    source = open_live_source(path, paced=True, repeat=True)
+    assert not source.waits
+    begun_s = time.monotonic()
+    frames = [source.grab(1.0) for _ in range(11)]
+    took_s = time.monotonic() - begun_s
+    assert took_s > 0.19
+    steps = np.diff([frame.frame.time_s for frame in frames])
+    assert steps == pytest.approx(np.full(10, 0.02))
+    assert [frame.number for frame in frames] == list(range(11))
+    assert np.array_equal(frames[0].frame.image, frames[5].frame.image)
+    source.close()
+
+
+def test_a_paced_frame_that_is_not_due_is_waited_for_no_longer_than_asked(tmp_path) -> None:
+    source = open_live_source(video(tmp_path / "slow.avi", images(3), rate_hz=2.0), paced=True)
+    source.grab(1.0)
+    begun_s = time.monotonic()
+    with pytest.raises(NoFrameYetError):
+        source.grab(0.05)
+    assert time.monotonic() - begun_s < 0.3
+
+
+def test_a_folder_that_fills_gives_every_image_once_in_order(tmp_path) -> None:
+    made = images(6, seed=1)
+    (tmp_path / "frame-0.png").write_bytes(encode(made[0]).tobytes())
+
+    def fill() -> None:
+        for i, image in enumerate(made[1:], start=1):
+            time.sleep(0.05)
+            data = encode(image).tobytes()
+            with (tmp_path / f"frame-{i}.png").open("wb") as file:  # half of it, then the rest
+                file.write(data[: len(data) // 2])
+                file.flush()
+                time.sleep(0.05)
+                file.write(data[len(data) // 2 :])
+
+    writer = threading.Thread(target=fill)
+    writer.start()
+    found = all_of(open_live_source(tmp_path, idle_s=0.6))
+    writer.join()
+    assert [frame.frame.name for frame in found] == [f"frame-{i}.png" for i in range(6)]
+    assert not [frame.why for frame in found if frame.why]
+    for frame, image in zip(found, made, strict=True):
+        assert np.array_equal(frame.frame.image, image)
+
+
+def test_an_image_that_stays_damaged_says_why_and_the_rest_follow(tmp_path) -> None:
+    good, damaged, after = images(3, seed=2)
+    (tmp_path / "a.png").write_bytes(encode(good).tobytes())
+    (tmp_path / "b.png").write_bytes(encode(damaged).tobytes()[:60])
+    (tmp_path / "c.png").write_bytes(encode(after).tobytes())
+    found = all_of(open_live_source(tmp_path, idle_s=0.3))
+    assert [bool(frame.why) for frame in found] == [False, True, False]
+    assert "b.png" in found[1].why
+
+
+def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(tmp_path) -> None:
+    made, clock = images(8, seed=3), ManualClock()
+    writer = RunWriter.create(tmp_path / "run", Manifest.new(sensor="spots", labels={}), clock=clock)
+    writer.frame(made[0])
+    writer.sync()
+    source = open_live_source(tmp_path / "run", idle_s=5.0)
+    found = [source.grab(2.0)]
+
+    def record() -> None:
+        for image in made[1:]:
+            clock.sleep(0.1)
+            writer.frame(image)
+            writer.sync()
+        writer.close()
+
+    recorder = threading.Thread(target=record)
+    recorder.start()
+    begun_s = time.monotonic()
+    found += all_of(source)
+    recorder.join()
+    assert time.monotonic() - begun_s < 4.0  # by the end of the writer, not of its patience
+    assert [frame.number for frame in found] == list(range(8))
+    for frame, stored in zip(found, open_source(tmp_path / "run"), strict=True):
+        assert np.array_equal(frame.frame.image, stored.image)
+        assert frame.frame.time_s == pytest.approx(stored.time_s, abs=1e-9)
+        assert frame.frame.name == stored.name
+
+
+def test_what_is_given_to_a_pipe_comes_out_whatever_lies_between(rng) -> None:
+    made = images(4, seed=4)
+    jpeg = io.BytesIO()
+    PillowImage.fromarray(made[1]).save(jpeg, "JPEG", quality=100)
+    files = [encode(made[0]).tobytes(), jpeg.getvalue(), encode(made[2]).tobytes(), encode(made[3]).tobytes()]
+    between = b"--frame\r\nContent-Type: image/jpeg\r\n\r\n"
+    stream = between.join(files)
+    cutter, found = ImageCutter(), []
+    for at in range(0, len(stream), 7):
+        found += cutter.feed(stream[at : at + 7])
+    assert found == files
+
+
+def test_a_thumbnail_in_a_jpeg_does_not_end_it() -> None:
+    inner, outer = io.BytesIO(), io.BytesIO()
+    PillowImage.fromarray(images(1)[0]).save(inner, "JPEG")
+    PillowImage.fromarray(images(1, seed=5)[0]).save(outer, "JPEG")
+    thumbnail = b"Exif\0\0" + inner.getvalue()
+    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    data = outer.getvalue()[:2] + segment + outer.getvalue()[2:]
+    assert list(ImageCutter().feed(data + data)) == [data, data]
+    assert list(ImageCutter().feed(data[:-1])) == []
+
+
+def test_bytes_that_only_begin_like_an_image_are_passed_over() -> None:
+    (image,) = images(1, seed=6)
+    data = encode(image).tobytes()
+    noise = b"\xff\xd8\xff\x00rubbish" + b"\x89PNG\r\n\x1a\n" + b"\0\0\0\x04????"
+    assert list(ImageCutter().feed(noise + data)) == [data]
+
+
+def test_standard_input_gives_images_and_then_ends() -> None:
+    made = images(3, seed=7)
+    read, write = os.pipe()
+    with os.fdopen(read, "rb") as stream:
+        source = PipedFrames(stream)
+        with pytest.raises(NoFrameYetError):
+            source.grab(0.02)
+        os.write(write, b"".join(encode(image).tobytes() for image in made))
+        os.close(write)
+        found = all_of(source)
+    assert [frame.number for frame in found] == [0, 1, 2]
+    for frame, image in zip(found, made, strict=True):
+        assert np.array_equal(frame.frame.image, image)
+
+
+def grabbed(source, count: int, timeout_s: float) -> list:
+    return [source.grab(timeout_s) for _ in range(count)]
+
+
+def fake_camera(rate_hz: float = 100.0):
+    capture = FakeVideoCapture(rate_hz=rate_hz)
+    settings = UvcSettings(size_px=(64, 48), rate_hz=rate_hz, exposure_s=5e-3)
+    return capture, UvcCamera("fake", settings, opener=lambda where: capture)
+
+
+def fake_where(monkeypatch) -> None:
+    monkeypatch.setattr("palpate.rig.real.uvc_camera.device", lambda address: address)
+
+
+def test_every_frame_of_a_camera_comes_not_every_other(monkeypatch) -> None:
+    fake_where(monkeypatch)
+    capture, camera = fake_camera()
+    with CameraFrames(camera, "camera fake", behind_ns=10_000_000) as source:
+        found = [source.grab(1.0) for _ in range(20)]
+        capture.drop(3)
+        found += [source.grab(1.0) for _ in range(5)]
+    names = [int(frame.frame.name) for frame in found]
+    assert names == list(range(names[0], names[0] + 25))
+    assert sum(frame.lost for frame in found) == 3
+    ages_s = [frame.arrived_ns / 1e9 - frame.frame.time_s for frame in found]
+    assert ages_s == pytest.approx([0.01] * 25)
+
+
+def test_a_camera_that_gives_nothing_says_so_and_one_that_is_gone_says_that(monkeypatch) -> None:
+    fake_where(monkeypatch)
+    capture, camera = fake_camera()
+    with CameraFrames(camera, "camera fake") as source:
+        source.grab(1.0)
+        capture.resume.clear()
+        capture.hangs.wait(1.0)
+        with pytest.raises(NoFrameYetError):
+            grabbed(source, 60, 0.05)  # those that were on their way come still
+        capture.unplugged = True
+        capture.resume.set()
+        with pytest.raises(DeviceError, match="unplugged"):
+            grabbed(source, 60, 0.5)
+
+
+def test_a_picamera_needs_its_library_and_gives_frames_with_it(monkeypatch) -> None:
+    with pytest.raises(MissingExtraError, match="picamera2"):
+        open_live_source("picamera2")
+
+    class Request:
+        def make_array(self, name):
+            return np.dstack([np.full((48, 64), value, np.uint8) for value in (200, 100, 50)])
+
+        def get_metadata(self):
+            return {"ExposureTime": 8000, "SensorTimestamp": time.monotonic_ns() - 20_000_000}
+
+        def release(self):
+            pass
+
+    class Picamera2:
+        def __init__(self, number):
+            self.stopped = False
+
+        def create_video_configuration(self, main, controls):
+            assert controls["AeEnable"] is False
+            assert controls["FrameDurationLimits"] == (20000, 20000)
+            return {"main": main}
+
+        def configure(self, configuration):
+            assert configuration["main"]["size"] == (64, 48)
+
+        def start(self):
+            pass
+
+        def capture_request(self):
+            time.sleep(0.01)
+            return Request()
+
+        def stop(self):
+            self.stopped = True
+
+        def close(self):
+            pass
+
+    monkeypatch.setitem(sys.modules, "picamera2", types.SimpleNamespace(Picamera2=Picamera2))
+    settings = UvcSettings(size_px=(64, 48), rate_hz=50.0, exposure_s=8e-3)
+    with open_live_source("picamera2", settings=settings) as source:
+        frame = source.grab(1.0)
+    assert frame.frame.image[0, 0].tolist() == [200, 100, 50]
+    assert frame.frame.exposure_s == pytest.approx(8e-3)
+    behind_s = frame.arrived_ns / 1e9 - frame.frame.time_s
+    assert behind_s == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_address_of_nothing_says_what_could_be_given(tmp_path) -> None:
+    with pytest.raises(ImageError, match="a run or a video"):
+        open_live_source(tmp_path / "nothing.avi")
+    with pytest.raises(DeviceError, match="serial number"):
+        open_live_source("NOSUCHSERIAL")
+    with pytest.raises(InputError, match="paced"):
+        open_live_source("virtual:palm", paced=True)
+    with pytest.raises(InputError, match="for ever"):
+        open_live_source(tmp_path, repeat=True)
+
+
+def test_paced_frames_keep_what_is_wrong_with_them(tmp_path) -> None:
+    (tmp_path / "a.png").write_bytes(b"none")
+    source = PacedFrames(lambda: open_live_source(tmp_path, idle_s=0.0), rate_hz=100.0)
+    frame = source.grab(1.0)
+    assert "a.png" in frame.why
