@@ -24,7 +24,16 @@ import cv2
 import numpy as np
 
 from palpate.core import Bool, Float, Float32, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
-from palpate.sensing.uncalibrated import StillSurround, edge_share, tail_weights, upper_quantile
+from palpate.estimators.lattice.dotted_skin import DottedSkin
+from palpate.sensing.uncalibrated import (
+    MarkKind,
+    MarkMotion,
+    StillSurround,
+    edge_share,
+    follow_marks,
+    tail_weights,
+    upper_quantile,
+)
 
 TouchVerdict = Literal["untouched", "touched", "view changed"]
 Box = tuple[int, int, int, int]
@@ -82,6 +91,7 @@ class SeenTouch:
         change: largest value of the statistic, over that which a touch needs: above 1 is a change.
         changed_share: of the region in which a difference is seen.
         region: the largest connected change; None but for "touched".
+        marks: of the skin and how far they moved; None where none are followed, or the view has changed.
     """
 
     verdict: TouchVerdict
@@ -90,6 +100,7 @@ class SeenTouch:
     change: float
     changed_share: float
     region: TouchedRegion | None = None
+    marks: MarkMotion | None = None
 
 
 class Difference(NamedTuple):
@@ -108,12 +119,12 @@ class UntouchedView:
         region: x, y, width and height of the skin in the frame [px]; all of the frame without.
         false_alarm_rate: about the share of untouched frames in which a touch is seen, at most.
         mm_per_px: of the skin in the frame [mm]; without it lengths are in px alone.
-        marks_px: distance of neighbouring marks in the skin, where there are any [px]: a region is then one
-            over several marks.
+        marks: pins or dots in the skin that are followed: "bright" or "dark" ones, a description of dots, or
+            "any" that stand on a lattice. A region is then one over several marks.
 
     Raises:
         InputError: too few frames, or of several kinds.
-        ImageError: a frame that is not 8-bit grey or RGB.
+        ImageError: a frame that is not 8-bit grey or RGB, or marks of a stated kind that are not found.
         RangeError: a rate, region or scale out of range.
 
     Example:
@@ -130,7 +141,7 @@ class UntouchedView:
         region: Box | None = None,
         false_alarm_rate: float = 1e-3,
         mm_per_px: float | None = None,
-        marks_px: float = 0.0,
+        marks: MarkKind | DottedSkin | Literal["any"] | None = None,
     ) -> None:
         if len(frames) < MIN_FRAMES:
             raise InputError(
@@ -144,7 +155,10 @@ class UntouchedView:
         self.region = _within(region, self._shape)
         self.mm_per_px = mm_per_px
         self._step = max(1, round(max(self.region[2:]) / WORKING_PX))
-        self._spread = max(SPREAD, 0.5 * marks_px / self._step)
+        middle = np.rint(np.mean(np.stack(frames), axis=0)).astype(np.uint8)
+        self._marks = None if marks is None else follow_marks(middle, marks)
+        pitch = 0.0 if self._marks is None else self._marks.pitch_px
+        self._spread = max(SPREAD, 0.5 * pitch / self._step)
         grids = np.stack([self._grid(frame) for frame in frames])
         self._still = StillSurround(frames, self.region)
         self._learn(grids, false_alarm_rate)
@@ -193,12 +207,13 @@ class UntouchedView:
         why = self._why_changed(image, gain, share)
         if why:
             return SeenTouch("view changed", why, gain, change, share)
+        marks = None if self._marks is None else self._marks.moved(image)
         region = self._region(difference, over) if change > 1 else None
         if region is None:
-            return SeenTouch("untouched", "no difference beyond the noise", gain, change, share)
+            return SeenTouch("untouched", "no difference beyond the noise", gain, change, share, None, marks)
         x, y = region.centre_px
         why = f"a change of {region.strength:.1f} grey levels around x {x:.0f}, y {y:.0f} px"
-        return SeenTouch("touched", why, gain, change, share, region)
+        return SeenTouch("touched", why, gain, change, share, region, marks)
 
     def difference(self, image: Shaped[ndarray, ...]) -> Difference:
         """Difference of a frame to the reference on the grid, brightness divided out."""

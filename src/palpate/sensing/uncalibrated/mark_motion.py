@@ -1,0 +1,174 @@
+"""Marks in a skin and how far each has moved since the skin was untouched: pins, dots, bright or dark.
+
+Pins and dots are found once in the untouched frame, on their lattice, which may take seconds, and followed
+from frame to frame, in which each moves by less than half its distance to the next. Where many are lost, the
+frame is searched whole and marks are named by their cell of the lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from palpate.core import Float, ImageError, Shaped, UInt8, ndarray
+from palpate.estimators.lattice.dotted_skin import DottedSkin, find_dots
+from palpate.estimators.pins import PinTracks, find_pins, follow, grey_frame
+
+MarkKind = Literal["bright", "dark"]
+Places = Float[ndarray, "m 2"]
+
+MIN_MARKS = 9
+AROUND = 16.0  # of the frame's longer side: over which the ground around a mark is seen
+MIN_FOUND = 0.6  # of the marks: with fewer the whole frame is searched
+
+
+@dataclass(frozen=True, slots=True)
+class MarkMotion:
+    """Marks that were found in a frame.
+
+    Attributes:
+        at_px: where each was in the untouched frame, x along columns and y along rows ``[m 2]`` [px].
+        moved_px: how far each has moved since ``[m 2]`` [px].
+        lost: marks of the untouched frame that are not found in this one.
+    """
+
+    at_px: Places
+    moved_px: Places
+    lost: int
+
+    @property
+    def largest_px(self) -> float:
+        """Largest motion [px]; 0 without marks."""
+        return float(np.hypot(*self.moved_px.T).max(initial=0.0))
+
+
+class PinFollower:
+    """Pins, bright or dark, followed from the untouched frame.
+
+    Args:
+        untouched: 8-bit grey or RGB frame.
+        kind: whether marks are brighter or darker than what is around.
+
+    Raises:
+        ImageError: fewer than nine marks on a lattice.
+    """
+
+    def __init__(self, untouched: Shaped[ndarray, ...], kind: MarkKind = "bright") -> None:
+        self.kind = kind
+        self._first = find_pins(self._bright(untouched), MIN_MARKS)
+        self._now = self._first
+
+    @property
+    def pitch_px(self) -> float:
+        """Median distance of neighbouring marks [px]."""
+        away = self._first.xy_px[:, None] - self._first.xy_px[None]
+        far = np.hypot(away[..., 0], away[..., 1])
+        np.fill_diagonal(far, np.inf)
+        return float(np.median(far.min(axis=1)))
+
+    def moved(self, frame: Shaped[ndarray, ...]) -> MarkMotion:
+        """Motion of the marks in the next frame."""
+        grey = self._bright(frame)
+        self._now = next(iter(follow([grey], self._from_here())))
+        if self._now.found.mean() < MIN_FOUND:
+            self._now = self._anew(grey)
+        found = self._now.found
+        at = self._first.xy_px[found]
+        return MarkMotion(at, self._now.xy_px[found] - at, int((~found).sum()))
+
+    def _from_here(self) -> PinTracks:
+        """Where to look: a mark that was lost is looked for where the others have gone to."""
+        found = self._now.found
+        if found.all() or not found.any():
+            return self._now if found.any() else self._first
+        gone = np.median(self._now.xy_px[found] - self._first.xy_px[found], axis=0)
+        places = np.where(found[:, None], self._now.xy_px, self._first.xy_px + gone)
+        return replace(self._first, xy_px=places)
+
+    def _anew(self, grey: UInt8[ndarray, "h w"]) -> PinTracks:
+        """Marks of the whole frame, named by their cells; those followed, where none can be named."""
+        try:
+            again = find_pins(grey, MIN_MARKS)
+        except ImageError:
+            return self._now
+        if again.cells is None or self._first.cells is None:
+            return self._now
+        rows = {tuple(cell): i for i, cell in enumerate(again.cells.tolist())}
+        which = np.array([rows.get(tuple(cell), -1) for cell in self._first.cells.tolist()])
+        places = np.where((which >= 0)[:, None], again.xy_px[which], np.nan)
+        return replace(self._first, xy_px=places)
+
+    def _bright(self, frame: Shaped[ndarray, ...]) -> UInt8[ndarray, "h w"]:
+        grey = grey_frame(frame)
+        if grey is None:
+            raise ImageError(
+                f"marks are followed in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}"
+            )
+        return grey if self.kind == "bright" else np.subtract(255, grey, dtype=np.uint8)
+
+
+class DotFollower:
+    """Dots of a described skin, found in each frame and named by their cell.
+
+    Args:
+        untouched: 8-bit grey or RGB frame.
+        skin: its description.
+
+    Raises:
+        ImageError: too few dots on a lattice.
+    """
+
+    def __init__(self, untouched: Shaped[ndarray, ...], skin: DottedSkin) -> None:
+        self._skin = skin
+        self._first = find_dots(untouched, skin)
+
+    @property
+    def pitch_px(self) -> float:
+        """About the distance of neighbouring dots [px]."""
+        return self._skin.pitch_px
+
+    def moved(self, frame: Shaped[ndarray, ...]) -> MarkMotion:
+        """Motion of the dots in a frame; none are found in one that shows no lattice."""
+        try:
+            now = find_dots(frame, self._skin, self._first)
+        except ImageError:
+            return MarkMotion(np.empty((0, 2)), np.empty((0, 2)), len(self._first))
+        at, places, _ = now.shared_with(self._first)
+        return MarkMotion(at, places - at, len(self._first) - len(at))
+
+
+def follow_marks(
+    untouched: Shaped[ndarray, ...], marks: MarkKind | DottedSkin | Literal["any"]
+) -> PinFollower | DotFollower | None:
+    """What follows the marks of a skin; None where any are looked for, and none stand on a lattice.
+
+    Args:
+        untouched: 8-bit grey or RGB frame of the untouched skin.
+        marks: how they look on their ground; a description of dots; or "any": bright ones, else dark ones.
+
+    Raises:
+        ImageError: marks of a stated kind that are not found.
+    """
+    if isinstance(marks, DottedSkin):
+        return DotFollower(untouched, marks)
+    if marks != "any":
+        return PinFollower(untouched, marks)
+    kinds: tuple[MarkKind, MarkKind] = ("bright", "dark")
+    for kind in kinds if _skewness(untouched) > 0 else kinds[::-1]:
+        try:
+            return PinFollower(untouched, kind)
+        except ImageError:
+            continue
+    return None
+
+
+def _skewness(frame: Shaped[ndarray, ...]) -> float:
+    """Third moment of how grey levels differ from those around: above 0 where few are brighter."""
+    grey = grey_frame(frame)
+    if grey is None:
+        return 0.0
+    around = cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / AROUND)
+    return float(np.mean((grey.astype(np.float64) - around) ** 3))

@@ -1,0 +1,114 @@
+"""Marks in a skin: their motion is what they were moved by, and skins without any have none."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.core import ImageError, RangeError
+from palpate.estimators.lattice.dotted_skin import DottedSkin
+from palpate.sensing.uncalibrated import PinFollower, follow_marks
+from palpate.sensing.untouched_view import SeenTouch, UntouchedView
+from palpate.sensing.view_overlay import overlay_of
+
+PITCH, RADIUS = 24.0, 5.0
+SHAPE = 240, 320
+SITES = [(c, r) for c in range(-4, 5) for r in range(-4, 5) if abs(c + r) <= 4]
+PLACES = np.array([(160 + PITCH * (c + r / 2), 120 + PITCH * r * np.sqrt(0.75)) for c, r in SITES])
+
+
+def skin(places: np.ndarray, dark: bool, seed: int) -> np.ndarray:
+    """A grey skin with dots at places, drawn four times finer, with noise."""
+    fine = np.full((4 * SHAPE[0], 4 * SHAPE[1]), 60.0, np.float32)
+    for x, y in places:
+        cv2.circle(fine, (round(4 * x + 1.5), round(4 * y + 1.5)), round(4 * RADIUS), 190.0, -1)
+    image = cv2.resize(fine, SHAPE[::-1], interpolation=cv2.INTER_AREA)
+    noisy = image + np.random.default_rng(seed).normal(0, 1.5, SHAPE)
+    bright = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    return (255 - bright).astype(np.uint8) if dark else bright
+
+
+def bulge(places: np.ndarray, middle: tuple[float, float], px: float) -> np.ndarray:
+    """Displacement away from a middle, greatest at 50 px."""
+    away = places - np.array(middle)
+    far = np.hypot(*away.T)[:, None]
+    return px * away / 50 * np.exp(0.5 - 0.5 * (far / 50) ** 2)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_marks_move_by_what_they_were_moved_by(dark: bool) -> None:
+    follower = follow_marks(skin(PLACES, dark, 0), "any")
+    assert isinstance(follower, PinFollower)
+    assert follower.kind == ("dark" if dark else "bright")
+    assert follower.pitch_px == pytest.approx(PITCH, rel=0.01)
+    for step in (0.3, 0.7, 1.0):
+        truth = step * bulge(PLACES, (160.0, 120.0), 6.0)
+        moved = follower.moved(skin(PLACES + truth, dark, 1))
+        which = np.hypot(*(moved.at_px[:, None] - PLACES[None]).transpose(2, 0, 1)).argmin(axis=1)
+        assert moved.lost == 0
+        assert np.abs(moved.moved_px - truth[which]).max() < 0.3  # circles are drawn to a quarter of a pixel
+        assert moved.largest_px == pytest.approx(np.hypot(*truth.T).max(), abs=0.3)
+
+
+def test_marks_keep_their_names_over_jumps_of_less_than_half_their_distance_and_after_being_covered() -> None:
+    follower = PinFollower(skin(PLACES, False, 0))
+    for shift in ([9.0, 0.0], [0.0, 0.0], [0.0, -9.0], [0.0, 0.0]):
+        assert follower.moved(np.full(SHAPE, 60, np.uint8)).lost == len(PLACES)
+        moved = follower.moved(skin(PLACES + shift, False, 2))
+        assert np.median(moved.moved_px, axis=0) == pytest.approx(shift, abs=0.2)
+
+
+def test_a_skin_without_marks_has_none_and_noise_has_none() -> None:
+    rng = np.random.default_rng(3)
+    even = np.rint(rng.normal(100, 3, SHAPE)).astype(np.uint8)
+    assert follow_marks(even, "any") is None
+    with pytest.raises(ImageError):
+        follow_marks(even, "bright")
+
+
+def test_a_described_skin_s_dots_are_found_in_each_frame() -> None:
+    follower = follow_marks(skin(PLACES, True, 0), DottedSkin("hexagonal", PITCH, RADIUS, "dark"))
+    assert follower is not None
+    truth = bulge(PLACES, (160.0, 120.0), 5.0)
+    moved = follower.moved(skin(PLACES + truth, True, 1))
+    assert moved.lost == 0
+    assert moved.largest_px == pytest.approx(np.hypot(*truth.T).max(), abs=0.3)
+    covered = follower.moved(np.full(SHAPE, 90, np.uint8))
+    assert (len(covered.at_px), covered.lost) == (0, len(PLACES))
+
+
+def press(seed: int) -> tuple[UntouchedView, SeenTouch]:
+    view = UntouchedView([skin(PLACES, False, i) for i in range(8)], marks="any")
+    return view, view.seen(skin(PLACES + bulge(PLACES, (172.0, 120.0), 4.0), False, seed))
+
+
+def test_a_press_on_a_dotted_skin_has_one_region_around_what_moved() -> None:
+    view, seen = press(20)
+    assert seen.verdict == "touched"
+    assert seen.region is not None
+    assert np.hypot(*(np.array(seen.region.centre_px) - [172, 120])) < PITCH / 2
+    assert view.seen(skin(PLACES, False, 21)).verdict == "untouched"
+
+
+def test_the_overlay_has_the_outline_the_centre_and_an_arrow_for_each_mark_that_moved() -> None:
+    view, seen = press(22)
+    shapes = overlay_of(seen, view.region, arrow_times=3.0)
+    assert seen.marks is not None
+    assert seen.region is not None
+    assert [line.role for line in shapes.lines] == ["skin", "region"]
+    assert len(shapes.arrows) + sum(dot.role == "mark" for dot in shapes.dots) == len(seen.marks.at_px)
+    longest = max(np.hypot(*(np.array(arrow.end) - arrow.start)) for arrow in shapes.arrows)
+    assert longest == pytest.approx(3 * seen.marks.largest_px)
+    assert [dot.at for dot in shapes.dots if dot.role == "centre"] == [seen.region.centre_px]
+    assert len(shapes.lines[1].points) <= 120
+    assert json.loads(json.dumps(shapes.to_dict()))["texts"][0]["text"] == "touched"
+
+
+def test_nothing_seen_is_drawn_as_its_verdict_alone() -> None:
+    even = [np.rint(np.random.default_rng(i).normal(100, 2, (60, 80))).astype(np.uint8) for i in range(7)]
+    shapes = overlay_of(UntouchedView(even[:6]).seen(even[6]))
+    assert (shapes.lines, shapes.dots, shapes.arrows) == ((), (), ())
+    assert [text.text for text in shapes.texts] == ["untouched"]
+    with pytest.raises(RangeError, match="above 0"):
+        overlay_of(UntouchedView(even[:6]).seen(even[6]), arrow_times=0.0)
