@@ -37,6 +37,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "force": "shear_calibration_verbs:app",
     },
     "Sense": {
+        "live": "live_verbs:live",
         "sense": "calibrate_verbs:sense",
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",

@@ -36,31 +36,31 @@ class Live(Closing):
         self._begun = False
 
     def __iter__(self) -> Iterator[LiveReading]:
-        self._begin()
+        self.start()
         return self
 
     def __next__(self) -> LiveReading:
-        self._begin()
+        self.start()
         while True:
-            reading = self._slot.take(TAKE_S)
+            reading = self.take(TAKE_S)
             if reading is not None:
                 return reading
-            if self._slot.over:
-                self._refuse_failed()
+            if self.over:
+                self.refuse_failed()
                 raise StopIteration
 
     def __aiter__(self) -> AsyncIterator[LiveReading]:
-        self._begin()
+        self.start()
         return self
 
     async def __anext__(self) -> LiveReading:
-        self._begin()
+        self.start()
         while True:
-            reading = await asyncio.to_thread(self._slot.take, TAKE_S)
+            reading = await asyncio.to_thread(self.take, TAKE_S)
             if reading is not None:
                 return reading
-            if self._slot.over:
-                self._refuse_failed()
+            if self.over:
+                self.refuse_failed()
                 raise StopAsyncIteration
 
     async def __aenter__(self) -> Live:
@@ -90,12 +90,27 @@ class Live(Closing):
         """End, and let go of the camera. Closing again does nothing."""
         self.loop.close()
 
-    def _begin(self) -> None:
+    def start(self) -> None:
+        """Begin, as the first reading that is asked for does. Doing it again does nothing."""
         if not self._begun:
             self._begun = True
             self.loop.start()
 
-    def _refuse_failed(self) -> None:
+    def take(self, timeout_s: float) -> LiveReading | None:
+        """The next reading; None where none came in time, or all was read."""
+        return self._slot.take(timeout_s)
+
+    @property
+    def over(self) -> bool:
+        """Whether all was read, or it was closed."""
+        return self._slot.over
+
+    def refuse_failed(self) -> None:
+        """Raise what ended it, where that was a failure.
+
+        Raises:
+            DeviceError: what it was.
+        """
         if self.loop.state is LiveState.FAILED:
             raise DeviceError(self.loop.why)
 

@@ -29,7 +29,7 @@ GRAB_S = 0.25  # so that closing waits no longer
 TAKE_S = 0.05  # between two looks at the force while no frame comes
 SILENT_S = 2.0  # without a frame, after which a camera is lost
 REOPEN_S = 0.5  # between two tries to open a lost camera
-ZERO_FRAMES = 10
+ZERO_FRAMES = 15  # half a second at 30 frames a second, in which a lamp's flicker shows
 TOLD_S = 0.2  # age of the rate and latencies that a reading carries
 MAX_FAULTS = 20
 
@@ -152,6 +152,7 @@ class LiveLoop(Closing):
         self._force_why = ""
         self._outages = 0
         self._untouched: Image | None = None
+        self._untouched_frames: tuple[Image, ...] = ()
         self._last_arrival_s = time.monotonic()
         for one in subscribers:
             self.subscribe(one)
@@ -221,6 +222,16 @@ class LiveLoop(Closing):
         return not self._worker.is_alive()
 
     @property
+    def name(self) -> str:
+        """Name of its source; "" before it was opened."""
+        return self._name
+
+    @property
+    def source(self) -> LiveSource | None:
+        """Its source; None while there is none."""
+        return self._source
+
+    @property
     def state(self) -> LiveState:
         """What it does now."""
         return self._state
@@ -244,6 +255,11 @@ class LiveLoop(Closing):
     def untouched(self) -> Image | None:
         """Image taken as that of the untouched sensor; None where none was taken here."""
         return self._untouched
+
+    @property
+    def untouched_frames(self) -> tuple[Image, ...]:
+        """Frames that it was averaged from, the same object until others are taken; none without them."""
+        return self._untouched_frames
 
     @property
     def zeroing(self) -> bool:
@@ -333,6 +349,8 @@ class LiveLoop(Closing):
 
     def _lose(self, why: str) -> None:
         """Close a camera that is gone, and wait a little before it is opened again."""
+        if self._closing.is_set():  # then it is gone because it was closed
+            return
         if self._state is not LiveState.LOST:
             self._outages += self._state is LiveState.LIVE
             self._faults.append(why)
@@ -403,7 +421,7 @@ class LiveLoop(Closing):
         if len(self._zero_images) >= self._zero_frames:
             images = list(self._zero_images)
             self._zero_images.clear()
-            self._zeroing = False
+            self._zeroing, self._untouched_frames = False, tuple(images)
             self._take_zero(mean_image(images))
             self._let_rest(False)
 

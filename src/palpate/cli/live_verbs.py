@@ -1,0 +1,281 @@
+"""The verb that reads sensors live."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Option
+
+from palpate.cli.verb_support import Json, Quiet, numbers_of, say
+
+if TYPE_CHECKING:
+    from palpate.sensing.live_image import ImageWatch
+    from palpate.sensing.live_iteration import Live
+    from palpate.sensing.live_loop import LiveReading
+    from palpate.sensing.live_recorder import LiveRecorder
+
+TAKE_S = 0.02  # for a reading of one of several sensors
+SHOWN_S = 0.1  # between two drawings
+PLAIN_S = 1.0  # between two lines where no line can be redrawn
+
+
+def live(
+    calibrations: Annotated[
+        list[Path] | None,
+        Argument(metavar="[CAL]...", help="Calibration folder: none, one for all cameras, or one for each."),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        Option(
+            help="Number, path or USB serial number of a camera, a video, folder or run, - for images on "
+            "stdin, or virtual:NAME; may be given again. Default 0."
+        ),
+    ] = None,
+    reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
+    zero: Annotated[
+        bool | None,
+        Option(
+            "--zero/--no-zero",
+            help="Take the first frames as those of the untouched sensor; by default of cameras alone.",
+        ),
+    ] = None,
+    seconds: Annotated[float | None, Option(help="End after so long [s]; by default by Ctrl-C.")] = None,
+    frames: Annotated[int | None, Option(help="End after so many frames of each camera.")] = None,
+    record: Annotated[
+        Path | None,
+        Option(help="Run to record into; must not exist. Of several cameras RUN-1, RUN-2 and so on."),
+    ] = None,
+    mcap: Annotated[Path | None, Option(help="MCAP file to write readings to; must not exist.")] = None,
+    paced: Annotated[
+        bool, Option("--paced", help="Play a file at its own rate, and lose what is not read in time.")
+    ] = False,
+    wait: Annotated[
+        float, Option(help="A folder or run that is written has ended after so long without news [s].")
+    ] = 2.0,
+    size: Annotated[str | None, Option(help="WIDTHxHEIGHT of a USB camera [px]; default 640x480.")] = None,
+    fps: Annotated[float | None, Option(help="Frames a second of a USB camera [Hz]; default 30.")] = None,
+    exposure_ms: Annotated[float | None, Option(help="Exposure of a USB camera [ms]; default 10.")] = None,
+    threads: Annotated[int, Option(help="Threads of the inference engine; 0 lets it choose.")] = 1,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Read a sensor live: value, interval and verdict as frames come.
+
+    Without a calibration it shows rate, noise, focus and the difference to the untouched sensor. With --json,
+    one object a line. Ctrl-C ends it; what is recorded is whole then.
+
+    Example: palpate live cal --camera 4B2D --record run
+    Example: palpate live --camera virtual:palm --seconds 5
+    Example: palpate live cal --camera taps.avi --json
+    """
+    settings = _settings(size, fps, exposure_ms)
+    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads}
+    addresses = camera or ["0"]
+    folders = _each(calibrations or [], len(addresses))
+    with ExitStack() as stack:
+        log = None if mcap is None else stack.enter_context(_reading_log(mcap))
+        sensors = []
+        for i, (address, folder) in enumerate(zip(addresses, folders, strict=True)):
+            path = record if record is None or len(addresses) == 1 else Path(f"{record}-{i + 1}")
+            sensors.append(stack.enter_context(_sensor(address, folder, path, reference, zero, options)))
+        shown = stack.enter_context(_shown(json_, quiet))
+        with suppress(KeyboardInterrupt):
+            for sensor, reading in _readings(sensors, seconds, frames):
+                if log is not None:
+                    log.write(reading.source, reading.to_dict())
+                shown(sensor, reading)
+        for sensor in sensors:
+            _close(sensor)
+    for sensor in sensors:
+        say(sensor.summary(), err=True)
+
+
+class ShownSensor:
+    """One sensor of the verb, and what of it is shown."""
+
+    def __init__(self, live: Live, watch: ImageWatch | None, recorder: LiveRecorder | None) -> None:
+        self.live, self.watch, self.recorder = live, watch, recorder
+        self.count = 0
+
+    def line(self, reading: LiveReading) -> str:
+        """The newest reading in one line."""
+        stats = reading.stats
+        rate = "" if stats.rate_hz is None else f"{stats.rate_hz:.1f} Hz"
+        latency = f"{1e3 * reading.latency_s:.1f} ms"
+        parts = [reading.source, rate, latency, f"{stats.dropped} dropped"]
+        if stats.lost:
+            parts.append(f"{stats.lost} lost")
+        if reading.force_n is not None:
+            parts.append(f"beside it {reading.force_n:.2f} N")
+        if reading.readings is None:
+            parts.append(reading.why or self._picture())
+        else:
+            parts += [str(one) for one in reading.readings.values()]
+        if self.live.advice:
+            parts.append(self.live.advice)
+        elif self.live.loop.zeroing:
+            parts.append("taking the untouched sensor: let nothing touch it")
+        return " | ".join(part for part in parts if part)
+
+    def summary(self) -> str:
+        """What there was, in one line."""
+        loop = self.live.loop
+        s = loop.stats
+        counts = f"{s.frames} frames, {s.dropped} dropped, {s.lost} lost"
+        counts += f", {s.broken} broken" if s.broken else ""
+        times = ""
+        if s.rate_hz is not None and s.p50_ms is not None:
+            times = f"; {s.rate_hz:.1f} Hz, {s.p50_ms:.1f} / {s.p95_ms:.1f} / {s.p99_ms:.1f} ms (p50/p95/p99)"
+        kept = ""
+        if self.recorder is not None:
+            unkept = f" ({self.recorder.dropped} frames left out)" if self.recorder.dropped else ""
+            kept = f"; recorded in {self.recorder.path}{unkept}"
+        faults = "".join(f"; {fault}" for fault in loop.faults)
+        return f"{loop.name}: {counts}{times}{kept}{faults}"
+
+    def to_dict(self, reading: LiveReading) -> dict[str, Any]:
+        """One object for a line of JSON."""
+        image = None if self.watch is None else self.watch.status()
+        return {**reading.to_dict(), "advice": self.live.advice, "image": image}
+
+    def _picture(self) -> str:
+        seen = (None if self.watch is None else self.watch.status()) or {}
+        parts = [f"level {seen['level']:.0f}"] if "level" in seen else []
+        if seen.get("noise") is not None:
+            parts.append(f"noise {seen['noise']:.1f}")
+        if seen.get("blur_px") is not None:
+            parts.append(f"blur {seen['blur_px']:.1f} px")
+        if seen.get("verdict"):
+            parts.append(str(seen["verdict"]))
+        return ", ".join(parts)
+
+
+def _settings(size: str | None, fps: float | None, exposure_ms: float | None) -> Any:
+    if size is None and fps is None and exposure_ms is None:
+        return None
+    from palpate.rig.real.uvc_camera import UvcSettings
+
+    usual = UvcSettings()
+    return UvcSettings(
+        size_px=numbers_of(size, 2, "--size") or usual.size_px,  # type: ignore[arg-type]
+        rate_hz=usual.rate_hz if fps is None else fps,
+        exposure_s=usual.exposure_s if exposure_ms is None else 1e-3 * exposure_ms,
+    )
+
+
+def _each(folders: list[Path], count: int) -> list[Path | None]:
+    from palpate.core.errors import InputError
+
+    if len(folders) not in (0, 1, count):
+        raise InputError(
+            f"{len(folders)} calibrations and {count} cameras; give none, one for all, or one for each in "
+            "their order"
+        )
+    return [*(folders if len(folders) == count else folders * count)] if folders else [None] * count
+
+
+@contextmanager
+def _reading_log(path: Path) -> Iterator[Any]:
+    from palpate.recordings.exchange.reading_log import ReadingLog
+
+    with ReadingLog(path) as log:
+        yield log
+
+
+@contextmanager
+def _sensor(
+    address: str,
+    folder: Path | None,
+    record: Path | None,
+    reference: Path | None,
+    zero: bool | None,
+    options: dict[str, Any],
+) -> Iterator[ShownSensor]:
+    from palpate.core.files import refuse_existing
+    from palpate.sensing.live_image import ImageWatch
+    from palpate.sensing.live_iteration import live
+    from palpate.sensing.live_recorder import LiveRecorder
+
+    if record is not None:
+        refuse_existing(record)
+    opened = live(folder, camera=address, zero=reference if zero is None else zero, **options)
+    watch = recorder = None
+    try:
+        if folder is None:
+            watch = ImageWatch(opened.loop)
+            opened.loop.subscribe(watch)
+        if record is not None:
+            assert opened.loop.source is not None
+            recorder = LiveRecorder(record, opened.loop.source)
+            opened.loop.subscribe(recorder)
+        yield ShownSensor(opened, watch, recorder)
+    finally:
+        opened.close()
+        if recorder is not None:
+            recorder.close()
+
+
+def _close(sensor: ShownSensor) -> None:
+    sensor.live.close()
+    if sensor.recorder is not None:
+        sensor.recorder.close()
+
+
+def _readings(
+    sensors: list[ShownSensor], seconds: float | None, frames: int | None
+) -> Iterator[tuple[ShownSensor, LiveReading]]:
+    """Readings of all sensors as they come, until all have ended, or it has been long enough."""
+    end_s = float("inf") if seconds is None else time.monotonic() + seconds
+    going = list(sensors)
+    for sensor in sensors:
+        sensor.live.start()
+    while going and time.monotonic() < end_s:
+        for sensor in list(going):
+            reading = sensor.live.take(TAKE_S)
+            if reading is not None:
+                sensor.count += 1
+                yield sensor, reading
+            if sensor.live.over or sensor.count == frames:
+                going.remove(sensor)
+                sensor.live.refuse_failed()
+
+
+@contextmanager
+def _shown(as_json: bool, quiet: bool) -> Iterator[Any]:
+    """Show readings: as JSON, as lines that are redrawn, or as lines once a second."""
+    from rich.console import Console
+    from rich.live import Live as Redrawn
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    if as_json:
+        yield lambda sensor, reading: say(json.dumps(sensor.to_dict(reading), allow_nan=False))
+        return
+    if quiet:
+        yield lambda sensor, reading: None
+        return
+    lines: dict[str, str] = {}
+    drawn_s: dict[str, float] = {}
+    if not console.is_terminal:
+
+        def print_line(sensor: ShownSensor, reading: LiveReading) -> None:
+            if time.monotonic() - drawn_s.get(reading.source, float("-inf")) >= PLAIN_S:
+                drawn_s[reading.source] = time.monotonic()
+                say(sensor.line(reading))
+
+        yield print_line
+        return
+    with Redrawn(console=console, auto_refresh=False, transient=False) as screen:
+
+        def redraw(sensor: ShownSensor, reading: LiveReading) -> None:
+            lines[reading.source] = sensor.line(reading)
+            if time.monotonic() - drawn_s.get("", float("-inf")) >= SHOWN_S:
+                drawn_s[""] = time.monotonic()
+                screen.update(Text("\n".join(lines.values()), overflow="fold"), refresh=True)
+
+        yield redraw

@@ -1,0 +1,86 @@
+"""A live image without a calibration: its health, and what differs from the untouched sensor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from palpate.core import Image, InputError, Readings, Wrench
+from palpate.core.reading import plain_number
+from palpate.sensing.live_loop import LiveLoop
+from palpate.sensing.live_sources import LiveFrame
+from palpate.sensing.untouched_view import UntouchedView
+
+HEALTH = "palpate.sensing.image_health"
+LOOK_S = 0.2  # between two looks; the health of a picture does not change faster
+ASSUMED_HZ = 30.0  # where a rate is not known yet
+BRIGHT = 251  # grey levels from which a pixel is clipped
+
+
+class ImageWatch:
+    """Subscriber that looks at the picture a few times a second; `status` says what it last saw.
+
+    The picture's health is told once the untouched sensor was filmed, from those frames: focus and noise are
+    of a still scene. Of later frames it is said how they differ from it.
+
+    Args:
+        loop: that it is subscribed to.
+    """
+
+    def __init__(self, loop: LiveLoop) -> None:
+        self._loop = loop
+        self._frames: tuple[Image, ...] = ()
+        self._view: UntouchedView | None = None
+        self._health: dict[str, Any] = {}
+        self._now: dict[str, Any] = {}
+        self._next_s = 0.0
+
+    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+        """Look at a frame, if the last look is some time ago."""
+        now_s = time.monotonic()
+        if now_s < self._next_s or frame.why:
+            return
+        self._next_s = now_s + LOOK_S
+        if self._loop.untouched_frames is not self._frames:
+            self._learn(self._loop.untouched_frames)
+        self._now = self._seen(frame.frame.image)
+
+    def on_force(self, samples: Sequence[Wrench]) -> None:
+        """Nothing is seen of a force."""
+
+    def status(self) -> dict[str, Any] | None:
+        """Plain values: "level", "clipped", after a zero "noise", "blur_px", "verdict", "change", "why"."""
+        return {**self._health, **self._now} or None
+
+    def _learn(self, frames: tuple[Image, ...]) -> None:
+        self._frames, self._view, self._health = frames, None, {}
+        if not frames:
+            return
+        rate_hz = self._loop.stats.rate_hz or ASSUMED_HZ
+        try:
+            self._view = UntouchedView(frames)
+            self._health = {"noise": round(self._view.noise, 3)} | _health(frames, rate_hz)
+        except InputError as e:
+            self._health = {"advice": [str(e)]}
+
+    def _seen(self, image: Image) -> dict[str, Any]:
+        found = {"level": round(float(image.mean()), 2), "clipped": round(float((image >= BRIGHT).mean()), 5)}
+        if self._view is None:
+            return found
+        try:
+            touch = self._view.seen(image)
+        except InputError as e:
+            return found | {"verdict": "view changed", "why": str(e)}
+        place = None if touch.region is None else [round(c, 1) for c in touch.region.centre_px]
+        seen = {"verdict": touch.verdict, "change": plain_number(touch.change), "centre_px": place}
+        return found | seen | {"why": touch.why}
+
+
+def _health(frames: tuple[Image, ...], rate_hz: float) -> dict[str, Any]:
+    """Focus, noise, flicker and exposure of still frames."""
+    if find_spec(HEALTH) is None:
+        return {}
+    return import_module(HEALTH).image_health(frames, rate_hz).to_dict()

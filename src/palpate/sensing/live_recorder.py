@@ -1,0 +1,81 @@
+"""A subscriber that records live frames and forces into an ordinary run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from palpate.core import NS_PER_S, Clock, Closing, MonotonicClock, Readings, Wrench
+from palpate.recordings.manifest import Manifest
+from palpate.recordings.run_writer import Overflow, RunWriter
+from palpate.sensing.live_sources import LiveFrame, LiveSource
+
+NAME = "image_file"  # the label that names a frame
+
+
+class LiveRecorder(Closing):
+    """Recorder of one source. Its times are the source's own, counted from the first frame.
+
+    Frames that could not be read as images are left out; an event says which. Force is recorded as the sensor
+    said it, raw, on the camera's clock where both are the host's.
+
+    Args:
+        path: of the run, which must not exist.
+        source: that is recorded.
+        sensor: what the manifest says of it; the source's name where left out.
+
+    Raises:
+        ExistsError: the path exists.
+    """
+
+    def __init__(self, path: Path, source: LiveSource, sensor: str = "", clock: Clock | None = None) -> None:
+        self._clock = clock or MonotonicClock()
+        virtual = source.name.startswith("virtual:")
+        manifest = Manifest.new(
+            sensor=sensor or source.name.replace("virtual:", "virtual "),
+            rig="palpate live",
+            labels={NAME: "text"} if source.waits else {},
+            origin="a virtual sensor; virtual, not measured" if virtual else "recorded live by palpate",
+        )
+        overflow: Overflow = "wait" if source.waits else "drop"
+        self._writer = RunWriter.create(path, manifest, clock=self._clock, overflow=overflow)
+        self._begin_ns = self._clock.now_ns()
+        self._named = source.waits
+        self._first_ns: int | None = None
+        self._latest_ns = self._latest_force_ns = 0
+        self.path = path
+
+    @property
+    def dropped(self) -> int:
+        """Count of frames for which the disk was too slow."""
+        return self._writer.dropped["frames"]
+
+    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+        """Record a frame."""
+        if frame.why:
+            self._writer.event("unreadable", frame=frame.frame.name, why=frame.why)
+            return
+        own_ns = round(frame.frame.time_s * NS_PER_S)
+        if self._first_ns is None:
+            self._first_ns = own_ns
+            self._writer.event("live", first_frame_ns=own_ns, arrived_ns=frame.arrived_ns)
+        at_ns = max(self._on_writers_clock(own_ns), self._latest_ns)
+        self._latest_ns = at_ns
+        labels = {NAME: frame.frame.name} if self._named and frame.frame.name else None
+        self._writer.frame(frame.frame.image, time_ns=at_ns, exposure_s=frame.frame.exposure_s, labels=labels)
+
+    def on_force(self, samples: Sequence[Wrench]) -> None:
+        """Record samples since the first frame."""
+        for one in samples if self._first_ns is not None else ():
+            at_ns = self._on_writers_clock(one.time_ns)
+            if at_ns >= max(self._begin_ns, self._latest_force_ns) and not one.fault:
+                self._latest_force_ns = at_ns
+                self._writer.force((*one.force_n, *one.torque_nm), time_ns=at_ns, raw=True)
+
+    def close(self) -> None:
+        """Write what waits, and close the run. Closing again does nothing."""
+        self._writer.close()
+
+    def _on_writers_clock(self, own_ns: int) -> int:
+        assert self._first_ns is not None
+        return self._begin_ns + own_ns - self._first_ns

@@ -1,0 +1,177 @@
+"""`palpate live`, as typed: what it prints, what it keeps, and that nothing it keeps is ever half."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+import palpate
+from palpate.cli import app
+from palpate.recordings import Run, export_folder
+from palpate.recordings.exchange.image_files import encode
+
+SENSED = ("frame", "time_s", "readings", "drift", "calibration")
+
+
+def typed(*words: object, status: int = 0):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == status, result.output
+    return result
+
+
+@pytest.fixture
+def spots(calibrate_spots, record_spots, tmp_path):
+    """A calibration, a run, and that run's frames in a lossless video."""
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    run = record_spots("fresh", 2, seed=4)
+    video = tmp_path / "taps.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"FFV1"), 20.0, (64, 48), isColor=True)
+    for frame in run.frames():
+        writer.write(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return calibrate_spots(tmp_path / "cal", **plan)[1], run, video
+
+
+def readings_of(output: str) -> list[dict]:
+    return [json.loads(line) for line in output.splitlines()]
+
+
+def test_a_video_is_read_live_as_by_sense_frame_by_frame(spots) -> None:
+    calibration, _, video = spots
+    sensed = readings_of(typed("sense", calibration, video, "--threads", 1, "--json").stdout)
+    found = readings_of(typed("live", calibration, "--camera", video, "--json").stdout)
+    assert len(found) == 12
+    assert [{key: one[key] for key in SENSED} for one in found] == sensed
+    assert [one["number"] for one in found] == list(range(12))
+    assert {one["dropped"] for one in found} == {0}
+
+
+def test_a_run_and_a_log_keep_all_that_was_read(spots, tmp_path) -> None:
+    calibration, run, video = spots
+    words = ("live", calibration, "--camera", video, "--json")
+    found = readings_of(typed(*words, "--record", tmp_path / "kept", "--mcap", tmp_path / "log.mcap").stdout)
+    kept = Run.open(tmp_path / "kept")
+    assert not kept.damage
+    assert [np.array_equal(a.image, b.image) for a, b in zip(kept.frames(), run.frames(), strict=True)]
+    assert np.diff(kept.times_s) == pytest.approx(np.full(11, 0.05), abs=1e-6)
+    with (tmp_path / "log.mcap").open("rb") as file:
+        logged = [
+            (schema.encoding, channel.metadata["source"], json.loads(message.data))
+            for schema, channel, message in make_reader(file).iter_messages()
+        ]
+    assert [one[:2] for one in logged] == [("jsonschema", str(video))] * 12
+    same = [key for key in found[0] if key not in ("advice", "image")]
+    assert [one[2] for one in logged] == [{key: one[key] for key in same} for one in found]
+    refused = typed(*words, "--record", tmp_path / "kept", status=2)
+    assert "exists" in refused.stderr
+
+
+def test_several_cameras_are_read_at_once_each_by_its_own_calibration(spots, tmp_path) -> None:
+    calibration, run, video = spots
+    export_folder(run, tmp_path / "exported")
+    folder = tmp_path / "exported" / "images"
+    words = ("live", calibration, "--camera", video, "--camera", folder, "--wait", 0.2, "--json")
+    found = readings_of(typed(*words, "--record", tmp_path / "kept").stdout)
+    for source in (video, folder):
+        own = [one for one in found if one["source"] == str(source)]
+        assert [one["number"] for one in own] == list(range(12))
+    assert len(Run.open(tmp_path / "kept-1")) == len(Run.open(tmp_path / "kept-2")) == 12
+    refused = typed(
+        "live", calibration, calibration, calibration, "--camera", video, "--camera", folder, status=2
+    )
+    assert "3 calibrations and 2 cameras" in refused.stderr
+
+
+def test_without_a_calibration_the_picture_and_its_difference_are_told(spots) -> None:
+    video = spots[2]
+    found = readings_of(typed("live", "--camera", video, "--json", "--frames", 4).stdout)
+    assert len(found) == 4
+    assert {json.dumps(one["readings"]) for one in found} == {"{}"}
+    assert all(one["image"] is None or one["image"]["level"] > 0 for one in found)
+
+
+def test_lines_are_printed_where_no_line_can_be_redrawn_and_a_summary_at_the_end(spots) -> None:
+    calibration, _, video = spots
+    result = typed("live", calibration, "--camera", video)
+    assert "x " in result.stdout
+    assert "12 frames, 0 dropped, 0 lost" in result.stderr
+    assert typed("live", calibration, "--camera", video, "--quiet").stdout == ""
+
+
+def test_what_cannot_be_opened_is_one_line(tmp_path) -> None:
+    for words, why in (
+        (("--camera", tmp_path / "none.avi"), "is not there"),
+        (("--camera", "NOSUCHSERIAL"), "serial number"),
+        ((tmp_path, "--camera", "NOSUCHSERIAL"), "serial number"),
+        (("--camera", "virtual:nothing"), "nothing"),
+        (("--camera", "0", "--fps", "-1"), "greater than 0"),
+    ):
+        result = typed("live", *words, status=2)
+        assert result.stderr.startswith("palpate: ")
+        assert len(result.stderr.splitlines()) == 1
+        assert why in result.stderr
+
+
+LIVE = "from palpate.cli import main; main()"
+
+
+def started(words: list[str], **options) -> subprocess.Popen:
+    source = str(Path(palpate.__file__).parents[1])
+    return subprocess.Popen(
+        [sys.executable, "-c", LIVE, "live", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": source},
+        **options,
+    )
+
+
+def test_ctrl_c_leaves_run_and_log_whole(spots, tmp_path) -> None:
+    _, run, _ = spots
+    images = b"".join(encode(frame.image).tobytes() for frame in run.frames())
+    run_, log = tmp_path / "kept", tmp_path / "log.mcap"
+    words = ["--camera", "-", "--json", "--record", str(run_), "--mcap", str(log)]
+    process = started(words, stdin=subprocess.PIPE)
+    process.stdin.write(images)
+    process.stdin.flush()
+    lines = [process.stdout.readline() for _ in range(12)]
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 0, said
+    assert [json.loads(line)["number"] for line in lines] == list(range(12))
+    kept = Run.open(run_)
+    assert not kept.damage
+    assert len(kept) == 12
+    with log.open("rb") as file:
+        assert make_reader(file).get_summary().statistics.message_count == 12
+    assert b"12 frames" in said
+
+
+@pytest.mark.slow
+def test_a_closed_pipe_ends_it_without_a_trace(spots) -> None:
+    words = ["--camera", str(spots[2]), "--paced", "--json"]
+    with started(words, stdin=subprocess.DEVNULL) as process:
+        process.stdout.readline()
+        process.stdout.close()
+        process.wait(timeout=30)
+        assert b"Traceback" not in process.stderr.read()
+
+
+def test_a_live_run_in_python_starts_when_it_is_first_asked(spots) -> None:
+    calibration, _, video = spots
+    begun_s = time.monotonic()
+    with palpate.live(calibration, camera=video) as readings:
+        assert readings.stats.frames == 0
+        assert next(iter(readings)).readings["x_mm"].unit == "mm"
+    assert time.monotonic() - begun_s < 20
