@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 from palpate.core import Image, InputError, Readings, Wrench
 from palpate.core.reading import plain_number
+from palpate.sensing.image_health import image_health
 from palpate.sensing.live_loop import LiveLoop
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.untouched_view import UntouchedView
 
-HEALTH = "palpate.sensing.image_health"
 LOOK_S = 0.2  # between two looks; the health of a picture does not change faster
 ASSUMED_HZ = 30.0  # where a rate is not known yet
 BRIGHT = 251  # grey levels from which a pixel is clipped
@@ -62,7 +60,7 @@ class ImageWatch:
         rate_hz = self._loop.stats.rate_hz or ASSUMED_HZ
         try:
             self._view = UntouchedView(frames)
-            self._health = {"noise": round(self._view.noise, 3)} | _health(frames, rate_hz)
+            self._health = image_health(frames, rate_hz).to_dict()
         except InputError as e:
             self._health = {"advice": [str(e)]}
 
@@ -78,9 +76,3 @@ class ImageWatch:
         seen = {"verdict": touch.verdict, "change": plain_number(touch.change), "centre_px": place}
         return found | seen | {"why": touch.why}
 
-
-def _health(frames: tuple[Image, ...], rate_hz: float) -> dict[str, Any]:
-    """Focus, noise, flicker and exposure of still frames."""
-    if find_spec(HEALTH) is None:
-        return {}
-    return import_module(HEALTH).image_health(frames, rate_hz).to_dict()
