@@ -48,7 +48,8 @@ class ScaleSpec:
         range_n: greatest force, to either side; a sample beyond it is faulty [N].
         delay_s: from a change of force until it is printed in full [s]. An HX711 settles within 0.4 s at 10
             samples a second and 0.05 s at 80; a balance's filter takes longer: measure it with a weight.
-        unit: of lines that carry none: "counts", or one of `NEWTONS`. A unit in a line holds for that line.
+        unit: of lines that carry none: "counts", or one of `NEWTONS`. A unit in a line holds for that
+            line, and a later line in another is a faulty sample.
         count_n: force of one count, negative where it is mounted the other way round [N]; for counts alone.
         ask: what to send for each line, such as "SI" (MT-SICS) or "Q" (A&D); empty where it sends by itself.
         baud, frame: of the port; data bits, parity and stop bits, such as "7E1".
@@ -144,6 +145,7 @@ class WeightStream:
         self.failure: DeviceError | None = None
         self._garbled = self._same = 0
         self._last: float | None = None
+        self._unit = ""
 
     def take(self, data: bytes, time_ns: int) -> list[Wrench]:
         """The samples that end in these bytes, which arrived at `time_ns` [ns]."""
@@ -177,7 +179,7 @@ class WeightStream:
         self._garbled = 0
         self.counts.received += 1
         self.counts.unstable += weight.stable is False
-        fault = weight.fault or self._fault(weight)
+        fault = weight.fault or self._other_unit(weight) or self._fault(weight)
         self.counts.faulty += bool(fault)
         measured_ns = time_ns - round(self._spec.delay_s * NS_PER_S)
         force = math.nan if fault else self._spec.force_n(weight)
@@ -191,6 +193,16 @@ class WeightStream:
         if weight.unit and self._spec.unit == COUNTS:
             raise ProtocolError(f"{line!r} has a unit where counts were to come")
         return weight
+
+    def _other_unit(self, weight: Weight) -> str:
+        """Fault of a line in another unit than the first that had one: somebody has set the scale otherwise.
+
+        It could be read; but a line that carries no unit then means another weight than before.
+        """
+        self._unit = self._unit or weight.unit
+        if weight.unit in ("", self._unit):
+            return ""
+        return f"its unit changed from {self._unit} to {weight.unit}: set it back, or open it anew"
 
     def _fault(self, weight: Weight) -> str:
         """Fault of a line; empty where its number holds."""

@@ -1,0 +1,138 @@
+"""Steady plateaus told by the image alone: of known weights that are laid on, without a force sensor.
+
+A weight lies still. The image differs from the untouched sensor's by more than its noise, and from one
+instant to the next by no more than that. Both are compared on a coarse grid, on which noise is small. A
+small change that stays, as of a camera that has settled by a pixel, is taken into the untouched image.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from palpate.core import NS_PER_S, Float32, UInt8, ndarray
+
+GRID_PX = 32  # along the longer side
+FIRST_FRAMES = 8  # of the untouched sensor
+APART_S = 0.25  # between two frames that are compared
+TOUCHES = 6.0  # times the noise: a weight lies there
+STILL = 2.0  # times the noise: nothing moves
+SHARE = 0.15  # of the greatest change that a touch made, below which a still image is the untouched sensor's
+MIN_NOISE = 0.05  # grey levels
+
+Coarse = Float32[ndarray, "h w"]
+
+
+@dataclass(frozen=True, slots=True)
+class StillImage:
+    """Stretch in which the image of a touched sensor stood still: begin and end [ns]."""
+
+    begins_ns: int
+    ends_ns: int
+
+    @property
+    def lasts_s(self) -> float:
+        """How long it is [s]."""
+        return (self.ends_ns - self.begins_ns) / NS_PER_S
+
+
+class ImagePlateau:
+    """Tells from frames whether the sensor is touched, and since when its image stands still.
+
+    Args:
+        hold_s: shortest plateau [s].
+
+    Attributes:
+        touched: whether something lies on it.
+        still: the stretch under way; None while it moves, is untouched, or is not long enough yet.
+    """
+
+    def __init__(self, hold_s: float = 0.8) -> None:
+        self.hold_s = hold_s
+        self.touched = False
+        self.still: StillImage | None = None
+        self._first: list[Coarse] = []
+        self._rest: Coarse | None = None
+        self._noise = MIN_NOISE
+        self._recent: deque[tuple[int, Coarse]] = deque()
+        self._since: int | None = None
+        self._greatest = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether the untouched sensor is known."""
+        return self._rest is not None
+
+    def take(self, time_ns: int, image: UInt8[ndarray, ...]) -> StillImage | None:
+        """Look at the next frame; the plateau that has just ended, where one has."""
+        now = coarse(image)
+        if self._rest is None:
+            self._learn(now)
+            return None
+        change = _rms(now, self._rest)
+        ended, self.touched = None, change > max(TOUCHES * self._noise, SHARE * self._greatest)
+        before = next((g for t, g in self._recent if t <= time_ns - APART_S * NS_PER_S), None)
+        self._recent.append((time_ns, now))
+        while len(self._recent) > 1 and self._recent[1][0] <= time_ns - APART_S * NS_PER_S:
+            self._recent.popleft()
+        moves = before is None or _rms(now, before) > STILL * self._noise
+        if not self.touched or moves:
+            ended = self.still
+            self._since, self.still = None, None
+            if not moves:
+                self._rest = now
+            return ended
+        self._greatest = max(self._greatest, change)
+        self._since = self._since or time_ns
+        if time_ns - self._since >= self.hold_s * NS_PER_S:
+            self.still = StillImage(self._since, time_ns)
+        return None
+
+    def _learn(self, now: Coarse) -> None:
+        """The first frames are of the untouched sensor."""
+        self._first.append(now)
+        if len(self._first) < FIRST_FRAMES:
+            return
+        stack = np.stack(self._first)
+        self._rest = np.median(stack, axis=0)
+        pairs = [_rms(a, b) for a, b in pairwise(stack)]
+        self._noise = max(MIN_NOISE, float(np.median(pairs)))
+
+
+def coarse(image: UInt8[ndarray, ...]) -> Coarse:
+    """Grey levels on a coarse grid."""
+    grey = image if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+    scale = GRID_PX / max(grey.shape)
+    size = max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale))
+    return np.asarray(cv2.resize(np.asarray(grey, np.float32), size, interpolation=cv2.INTER_AREA))
+
+
+def contact_place(
+    image: UInt8[ndarray, ...], rest: UInt8[ndarray, ...], region: tuple[int, int, int, int]
+) -> tuple[float, float] | None:
+    """Centroid of what differs from the untouched sensor within a region, column and row [px].
+
+    Returns:
+        None where nothing differs by more than noise does.
+    """
+    x, y, width, height = region
+    now, still = (one[y : y + height, x : x + width].astype(np.float32) for one in (image, rest))
+    apart = np.abs(now - still)
+    apart = apart if apart.ndim == 2 else apart.mean(axis=2)
+    apart = cv2.GaussianBlur(apart, (0, 0), max(1.0, max(width, height) / 64))
+    floor = float(np.median(apart))
+    noise = 1.4826 * float(np.median(np.abs(apart - floor)))
+    weight = np.where(apart > floor + max(8 * noise, 1.0, 0.4 * (apart.max() - floor)), apart - floor, 0.0)
+    if weight.sum() <= 0:
+        return None
+    columns, rows = np.arange(width), np.arange(height)
+    total = float(weight.sum())
+    return x + float((weight.sum(axis=0) @ columns) / total), y + float((weight.sum(axis=1) @ rows) / total)
+
+
+def _rms(one: Coarse, other: Coarse) -> float:
+    return float(np.sqrt(np.mean((one - other) ** 2)))

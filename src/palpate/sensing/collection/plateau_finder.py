@@ -1,0 +1,396 @@
+"""Steady plateaus in the force of a hand's presses, found from the samples alone; or why a press has none.
+
+A hand leans on the sensor, holds still for about a second, and lets go. What counts is the longest stretch in
+which force neither moves nor swings by more than the scale's own resolution and noise, or by a small share of
+it, allow. The untouched sensor before and after gives the scale's zero, its noise and its resolution, so that
+nothing has to be tared, and a zero that wanders is seen.
+
+A scale that answers late has filtered what it says: its samples may be of any time within its delay. The
+plateau must outlast that, and half of the delay is cut from its ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from palpate.core import NS_PER_S, Float, ForceSensor, InputError, Wrench, ndarray
+
+Series = Float[ndarray, " n"]
+
+MAX_BINS = 240  # of a press, in which plateaus are looked for
+MAX_PRESS_S = 120.0  # of samples kept; a load that stays longer is judged by its end
+GRAVE_GAP_S = 0.5  # without a sample, or five periods
+MIN_ZERO_SAMPLES = 3
+AIR_S = 0.25  # untouched, after which the zero behind a press is known
+SETTLE_S = 0.15  # after release, before the zero is read
+NOISES = 6.0  # over the zero: a touch
+KEPT_ZEROS_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Weighing:
+    """What is known of a force sensor as the scale that labels presses.
+
+    Attributes:
+        rate_hz: samples a second.
+        delay_s: from a change of force until it is told in full [s].
+        range_n: greatest force that it measures [N].
+        name: of it, for messages.
+    """
+
+    rate_hz: float
+    delay_s: float = 0.0
+    range_n: float = math.inf
+    name: str = "the scale"
+
+    @classmethod
+    def by(cls, sensor: ForceSensor, name: str = "the scale") -> Weighing:
+        """What a force sensor says of itself."""
+        return cls(sensor.rate_hz, float(getattr(sensor, "delay_s", 0.0)), sensor.range_n[2], name)
+
+
+@dataclass(frozen=True, slots=True)
+class PlateauRule:
+    """How steady is steady.
+
+    Attributes:
+        hold_s: shortest plateau, where the scale is not slower [s].
+        moved: by how much the force may move over a plateau, over the force.
+        swing: standard deviation that it may have about a line, over the force.
+        least_n: smallest force that is a touch, where noise and resolution do not ask for more [N].
+    """
+
+    hold_s: float = 0.4
+    moved: float = 0.03
+    swing: float = 0.02
+    least_n: float = 0.03
+
+    def shortest_s(self, scale: Weighing) -> float:
+        """Shortest plateau of a scale: longer than its delay, and of five samples [s]."""
+        return max(self.hold_s, 1.5 * scale.delay_s, 5 / scale.rate_hz)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plateau:
+    """Stretch of a press in which it was held.
+
+    Attributes:
+        begins_ns, ends_ns: in which frames may be labelled, on the host's clock [ns].
+        force_n: mean over it, the zero taken off [N].
+        spread_n: standard deviation about a line [N].
+        zero_n: that was taken off [N].
+        touched_ns: when the sensor was touched first; None where that is not known [ns].
+        time_ns, samples_n: of the force in it, the zero taken off ``[n]``.
+    """
+
+    begins_ns: int
+    ends_ns: int
+    force_n: float
+    spread_n: float
+    zero_n: float
+    touched_ns: int | None = None
+    time_ns: np.ndarray = field(default_factory=lambda: np.empty(0))
+    samples_n: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Press that did not count.
+
+    Attributes:
+        kind: one of "too short", "still moving", "trembling", "late", "beyond range", "zero moved", "fault".
+        why: in words, with what to do.
+        ended_ns: when it ended [ns].
+    """
+
+    kind: str
+    why: str
+    ended_ns: int
+
+
+class PlateauFinder:
+    """Finds the plateau of each press in a stream of force samples.
+
+    Args:
+        scale: that gives them.
+        rule: how steady is steady.
+
+    Attributes:
+        zero_n: the scale's reading of the untouched sensor; None before it is known [N].
+        noise_n: its standard deviation there [N].
+        step_n: its resolution [N].
+    """
+
+    def __init__(self, scale: Weighing, rule: PlateauRule | None = None) -> None:
+        if not (math.isfinite(scale.rate_hz) and scale.rate_hz > 0):
+            raise InputError(f"{scale.name} gives {scale.rate_hz} samples a second; it must be above 0")
+        self.scale, self.rule = scale, rule or PlateauRule()
+        self.zero_n: float | None = None
+        self.noise_n = self.step_n = 0.0
+        self._air: deque[tuple[int, float]] = deque()
+        self._press: list[tuple[int, float]] = []
+        self._behind: list[tuple[int, float]] = []
+        self._fault = ""
+        self._late_s = 0.0
+        self._last: tuple[int, float] | None = None
+        self._first_zero: tuple[int, float] | None = None
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest sample [ns]."""
+        return self._last and self._last[0]
+
+    @property
+    def force_n(self) -> float | None:
+        """Newest force, the zero taken off; None before both are known [N]."""
+        return None if self._last is None or self.zero_n is None else self._last[1] - self.zero_n
+
+    @property
+    def touched(self) -> bool:
+        """Whether a press is under way."""
+        return bool(self._press) and not self._behind
+
+    @property
+    def pending(self) -> bool:
+        """Whether a press is under way, or over and not judged yet."""
+        return bool(self._press)
+
+    @property
+    def touch_n(self) -> float:
+        """Force above which the sensor is touched [N]."""
+        return max(NOISES * self.noise_n, 2 * self.step_n, self.rule.least_n)
+
+    @property
+    def holding(self) -> bool:
+        """Whether the newest samples would make a plateau."""
+        if not self.touched or self.zero_n is None:
+            return False
+        since = self._press[-1][0] - self.rule.shortest_s(self.scale) * NS_PER_S
+        if self._press[0][0] > since:
+            return False
+        recent = [one for one in self._press if one[0] >= since]
+        t, f = _arrays(recent)
+        moved, swing = _line(t, f)
+        level = float(f.mean()) - self.zero_n
+        return abs(moved) <= self._may_move_n(level) and swing <= self._may_swing_n(level)
+
+    @property
+    def drift_n(self) -> float:
+        """By how much the zero has moved since the first [N]."""
+        return 0.0 if self._first_zero is None or self.zero_n is None else self.zero_n - self._first_zero[1]
+
+    @property
+    def drift_n_min(self) -> float:
+        """The same a minute; 0 before one has passed [N/min]."""
+        if self._first_zero is None or self._last is None:
+            return 0.0
+        minutes = (self._last[0] - self._first_zero[0]) / NS_PER_S / 60
+        return self.drift_n / minutes if minutes > 0.5 else 0.0
+
+    def take(self, samples: Sequence[Wrench]) -> list[Plateau | Refused]:
+        """Presses that have ended, by samples that have come, oldest first."""
+        found: list[Plateau | Refused] = []
+        for one in samples:
+            found += self._take(one)
+        return found
+
+    def rezero(self) -> list[Plateau | Refused]:
+        """Take the next samples for those of the untouched sensor; a press under way is refused."""
+        lost = (
+            [Refused("zero moved", "the zero was taken anew during it", self._press[-1][0])]
+            if self._press
+            else []
+        )
+        self._press, self._behind, self.zero_n = [], [], None
+        self._air.clear()
+        return list(lost)
+
+    @property
+    def touched_s(self) -> float:
+        """Time since which the sensor is touched without a break [s]."""
+        return (self._press[-1][0] - self._press[0][0]) / NS_PER_S if self.touched else 0.0
+
+    def end(self) -> list[Plateau | Refused]:
+        """No more samples come: judge a press that is over but for its zero."""
+        return [self._judged()] if self._press and self._behind else []
+
+    def _take(self, one: Wrench) -> list[Plateau | Refused]:
+        if one.fault:
+            self._fault = self._fault or one.fault
+            return []
+        at, force = one.time_ns, one.force_n[2]
+        if self._last is not None and self._press:
+            self._late_s = max(self._late_s, (at - self._last[0]) / NS_PER_S)
+        self._last = at, force
+        if self.zero_n is None:
+            return self._begin(at, force)
+        released = len(self._behind) >= MIN_ZERO_SAMPLES  # whose zero may have moved a little
+        if abs(force - self.zero_n) < (2 if released else 1) * self.touch_n:
+            return self._in_air(at, force)
+        if len(self._behind) < MIN_ZERO_SAMPLES:  # noise about the threshold
+            self._press += self._behind
+            self._behind = []
+        judged = [self._judged()] if self._behind else []  # touched anew before its zero was known
+        if not self._press:
+            self._fault, self._late_s = "", 0.0
+        self._press.append((at, force))
+        if at - self._press[0][0] > MAX_PRESS_S * NS_PER_S:
+            del self._press[0]
+        return judged
+
+    def _begin(self, at: int, force: float) -> list[Plateau | Refused]:
+        """The first samples are of the untouched sensor."""
+        self._air.append((at, force))
+        enough = max(0.5 * self.scale.rate_hz, 2 * MIN_ZERO_SAMPLES)
+        if len(self._air) >= enough:
+            self._read_zero()
+            self._first_zero = at, float(self.zero_n or 0.0)
+        return []
+
+    def _in_air(self, at: int, force: float) -> list[Plateau | Refused]:
+        if not self._press:
+            self._fault = ""
+            self._air.append((at, force))
+            while self._air[0][0] < at - KEPT_ZEROS_S * NS_PER_S and len(self._air) > 2 * MIN_ZERO_SAMPLES:
+                self._air.popleft()
+            self._read_zero()
+            return []
+        self._behind.append((at, force))
+        settled = [p for p in self._behind if p[0] >= self._behind[0][0] + SETTLE_S * NS_PER_S]
+        if len(settled) < MIN_ZERO_SAMPLES or settled[-1][0] - settled[0][0] < AIR_S * NS_PER_S:
+            return []
+        return [self._judged()]
+
+    def _read_zero(self) -> None:
+        values = np.array([force for _, force in self._air])
+        self.zero_n = float(np.median(values))
+        spread = 1.4826 * float(np.median(np.abs(values - self.zero_n)))
+        self.noise_n = max(self.noise_n, spread) if self.noise_n == 0 else 0.9 * self.noise_n + 0.1 * spread
+        steps = np.diff(np.unique(np.round(values, 9)))
+        if len(steps):
+            least = float(steps.min())
+            self.step_n = least if self.step_n == 0 else min(self.step_n, least)
+
+    def _may_move_n(self, level_n: float) -> float:
+        return max(self.rule.moved * abs(level_n), 1.5 * self.step_n, 2 * self.noise_n)
+
+    def _may_swing_n(self, level_n: float) -> float:
+        return max(self.rule.swing * abs(level_n), self.step_n, 2 * self.noise_n)
+
+    def _judged(self) -> Plateau | Refused:
+        """Verdict on the press that is over, and begin anew."""
+        press, behind, before = self._press, self._behind, float(self.zero_n or 0.0)
+        fault, late_s = self._fault, self._late_s
+        self._press, self._behind, self._fault, self._late_s = [], [], "", 0.0
+        settled = [p for p in behind if p[0] >= behind[0][0] + SETTLE_S * NS_PER_S]
+        after = float(np.median([f for _, f in settled])) if len(settled) >= MIN_ZERO_SAMPLES else before
+        if len(settled) >= MIN_ZERO_SAMPLES:
+            self._air = deque(settled)
+            self._read_zero()
+        ended_ns = press[-1][0]
+        if fault:
+            kind = (
+                "beyond range" if any(word in fault for word in ("satur", "range", "overload")) else "fault"
+            )
+            return Refused(kind, f"{self.scale.name} said: {fault}", ended_ns)
+        gap_s = max(GRAVE_GAP_S, 5 / self.scale.rate_hz)
+        if late_s > gap_s:
+            why = (
+                f"{self.scale.name} gave no sample for {late_s:.2g} s of it, where {gap_s:.2g} s are allowed"
+            )
+            return Refused("late", f"{why}; check its cable, and that nothing else reads it", ended_ns)
+        return self._plateau_of(press, before, after)
+
+    def _plateau_of(self, press: list[tuple[int, float]], before: float, after: float) -> Plateau | Refused:
+        t, f = _arrays(press)
+        zero = (before + after) / 2
+        ended_ns = press[-1][0]
+        if float(np.abs(f).max()) > self.scale.range_n:
+            why = (
+                f"{float(np.abs(f).max()):.3g} N, and {self.scale.name} measures to {self.scale.range_n:g} N"
+            )
+            return Refused("beyond range", f"{why}; press less hard", ended_ns)
+        found = self._longest(t, f - zero)
+        if isinstance(found, Refused):
+            return found
+        first, last = found
+        level = float(f[first : last + 1].mean()) - zero
+        moved_n = abs(after - before)
+        if moved_n > max(self.rule.moved * abs(level), 3 * self.step_n, 4 * self.noise_n):
+            why = f"the zero of {self.scale.name} moved by {moved_n:.3g} N over a press of {level:.3g} N"
+            return Refused("zero moved", f"{why}; let it warm up, and set nothing else on it", ended_ns)
+        cut_ns = round(self.scale.delay_s / 2 * NS_PER_S)
+        times = np.array([at for at, _ in press[first : last + 1]], dtype=np.int64)
+        held = f[first : last + 1] - zero
+        _, swing = _line(t[first : last + 1], held)
+        begins, ends = int(times[0]) + cut_ns, int(times[-1]) - cut_ns
+        return Plateau(begins, ends, level, swing, zero, press[0][0], times, held)
+
+    def _longest(self, t: Series, f: Series) -> tuple[int, int] | Refused:
+        """First and last sample of the longest steady stretch; or what is wrong with the calmest."""
+        shortest = self.rule.shortest_s(self.scale)
+        edges = _bins(t)
+        starts, ends = edges[:-1], edges[1:]
+        n = (ends - starts).astype(float)
+        sums = [np.concatenate([[0.0], np.cumsum(x)]) for x in (n, *_moments(t, f, edges))]
+        i, j = np.triu_indices(len(n))
+        count, st, sf, stt, sft, sff = (total[j + 1] - total[i] for total in sums)
+        lasts = t[ends[j] - 1] - t[starts[i]]
+        long = lasts >= shortest - 1e-9
+        ended_ns = self._last[0] if self._last else 0
+        if not long.any():
+            why = f"it was touched for {t[-1] - t[0]:.2g} s; hold still for {shortest:.2g} s or longer"
+            return Refused("too short", why, ended_ns)
+        level = sf / count
+        var_t = np.maximum(stt / count - (st / count) ** 2, 1e-12)
+        slope = (sft / count - st / count * level) / var_t
+        moved = np.abs(slope) * lasts
+        swing = np.sqrt(np.maximum(sff / count - level**2 - slope**2 * var_t, 0.0))
+        may_move = np.maximum(self.rule.moved * np.abs(level), max(1.5 * self.step_n, 2 * self.noise_n))
+        may_swing = np.maximum(self.rule.swing * np.abs(level), max(self.step_n, 2 * self.noise_n))
+        held = long & (level > self.touch_n)
+        good = held & (moved <= may_move) & (swing <= may_swing)
+        if good.any():
+            best = np.flatnonzero(good)[np.argmax(lasts[good])]
+            return int(starts[i[best]]), int(ends[j[best]] - 1)
+        if not held.any():
+            return Refused(
+                "too short", f"no force was held for {shortest:.2g} s; hold still longer", ended_ns
+            )
+        calm = np.flatnonzero(held)[np.argmin(np.maximum(moved / may_move, swing / may_swing)[held])]
+        if swing[calm] / may_swing[calm] >= moved[calm] / may_move[calm]:
+            why = f"the force swings by {swing[calm]:.2g} N about {level[calm]:.3g} N, where "
+            why += f"{may_swing[calm]:.2g} N are allowed; rest your hand or elbow, or lay weights on instead"
+            return Refused("trembling", why, ended_ns)
+        why = f"the force moves by {moved[calm]:.2g} N within {lasts[calm]:.2g} s, where "
+        why += f"{may_move[calm]:.2g} N are allowed; hold still for {shortest:.2g} s"
+        return Refused("still moving", why, ended_ns)
+
+
+def _arrays(samples: Sequence[tuple[int, float]]) -> tuple[Series, Series]:
+    """Times from the first [s], and forces [N]."""
+    at = np.array([t for t, _ in samples], dtype=np.int64)
+    return (at - at[0]) / NS_PER_S, np.array([f for _, f in samples])
+
+
+def _bins(t: Series) -> np.ndarray:
+    """Edges of at most so many runs of samples."""
+    return np.unique(np.linspace(0, len(t), min(len(t), MAX_BINS) + 1).astype(int))
+
+
+def _moments(t: Series, f: Series, edges: np.ndarray) -> list[np.ndarray]:
+    """Sums over each run of samples of t, f, t t, f t and f f."""
+    return [np.add.reduceat(x, edges[:-1]) for x in (t, f, t * t, f * t, f * f)]
+
+
+def _line(t: Series, f: Series) -> tuple[float, float]:
+    """By how much a straight line through samples moves over them, and what they swing about it."""
+    if len(t) < 3 or t[-1] <= t[0]:
+        return 0.0, float(f.std())
+    slope, level = np.polyfit(t - t.mean(), f, 1)
+    return float(slope * (t[-1] - t[0])), float(np.std(f - level - slope * (t - t.mean())))

@@ -1,0 +1,416 @@
+"""Labelled presses of a hand, collected into an ordinary run while frames and forces come.
+
+Each press that was held still becomes a few frames with the force that the scale told, and one frame of the
+untouched sensor before it. What was not held still is refused, with the reason, and leaves nothing behind. A
+run that exists goes on: nothing of it is overwritten.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Frame,
+    InputError,
+    MonotonicClock,
+    PathText,
+    RangeError,
+    Readings,
+    Wrench,
+)
+from palpate.recordings.label_tables import Label
+from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
+from palpate.recordings.run_reader import Run
+from palpate.recordings.run_writer import RunWriter
+from palpate.sensing.collection.image_plateau import ImagePlateau, contact_place
+from palpate.sensing.collection.plateau_finder import (
+    Plateau,
+    PlateauFinder,
+    PlateauRule,
+    Refused,
+    Weighing,
+)
+from palpate.sensing.collection.press_coverage import Box, LabelledPress, PressCoverage
+
+PRESS_LABELS: dict[str, LabelKind] = {
+    "press": "text",
+    "session": "text",
+    "reference": "flag",
+    "force_N": "number",
+    "force_spread_N": "number",
+    "place_x_px": "number",
+    "place_y_px": "number",
+}
+"""Labels of every frame. `force_N` is along the scale's axis, its zero taken off; `reference` marks the
+untouched sensor before a press; places are of the contact in the image, missing where it is not seen."""
+
+FRAMES_HZ = 12.0  # that are kept of a press, at most
+KEPT_S = 3.0  # of frames while nothing is touched
+KEPT_BYTES = 192_000_000
+CLEAR_S = 0.2  # before a press, that its frame of the untouched sensor is taken
+FAST_DELAY_S = 0.02  # of a scale whose samples are those of a frame's own exposure
+SAMPLES_A_FRAME = 2.0
+MAX_REFUSED = 20  # that are remembered
+DRIFT_SHARE = 0.02  # of the greatest force, by which a zero may wander before it is said
+LONG_S = 20.0  # of a touch, after which it is asked whether it is one
+BEHIND_S = 1.5  # of a scale's newest sample behind the newest frame, beyond its delay
+
+Truth = Callable[[int], dict[str, float]]
+
+
+@runtime_checkable
+class ArrivedFrame(Protocol):
+    """A frame, and when it was here on the host's clock [ns]."""
+
+    @property
+    def frame(self) -> Frame: ...
+
+    @property
+    def arrived_ns(self) -> int: ...
+
+
+class PressCollector:
+    """Collects presses; a subscriber of the live loop.
+
+    Args:
+        run: folder to record into; one that is there goes on.
+        sensor: name of the sensor, for a new run.
+        scale: what labels presses; None for weights that are typed, see `label`.
+        asked: how many presses there shall be.
+        session: what this sitting is called; the day where left out.
+        frames_a_press: most frames that a press gives.
+        region: of the image in which contacts lie, x, y, width, height; None for all of it [px].
+        force_range_n: least and greatest force that shall be covered; None for 0 to the greatest so far [N].
+        rule: how steady is steady.
+        frame_late_s: from the end of an exposure until its frame is here [s].
+        truth: labels known beside, of a virtual sensor, at a time on the host's clock [ns].
+        truths: their names.
+        origin, licence, regions: of a new run's manifest.
+        clock: the host's.
+
+    Raises:
+        InputError: the run is another's: of another sensor, or without the labels of presses.
+    """
+
+    def __init__(
+        self,
+        run: PathText,
+        sensor: str,
+        scale: Weighing | None,
+        *,
+        asked: int = 40,
+        session: str = "",
+        frames_a_press: int = 8,
+        region: Box | None = None,
+        force_range_n: tuple[float, float] | None = None,
+        rule: PlateauRule | None = None,
+        frame_late_s: float = 0.0,
+        truth: Truth | None = None,
+        truths: Sequence[str] = (),
+        origin: str = "pressed by hand",
+        licence: str = "",
+        regions: dict[str, Box] | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        if asked < 1 or frames_a_press < 1:
+            raise InputError(f"{asked} presses of {frames_a_press} frames; ask for 1 or more of both")
+        self.run, self.scale, self.asked = Path(run), scale, asked
+        self._clock = clock or MonotonicClock()
+        self._frames_a_press, self._region, self._range = frames_a_press, region, force_range_n
+        self._late_ns = round(frame_late_s * NS_PER_S)
+        self._truth = truth
+        self._lock = threading.RLock()
+        self._finder = PlateauFinder(scale, rule) if scale else None
+        self._image = ImagePlateau()
+        self._typed_n: float | None = None
+        self._frames: deque[tuple[int, Frame]] = deque()
+        self._bytes = 0
+        self._closed = False
+        self.session = session or datetime.now(UTC).strftime("%Y-%m-%d")
+        self.presses: list[LabelledPress] = []
+        self.refused: deque[Refused] = deque(maxlen=MAX_REFUSED)
+        self._refusals = 0
+        labels = PRESS_LABELS | dict.fromkeys(truths, "number")
+        self._writer = self._opened(sensor, labels, origin, licence, regions or {})
+        self._opened_ns = self._clock.now_ns()
+
+    def on_frame(self, frame: ArrivedFrame, readings: Readings | None = None) -> None:
+        """Take in the next frame."""
+        with self._lock:
+            unread = bool(getattr(frame, "why", ""))
+            if self._closed or unread or frame.arrived_ns < self._opened_ns:
+                return
+            self._keep(frame.arrived_ns, frame.frame)
+            if self._finder is None:
+                self._by_image(frame)
+
+    def on_force(self, samples: Sequence[Wrench]) -> None:
+        """Take in samples of the scale, oldest first."""
+        with self._lock:
+            if self._closed or self._finder is None:
+                return
+            for verdict in self._finder.take(samples):
+                self._judge(verdict)
+
+    def label(self, force_n: float) -> None:
+        """State the weight that lies on the sensor now; the next one is stated anew [N].
+
+        Raises:
+            InputError: a scale labels presses here, or nothing lies on the sensor.
+            RangeError: it is not above 0, or not finite.
+        """
+        if self._finder is not None:
+            raise InputError(
+                f"{self._finder.scale.name} labels presses here; to type weights, collect with scale typed"
+            )
+        if not (np.isfinite(force_n) and force_n > 0):
+            raise RangeError(f"a weight of {force_n} N; give a finite force above 0 N (100 g are 0.981 N)")
+        with self._lock:
+            if not self._image.touched:
+                raise InputError("nothing is seen to lie on the sensor; lay the weight on, then state it")
+            self._typed_n = force_n
+
+    def rezero(self) -> None:
+        """Take what comes next for the untouched sensor."""
+        with self._lock:
+            for verdict in self._finder.rezero() if self._finder else []:
+                self._judge(verdict)
+            if self._finder is None:
+                self._image = ImagePlateau()
+
+    @property
+    def coverage(self) -> PressCoverage:
+        """Where and how hard was pressed."""
+        with self._lock:
+            return PressCoverage.of(self.presses, self._whole(), self.asked, self._range)
+
+    @property
+    def advice(self) -> str:
+        """What to mind, in words; empty where nothing is."""
+        with self._lock:
+            finder = self._finder
+            if finder is None:
+                if self._image.touched and self._typed_n is None:
+                    return "state the weight that lies on the sensor"
+                return ""
+            newest = self._frames[-1][0] if self._frames else None
+            if finder.newest_ns is None or finder.zero_n is None:
+                return f"waiting for {finder.scale.name}; leave the sensor untouched"
+            behind_s = 0.0 if newest is None else (newest - finder.newest_ns) / NS_PER_S
+            if behind_s > BEHIND_S + finder.scale.delay_s:
+                return f"{finder.scale.name} has said nothing for {behind_s:.1f} s; check its cable"
+            if finder.touched_s > LONG_S:
+                return (
+                    f"{finder.scale.name} has felt a touch for {finder.touched_s:.0f} s; take it off. Where "
+                    "nothing lies there, its zero has moved: take the zero anew"
+                )
+            most = max((one.force_n for one in self.presses), default=0.0)
+            if most and abs(finder.drift_n) > DRIFT_SHARE * most:
+                return (
+                    f"the zero of {finder.scale.name} has moved by {finder.drift_n:+.3g} N since the start "
+                    f"({finder.drift_n_min:+.2g} N a minute); it is taken off, but let the scale warm up"
+                )
+            return ""
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """Plain values for the page and for ``--json``."""
+        with self._lock:
+            coverage, finder = self.coverage, self._finder
+            last = self.refused[-1] if self.refused else None
+            return {
+                "presses": coverage.presses,
+                "asked": self.asked,
+                "map": coverage.to_dict(),
+                "missing": ", ".join(coverage.missing),
+                "text": coverage.text,
+                "holding": finder.holding if finder else self._image.still is not None,
+                "touched": finder.touched if finder else self._image.touched,
+                "force_N": finder.force_n if finder else self._typed_n,
+                "zero_N": finder.zero_n if finder else None,
+                "refused": self._refusals,
+                "last_refused": last and {"kind": last.kind, "why": last.why},
+                "advice": self.advice,
+                "session": self.session,
+                "run": str(self.run),
+            }
+
+    def close(self) -> None:
+        """Judge what is over, and close the run. Closing again does nothing."""
+        with self._lock:
+            if self._closed:
+                return
+            for verdict in self._finder.end() if self._finder else []:
+                self._judge(verdict)
+            self._closed = True
+            self._writer.close()
+
+    def __enter__(self) -> PressCollector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _opened(
+        self,
+        sensor: str,
+        labels: dict[str, LabelKind],
+        origin: str,
+        licence: str,
+        regions: dict[str, Box],
+    ) -> RunWriter:
+        if not (self.run / MANIFEST).is_file():
+            manifest = Manifest.new(
+                sensor=sensor,
+                rig="by hand",
+                licence=licence,
+                origin=origin,
+                labels=labels,
+                targets=("force_N",),
+                regions=regions,
+            )
+            return RunWriter.create(self.run, manifest, clock=self._clock, overflow="wait")
+        run = Run.open(self.run)
+        lacking = sorted(labels.keys() - run.manifest.labels.keys())
+        if run.manifest.sensor != sensor or lacking:
+            what = f"has no label {', '.join(lacking)}" if lacking else f"is of {run.manifest.sensor}"
+            raise InputError(
+                f"{self.run} {what}, and presses of {sensor} were to go on in it; choose another run"
+            )
+        self.presses = presses_in(run)
+        return RunWriter.resume(self.run, clock=self._clock, overflow="wait")
+
+    def _keep(self, at_ns: int, frame: Frame) -> None:
+        if self._frames and at_ns - self._frames[-1][0] < NS_PER_S / FRAMES_HZ - 1e6:
+            return
+        self._frames.append((at_ns, frame))
+        self._bytes += frame.image.nbytes
+        pressed = self._finder.pending if self._finder else self._image.touched
+        delay_s = self.scale.delay_s if self.scale else 0.0
+        oldest = at_ns - round((KEPT_S + 2 * delay_s) * NS_PER_S)
+        while self._frames and (self._bytes > KEPT_BYTES or (not pressed and self._frames[0][0] < oldest)):
+            self._bytes -= self._frames.popleft()[1].image.nbytes
+
+    def _by_image(self, frame: ArrivedFrame) -> None:
+        """Weights that are typed: plateaus are told by the image."""
+        ended = self._image.take(frame.arrived_ns, frame.frame.image)
+        if ended is None:
+            return
+        weight_n, self._typed_n = self._typed_n, None
+        if weight_n is None:
+            why = "no weight was stated while it lay there; lay it on, and state it before you take it off"
+            self._judge(Refused("no weight", why, ended.ends_ns))
+            return
+        # The last frames may already show the weight going.
+        ends_ns = ended.ends_ns - round(CLEAR_S * NS_PER_S)
+        self._judge(Plateau(ended.begins_ns, ends_ns, weight_n, 0.0, 0.0))
+
+    def _judge(self, verdict: Plateau | Refused) -> None:
+        if isinstance(verdict, Plateau):
+            verdict = self._record(verdict) or verdict
+        if isinstance(verdict, Refused):
+            self.refused.append(verdict)
+            self._refusals += 1
+            self._writer.event("press refused", reason=verdict.kind, why=verdict.why)
+
+    def _record(self, plateau: Plateau) -> Refused | None:
+        """Write a press; or why it cannot be."""
+        shown = [(at, one, self._middle_ns(at, one)) for at, one in self._frames]
+        during = [one for one in shown if plateau.begins_ns <= one[2] <= plateau.ends_ns]
+        if not during:
+            why = "no frame of the camera came while it was held; check the camera's rate"
+            return Refused("late", why, plateau.ends_ns)
+        chosen = np.unique(np.linspace(0, len(during) - 1, self._frames_a_press).round().astype(int))
+        rest = self._rest_before(shown, plateau)
+        during = [during[k] for k in chosen]
+        name = f"{len(self.presses) + 1}"
+        middle = during[len(during) // 2][1]
+        place = contact_place(middle.image, rest[1].image, self._whole(middle)) if rest else None
+        if rest:
+            self._write(*rest[:2], name, True, 0.0, 0.0, None)
+        for at, frame, middle_ns in during:
+            force = self._force_of(plateau, middle_ns, frame)
+            self._write(at, frame, name, False, force, plateau.spread_n, place)
+        self.presses.append(LabelledPress(plateau.force_n, place))
+        while self._frames and self._frames[0][0] <= during[-1][0]:  # time only goes forwards in a run
+            self._bytes -= self._frames.popleft()[1].image.nbytes
+        return None
+
+    def _rest_before(
+        self, shown: Sequence[tuple[int, Frame, int]], plateau: Plateau
+    ) -> tuple[int, Frame] | None:
+        """The last frame of the untouched sensor before a press."""
+        touched_ns = plateau.touched_ns or plateau.begins_ns
+        clear = [one for one in shown if one[2] < touched_ns - CLEAR_S * NS_PER_S]
+        return clear[-1][:2] if clear else None
+
+    def _write(
+        self,
+        at: int,
+        frame: Frame,
+        press: str,
+        reference: bool,
+        force_n: float,
+        spread_n: float,
+        place: tuple[float, float] | None,
+    ) -> None:
+        labels: dict[str, Label] = {
+            "press": press,
+            "session": self.session,
+            "reference": reference,
+            "force_N": force_n,
+            "force_spread_N": spread_n,
+        }
+        if place is not None:
+            labels |= {"place_x_px": place[0], "place_y_px": place[1]}
+        if self._truth is not None:
+            labels |= self._truth(at)
+        self._writer.frame(frame.image, time_ns=at, exposure_s=frame.exposure_s, labels=labels)
+
+    def _force_of(self, plateau: Plateau, middle_ns: int, frame: Frame) -> float:
+        """Force over a frame's own exposure where the scale is quick enough, else the plateau's [N]."""
+        scale = self.scale
+        if scale is None or not len(plateau.samples_n) or scale.delay_s > FAST_DELAY_S:
+            return plateau.force_n
+        half = max((frame.exposure_s or 0.0) / 2, SAMPLES_A_FRAME / 2 / scale.rate_hz) * NS_PER_S
+        near = np.abs(plateau.time_ns - middle_ns) <= half
+        quick = scale.rate_hz * 2 * half / NS_PER_S >= SAMPLES_A_FRAME and scale.rate_hz >= 50
+        return float(plateau.samples_n[near].mean()) if quick and near.any() else plateau.force_n
+
+    def _middle_ns(self, at_ns: int, frame: Frame) -> int:
+        """Middle of an exposure [ns]."""
+        return at_ns - self._late_ns - round((frame.exposure_s or 0.0) / 2 * NS_PER_S)
+
+    def _whole(self, frame: Frame | None = None) -> Box:
+        """The region in which contacts lie."""
+        if self._region is not None:
+            return self._region
+        if frame is None and self._frames:
+            frame = self._frames[-1][1]
+        if frame is None:
+            return 0, 0, 1, 1
+        return 0, 0, frame.image.shape[1], frame.image.shape[0]
+
+
+def presses_in(run: Run) -> list[LabelledPress]:
+    """Presses that a run holds, in their order."""
+    table = run.labels
+    if not len(table):
+        return []
+    touched = table[~table["reference"].astype(bool)]
+    found = []
+    for _, rows in touched.groupby(["session", "press"], sort=False):
+        first = rows.iloc[0]
+        seen = bool(np.isfinite(first["place_x_px"]))
+        place = (float(first["place_x_px"]), float(first["place_y_px"])) if seen else None
+        found.append(LabelledPress(float(rows["force_N"].mean()), place))
+    return found

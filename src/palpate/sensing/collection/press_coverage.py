@@ -1,0 +1,155 @@
+"""Coverage of a set of presses: where and how hard the sensor was pressed, and what is missing, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Box = tuple[int, int, int, int]
+
+COLUMNS, ROWS = ("left", "middle", "right"), ("top", "middle", "bottom")
+FORCE_BINS = 5
+NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
+MIN_FOR_SIDES = 6  # presses, before it is said that a side has none
+
+
+class LabelledPress(NamedTuple):
+    """Force of a press [N], and where in the image its contact lies [px]; None where that is not seen."""
+
+    force_n: float
+    place_px: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class PressCoverage:
+    """Presses by place and force.
+
+    Attributes:
+        edges_n: of the bins of force [N].
+        counts: presses in each row and column of the image and each bin of force ``[3 3 b]``.
+        unplaced: presses whose contact is not seen.
+        asked: how many presses there shall be.
+        beyond: presses with more force than the last edge, or less than the first.
+    """
+
+    edges_n: tuple[float, ...]
+    counts: np.ndarray
+    unplaced: int
+    asked: int
+    beyond: int = 0
+
+    @classmethod
+    def of(
+        cls,
+        presses: Sequence[LabelledPress],
+        region: Box,
+        asked: int = 40,
+        force_range_n: tuple[float, float] | None = None,
+    ) -> PressCoverage:
+        """Count presses.
+
+        Args:
+            presses: that were labelled.
+            region: of the image in which contacts lie, x, y, width, height [px].
+            asked: how many presses there shall be.
+            force_range_n: least and greatest force that shall be covered; None takes 0 to the greatest so far
+                [N].
+        """
+        forces = [one.force_n for one in presses]
+        edges = force_edges(force_range_n or (0.0, max(forces, default=1.0)))
+        counts = np.zeros((3, 3, len(edges) - 1), np.int64)
+        unplaced = beyond = 0
+        for one in presses:
+            k = int(np.searchsorted(edges, one.force_n, side="right")) - 1
+            if one.force_n == edges[-1]:
+                k -= 1
+            if not 0 <= k < len(edges) - 1:
+                beyond += 1
+                continue
+            if one.place_px is None:
+                unplaced += 1
+                continue
+            x, y, width, height = region
+            column = min(max(int(3 * (one.place_px[0] - x) / width), 0), 2)
+            row = min(max(int(3 * (one.place_px[1] - y) / height), 0), 2)
+            counts[row, column, k] += 1
+        return cls(tuple(edges), counts, unplaced, asked, beyond)
+
+    @property
+    def presses(self) -> int:
+        """How many presses there are."""
+        return int(self.counts.sum()) + self.unplaced + self.beyond
+
+    @property
+    def missing(self) -> list[str]:
+        """What is missing, most urgent first; empty where nothing is."""
+        if not self.presses:
+            return ["all of it: press anywhere, and hold still for a second"]
+        words = [f"a gap at {low:g} to {high:g} N" for low, high in self._gaps()]
+        placed = int(self.counts.sum())
+        if placed >= MIN_FOR_SIDES:
+            by_place = self.counts.sum(axis=2)
+            sides = [("on the left", by_place[:, 0]), ("on the right", by_place[:, 2])]
+            sides += [("at the top", by_place[0]), ("at the bottom", by_place[2])]
+            bare = [name for name, cells in sides if cells.sum() == 0]
+            if by_place[1, 1] == 0 and len(bare) < 2:
+                bare.append("in the middle")
+            words += [f"nothing {name}" for name in bare]
+        return words
+
+    @property
+    def text(self) -> str:
+        """The same in one line.
+
+        Example:
+            >>> PressCoverage.of([LabelledPress(0.5, (5.0, 5.0))], (0, 0, 9, 9), 40, (0.0, 5.0)).text
+            '1 of 40, a gap at 1 to 5 N'
+        """
+        return ", ".join([f"{self.presses} of {self.asked}", *self.missing])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "edges_N": list(self.edges_n),
+            "columns": list(COLUMNS),
+            "rows": list(ROWS),
+            "counts": self.counts.tolist(),
+            "unplaced": self.unplaced,
+            "beyond": self.beyond,
+        }
+
+    def _gaps(self) -> list[tuple[float, float]]:
+        """Bins of force without a press, next ones joined; those of presses that are not seen count too."""
+        by_force = self.counts.sum(axis=(0, 1))
+        if self.unplaced:  # their forces are not kept by bin
+            return []
+        gaps: list[tuple[float, float]] = []
+        for k, count in enumerate(by_force.tolist()):
+            if count:
+                continue
+            low, high = self.edges_n[k], self.edges_n[k + 1]
+            if gaps and gaps[-1][1] == low:
+                gaps[-1] = gaps[-1][0], high
+            else:
+                gaps.append((low, high))
+        return gaps
+
+
+def force_edges(force_range_n: tuple[float, float]) -> np.ndarray:
+    """Edges of about five bins of force at round numbers, over a range [N].
+
+    Example:
+        >>> force_edges((0.0, 5.0)).tolist()
+        [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    """
+    low, high = force_range_n
+    width = max(high - low, 1e-6) / FORCE_BINS
+    scale = 10.0 ** math.floor(math.log10(width))
+    step = next(scale * nice for nice in NICE if scale * nice >= width * (1 - 1e-9))
+    first = math.floor(low / step + 1e-9)
+    last = max(math.ceil(high / step - 1e-9), first + 1)
+    return np.round(np.arange(first, last + 1) * step, 9)

@@ -1,0 +1,161 @@
+"""Laws of collecting presses: labels are the truth, a run goes on, gaps are named, trembling is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.core import Frame, InputError, ManualClock, RangeError
+from palpate.recordings import Run
+from palpate.rig.virtual.virtual_hand import TREMBLING, USUAL, HandHabits, VirtualHand
+from palpate.sensing.collection import PressCollector, PressCoverage, Weighing
+from palpate.sensing.collection.press_coverage import LabelledPress
+
+TRUTHS = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
+
+
+@dataclass
+class Arrived:
+    frame: Frame
+    arrived_ns: int
+
+
+def collected(
+    out: Path,
+    presses: int,
+    *,
+    seed: int = 0,
+    habits: HandHabits = USUAL,
+    typed: bool = False,
+    most_s: float = 60.0,
+) -> PressCollector:
+    """A hand's presses on the virtual TacTip."""
+    clock = ManualClock()
+    hand = VirtualHand("tactip", seed=seed, clock=clock, habits=habits)
+    collector = PressCollector(
+        out,
+        "tactip",
+        None if typed else Weighing.by(hand.force),
+        frame_late_s=0.008,
+        truth=hand.truth,
+        truths=TRUTHS,
+        clock=clock,
+    )
+    with collector:
+        while len(collector.presses) < presses and clock.now_ns() < most_s * 1e9:
+            at_ns, frame = hand.camera.grab()
+            if typed:
+                held = hand.held(at_ns)
+                if held and collector.status["holding"]:
+                    collector.label(held.force_n)
+            else:
+                collector.on_force(hand.force.drain())
+            collector.on_frame(Arrived(frame, at_ns))
+    return collector
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("presses") / "run"
+    collected(out, 5, seed=1)
+    return out
+
+
+def test_labels_are_the_true_forces(run: Path) -> None:
+    table = Run.open(run).labels
+    touched = table[~table.reference.astype(bool)]
+    assert touched.press.nunique() == 5
+    assert np.abs(touched.force_N - touched.true_force_N).max() < 0.15
+    assert np.abs(touched.force_N - touched.true_force_N).mean() < 0.05
+
+
+def test_frames_of_the_untouched_sensor_are_untouched_and_one_a_press(run: Path) -> None:
+    table = Run.open(run).labels
+    rest = table[table.reference.astype(bool)]
+    assert (rest.true_force_N == 0).all()
+    assert (rest.force_N == 0).all()
+    assert rest.press.tolist() == ["1", "2", "3", "4", "5"]
+
+
+def test_run_goes_on_and_nothing_is_overwritten(run: Path) -> None:
+    before = Run.open(run)
+    images = [before.frame(i).image.copy() for i in (0, len(before) - 1)]
+    count = len(before)
+    more = collected(run, 6, seed=2)
+    after = Run.open(run)
+    assert len(more.presses) == 6
+    assert len(after) > count
+    for i, image in zip((0, count - 1), images, strict=True):
+        assert np.array_equal(after.frame(i).image, image)
+    assert after.labels.press.nunique() == 6
+
+
+def test_run_of_another_sensor_is_refused(run: Path) -> None:
+    with pytest.raises(InputError, match="is of tactip"):
+        PressCollector(run, "palm", Weighing(200.0))
+
+
+def test_trembling_hand_gives_no_label(tmp_path: Path) -> None:
+    collector = collected(tmp_path / "run", 2, habits=TREMBLING, most_s=14.0)
+    assert not collector.presses
+    assert {one.kind for one in collector.refused} <= {"trembling", "still moving", "too short"}
+    assert "trembling" in {one.kind for one in collector.refused}
+    assert not len(Run.open(tmp_path / "run"))
+
+
+def test_typed_weights_label_what_lies_still(tmp_path: Path) -> None:
+    habits = HandHabits(weights_n=(1.0, 2.0, 4.0), hold_s=(2.0, 2.0))
+    collected(tmp_path / "run", 3, habits=habits, typed=True)
+    table = Run.open(tmp_path / "run").labels
+    touched = table[~table.reference.astype(bool)]
+    assert touched.press.nunique() == 3
+    assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.1
+
+
+def test_weights_are_typed_only_where_no_scale_labels(run: Path, tmp_path: Path) -> None:
+    weighed = PressCollector(tmp_path / "run", "tactip", Weighing(200.0))
+    with weighed, pytest.raises(InputError, match="scale"):
+        weighed.label(1.0)
+    typed = PressCollector(tmp_path / "typed", "tactip", None)
+    with typed:
+        with pytest.raises(RangeError, match="above 0 N"):
+            typed.label(-1.0)
+        with pytest.raises(InputError, match="lay the weight on"):
+            typed.label(1.0)
+
+
+REGION = (0, 0, 90, 90)
+
+
+def test_coverage_names_gaps_and_empty_sides() -> None:
+    presses = [LabelledPress(f, (x, 45.0)) for f in (0.5, 1.5, 2.5, 4.5) for x in (45.0, 80.0, 45.0)]
+    told = PressCoverage.of(presses, REGION, 40, (0.0, 5.0)).text
+    assert told.startswith("12 of 40, a gap at 3 to 4 N")
+    assert "nothing on the left" in told
+    assert "on the right" not in told
+
+
+def test_coverage_of_one_spot_alone_names_all_that_is_missing() -> None:
+    presses = [LabelledPress(f, (45.0, 45.0)) for f in np.linspace(0.2, 4.8, 20)]
+    missing = PressCoverage.of(presses, REGION, 20, (0.0, 5.0)).missing
+    assert {f"nothing {w}" for w in ("on the left", "on the right", "at the top", "at the bottom")} == set(
+        missing
+    )
+
+
+def test_coverage_that_misses_nothing_says_nothing() -> None:
+    presses = [
+        LabelledPress(f, (x, y)) for f in np.linspace(0.2, 4.8, 10) for x in (9, 45, 80) for y in (9, 45, 80)
+    ]
+    assert PressCoverage.of(presses, REGION, 40, (0.0, 5.0)).missing == []
+
+
+def test_status_is_plain_and_says_what_is_missing(run: Path) -> None:
+    with PressCollector(run, "tactip", Weighing(200.0), truths=TRUTHS) as collector:
+        status = collector.status
+    assert status["presses"] == len(collector.presses)
+    assert status["asked"] == 40
+    assert "waiting for the scale" in status["advice"]

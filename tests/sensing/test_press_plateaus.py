@@ -1,0 +1,143 @@
+"""Laws of plateaus: what is held counts with its force, what is not is refused by its name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from palpate.core import Wrench
+from palpate.sensing.collection.plateau_finder import Plateau, PlateauFinder, Refused, Weighing
+
+ZERO_N = 1.7
+
+
+def hand(
+    held_n: float = 5.0,
+    hold_s: float = 1.0,
+    *,
+    rate_hz: float = 200.0,
+    ramp_s: float = 0.4,
+    creep: float = 0.0,
+    tremor: float = 0.0,
+    noise_n: float = 0.005,
+    drift_n_s: float = 0.0,
+    step_n: float = 0.0,
+    delay_s: float = 0.0,
+    presses: int = 1,
+) -> list[Wrench]:
+    """Samples of presses, 1 s of the untouched sensor before and after each."""
+    period = 2.0 + 2 * ramp_s + hold_s
+    t = np.arange(round((presses * period + 1.0) * rate_hz)) / rate_hz
+    s = np.maximum(t - delay_s, 0.0) % period - 1.0
+    shape = np.clip(np.minimum(s / ramp_s, (2 * ramp_s + hold_s - s) / ramp_s), 0, 1)
+    along = np.clip((s - ramp_s) / hold_s, 0, 1) - 0.5
+    force = held_n * shape * (1 + creep * along + tremor * np.sqrt(2) * np.sin(2 * np.pi * 10 * s))
+    rng = np.random.default_rng(0)
+    force = ZERO_N + force + drift_n_s * t + noise_n * rng.standard_normal(len(t))
+    if step_n:
+        force = np.round(force / step_n) * step_n
+    # A scale's samples carry the time at which the force was, less its stated delay.
+    return [Wrench(round(1e9 * (at - delay_s)), (0.0, 0.0, float(f))) for at, f in zip(t, force, strict=True)]
+
+
+def verdicts(samples: list[Wrench], scale: Weighing | None = None) -> list[Plateau | Refused]:
+    finder = PlateauFinder(scale or Weighing(200.0))
+    return finder.take(samples) + finder.end()
+
+
+@pytest.mark.parametrize("held_n", [0.3, 5.0, 20.0])
+def test_force_of_a_plateau_is_what_was_held_less_the_zero(held_n: float) -> None:
+    (found,) = verdicts(hand(held_n))
+    assert isinstance(found, Plateau)
+    assert found.force_n == pytest.approx(held_n, rel=0.01)
+    assert found.zero_n == pytest.approx(ZERO_N, abs=0.005)
+    assert 1.3 < found.begins_ns / 1e9 < 1.55
+    assert 2.2 < found.ends_ns / 1e9 < 2.55
+
+
+def test_steps_of_a_coarse_scale_are_not_taken_for_motion() -> None:
+    (found,) = verdicts(hand(5.0, step_n=0.05, noise_n=0.0))
+    assert isinstance(found, Plateau)
+    assert found.force_n == pytest.approx(5.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words", "samples"),
+    [
+        ("too short", "hold still for 0.4 s", hand(hold_s=0.05, ramp_s=0.1)),
+        ("still moving", "moves by", hand(hold_s=1.0, creep=0.6, ramp_s=0.5)),
+        ("trembling", "rest your hand", hand(tremor=0.12)),
+    ],
+)
+def test_press_that_was_not_held_is_refused_by_its_name(kind: str, words: str, samples: list[Wrench]) -> None:
+    (found,) = verdicts(samples)
+    assert isinstance(found, Refused)
+    assert found.kind == kind
+    assert words in found.why
+
+
+def test_force_that_is_beyond_the_range_or_stays_away_is_refused() -> None:
+    (beyond,) = verdicts(hand(20.0), Weighing(200.0, range_n=15.0))
+    assert isinstance(beyond, Refused)
+    assert (beyond.kind, "15 N" in beyond.why) == ("beyond range", True)
+    late = [one for one in hand() if not 1.5e9 < one.time_ns < 2.2e9]
+    (late_one,) = verdicts(late)
+    assert isinstance(late_one, Refused)
+    assert late_one.kind == "late"
+    told = [
+        Wrench(one.time_ns, (np.nan,) * 3, fault="its unit changed from g to oz") if i == 300 else one
+        for i, one in enumerate(hand())
+    ]
+    (changed,) = verdicts(told)
+    assert isinstance(changed, Refused)
+    assert "from g to oz" in changed.why
+
+
+def test_plateau_outlasts_the_scales_delay() -> None:
+    kitchen = Weighing(10.0, delay_s=0.4)
+    (held,) = verdicts(hand(5.0, 1.2, rate_hz=10.0, delay_s=0.4, step_n=0.0098), kitchen)
+    assert isinstance(held, Plateau)
+    assert held.force_n == pytest.approx(5.0, rel=0.02)
+    # Half of the delay is cut from either end of what was held from 1.4 to 2.6 s.
+    assert held.begins_ns / 1e9 >= 1.35 + 0.2
+    assert held.ends_ns / 1e9 <= 2.65 - 0.2
+    (short,) = verdicts(hand(5.0, 0.45, rate_hz=10.0, delay_s=0.4), kitchen)
+    assert isinstance(short, Refused)
+
+
+def test_slow_drift_of_the_zero_is_taken_off_and_said() -> None:
+    finder = PlateauFinder(Weighing(200.0))
+    found = finder.take(hand(5.0, drift_n_s=0.01, presses=12))
+    forces = [one.force_n for one in found if isinstance(one, Plateau)]
+    assert len(forces) >= 11
+    assert np.abs(np.array(forces) - 5.0).max() < 0.05
+    assert finder.drift_n_min == pytest.approx(0.6, rel=0.1)
+
+
+def test_zero_that_jumps_over_a_press_is_refused() -> None:
+    moved = [
+        Wrench(one.time_ns, (0.0, 0.0, one.force_n[2] + (0.05 if one.time_ns > 2e9 else 0.0)))
+        for one in hand(1.0, noise_n=0.01)
+    ]
+    found = verdicts(moved)
+    assert isinstance(found[0], Refused)
+    assert found[0].kind == "zero moved"
+    assert not any(isinstance(one, Plateau) for one in found)
+
+
+def test_zero_that_is_lost_is_found_again_when_asked() -> None:
+    finder = PlateauFinder(Weighing(200.0))
+    finder.take([Wrench(one.time_ns, (0.0, 0.0, one.force_n[2])) for one in hand()[:150]])
+    shifted = [Wrench(one.time_ns, (0.0, 0.0, one.force_n[2] + 2.0)) for one in hand(presses=2)]
+    assert not finder.take(shifted[150:200])
+    assert finder.touched
+    (lost,) = finder.rezero()
+    assert isinstance(lost, Refused)
+    found = finder.take(shifted[len(shifted) // 2 - 100 :])
+    assert [one.force_n for one in found if isinstance(one, Plateau)] == pytest.approx([5.0], rel=0.01)
+
+
+def test_every_press_is_judged_once() -> None:
+    found = verdicts(hand(5.0, presses=6))
+    assert len(found) == 6
+    assert all(isinstance(one, Plateau) for one in found)
