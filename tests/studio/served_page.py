@@ -17,7 +17,8 @@ import numpy as np
 from palpate.devices.device_status import jpeg_of
 from palpate.rig.plans import PLANS, size_of
 from palpate.softness.process import read_bench
-from palpate.studio.page_server import serve_pages
+from palpate.studio.library.workspace import Workspace
+from palpate.studio.page_server import StudioParts, serve_pages
 from palpate.studio.rendering_desk import RenderingDesk
 
 PLAN = PLANS["palm-reduced"]
@@ -82,9 +83,7 @@ class MadeUpClient:
 
 
 if __name__ == "__main__":
-    serve_pages(
-        MadeUpClient(),
-        int(sys.argv[1]),
-        Path("runs"),
-        RenderingDesk(Path(os.environ.get("OBJECTS", ".")), read_bench(None)),
-    )
+    folder = Path(os.environ.get("WORKSPACE", "."))
+    desk = RenderingDesk(Path(os.environ.get("OBJECTS", ".")), read_bench(None))
+    parts = StudioParts(MadeUpClient(), Path("runs"), desk, Workspace(folder))
+    serve_pages(parts, int(sys.argv[1]), token=os.environ.get("TOKEN", ""))

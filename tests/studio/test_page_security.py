@@ -16,8 +16,16 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from palpate.studio.page_security import HEADERS, PageSecurity, refusal
-from palpate.studio.page_server import HEADER
+from palpate.core import SafetyError
+from palpate.studio.page_security import (
+    HEADERS,
+    PageSecurity,
+    TokenGate,
+    cookies_of,
+    names_of_server,
+    refusal,
+)
+from palpate.studio.page_server import HEADER, check_host
 
 MAX_S = 60.0
 POLLING = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
@@ -273,3 +281,100 @@ def test_a_server_that_cannot_answer_a_socket_closes_it():
 
     asyncio.run(PageSecurity(app)(scope("websocket", "ws", host="elsewhere"), None, send))
     assert [message["type"] for message in sent] == ["websocket.close"]
+
+
+def test_a_server_answers_to_the_address_that_it_listens_at_and_to_no_other():
+    names = names_of_server("10.1.2.3")
+    good = scope(host="10.1.2.3:8080", origin="http://10.1.2.3:8080")
+    assert refusal(good, names) is None
+    assert refusal(good) is not None  # where it was not said
+    assert refusal(scope(host="10.1.2.4:8080"), names)[0] == 400
+    assert refusal(scope(host="rebound.example:8080"), names)[0] == 400
+    assert refusal(scope(host="10.1.2.3:8080", origin="http://10.1.2.4:8080"), names)[0] == 403
+    assert refusal(scope(host="10.1.2.3:8080", origin="http://10.1.2.3:8081"), names)[0] == 403
+    assert refusal(scope(host="10.1.2.3:8080", origin="https://10.1.2.3:8080"), names)[0] == 403
+
+
+def test_a_server_at_every_address_answers_to_numbers_and_its_own_name_but_not_to_anothers():
+    names = names_of_server("0.0.0.0")
+    for own_name in ("10.1.2.3", "[fe80::1]", "localhost", socket.gethostname().lower()):
+        assert names(own_name), own_name
+    assert refusal(scope(host="rebound.example:8080"), names)[0] == 400
+    # Another machine's page, at a number too, is not this one's.
+    assert refusal(scope(host="10.1.2.3:8080", origin="http://10.9.9.9:8080"), names)[0] == 403
+
+
+def test_others_reach_the_pages_only_where_a_token_is_asked_for():
+    for host in ("127.0.0.1", "localhost", "::1"):
+        check_host(host, "")
+    for host in ("0.0.0.0", "10.1.2.3", "::", "127.0.0.2.example"):
+        check_host(host, "secret")
+        with pytest.raises(SafetyError, match="--token"):
+            check_host(host, "")
+
+
+TOKEN = "s3cret-token"
+
+
+def gated(kind="http", method="GET", path="/rig", query="", cookie=""):
+    """What a gate answers: the status, the headers; or "let in" where the application is asked."""
+    sent, asked = [], []
+
+    async def app(scope, receive, send):
+        asked.append(scope)
+
+    async def send(message):
+        sent.append(message)
+
+    headers = [(b"cookie", cookie.encode())] if cookie else []
+    request = {
+        "type": kind,
+        "method": method,
+        "path": path,
+        "query_string": query.encode(),
+        "headers": headers,
+    }
+    asyncio.run(TokenGate(app, TOKEN, 8080)(request, None, send))
+    if asked:
+        return "let in", {}
+    if kind == "websocket":
+        return sent[0]["type"], {}
+    return sent[0]["status"], {k.decode(): v.decode() for k, v in sent[0]["headers"]}
+
+
+def test_nobody_without_the_token_gets_a_page_a_socket_a_picture_or_a_stop():
+    right, wrong = f"palpate-token-8080={TOKEN}", f"palpate-token-8080={TOKEN[:-1]}x"
+    for cookie in (
+        "",
+        wrong,
+        f"palpate-token-8081={TOKEN}",
+        f"palpate-token-8080={TOKEN}x",
+        "palpate-token-8080=",
+    ):
+        assert gated(cookie=cookie)[0] == 401
+        assert gated(path="/picture", cookie=cookie)[0] == 401
+        assert gated(path="/estop", method="POST", cookie=cookie)[0] == 401
+        assert gated("websocket", cookie=cookie)[0] == "websocket.close"
+    assert gated(cookie=right)[0] == "let in"
+    assert gated(cookie=f"other=1; {right}")[0] == "let in"
+    assert gated(path="/estop", method="POST", cookie=right)[0] == "let in"
+    assert gated("websocket", cookie=right)[0] == "let in"
+
+
+def test_the_token_in_an_address_becomes_a_cookie_and_leaves_the_address():
+    status, headers = gated(query=f"run=a%20b&token={TOKEN}&frame=3")
+    assert (status, headers["location"]) == (303, "/rig?run=a+b&frame=3")
+    cookie = headers["set-cookie"]
+    assert cookie.startswith(f"palpate-token-8080={TOKEN};")
+    assert "httponly" in cookie.lower()
+    assert "samesite=strict" in cookie.lower()
+    assert gated(path="//elsewhere.example/", query=f"token={TOKEN}")[1]["location"] == "/elsewhere.example/"
+    for query in (f"token={TOKEN}x", "token=", f"token={TOKEN}&token={TOKEN}", "token=%ff"):
+        assert gated(query=query)[0] == 401
+    assert gated(query=f"token={TOKEN}", method="POST")[0] == 401
+
+
+def test_cookies_that_cannot_be_read_are_none():
+    assert cookies_of({"headers": [(b"cookie", b"a=1; b=2")]}) == {"a": "1", "b": "2"}
+    assert cookies_of({"headers": [(b"cookie", b"\xff;;=;")]}) == {}
+    assert cookies_of({"headers": []}) == {}

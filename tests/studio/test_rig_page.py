@@ -109,7 +109,7 @@ def state_is(*states):
 
 
 def opened(browser, studio, **options):
-    tab = browser.open(studio.url, **options)
+    tab = browser.open(studio.url + "rig", **options)
     tab.wait(f"document.querySelector('#state') && !{state_is('…', 'no connection')}", MAX_S)
     return tab
 

@@ -187,7 +187,7 @@ def test_the_served_page_begins_with_the_emergency_stop_and_leads_to_the_rig(ser
     assert "<title>Softness" in text
     first = re.search(r"<(button|a|input|select)\b[^>]*>", text).group(0)
     assert 'id="estop"' in first
-    assert "indentation rig" in text
+    assert 'href="/rig"' in text
 
 
 STATE = "document.querySelector('#state')?.innerText"

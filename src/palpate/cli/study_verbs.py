@@ -154,45 +154,76 @@ if TYPE_CHECKING:
 
 
 def studio(
-    port: Annotated[int, Option(min=1, max=65535, help="On 127.0.0.1.")] = 8080,
+    port: Annotated[int, Option(min=1, max=65535, help="Of the pages.")] = 8080,
+    workspace: Annotated[Path, Option(help="Folder whose runs and calibrations are shown.")] = Path(),
     rig: Annotated[str, Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
-    runs: Annotated[Path, Option(help="Folder that recordings go into.")] = Path("runs"),
+    runs: Annotated[
+        Path | None,
+        Option(help="Folder that the rig's recordings go into; by default runs, in the workspace."),
+    ] = None,
     accelerated: Annotated[
         bool, Option("--accelerated", help="Let virtual:palm run as fast as the machine can.")
     ] = False,
-    objects: Annotated[Path, Option(help="Folder of objects' files, for the page Softness.")] = Path(),
+    objects: Annotated[
+        Path | None, Option(help="Folder of objects' files, for the page Softness; by default the workspace.")
+    ] = None,
     bench: Annotated[Path | None, Option(help="TOML file of a display and an arm; else virtual.")] = None,
+    host: Annotated[
+        str, Option(help="Address to listen at, where others may reach it; only with --token.")
+    ] = "127.0.0.1",
+    token: Annotated[
+        bool, Option("--token", help="Ask everybody for a token, which is drawn anew and printed once.")
+    ] = False,
 ) -> None:
-    """Open the pages of the rig and of softness in the browser.
+    """Open the studio's pages in the browser.
 
-    The page is open to this machine only. The rig itself is held by a process of its own, which is started
-    where none runs: closing the page or losing this command moves nothing and loses nothing. Ctrl-C pauses a
-    recording with the probe lifted; run the same command again to go on. A rendering of softness ends with
-    this command.
+    Start, rig, recordings, calibrations, softness, trials.
 
-    Example: palpate studio --port 8080
+    The pages are open to this machine only, unless --host and --token say otherwise. The rig itself is held
+    by a process of its own, which is started where none runs: closing the page or losing this command moves
+    nothing and loses nothing. Ctrl-C pauses a recording with the probe lifted; run the same command again to
+    go on. A rendering of softness ends with this command.
+
+    Example: palpate studio --port 8080 --workspace .
     """
+    import secrets
+
     from palpate.rig.service import RigClient, launch, rig_name
     from palpate.softness.process import read_bench
-    from palpate.studio.page_server import check_needed, check_port, serve_pages
+    from palpate.studio.page_server import StudioParts, check_host, check_needed, check_port, serve_pages
 
     rig = rig_name(rig)
     check_needed()
+    from palpate.studio.library.workspace import Workspace
     from palpate.studio.rendering_desk import RenderingDesk
 
-    desk = RenderingDesk(objects.absolute(), read_bench(bench))
-    check_port(port)
+    secret = secrets.token_urlsafe(32) if token else ""
+    check_host(host, secret)
+    desk = RenderingDesk((objects or workspace).absolute(), read_bench(bench))
+    recorded = (runs or workspace / "runs").absolute()
+    check_port(port, host)
     with RigClient(rig) as client:
         if not client.reached(within_s=1.0):
             typer.echo(f"starting the rig {rig} …")
-            launch(rig, runs, accelerated=accelerated)
+            launch(rig, recorded, accelerated=accelerated)
             client.reached(within_s=10.0)
-        typer.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends the page, and pauses a recording)")
+        typer.echo(f"{_page_address(host, port, secret)}  (Ctrl-C ends the page, and pauses a recording)")
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                serve_pages(client, port, runs.absolute(), desk)
+                serve_pages(StudioParts(client, recorded, desk, Workspace(workspace)), port, host, secret)
         finally:
             typer.echo(_leave(client, rig))
+
+
+def _page_address(host: str, port: int, secret: str) -> str:
+    """The address to open; one that stands for every address is told by this machine's name."""
+    import socket
+
+    from palpate.studio.page_security import EVERY_ADDRESS
+
+    shown = f"[{host}]" if ":" in host else host
+    shown = socket.gethostname() if host in EVERY_ADDRESS else shown
+    return f"http://{shown}:{port}/" + (f"?token={secret}" if secret else "")
 
 
 def _leave(client: RigClient, rig: str) -> str:

@@ -9,10 +9,15 @@ layer around the whole application checks the first two, and adds the third to e
 
 from __future__ import annotations
 
+import hmac
+import ipaddress
 import re
-from collections.abc import Iterable
+import socket
+from collections.abc import Callable, Iterable
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qsl, urlencode
 
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 ESTOP_PATH = "/estop"
@@ -29,10 +34,13 @@ HEADERS = {
 }
 """Of every answer. Inline scripts and `eval` are how the pages are made; what comes from elsewhere is not."""
 
-_HOST = r"(?:localhost|127\.0\.0\.1|\[::1\])(?::(?P<port>\d{1,5}))?"
+POLICY = b"content-security-policy"
+_HOST = r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9](?:[a-z0-9.-]*[a-z0-9])?)(?::(?P<port>\d{1,5}))?"
 HOST = re.compile(_HOST, re.IGNORECASE)
-"""The names of this machine, which are one: a page's own name is equal to any of them, at its port."""
 ORIGIN = re.compile(rf"(?P<scheme>https?)://{_HOST}", re.IGNORECASE)
+LOCAL = ("localhost", "127.0.0.1", "[::1]")
+"""The names of this machine, which are one: a page's own name is equal to any of them, at its port."""
+EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - compared with, not bound to
 PORTS = {"http": 80, "https": 443}
 OTHER_SITES = ("cross-site", "same-site")  # the latter is another port of this machine
 
@@ -44,10 +52,11 @@ class PageSecurity:
 
     Args:
         app: what is served.
+        names: by which it may be asked for.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, names: Callable[[str], bool] = LOCAL.__contains__) -> None:
+        self._app, self._names = app, names
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or open one socket."""
@@ -55,7 +64,7 @@ class PageSecurity:
             await self._app(scope, receive, send)
             return
         told = _Answer(scope, send)
-        refused = refusal(scope)
+        refused = refusal(scope, self._names)
         if refused is None:
             await self._app(scope, receive, told.send)
             await told.end()
@@ -65,7 +74,28 @@ class PageSecurity:
             await told.refuse(*refused)
 
 
-def refusal(scope: Scope) -> tuple[int, str] | None:
+def names_of_server(host: str) -> Callable[[str], bool]:
+    """Say by which names a server may be asked for that listens at an address.
+
+    At every address (0.0.0.0) it is any address written as a number, or this machine's own name: a name of
+    somebody else's that is made to point here is neither.
+    """
+    bound = host.strip("[]").lower()
+    if bound not in EVERY_ADDRESS:
+        return {*LOCAL, f"[{bound}]" if ":" in bound else bound}.__contains__
+    own = socket.gethostname().lower()
+    machine = {*LOCAL, own, f"{own}.local", socket.getfqdn().lower()}
+
+    def holds(name: str) -> bool:
+        try:
+            return name in machine or bool(ipaddress.ip_address(name.strip("[]")))
+        except ValueError:
+            return False
+
+    return holds
+
+
+def refusal(scope: Scope, names: Callable[[str], bool] = LOCAL.__contains__) -> tuple[int, str] | None:
     """Reason not to answer, with its HTTP status; None where nothing speaks against it.
 
     A request without Origin is a program's on this machine, or a browser's that reads: browsers name the page
@@ -78,10 +108,11 @@ def refusal(scope: Scope) -> tuple[int, str] | None:
         return None
     hosts = _all(scope, b"host")
     host = HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
-    if host is None:
-        return 400, "ask at localhost or 127.0.0.1; this page has no other name"
+    if host is None or not names(host["name"].lower()):
+        return 400, "ask at the address that `palpate studio` printed; this page has no other name"
     scheme = "https" if scope["scheme"] in ("https", "wss") else "http"
-    own = (scheme, int(host["port"] or PORTS[scheme]))  # as it was asked at: a forwarded port is as good
+    # As it was asked at: a forwarded port is as good.
+    own = (scheme, _one_name(host["name"]), int(host["port"] or PORTS[scheme]))
     if any(_origin(one) != own for one in _all(scope, b"origin")):
         return 403, "asked for by a page from elsewhere; open this one at its own address"
     if _is_embedded(scope):
@@ -89,13 +120,17 @@ def refusal(scope: Scope) -> tuple[int, str] | None:
     return None
 
 
-def _origin(text: str) -> tuple[str, int] | None:
-    """Scheme and port of an origin on this machine; None of any other, and of one that is hidden."""
+def _origin(text: str) -> tuple[str, str, int] | None:
+    """Scheme, name and port of an origin; None of one that is hidden."""
     found = ORIGIN.fullmatch(text)
     if found is None:
         return None
     scheme = found["scheme"].lower()
-    return scheme, int(found["port"] or PORTS[scheme])
+    return scheme, _one_name(found["name"]), int(found["port"] or PORTS[scheme])
+
+
+def _one_name(name: str) -> str:
+    return LOCAL[0] if name.lower() in LOCAL else name.lower()
 
 
 def _is_embedded(scope: Scope) -> bool:
@@ -113,8 +148,68 @@ def _all(scope: Scope, name: bytes) -> list[str]:
 
 
 def _with_ours(headers: Headers) -> list[tuple[bytes, bytes]]:
-    kept = [(key, value) for key, value in headers if key.decode("latin-1").lower() not in HEADERS]
+    """Headers with ours in place of others of their name; a policy of its own counts beside ours."""
+    kept = [
+        (key, value)
+        for key, value in headers
+        if key.decode("latin-1").lower() not in HEADERS or key.lower() == POLICY
+    ]
     return kept + [(key.encode(), value.encode()) for key, value in HEADERS.items()]
+
+
+def cookies_of(scope: Scope) -> dict[str, str]:
+    """The cookies that a request carries; none where they cannot be read."""
+    try:
+        jar = SimpleCookie("; ".join(_all(scope, b"cookie")))
+    except CookieError:
+        return {}
+    return {name: one.value for name, one in jar.items()}
+
+
+class TokenGate:
+    """Layer inside `PageSecurity` that asks everybody for a token, the emergency stop and sockets included.
+
+    Whoever opens a page with ``?token=...`` gets it as a cookie that no script reads and no other site sends,
+    and is sent on to the same address without it.
+
+    Args:
+        app: what is served.
+        token: that is asked for.
+        port: of the server; a browser keeps cookies by name of a machine alone, so that the cookie names it.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self._app, self._token, self._cookie = app, token, f"palpate-token-{port}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer who has the token, and tell everybody else where it is to be had."""
+        if scope["type"] not in ("http", "websocket") or self._is_right(
+            cookies_of(scope).get(self._cookie, "")
+        ):
+            if scope["type"] == "http" and b"token=" in scope["query_string"]:
+                await self._enter(scope, receive, send)
+                return
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": "no token"})
+        else:
+            await self._enter(scope, receive, send)
+
+    async def _enter(self, scope: Scope, receive: Receive, send: Send) -> None:
+        asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        given = [value for name, value in asked if name == "token"]
+        if scope["method"] != "GET" or len(given) != 1 or not self._is_right(given[0]):
+            text = "open the address with the token that `palpate studio` printed when it began"
+            await PlainTextResponse(text, 401)(scope, receive, send)
+            return
+        rest = urlencode([(name, value) for name, value in asked if name != "token"])
+        path = "/" + scope["path"].lstrip("/\\")  # and never another machine's
+        answer = RedirectResponse(f"{path}?{rest}" if rest else path, 303)
+        answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
+        await answer(scope, receive, send)
+
+    def _is_right(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode("utf-8", "replace"), self._token.encode())
 
 
 class _Answer:

@@ -1,4 +1,4 @@
-"""Server of the studio: loopback only, for pages of its own address only, with nothing of its own to lose.
+"""Server of the studio: loopback unless told otherwise, for its own pages, with nothing of its own to lose.
 
 The emergency stop needs nothing of the page but the browser itself: `estop.html` is plain HTML beside the
 page's own elements and asks over a request of its own, so that it works while the page loads, after a reload
@@ -11,16 +11,22 @@ from __future__ import annotations
 import asyncio
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
-from palpate.core import DeviceError, MissingExtraError, PalpateError
+from palpate.core import DeviceError, MissingExtraError, PalpateError, SafetyError
 from palpate.rig.service.rig_client import RigClient
-from palpate.studio.page_security import ESTOP_PATH, PageSecurity
+from palpate.studio.library.background_jobs import BackgroundJobs
+from palpate.studio.library.file_routes import add_library_routes
+from palpate.studio.library.workspace import Workspace
+from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
+from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
 from palpate.studio.rendering_desk import RenderingDesk
 
+MAX_DIGITS = 10
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to
 
 
@@ -42,28 +48,60 @@ def add_route(app: FastAPI, client: RigClient, desk: RenderingDesk) -> None:
 
 
 HOST = "127.0.0.1"
+LOOPBACK = (HOST, "localhost", "::1")
 KEPT = 30  # messages for a tab that loses its connection for a moment
 ENDS_S = 2
 ALIVE_S = 300  # a connection, so that an emergency stop need not open one
 SWITCH_S = 0.001  # between threads, for the same reason
+RECONNECT_S = 5.0  # within which a tab that was cut off finds what it had
 
 
-def serve_pages(client: RigClient, port: int, runs: Path, desk: RenderingDesk) -> None:
+@dataclass
+class StudioParts:
+    """Parts of the studio that all pages of one server share.
+
+    Attributes:
+        client: of the rig's process.
+        runs: the folder that the rig's recordings go into, to be named on the page.
+        desk: objects and bench of softness.
+        workspace: whose runs, calibrations and experiments are shown.
+        lease: of the rig, among browsers.
+        jobs: that take long.
+    """
+
+    client: RigClient
+    runs: Path
+    desk: RenderingDesk
+    workspace: Workspace
+    lease: RigLease = field(default_factory=RigLease)
+    jobs: BackgroundJobs = field(default_factory=BackgroundJobs)
+
+    def close(self) -> None:
+        """End what the server itself has begun; the rig goes on."""
+        self.jobs.close()
+        self.desk.close()
+
+
+def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = "") -> None:
     """Serve the pages until the process is told to end (Ctrl-C).
 
     Args:
-        client: of the rig's process.
-        port: on 127.0.0.1.
-        runs: the folder that recordings go into, to be named on the page.
-        desk: objects and bench of softness.
+        parts: what they show.
+        port: of the server.
+        host: the address to listen at.
+        token: that everybody has to give; "" for none, which is allowed on loopback alone.
+
+    Raises:
+        SafetyError: others could reach the pages, and no token is asked for.
     """
     check_needed()
+    check_host(host, token)
     import uvicorn
 
     sys.setswitchinterval(SWITCH_S)
     config = uvicorn.Config(
-        make_app(client, runs, desk),
-        HOST,
+        make_app(parts, port, host, token),
+        host,
         port,
         log_level="warning",
         timeout_graceful_shutdown=ENDS_S,
@@ -72,36 +110,89 @@ def serve_pages(client: RigClient, port: int, runs: Path, desk: RenderingDesk) -
     try:
         uvicorn.Server(config).run()
     finally:
-        desk.close()
+        parts.close()
 
 
-def make_app(client: RigClient, runs: Path, desk: RenderingDesk) -> PageSecurity:
+def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -> PageSecurity:
     """The pages, the emergency stop's own address, and the newest picture, for pages of their own only."""
     from nicegui import ui
 
-    from palpate.studio.rig_page import RigPage
-    from palpate.studio.softness_page import SoftnessPage
-
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_route(app, client, desk)
+    add_route(app, parts.client, parts.desk)
+    add_library_routes(app, parts.workspace, parts.jobs)
 
     @app.get("/picture")
     async def picture() -> Response:
-        newest = client.picture
+        newest = parts.client.picture
         if newest is None:
             return Response(status_code=404)
         return Response(newest[1], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    @ui.page("/", title="Indentation rig · palpate", language="en-US")
+    add_pages(parts)
+    ui.run_with(
+        app,
+        language="en-US",
+        dark=None,
+        show_welcome_message=False,
+        message_history_length=KEPT,
+        reconnect_timeout=RECONNECT_S,
+    )
+    inner = OperatorCookie(app)
+    return PageSecurity(TokenGate(inner, token, port) if token else inner, names_of_server(host))
+
+
+def add_pages(parts: StudioParts) -> None:
+    """Name the pages; each is imported when it is first asked for, so that the first is there soon."""
+    from nicegui import ui
+
+    @ui.page("/", title="Start · palpate")
+    def start_page() -> None:
+        from palpate.studio.live.start_page import StartPage
+
+        StartPage(parts.workspace)
+
+    @ui.page("/rig", title="Indentation rig · palpate")
     def rig_page() -> None:
-        RigPage(client, str(runs))
+        from palpate.studio.rig_page import RigPage
 
-    @ui.page("/softness", title="Softness · palpate", language="en-US")
+        request = ui.context.client.request
+        where = request.client.host if request.client else None
+        RigPage(parts.client, str(parts.runs), parts.lease, operator_of(cookies_of(request.scope), where))
+
+    @ui.page("/softness", title="Softness · palpate")
     def softness_page() -> None:
-        SoftnessPage(desk)
+        from palpate.studio.softness_page import SoftnessPage
 
-    ui.run_with(app, show_welcome_message=False, message_history_length=KEPT, reconnect_timeout=5.0)
-    return PageSecurity(app)
+        SoftnessPage(parts.desk)
+
+    @ui.page("/recordings", title="Recordings · palpate")
+    def recordings_page(request: Request) -> None:
+        from palpate.studio.library.recordings_page import RecordingsPage
+
+        asked = request.query_params
+        frames = (_whole(asked.get("frame")), _whole(asked.get("beside_frame")))
+        RecordingsPage(
+            parts.workspace, asked.get("run", ""), asked.get("beside", ""), *frames, asked.get("split", "")
+        )
+
+    @ui.page("/calibrations", title="Calibrations · palpate")
+    def calibrations_page(request: Request) -> None:
+        from palpate.studio.library.calibrations_page import CalibrationsPage
+
+        asked = request.query_params
+        chosen = (asked.get("cal", ""), asked.get("beside", ""), asked.get("run", ""))
+        CalibrationsPage(parts.workspace, parts.jobs, chosen)
+
+    @ui.page("/trials", title="Trials · palpate")
+    def trials_page() -> None:
+        from palpate.studio.library.trials_page import TrialsPage
+
+        TrialsPage(parts.workspace, parts.jobs)
+
+
+def _whole(text: str | None) -> int:
+    """A number of a frame as it stands in an address; 0 where it is none."""
+    return int(text) if text and text.isascii() and text.isdigit() and len(text) < MAX_DIGITS else 0
 
 
 def check_needed() -> None:
@@ -112,12 +203,28 @@ def check_needed() -> None:
         raise MissingExtraError("the studio needs NiceGUI: pip install 'palpate[studio]'") from e
 
 
-def check_port(port: int) -> None:
-    """Refuse a port that is taken before anything is started."""
+def check_host(host: str, token: str) -> None:
+    """Refuse to listen where others can reach the pages, unless a token is asked for.
+
+    Raises:
+        SafetyError: an address that is not this machine's own alone, and no token.
+    """
+    if host not in LOOPBACK and not token:
+        raise SafetyError(
+            f"--host {host} lets others reach the pages, which move the rig; give --token as well, or leave "
+            "--host out and come through an SSH tunnel"
+        )
+
+
+def check_port(port: int, host: str = HOST) -> None:
+    """Refuse a port that is taken, or an address that is not here, before anything is started."""
     import socket
 
     try:
-        with socket.create_server((HOST, port)):
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.create_server((host, port), family=family):
             pass
     except OSError as e:
-        raise DeviceError(f"port {port} on {HOST} cannot be used ({e.strerror}); give another --port") from e
+        raise DeviceError(
+            f"port {port} on {host} cannot be used ({e.strerror or e}); give another --port"
+        ) from e

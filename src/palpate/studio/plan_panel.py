@@ -73,8 +73,8 @@ class PlanPanel:
                 self._button = ui.button("Use this plan", on_click=self._submit)
                 self._button.props('unelevated no-caps id="plan-use"')
 
-    async def refresh(self, status: Mapping[str, Any]) -> None:
-        """Show the rig's plan, unless there is a draft."""
+    async def refresh(self, status: Mapping[str, Any], *, may_use: bool = True) -> None:
+        """Show the rig's plan, unless there is a draft; `may_use` of an operator who may give the rig one."""
         if status["plan"] != self._rigs:
             self._rigs = status["plan"]
             if self._draft is None or self._draft == self._rigs:
@@ -82,7 +82,7 @@ class PlanPanel:
                 await self._fill(self._rigs)
         dirty = self._draft is not None
         self._back.set_visibility(dirty)
-        self._button.set_enabled(dirty and not status["recording"] and self._plan is not None)
+        self._button.set_enabled(may_use and dirty and not status["recording"] and self._plan is not None)
         self._draw(status)
 
     @property

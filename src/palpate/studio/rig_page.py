@@ -15,12 +15,15 @@ from nicegui import run, ui
 
 from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
-from palpate.studio import page_style, shown_ages, status_text, svg_drawing
-from palpate.studio.page_style import ACCENT, AXES, BAD, INK, SOFT
+from palpate.studio import shown_ages, status_text, svg_drawing
+from palpate.studio.operator_lease import Operator, RigLease
+from palpate.studio.page_shell import page_shell
+from palpate.studio.page_style import AXES, paint
 from palpate.studio.plan_panel import PlanPanel
 from palpate.studio.shown_ages import age_note
 
 REFRESH_S = 0.2
+INK, SOFT, BAD = map(paint, ("ink", "soft", "bad"))
 AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
 AGE_OF_DEVICE = {"stage": "position", "force sensor": "force", "camera": "camera"}
 LOST = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
@@ -32,10 +35,12 @@ class RigPage:
     Args:
         client: of the rig's process; shared by all tabs.
         runs: the folder that recordings go into, to be named.
+        lease: of the rig; shared by all tabs.
+        operator: whose tab it is.
     """
 
-    def __init__(self, client: RigClient, runs: str) -> None:
-        self._client = client
+    def __init__(self, client: RigClient, runs: str, lease: RigLease, operator: Operator) -> None:
+        self._client, self._lease, self._operator = client, lease, operator
         self._runs = runs
         self._busy = False
         self._log_count = -1
@@ -44,10 +49,7 @@ class RigPage:
         self._last_run = ""
         self._last_status: Mapping[str, Any] | None = None
         self._beats = 0
-        ui.add_css(page_style.style())
-        ui.colors(primary=ACCENT, negative=BAD, dark=INK)
-        ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
-        ui.add_body_html(page_style.text_of("ages.html"))
+        page_shell("rig")
         self._beat = ui.element("div").props('id="beat" hidden')
         self._failure = ui.label("").classes("unseen").props('id="failure" role="alert"')
         self._top()
@@ -88,8 +90,8 @@ class RigPage:
                 ui.button("Release", on_click=self._release).props('unelevated no-caps id="release-yes"')
         with ui.element("div").classes("heldbar").props('id="held" role="status"') as self._banner:
             ui.label("Emergency stop: the stage is held, also from moving away. What was recorded is kept.")
-            button = ui.button("Release…", on_click=self._dialog.open)
-            button.props('outline no-caps color=negative id="release"')
+            self._release_button = ui.button("Release…", on_click=self._dialog.open)
+            self._release_button.props('outline no-caps color=negative id="release"')
         self._banner.set_visibility(False)
 
     def _camera_card(self) -> None:
@@ -112,6 +114,10 @@ class RigPage:
     def _recording_card(self) -> None:
         with ui.element("section").classes("card").props('aria-label="Recording"'):
             ui.html("<h2>Recording</h2>", sanitize=False)
+            with ui.row().classes("w-full items-center justify-between no-wrap"):
+                self._holder = ui.label("").classes("soft").props('id="holder" role="status"')
+                self._let_go = ui.button("Let go", on_click=self._let_go_of_rig)
+                self._let_go.props('flat dense no-caps id="let-go" aria-label="Let go of the rig"')
             self._name = ui.input("run", value=f"run-{datetime.now().astimezone():%Y-%m-%d-%H%M}")
             self._name.props('dense outlined aria-label="name of the run"').classes("w-full run-name")
             with ui.element("div").classes("buttons"):
@@ -137,11 +143,15 @@ class RigPage:
     async def _act(self, name: str, *words: Any) -> bool:
         """Ask the rig's process, off the page's own loop; what it refuses is said."""
         try:
+            self._lease.take(self._operator)
             await run.io_bound(getattr(self._client, name), *words)
         except PalpateError as e:
             ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
             return False
         return True
+
+    def _let_go_of_rig(self) -> None:
+        self._lease.release(self._operator)
 
     async def _begin(self) -> None:
         self._start.disable()
@@ -180,6 +190,7 @@ class RigPage:
                 button.disable()
             self._serial = -1
             return
+        self._lease.see(self._operator, recording=bool(status["recording"]))
         if status["serial"] == self._serial:
             return
         self._serial = status["serial"]
@@ -187,13 +198,13 @@ class RigPage:
         self._show_devices(status)
         self._show_force(status)
         self._show_picture(status)
-        await self._plan.refresh(status)
+        await self._plan.refresh(status, may_use=self._lease.may_act(self._operator))
 
     def _show_recording(self, status: Mapping[str, Any]) -> None:
         recording, paused = bool(status["recording"]), status["state"] == "paused"
         command = status["asked"]
         faster = "" if status["real_time"] else ", faster than real time"
-        under = f'<div class="under">{escape(status["rig"])}{faster} · <a href="/softness">softness</a></div>'
+        under = f'<div class="under">{escape(status["rig"])}{faster}</div>'
         self._title.set_content(f"<h1>Indentation rig</h1>{under}")
         shots, planned = int(status["shots"]), int(status["planned"])
         share = 100 * shots / planned if planned else 0
@@ -204,12 +215,14 @@ class RigPage:
             f'aria-valuemin="0" aria-valuemax="100"><i style="width:{share:.2f}%"></i></div>'
         )
         self._banner.set_visibility(bool(status["held"]))
-        self._start.set_enabled(not recording and not status["held"])
-        self._pause.set_enabled(recording and not paused and command is None)
-        self._resume.set_enabled(recording and command == "pause")
-        self._stop.set_enabled(recording and command in (None, "pause"))
-        self._abort.set_enabled(recording and command in (None, "pause", "stop"))
-        self._name.set_enabled(not recording)
+        mine = self._show_holder()
+        self._start.set_enabled(mine and not recording and not status["held"])
+        self._pause.set_enabled(mine and recording and not paused and command is None)
+        self._resume.set_enabled(mine and recording and command == "pause")
+        self._stop.set_enabled(mine and recording and command in (None, "pause"))
+        self._abort.set_enabled(mine and recording and command in (None, "pause", "stop"))
+        self._release_button.set_enabled(mine)
+        self._name.set_enabled(mine and not recording)
         run_name = str(status["run"])
         if run_name and run_name != self._last_run:  # so that "start" goes on with it
             self._last_run = run_name
@@ -221,6 +234,13 @@ class RigPage:
         if status["log_count"] != self._log_count:
             self._log_count = status["log_count"]
             self._log.set_content("".join(_log_line(line) for line in reversed(status["log"])))
+
+    def _show_holder(self) -> bool:
+        """Say who holds the rig; whether this tab may act."""
+        holder = self._lease.holder
+        self._holder.set_text(self._lease.words(self._operator))
+        self._let_go.set_visibility(holder is not None and holder.key == self._operator.key)
+        return self._lease.may_act(self._operator)
 
     def _left_over(self, status: Mapping[str, Any]) -> bool:
         begun = status["state"] in ("stopped", "aborted", "failed", "e-stopped") and status["run"]

@@ -11,10 +11,11 @@ import numpy as np
 from palpate.softness import Mode, RenderingLaw
 from palpate.softness.control import LoopSample
 from palpate.softness.rendering_law import LIMIT_WORDS
-from palpate.studio.page_style import ACCENT, BAD, BAND, INK, LINE, SOFT
+from palpate.studio.page_style import paint
 from palpate.studio.status_text import number
 from palpate.studio.svg_drawing import nice_step
 
+INK, SOFT, LINE, ACCENT, BAND, BAD = map(paint, ("ink", "soft", "line", "accent", "band", "bad"))
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 460, 280, 46, 12, 14, 40
 SPAN_S = 10.0
 MIN_SPAN_N = 0.5

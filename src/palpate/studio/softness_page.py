@@ -12,8 +12,8 @@ from nicegui import run, ui
 
 from palpate.core import PalpateError
 from palpate.softness import Mode, RenderingLaw
-from palpate.studio import page_style, shown_ages, softness_drawing
-from palpate.studio.page_style import ACCENT, BAD, INK
+from palpate.studio import shown_ages, softness_drawing
+from palpate.studio.page_shell import page_shell
 from palpate.studio.rendering_desk import RenderingDesk, age_s
 from palpate.studio.shown_ages import age_note
 from palpate.studio.status_text import number
@@ -38,10 +38,7 @@ class SoftnessPage:
     def __init__(self, desk: RenderingDesk) -> None:
         self._desk, self._beats = desk, 0
         self._drawn: RenderingLaw | None = None
-        ui.add_css(page_style.style())
-        ui.colors(primary=ACCENT, negative=BAD, dark=INK)
-        ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
-        ui.add_body_html(page_style.text_of("ages.html"))
+        page_shell("softness")
         self._beat = ui.element("div").props('id="beat" hidden')
         self._failure = ui.label("").classes("unseen").props('id="failure" role="alert"')
         self._top()
@@ -63,9 +60,9 @@ class SoftnessPage:
                 "virtual: display, arm and finger are simulated" if self._desk.bench.simulated else "devices"
             )
             ui.html(
-                f'<h1>Softness</h1><div class="under">{escape(self._desk.bench.name)} ({kind}) · '
-                '<a href="/">indentation rig</a></div>', sanitize=False,
-            )  # fmt: skip
+                f'<h1>Softness</h1><div class="under">{escape(self._desk.bench.name)} ({kind})</div>',
+                sanitize=False,
+            )
             self._state = ui.label("nothing is rendered").classes("state calm")
             self._state.props('id="state" role="status" data-age-of="process"')
             age_note("process", "state and force")

@@ -9,9 +9,12 @@ from typing import Any
 
 from palpate.core import Outline
 from palpate.rig.plans.press_places import Place
-from palpate.studio.page_style import ACCENT, AXES, BAD, BAND, INK, LINE, SOFT
+from palpate.studio.page_style import AXES, paint
 from palpate.studio.status_text import number
 
+INK, SOFT, LINE, ACCENT, BAND, BAD, CARD = map(
+    paint, ("ink", "soft", "line", "accent", "band", "bad", "card")
+)
 MAX_PLACES = 3000  # that are drawn
 SPAN_S = 20.0  # of the force's time axis
 MIN_SPAN_N = 0.4
@@ -48,7 +51,7 @@ def grid_svg(
     parts = [
         f'<svg viewBox="{-edge:.2f} {-edge:.2f} {2 * edge:.2f} {2 * edge:.2f}" role="img">',
         _named("Places of the plan on the skin", _places_in_words(places, probe_mm, done, now, at_mm)),
-        f'<{_shape(outline)} fill="#fff" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
+        f'<{_shape(outline)} fill="{CARD}" stroke="{INK}" stroke-width="{layer_mm / 160:.3f}"/>',
     ]
     for place in places[:MAX_PLACES]:
         share = done.get(place.name, 0.0)

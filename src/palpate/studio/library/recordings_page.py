@@ -1,0 +1,280 @@
+"""Recordings: the workspace's runs, one of them played with its curve, noted on, split, or beside another.
+
+Which run, which frame, which split and which other run stand in the page's address.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from html import escape
+from urllib.parse import urlencode
+
+import numpy as np
+from nicegui import ui
+
+from palpate.core import PalpateError
+from palpate.recordings import Run, split
+from palpate.recordings.run_notes import MAX_NOTE, RunNote, add_note, read_notes
+from palpate.studio import page_style
+from palpate.studio.html_parts import state_word, table_html
+from palpate.studio.library import run_drawing
+from palpate.studio.library.workspace import RunSummary, Workspace
+from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
+from palpate.studio.status_text import duration
+
+MAX_TIMES = 1500
+"""Times of frames that a page is told; those between are evenly spaced."""
+WORDS_OF_STATE = {
+    "whole": "",
+    "being written": "warn",
+    "not closed": "warn",
+    "empty": "warn",
+    "damaged": "bad",
+}
+NOTHING = (
+    '<h2>No runs yet</h2><p class="empty">Nothing is recorded in this folder. Record on the page '
+    '<a href="/rig">Rig</a>, collect presses on <a href="/">Start</a>, or import images by <code>palpate '
+    "import images</code>. No file is uploaded here: put a run's folder into the workspace instead.</p>"
+)
+LINK = (
+    '<label class="soft"><input type="checkbox" data-link checked> move both together, by the same share of '
+    "their lengths</label>"
+)
+SELECT = 'dense outlined options-dense stack-label id="split" aria-label="kind of split"'
+HEADS = ("run", "frames", "length", "labels", "sensor", "size", "state")
+SPLITS = ("auto", "random", "session", "blocks")
+
+
+class RecordingsPage:
+    """Page of recordings in one tab.
+
+    Args:
+        workspace: whose runs are shown.
+        name: of the run that is shown; "" for the list.
+        beside: of another one.
+        frame, beside_frame: numbers of the frames that are shown first.
+        spec: how the frames are split; "" for not.
+    """
+
+    def __init__(
+        self, workspace: Workspace, name: str, beside: str, frame: int, beside_frame: int, spec: str
+    ) -> None:
+        self._workspace, self._name, self._beside = workspace, name, beside
+        self._at, self._spec = (frame, beside_frame), spec
+        page_shell("recordings")
+        ui.add_body_html(page_style.text_of("player.html"))
+        PageBeat()
+        page_title("Recordings", f"runs in {workspace.folder}")
+        with ui.element("main").classes("sheet") as self._sheet:
+            self._wait = ui.label("Looking at the runs …").classes("soft").props('role="status"')
+        ui.timer(0.01, self._fill, once=True)
+
+    async def _fill(self) -> None:
+        try:
+            shown = await asyncio.to_thread(self._read)
+        except PalpateError as e:
+            with self._sheet:
+                ui.html(f'<p class="trouble" role="alert">{escape(str(e))}</p>', sanitize=False)
+                ui.html('<a href="/recordings">All runs</a>', sanitize=False)
+            self._wait.delete()
+            return
+        self._wait.delete()
+        with self._sheet:
+            self._list(shown) if not self._name else self._one(shown)
+
+    def _read(self) -> list[RunSummary]:
+        if self._name:
+            chosen = [self._name, self._beside] if self._beside else [self._name]
+            for one in chosen:
+                self._workspace.run(one)  # refused in words where it cannot be opened
+        return [self._workspace.summary(one) for one in self._workspace.found("run")]
+
+    def _list(self, runs: list[RunSummary]) -> None:
+        with ui.element("section").classes("card").props('aria-label="Runs"'):
+            if not runs:
+                ui.html(NOTHING, sanitize=False)
+                return
+            ui.html(f"<h2>{len(runs)} run{'s' * (len(runs) != 1)}</h2>{runs_table(runs)}", sanitize=False)
+
+    def _one(self, runs: list[RunSummary]) -> None:
+        ui.html('<a href="/recordings">← All runs</a>', sanitize=False)
+        known = {one.name: one for one in runs}
+        with ui.element("div").classes("pair").props("data-linked"):
+            for name, frame, param in zip(
+                (self._name, self._beside), self._at, ("frame", "beside_frame"), strict=True
+            ):
+                if name:
+                    self._player(name, frame, param)
+            if self._beside:
+                ui.html(LINK, sanitize=False)
+            else:
+                with ui.element("div").classes("pair"):
+                    self._notes_card()
+        if self._beside:
+            self._comparison([known.get(self._name), known.get(self._beside)])
+        with ui.element("div").classes("pair"):
+            self._choose_other(sorted(known))
+            if not self._beside:
+                self._split_card()
+
+    def _player(self, name: str, frame: int, param: str) -> None:
+        opened = self._workspace.run(name)
+        notes = read_notes(opened.path)
+        with (
+            ui.element("section").classes("card").props(f'aria-label="Player of {escape(name, quote=True)}"')
+        ):
+            ui.html(f"<h2>{escape(name)}</h2>", sanitize=False)
+            if not len(opened):
+                ui.html('<p class="empty">This run holds no frame.</p>', sanitize=False)
+                return
+            html = player_html(name, opened, notes, frame, param)
+            ui.html(html, sanitize=False)
+
+    def _notes_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Notes"'):
+            ui.html("<h2>Notes</h2>", sanitize=False)
+            notes = read_notes(self._workspace.resolve(self._name))
+            self._notes = ui.html(notes_html(notes), sanitize=False).props('id="notes"')
+            self._text = ui.input("note on the frame that is shown").classes("w-full")
+            self._text.props(
+                f'dense outlined maxlength={MAX_NOTE} aria-label="note on the frame that is shown"'
+            )
+            ui.button("Note it", on_click=self._note).props('outline no-caps id="note"')
+            ui.label(
+                "Notes are kept beside the run, in notes.jsonl; the run itself is never altered."
+            ).classes("soft")
+
+    async def _note(self) -> None:
+        index = await ui.run_javascript("document.querySelector('.player')?.index ?? 0")
+        try:
+            await asyncio.to_thread(self._keep_note, int(index), str(self._text.value or ""))
+        except (PalpateError, IndexError) as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+            return
+        self._text.set_value("")
+        notes = await asyncio.to_thread(read_notes, self._workspace.resolve(self._name))
+        self._notes.set_content(notes_html(notes))
+
+    def _keep_note(self, index: int, text: str) -> None:
+        opened = self._workspace.run(self._name)
+        add_note(opened.path, float(opened.times_s[index]), text)
+
+    def _split_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Split"'):
+            ui.html("<h2>Split</h2>", sanitize=False)
+            why = "Which frames are held out together, so that a score says something about new presses."
+            ui.label(why).classes("soft")
+            opened = self._workspace.run(self._name)
+            groups = [f"group:{name}" for name in opened.manifest.labels]
+            kinds = ui.select([*SPLITS, *groups], value=None, label="kind", on_change=self._split)
+            kinds.classes("w-full").props(
+                'dense outlined options-dense stack-label id="split" aria-label="kind of split"'
+            )
+            self._split_shown = ui.html("", sanitize=False).classes("plot")
+            if self._spec:
+                kinds.set_options([*dict.fromkeys([*SPLITS, *groups, self._spec])], value=self._spec)
+
+    async def _split(self, event: object) -> None:
+        spec = str(getattr(event, "value", "") or "")
+        if not spec:
+            return
+        keep_in_address(run=self._name, split=spec)
+        self._split_shown.set_content(await asyncio.to_thread(self._split_html, spec))
+
+    def _split_html(self, spec: str) -> str:
+        opened = self._workspace.run(self._name)
+        try:
+            found = split(opened.labels, spec)
+        except PalpateError as e:
+            return f'<p class="trouble">{escape(str(e))}</p>'
+        sizes = ", ".join(str(len(fold)) for fold in found.folds[: run_drawing.MAX_FOLDS])
+        groups = f"{len(np.unique(found.groups))} groups; " if found.groups is not None else ""
+        said = f"{found.kind}: {found.reason}; {groups}{len(found.folds)} folds of {sizes} frames"
+        return f"<p>{escape(said)}</p>{run_drawing.split_svg(found, len(opened))}"
+
+    def _choose_other(self, names: list[str]) -> None:
+        with ui.element("section").classes("card").props('aria-label="Compare"'):
+            ui.html("<h2>Set beside another run</h2>", sanitize=False)
+            others = [one for one in names if one != self._name]
+            if not others:
+                ui.html('<p class="empty">There is no other run in the workspace.</p>', sanitize=False)
+                return
+            links = "".join(
+                f'<li><a href="{address(self._name, one)}">{escape(one)}</a></li>' for one in others[:50]
+            )
+            ui.html(f"<ul>{links}</ul>", sanitize=False)
+
+    def _comparison(self, two: list[RunSummary | None]) -> None:
+        with ui.element("section").classes("card").props('aria-label="Comparison"'):
+            columns = [facts_of(self._workspace.run(one.name), one) for one in two if one is not None]
+            names = list(dict.fromkeys(name for facts in columns for name in facts))
+            heads = ["", *(one.name for one in two if one is not None)]
+            rows = [[escape(name), *(escape(f.get(name, "–")) for f in columns)] for name in names]
+            ui.html(f"<h2>Beside each other</h2>{table_html(heads, rows)}", sanitize=False)
+
+
+def address(name: str, beside: str = "") -> str:
+    """Address of a run on the page, alone or beside another."""
+    asked = {"run": name, "beside": beside} if beside else {"run": name}
+    return f"/recordings?{urlencode(asked)}"
+
+
+def runs_table(runs: list[RunSummary]) -> str:
+    """The runs, a row each."""
+    rows = []
+    for one in runs:
+        link = f'<a href="{address(one.name)}">{escape(one.name)}</a>'
+        rows.append((
+            link if one.frames else escape(one.name),
+            f"{one.frames:,}",
+            duration(one.length_s) if one.length_s is not None else "only an order",
+            escape(", ".join(one.labels) or "none"),
+            escape(one.sensor or "–"),
+            f"{one.size_bytes / 1e6:.1f} MB",
+            f"{state_word(one.state, WORDS_OF_STATE[one.state])} {escape(one.why)}",
+        ))  # fmt: skip
+    return table_html(HEADS, rows)
+
+
+def player_html(name: str, opened: Run, notes: list[RunNote], frame: int, param: str) -> str:
+    """A player of a run: the page's script fills in its picture."""
+    shown = np.unique(np.linspace(0, len(opened) - 1, min(len(opened), MAX_TIMES)).round().astype(int))
+    times = json.dumps([round(float(opened.times_s[i]), 4) for i in shown])
+    at = min(max(frame, 0), len(opened) - 1)
+    curve = run_drawing.curve_svg(run_drawing.curve_of(opened), notes)
+    return (
+        f'<div class="player" data-run="{escape(name, quote=True)}" data-frames="{len(opened)}" '
+        f'data-at="{at}" data-param="{param}" data-times="{times}"><img alt="frame {at}">'
+        f'<input type="range" min="0" max="{len(opened) - 1}" value="{at}" aria-label="frame">'
+        '<div class="bar"><button class="button" type="button" data-play aria-pressed="false">Play</button>'
+        '<button class="button" type="button" data-step="-1" aria-label="one frame back">‹</button>'
+        '<button class="button" type="button" data-step="1" aria-label="one frame on">›</button>'
+        f'<output>frame {at}</output></div><div class="soft" data-labels></div>'
+        f'<div class="plot">{curve}</div></div>'
+    )
+
+
+def notes_html(notes: list[RunNote]) -> str:
+    """The notes, in the order of their times."""
+    if not notes:
+        return '<p class="empty">No notes yet.</p>'
+    rows = [(f"{note.time_s:.2f} s", escape(note.text)) for note in notes]
+    return table_html(("time", "note"), rows)
+
+
+def facts_of(opened: Run, about: RunSummary) -> dict[str, str]:
+    """What is told of a run beside another."""
+    rate = ""
+    if about.length_s and about.frames > 1:
+        rate = f"{(about.frames - 1) / about.length_s:.2f} Hz"
+    facts = {
+        "sensor": about.sensor or "–",
+        "begun, UTC": about.begun[:19].replace("T", " "),
+        "frames": f"{about.frames:,}",
+        "length": duration(about.length_s) if about.length_s is not None else "only an order",
+        "frame rate, mean": rate or "–",
+        "state": about.state,
+        "targets": ", ".join(about.targets) or "none",
+    }
+    return facts | {f"label {name}": words for name, words in run_drawing.label_ranges(opened).items()}

@@ -1,0 +1,207 @@
+"""Workspace: the one folder whose runs, calibrations and experiments the pages show; none leads out of it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import warnings
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from palpate.core import InputError, PalpateError
+from palpate.estimators.certified import CARD_FILE, read_card
+from palpate.estimators.model_card import Card
+from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
+from palpate.recordings import Run
+from palpate.recordings.manifest import MANIFEST
+from palpate.recordings.run_notes import NOTES
+
+MAX_DEPTH = 4
+"""Folders below the workspace that are looked into."""
+MAX_LISTED = 500
+"""Of a kind that are listed."""
+MAX_VISITED = 20_000
+"""Folders that are looked into in all."""
+MAX_NAME = 1000
+MAX_OPEN_RUNS = 4
+WRITTEN_S = 5.0
+"""A run whose last file has no index and changed within this time is said to be written [s]."""
+KINDS = {MANIFEST: "run", CARD_FILE: "calibration", EXPERIMENT: "experiment"}
+
+Stamp = tuple[tuple[str, int, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """Summary of a run, for a list.
+
+    Attributes:
+        name: of its folder, from the workspace.
+        frames: how many can be read.
+        length_s: from its first frame to its last [s]; None where its times are only an order.
+        labels, targets: the columns that it has, and those that are to be learnt.
+        sensor, begun: as its manifest says.
+        size_bytes: of its files.
+        state: "whole", "empty", "being written", "not closed" or "damaged".
+        why: what is wrong, in words; "" otherwise.
+    """
+
+    name: str
+    frames: int
+    length_s: float | None
+    labels: tuple[str, ...]
+    targets: tuple[str, ...]
+    sensor: str
+    begun: str
+    size_bytes: int
+    state: str
+    why: str
+
+
+class Workspace:
+    """Workspace of the studio.
+
+    Args:
+        folder: that is shown; it need not be there yet.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+        self._turn = threading.Lock()
+        self._runs: OrderedDict[Path, tuple[Stamp, Run]] = OrderedDict()
+        self._summaries: dict[Path, tuple[Stamp, str, RunSummary]] = {}
+
+    def resolve(self, name: str) -> Path:
+        """The path of something in the workspace, by its name from there.
+
+        Raises:
+            InputError: it leads out of the workspace, also by a link; or it is no name of a file.
+        """
+        bad = not name or len(name) > MAX_NAME or not name.isprintable() or "\\" in name
+        if not bad and not Path(name).is_absolute():
+            path = (self.folder / name).resolve()
+            if path != self.folder and path.is_relative_to(self.folder):
+                return path
+        raise InputError(
+            f"{name[:80]!r} is nothing in the workspace {self.folder}; name what lies in it, as the lists of "
+            "the pages do"
+        )
+
+    def name_of(self, path: Path) -> str:
+        """The name of something from the workspace."""
+        return path.resolve().relative_to(self.folder).as_posix()
+
+    def found(self, kind: str) -> list[str]:
+        """Names of what is there of a kind, the newest first.
+
+        Args:
+            kind: "run", "calibration" or "experiment".
+        """
+        paths = [path for path, what in self._walk() if what == kind]
+        paths.sort(key=lambda path: path.stat().st_mtime_ns if path.exists() else 0, reverse=True)
+        return [self.name_of(path) for path in paths[:MAX_LISTED]]
+
+    def run(self, name: str) -> Run:
+        """A run, opened anew where its files have changed since.
+
+        Raises:
+            PalpateError: it is not in the workspace, or no run.
+        """
+        path = self.resolve(name)
+        stamp = _stamp(path)
+        with self._turn:
+            kept = self._runs.get(path)
+            if kept is not None and kept[0] == stamp:
+                self._runs.move_to_end(path)
+                return kept[1]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is damaged is told by the list
+            run = Run.open(path)
+        with self._turn:
+            self._runs[path] = stamp, run
+            while len(self._runs) > MAX_OPEN_RUNS:
+                self._runs.popitem(last=False)
+        return run
+
+    def summary(self, name: str) -> RunSummary:
+        """Summary of a run; one that cannot be opened is damaged, and says why."""
+        path = self.resolve(name)
+        stamp = _stamp(path)
+        kept = self._summaries.get(path)
+        if kept is not None and kept[0] == stamp and kept[2].state != "being written":
+            return kept[2]
+        found = self._summary(name, path, stamp)
+        self._summaries[path] = stamp, name, found
+        return found
+
+    def card(self, name: str) -> Card:
+        """Card of a calibration.
+
+        Raises:
+            PalpateError: it is not in the workspace, or no calibration, or damaged.
+        """
+        return read_card(self.resolve(name))
+
+    def _summary(self, name: str, path: Path, stamp: Stamp) -> RunSummary:
+        size = sum(size for _, size, _ in stamp)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                run = Run.open(path)
+        except (PalpateError, OSError) as e:
+            return RunSummary(name, 0, None, (), (), "", "", size, "damaged", str(e))
+        about, times_s = run.manifest, run.times_s
+        timed = about.clock == "measured" and len(times_s) > 0
+        state, why = _state_of(run, stamp)
+        return RunSummary(
+            name, len(run), float(times_s[-1] - times_s[0]) if timed else None, tuple(about.labels),
+            tuple(about.targets), about.sensor, about.created_utc, size, state, why,
+        )  # fmt: skip
+
+    def _walk(self) -> Iterator[tuple[Path, str]]:
+        """What is there, with its kind; links are not followed, nor hidden folders looked into."""
+        for visited, (at, folders, files) in enumerate(os.walk(self.folder), 1):
+            kinds = [kind for file, kind in KINDS.items() if file in files]
+            depth = len(Path(at).relative_to(self.folder).parts)
+            whole = "run" in kinds or "calibration" in kinds
+            if whole or depth >= MAX_DEPTH or visited >= MAX_VISITED:
+                folders.clear()
+            folders[:] = sorted(one for one in folders if not one.startswith("."))
+            if at != str(self.folder):
+                yield from ((Path(at), kind) for kind in kinds)
+
+
+def _stamp(path: Path) -> Stamp:
+    """Name, size and time of change of a folder's files, so that a change is seen."""
+    try:
+        with os.scandir(path) as entries:
+            return tuple(
+                sorted(
+                    (e.name, e.stat().st_size, e.stat().st_mtime_ns)
+                    for e in entries
+                    if e.is_file() and e.name != NOTES
+                )
+            )
+    except OSError:
+        return ()
+
+
+def _state_of(run: Run, stamp: Stamp) -> tuple[str, str]:
+    """State of a run in a word, and what is wrong; its frames' bytes are not read for this."""
+    unclosed = any(
+        file.data_end is None
+        for segment in run.segments
+        for file in (segment.frames_file, segment.signals_file)
+    )
+    newest_s = max((changed_ns for *_, changed_ns in stamp), default=0) / 1e9
+    if unclosed and time.time() - newest_s < WRITTEN_S:
+        return "being written", ""
+    damage = [str(one) for segment in run.segments for one in segment.damage]
+    if unclosed:
+        return "not closed", "it was cut short while it was written; what was written before can be read"
+    if damage:
+        return "damaged", damage[0]
+    return ("whole", "") if len(run) else ("empty", "it holds no frame")

@@ -1,0 +1,209 @@
+"""Recordings, calibrations and trials in a browser: listed, opened by address, played, noted on, split."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from tests.studio import devtools
+from tests.studio.small_run import write_small_run
+from tests.studio.test_page_for_everybody import CONTRASTS
+from tests.studio.test_page_security import Served
+
+from palpate.recordings.run_notes import read_notes
+
+pytestmark = pytest.mark.slow
+MAX_S = 60.0
+PAGES = {
+    "start": "/",
+    "recordings": "/recordings",
+    "one run": "/recordings?run=runs%2Fone&frame=3&split=group%3Apress",
+    "two runs": "/recordings?run=runs%2Fone&beside=runs%2Ftwo",
+    "calibrations": "/calibrations",
+    "trials": "/trials",
+}
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("workspace")
+    for name in ("one", "two"):
+        write_small_run(folder / "runs" / name)
+    calibrate = ("calibrate", "runs/one", "--split", "group:press", "--folds", "3", "--quiet")
+    for words in (
+        (*calibrate, "--model", "pca-ridge", "--out", "cal-one"),
+        (*calibrate, "--model", "mean", "--out", "cal-two"),
+        ("trial", "new", "jelly", "--seed", "3"),
+        ("trial", "run", "jelly", "--participant", "R01", "--noise", "0.3"),
+    ):
+        code = f"import sys; sys.argv[1:] = {list(words)!r}; from palpate.cli import main; main()"
+        subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, capture_output=True, timeout=300)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def served(workspace):
+    os.environ["WORKSPACE"] = str(workspace)
+    served = Served()
+    del os.environ["WORKSPACE"]
+    yield served
+    served.close()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to drive")
+    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+def opened(browser, served, path, size=(1280, 900), scheme="light"):
+    tab = browser.open("about:blank", size=size)
+    tab.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    tab.go(f"http://127.0.0.1:{served.port}{path}")
+    tab.wait("!!document.querySelector('main .card h2')", MAX_S)
+    tab.front()
+    return tab
+
+
+def seek(tab, index):
+    """Move the first player to a frame, as its slider does."""
+    event = "new Event('input', {bubbles: true})"
+    tab.run(
+        f"(() => {{ const r = document.querySelector('.player input'); r.value = {index};"
+        f"r.dispatchEvent({event}) }})()"
+    )
+
+
+def test_runs_are_listed_and_one_is_played_noted_on_and_split(browser, served, workspace):
+    tab = opened(browser, served, "/recordings")
+    tab.wait("document.body.innerText.includes('2 runs')", MAX_S)
+    tab.press("a[href='/recordings?run=runs%2Fone']")
+    tab.wait("document.querySelector('.player img')?.naturalWidth === 32", MAX_S)
+    tab.wait("document.querySelector('[data-labels]').innerText.includes('force_N 0')")
+    seek(tab, 17)
+    tab.wait("document.querySelector('[data-labels]').innerText.includes('force_N 7')")
+    tab.wait("location.search.includes('frame=17')")
+    tab.type("input[aria-label='note on the frame that is shown']", "slipped <here>")
+    tab.press("#note")
+    tab.wait("document.querySelector('#notes').innerText.includes('slipped <here>')")
+    assert [(round(n.time_s, 1), n.text) for n in read_notes(workspace / "runs/one")] == [
+        (1.7, "slipped <here>")
+    ]
+    tab.reload()  # the address says which frame it was
+    tab.wait("document.querySelector('.player output')?.innerText.startsWith('frame 17 of 30')", MAX_S)
+    tab.press("[data-play]")
+    tab.wait("document.querySelector('.player output').innerText.startsWith('frame 29 of 30')")
+    assert tab.said == []
+    again = opened(browser, served, PAGES["one run"])
+    again.wait("document.body.innerText.includes('3 groups')", MAX_S)
+
+
+def test_two_runs_move_together(browser, served):
+    tab = opened(browser, served, PAGES["two runs"])
+    tab.wait("document.querySelectorAll('.player').length === 2", MAX_S)
+    tab.wait("[...document.querySelectorAll('.player img')].every((i) => i.naturalWidth === 32)", MAX_S)
+    seek(tab, 9)
+    tab.wait(
+        "[...document.querySelectorAll('.player output')].every((o) => o.innerText.startsWith('frame 9'))"
+    )
+
+
+def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own(browser, served):
+    tab = opened(browser, served, "/calibrations?cal=cal-one&beside=cal-two&run=runs%2Ftwo")
+    tab.wait("document.querySelectorAll('.calibration table').length === 2", MAX_S)
+    tab.press("#score")
+    tab.wait("document.querySelector('#jobs').innerText.includes('mean error')", 2 * MAX_S)
+    tab.press("#compare")
+    tab.wait("document.querySelectorAll('#jobs a').length === 1", 2 * MAX_S)
+    tab.press(".report-button")
+    tab.wait("document.querySelectorAll('#jobs a').length === 2", 2 * MAX_S)
+    address = tab.run("[...document.querySelectorAll('#jobs a')].at(-1).getAttribute('href')")
+    answer = served.ask("GET", address)
+    assert answer[0] == 200
+    policies = answer[1].get_all("content-security-policy")
+    assert any(policy.startswith("sandbox") for policy in policies)
+    assert any("frame-ancestors 'none'" in policy for policy in policies)
+    report = browser.open(f"http://127.0.0.1:{served.port}{address}")
+    report.wait("document.querySelectorAll('img').length > 0", MAX_S)
+    assert report.run("[...document.querySelectorAll('img')].every((i) => i.naturalWidth > 0)")
+    assert tab.said == []
+
+
+def test_a_trial_is_listed_with_its_commands_and_analysed(browser, served):
+    tab = opened(browser, served, "/trials")
+    tab.wait("document.body.innerText.includes('palpate trial run jelly --participant P01')", MAX_S)
+    assert "13 of at most 13" in tab.text()
+    tab.press("#analyse")
+    tab.wait("document.querySelector('#analysis-job a')", 2 * MAX_S)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(390, 844), (1280, 900)])
+def test_text_stands_out_on_every_page_and_nothing_is_cut_off(browser, served, size, scheme):
+    for name, path in PAGES.items():
+        tab = opened(browser, served, path, size, scheme)
+        time.sleep(1.0)
+        texts = tab.run(CONTRASTS)
+        weak = [one for one in texts if one[1] < (3.0 if one[2] else 4.5)]
+        assert weak == [], name
+        assert tab.run("document.documentElement.scrollWidth") <= size[0], name
+        cut = tab.run(
+            "[...document.querySelectorAll('.card *')].filter((e) => e.scrollWidth > e.clientWidth + 1 && "
+            "getComputedStyle(e).overflowX === 'hidden').map((e) => e.className)"
+        )
+        assert cut == [], name
+        assert tab.run("!!document.querySelector('#estop')"), name
+
+
+def test_the_theme_is_chosen_by_a_switch_and_kept(browser, served):
+    tab = opened(browser, served, "/recordings", scheme="light")
+    theme = "document.documentElement.dataset.theme"
+    assert tab.run(theme) == "light"
+    tab.press("#theme")  # light, as chosen
+    tab.press("#theme")
+    assert tab.run(theme) == "dark"
+    tab.go(f"http://127.0.0.1:{served.port}/rig")
+    tab.wait("document.body?.classList.contains('body--dark')", MAX_S)
+    tab.press("#theme")
+    assert tab.run(theme) == "light"
+
+
+def test_the_emergency_stop_works_from_every_page(browser, served):
+    for path in ("/", "/recordings", "/calibrations", "/trials", "/softness", "/rig"):
+        tab = browser.open(f"http://127.0.0.1:{served.port}{path}")
+        tab.wait("!!document.querySelector('#estop')", MAX_S)
+        tab.front()
+        tab.key("Escape", 27)
+        assert served.process.stdout.readline().strip() == "estop", path
+
+
+def test_an_empty_workspace_says_what_to_do(browser, tmp_path):
+    os.environ["WORKSPACE"] = str(tmp_path)
+    served = Served()
+    del os.environ["WORKSPACE"]
+    try:
+        empty = {"recordings": "runs", "calibrations": "calibrations", "trials": "experiments"}
+        for path, what in empty.items():
+            words = f"No {what} yet"
+            opened(browser, served, path).wait(
+                f"document.body.innerText.includes({json.dumps(words)})", MAX_S
+            )
+        tab = opened_any(browser, served, "/recordings?run=..%2F..%2Fetc")
+        tab.wait("document.body.innerText.includes('is nothing in the workspace')", MAX_S)
+    finally:
+        served.close()
+
+
+def opened_any(browser, served, path):
+    tab = browser.open(f"http://127.0.0.1:{served.port}{path}")
+    tab.front()
+    return tab

@@ -1,0 +1,201 @@
+"""The workspace shows what lies in it, says how it stands, and nothing leads out of it."""
+
+import asyncio
+import json
+import os
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+
+import httpx
+from fastapi import FastAPI
+from tests.studio.small_run import write_small_run
+
+from palpate.core import InputError, PalpateError
+from palpate.recordings.run_notes import RunNote
+from palpate.recordings.splits import split
+from palpate.studio.library import run_drawing
+from palpate.studio.library.background_jobs import BackgroundJobs
+from palpate.studio.library.file_routes import MAX_PX, SHEET_POLICY, add_library_routes
+from palpate.studio.library.workspace import MAX_DEPTH, Workspace
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    write_small_run(tmp_path / "at" / "runs" / "one")
+    return Workspace(tmp_path / "at")
+
+
+class Asked:
+    """Asks an application without a server."""
+
+    def __init__(self, app):
+        self._transport = httpx.ASGITransport(app)
+
+    def get(self, address, **options):
+        async def ask():
+            async with httpx.AsyncClient(transport=self._transport, base_url="http://localhost") as client:
+                return await client.get(address, **options)
+
+        return asyncio.run(ask())
+
+
+@pytest.fixture
+def client(workspace):
+    app = FastAPI()
+    with BackgroundJobs() as jobs:
+        add_library_routes(app, workspace, jobs)
+        yield Asked(app)
+
+
+def test_a_run_is_listed_with_its_frames_its_length_its_labels_and_its_state(workspace):
+    assert workspace.found("run") == ["runs/one"]
+    found = workspace.summary("runs/one")
+    assert (found.frames, found.state, found.targets) == (30, "whole", ("force_N",))
+    assert found.length_s == pytest.approx(2.9)
+    assert found.labels == ("force_N", "press", "reference")
+    assert found.size_bytes == sum(path.stat().st_size for path in (workspace.folder / "runs/one").iterdir())
+
+
+def test_a_run_that_is_cut_is_said_to_be_so_and_a_damaged_one_why(workspace):
+    cut = write_small_run(workspace.folder / "cut")
+    frames = cut / "0000-frames.mcap"
+    os.truncate(frames, frames.stat().st_size - 40)
+    os.utime(frames, (0, 0))
+    for one in cut.iterdir():
+        os.utime(one, (0, 0))
+    assert workspace.summary("cut").state == "not closed"
+    os.utime(frames)  # as it grows
+    assert workspace.summary("cut").state == "being written"
+    (cut / "manifest.json").write_text("{")
+    for one in ("0000-frames.mcap", "0000-signals.mcap"):
+        (cut / one).write_bytes(b"")
+    broken = workspace.summary("cut")
+    assert broken.state == "damaged"
+    assert "manifest" in broken.why
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["..", "../secret", "/etc", "runs/../../secret", "runs/one\0", "link", "link/run", "", ".", "runs\\one",
+     "x" * 2000, "runs/one\n"],
+)  # fmt: skip
+def test_nothing_leads_out_of_the_workspace(workspace, tmp_path, name):
+    write_small_run(tmp_path / "secret" / "run")
+    (workspace.folder / "link").symlink_to(tmp_path / "secret")
+    with pytest.raises(InputError, match="nothing in the workspace"):
+        workspace.resolve(name)
+    assert workspace.found("run") == ["runs/one"]  # nor is what a link leads to listed
+
+
+def test_a_link_within_the_workspace_is_followed_when_it_is_named(workspace):
+    (workspace.folder / "again").symlink_to(workspace.folder / "runs" / "one")
+    assert len(workspace.run("again")) == 30
+
+
+def test_what_lies_too_deep_or_is_hidden_is_not_listed(workspace):
+    deep = workspace.folder.joinpath(*(f"d{i}" for i in range(MAX_DEPTH)))
+    write_small_run(deep / "run")
+    write_small_run(workspace.folder / ".hidden" / "run")
+    assert workspace.found("run") == ["runs/one"]
+    write_small_run(deep.parent / "run")
+    assert len(workspace.found("run")) == 2
+
+
+def test_a_run_that_has_grown_is_opened_anew(workspace):
+    assert len(workspace.run("runs/one")) == 30
+    kept = workspace.run("runs/one")
+    assert workspace.run("runs/one") is kept
+    for one in (workspace.folder / "runs/one").iterdir():
+        os.utime(one)
+    assert workspace.run("runs/one") is not kept
+
+
+def test_a_frame_is_served_as_it_was_recorded_by_its_number(client):
+    answer = client.get("/run/frame", params={"run": "runs/one", "index": 7, "px": 960})
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg")
+    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (24, 32, 3)  # and not larger
+    assert abs(int(image.mean()) - 35) <= 1
+    small = client.get("/run/frame", params={"run": "runs/one", "index": 7, "px": 16}).content
+    assert cv2.imdecode(np.frombuffer(small, np.uint8), cv2.IMREAD_COLOR).shape == (12, 16, 3)
+    told = client.get("/run/labels", params={"run": "runs/one", "index": 7}).json()
+    assert told == {
+        "time_s": pytest.approx(0.7),
+        "labels": {"force_N": 7.0, "press": "p0", "reference": False},
+    }
+
+
+@pytest.mark.parametrize(
+    ("asked", "code"),
+    [({"index": 30}, 404), ({"index": -1}, 422), ({"index": "x"}, 422), ({"px": MAX_PX + 1}, 422),
+     ({"px": 1}, 422), ({"index": 10**12}, 422)],
+)  # fmt: skip
+def test_frames_and_widths_have_bounds(client, asked, code):
+    assert (
+        client.get("/run/frame", params={"run": "runs/one", "index": 0, "px": 64} | asked).status_code == code
+    )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "run=../secret",
+        "run=%2e%2e%2fsecret",
+        "run=%2Fetc",
+        "run=runs%2Fone%00",
+        "run=..%5Csecret",
+        "run=none",
+    ],
+)
+def test_encoded_paths_lead_nowhere_either(client, path):
+    for what in ("frame", "labels"):
+        answer = client.get(f"/run/{what}?{path}&index=0&px=64")
+        assert answer.status_code in (404, 422)
+        assert "image" not in answer.headers["content-type"]
+
+
+def test_a_page_that_a_job_wrote_runs_no_script(workspace, client):
+    assert client.get("/sheet/1").status_code == 404
+    assert "sandbox" in SHEET_POLICY
+    assert "script" not in SHEET_POLICY
+
+
+def test_a_curve_keeps_its_peak_and_marks_each_note(workspace):
+    run = workspace.run("runs/one")
+    curve = run_drawing.curve_of(run)
+    assert curve.unit == "N"
+    assert curve.values.max() == pytest.approx(9.0)
+    many = run_drawing.RecordedCurve("x", "N", np.arange(10_000.0), np.zeros(10_000), 1e4)
+    many.values[4321] = 7.0
+    assert run_drawing._binned(many)[1].max() == 7.0
+    svg = run_drawing.curve_svg(curve, [RunNote(1.0, "<slip>", "")])
+    assert "&lt;slip&gt;" in svg
+    assert "<slip>" not in svg
+    assert "0.00 to 9.00 N" in svg
+
+
+def test_the_bars_of_all_folds_hold_out_each_frame_once(workspace):
+    run = workspace.run("runs/one")
+    found = split(run.labels, "group:press", folds=3)
+    stretches = [one for fold in found.folds for one in run_drawing._stretches(np.sort(fold))]
+    assert sorted(stretches) == [(0, 10), (10, 20), (20, 30)]
+    assert run_drawing.split_svg(found, 30).count('<path d="M') >= 6
+    assert run_drawing._stretches(np.array([0, 1, 3])) == [(0, 2), (3, 4)]
+
+
+def test_labels_are_told_by_their_range(workspace):
+    told = run_drawing.label_ranges(workspace.run("runs/one"))
+    assert told == {"force_N": "0 to 9", "press": "3 different", "reference": "2 different"}
+
+
+def test_a_calibration_that_is_none_says_so(workspace):
+    folder = workspace.folder / "cal"
+    folder.mkdir()
+    (folder / "card.json").write_text(json.dumps({"format": "palpate-calibration/1"}))
+    assert workspace.found("calibration") == ["cal"]
+    with pytest.raises(PalpateError):
+        workspace.card("cal")
