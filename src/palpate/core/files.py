@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-from palpate.core.errors import ExistsError, RecordingError, StorageError
+from palpate.core.errors import ExistsError, InputError, RecordingError, StorageError
 
 if sys.platform == "win32":
     import msvcrt
@@ -91,6 +91,24 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 Opened = TypeVar("Opened", bound="Closing")
+
+
+MAX_NAME = 100
+
+
+def plain_name(text: str, of: str = "a run") -> str:
+    """A name that is no path, so that what is made of it lies in the folder in which it is made.
+
+    Raises:
+        InputError: it is empty, too long, begins with a dot, or has a character that a path could have.
+    """
+    good = text.isprintable() and 0 < len(text) <= MAX_NAME and not set(text) & set('/\\:*?"<>|')
+    if not good or text.startswith(".") or text.strip() != text:
+        raise InputError(
+            f"{text[:MAX_NAME]!r} is no name for {of}; give 1 to {MAX_NAME} letters, digits and such, "
+            "no slash, and no dot in front"
+        )
+    return text
 
 
 class Closing:

@@ -84,8 +84,11 @@ class RpcClient(Closing):
             if status is not None and status["serial"] > self._after and holds(status):
                 return status
             time.sleep(LOOK_S)
-        state = None if self.status is None else {k: self.status[k] for k in ("state", "message", "shots")}
-        raise DeviceError(f"what was waited for did not come within {timeout_s:g} s; the rig says {state}")
+        status = self.status or {}
+        state = {k: status[k] for k in ("state", "message", "shots", "why") if k in status} or None
+        raise DeviceError(
+            f"what was waited for did not come within {timeout_s:g} s; {self.name} says {state}"
+        )
 
     def ask(self, do: str, **fields: Any) -> Any:
         """Ask for something, and wait for what came of it.
@@ -119,7 +122,7 @@ class RpcClient(Closing):
         finally:
             self._waiting.pop(number, None)
         if reply is None:
-            raise DeviceError(f"the process of the rig {self.name} did not answer to {do!r}")
+            raise DeviceError(f"the process of {self.name} did not answer to {do!r}")
         if not reply["ok"]:
             raise _error(str(reply["kind"]), str(reply["error"]))
         self._after = max(self._after, int(reply["serial"]))
@@ -129,11 +132,11 @@ class RpcClient(Closing):
         line = encode_message(message)
         with self._sending:
             if self._socket is None:
-                raise DeviceError(f"the process of the rig {self.name} cannot be reached; is it running?")
+                raise DeviceError(f"the process of {self.name} cannot be reached; is it running?")
             try:
                 self._socket.sendall(line)
             except OSError as e:
-                raise DeviceError(f"the process of the rig {self.name} is gone: {e}") from e
+                raise DeviceError(f"the process of {self.name} is gone: {e}") from e
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -192,7 +195,7 @@ def _error(kind: str, message: str) -> PalpateError:
     family = getattr(errors, "SafetyError" if kind == "Tripped" else kind, None)
     if isinstance(family, type) and issubclass(family, PalpateError):
         return family(message)
-    return DeviceError(f"the rig's process failed: {kind}: {message}")
+    return DeviceError(f"the process failed: {kind}: {message}")
 
 
 START_S = 120.0  # a virtual rig's first start compiles
@@ -235,4 +238,4 @@ def launch_process(
     output = log.read_text(errors="replace").strip()[-TAIL:]
     if process.poll() is None:
         process.terminate()
-    raise DeviceError(f"the process of the rig {name} did not start: {output or 'it said nothing'}")
+    raise DeviceError(f"the process of {name} did not start: {output or 'it said nothing'}")

@@ -75,4 +75,3 @@ class ImageWatch:
         place = None if touch.region is None else [round(c, 1) for c in touch.region.centre_px]
         seen = {"verdict": touch.verdict, "change": plain_number(touch.change), "centre_px": place}
         return found | seen | {"why": touch.why}
-

@@ -182,8 +182,7 @@ class LiveLoop(Closing):
 
     def subscribe(self, subscriber: Subscriber) -> None:
         """Tell one more of frames, readings and forces, from the next on."""
-        waits = self._source is not None and self._source.waits
-        line = SubscriberLine(subscriber, waits=waits, fault=self._faults.append)
+        line = SubscriberLine(subscriber, waits=self._waits, fault=self._faults.append)
         with self._lock:
             self._lines = [*(one for one in self._lines if not one.why), line]
 
@@ -411,8 +410,11 @@ class LiveLoop(Closing):
         for line in self._lines:
             line.frame(frame, readings)
         if self._hand_over is not None:
-            source = self._source
-            self._hand_over.put(latest, wait=source is not None and source.waits)
+            self._hand_over.put(latest, wait=self._waits())
+
+    def _waits(self) -> bool:
+        source = self._source
+        return source is not None and source.waits
 
     def _collect_zero(self, image: Image) -> None:
         if self._zero_images and self._zero_images[0].shape != image.shape:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,6 +11,8 @@ from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.live_sources import LiveFrame, LiveSource
 
+Zeros = dict[int, Zero]
+"""Untouched images of single frames, by their numbers."""
 NO_ZERO = (
     "this calibration reads the difference to the untouched sensor, and there is no image of it yet: take "
     "everything off the skin and zero it"
@@ -53,14 +54,19 @@ class CalibrationReader:
     Args:
         estimator: the calibration.
         zero: of the untouched sensor; None where it is taken later, or not needed.
-        zeros: of single frames, by their numbers, as a run has its own.
     """
 
-    def __init__(
-        self, estimator: Estimator, zero: Zero | None = None, zeros: Mapping[int, Zero] | None = None
-    ) -> None:
+    def __init__(self, estimator: Estimator, zero: Zero | None = None) -> None:
         self.estimator = estimator
-        self._zero, self._zeros = zero, zeros or {}
+        self._zero, self._zeros = zero, Zeros()
+
+    def attach(self, source: LiveSource) -> None:
+        """Take the untouched images that a source has within, as a run does, unless one was given."""
+        run: Any = getattr(source, "run", None)
+        if run is not None and self._zero is None:
+            from palpate.calibration.evaluation import zeros_of  # loads tables, which no camera needs
+
+            self._zeros = zeros_of(self.estimator, run)
 
     @property
     def id(self) -> str:
@@ -104,7 +110,7 @@ def open_reader(
     *,
     reference: Image | None = None,
     threads: int = 1,
-) -> FrameReader:
+) -> CalibrationReader:
     """Open a calibration for live frames.
 
     Args:
@@ -119,14 +125,10 @@ def open_reader(
     """
     folder = Path(calibration)
     estimator = Estimator.open(folder, threads=threads)
-    zero = None if reference is None else estimator.zero(reference)
-    run: Any = getattr(source, "run", None)
-    zeros: Mapping[int, Zero] = {}
-    if zero is None and run is not None:
-        from palpate.calibration.evaluation import zeros_of  # loads tables, which no camera needs
-
-        zeros = zeros_of(estimator, run)
-    return CalibrationReader(estimator, zero, zeros)
+    reader = CalibrationReader(estimator, None if reference is None else estimator.zero(reference))
+    if source is not None:
+        reader.attach(source)
+    return reader
 
 
 def mean_image(images: list[Image]) -> Image:

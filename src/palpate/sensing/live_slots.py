@@ -86,12 +86,14 @@ class SubscriberLine:
     dropped; `why` then names it and says why.
     """
 
-    def __init__(self, subscriber: Subscriber, *, waits: bool, fault: Callable[[str], None]) -> None:
+    def __init__(
+        self, subscriber: Subscriber, *, waits: Callable[[], bool], fault: Callable[[str], None]
+    ) -> None:
         """Begin to call a subscriber.
 
         Args:
             subscriber: who is called.
-            waits: let whoever brings something wait where the line is full.
+            waits: whether whoever brings something waits where the line is full.
             fault: told why the subscriber was dropped.
         """
         self.subscriber = subscriber
@@ -127,7 +129,7 @@ class SubscriberLine:
             while len(self._line) >= MAX_LINE and not self.why:
                 if self._is_blocked():
                     self._drop(f"did not come back from a call for {BLOCKED_S:g} s")
-                elif not self._waits:
+                elif not self._waits():
                     self.missed += 1
                     return
                 else:

@@ -16,7 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import DEFAULT_SENSOR, DeviceError, InputError, PalpateError, Position, SafetyError, Sensor
+from palpate.core import (
+    DEFAULT_SENSOR,
+    DeviceError,
+    InputError,
+    PalpateError,
+    Position,
+    SafetyError,
+    Sensor,
+    plain_name,
+)
 from palpate.devices import OperatorCommand, OperatorControl, Tripped, device_status
 from palpate.devices.device_proxies import CameraProxy, ForceProxy, StageProxy
 from palpate.devices.device_status import Kind, Log
@@ -146,7 +155,6 @@ class RigMonitor:
 BEGIN_S = 15.0  # in which a recording has begun, or has been refused
 END_S = 30.0  # in which one that was told to end has lifted the probe and closed its run
 TAIL = 60  # lines of the log that are told
-NAME_LENGTH = 100
 
 AnyPlan = Known
 _UNTOLD = Status(State.READY, "", 0, 0, None)
@@ -192,7 +200,7 @@ class RigService:
     def start(self, out: str) -> dict[str, Any]:
         """Record the plan into a run of this name, or go on with one that is there."""
         with self._asking:
-            path = self._runs / _run_name(out)
+            path = self._runs / plain_name(out)
             self._check_at_rest("start")
             self._check_released()
             check_plan(self._rig, self._plan)
@@ -374,17 +382,6 @@ class RigService:
     def _check_recording(self, what: str) -> None:
         if not self.recording:
             raise SafetyError(f"there is no recording to {what}")
-
-
-def _run_name(out: str) -> str:
-    """A name and no path: what is recorded lies in the service's folder, and nowhere else."""
-    good = out.isprintable() and 0 < len(out) <= NAME_LENGTH and not set(out) & set('/\\:*?"<>|')
-    if not good or out.startswith(".") or out.strip() != out:
-        raise InputError(
-            f"{out[:NAME_LENGTH]!r} is no name for a run; give 1 to {NAME_LENGTH} letters, digits and such, "
-            "no slash, and no dot in front"
-        )
-    return out
 
 
 MAX_SCATTERED = 1000  # random places, each of which is compared with all the others

@@ -1,0 +1,398 @@
+"""The process of one live sensor: ``python -m palpate.sensing.live_service --name NAME --options JSON``.
+
+It goes on whoever watches it comes or goes, and whatever becomes of the page's server. It records when asked
+to; what it recorded is whole when it ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import cv2
+
+from palpate.core import InputError, PalpateError, Readings, SafetyError, Wrench, plain_name
+from palpate.devices.device_status import Log, jpeg_of
+from palpate.devices.rpc import Address, hold, publish
+from palpate.devices.rpc_server import Request, RpcServer, request_field
+from palpate.recordings.exchange.image_files import read_image
+from palpate.sensing.live_image import ImageWatch
+from palpate.sensing.live_loop import LiveLoop, LiveState
+from palpate.sensing.live_readers import CalibrationReader, open_reader
+from palpate.sensing.live_recorder import LiveRecorder
+from palpate.sensing.live_sources import HandFrames, LiveFrame, LiveSource, open_live_source
+
+LOOK_S = 0.2
+TAIL = 60  # lines of the log that are told
+PICTURE_S = 0.08  # between two pictures: a page shows no more than a dozen a second
+SWITCH_S = 0.001  # between threads, so that a frame does not wait for what others compute
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Options of a live sensor's process.
+
+    Attributes:
+        camera: address of the source, as `open_live_source` takes it.
+        calibration: folder; "" for none.
+        runs: folder that recordings go into; "" where none may be made.
+        reference: image file of the untouched sensor; "" for none.
+        zero: take the first frames as those of the untouched sensor; None does so of cameras alone.
+        size_px, rate_hz, exposure_s, white_balance_k: of a USB camera; None for the usual.
+        paced, repeat, idle_s, seed: as `open_live_source` takes them.
+        threads: of the inference engine; 0 lets it choose.
+    """
+
+    camera: str = "0"
+    calibration: str = ""
+    runs: str = ""
+    reference: str = ""
+    zero: bool | None = None
+    size_px: tuple[int, int] | None = None
+    rate_hz: float | None = None
+    exposure_s: float | None = None
+    white_balance_k: int | None = None
+    paced: bool = False
+    repeat: bool = False
+    idle_s: float = 2.0
+    seed: int = 0
+    threads: int = 1
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> LiveOptions:
+        """Options from plain values.
+
+        Raises:
+            InputError: a name that is none of them.
+        """
+        known = {field.name for field in fields(cls)}
+        if unknown := set(values) - known:
+            raise InputError(f"no option of a live sensor: {sorted(unknown)}; there are {sorted(known)}")
+        size = values.get("size_px")
+        return cls(**{**values, "size_px": None if size is None else (int(size[0]), int(size[1]))})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+    def open(self) -> LiveSource:
+        """Open the source.
+
+        Raises:
+            PalpateError: as `open_live_source`.
+        """
+        return open_live_source(
+            int(self.camera) if self.camera.isdecimal() and len(self.camera) < 3 else self.camera,
+            settings=self._settings(),
+            paced=self.paced,
+            repeat=self.repeat,
+            idle_s=self.idle_s,
+            seed=self.seed,
+        )
+
+    def _settings(self) -> Any:
+        given = {
+            name: value
+            for name in ("size_px", "rate_hz", "exposure_s", "white_balance_k")
+            if (value := getattr(self, name)) is not None
+        }
+        if not given:
+            return None
+        from palpate.rig.real.uvc_camera import UvcSettings
+
+        return replace(UvcSettings(), **given)
+
+
+class LiveService:
+    """Service of one live sensor to whoever asks, from any thread.
+
+    Args:
+        name: of the sensor, unique among the processes of this user.
+        options: what it is and how it is read.
+
+    Raises:
+        CertificateError: the calibration is none, or damaged. A camera that is not there raises nothing: it
+            is a state.
+    """
+
+    def __init__(self, name: str, options: LiveOptions) -> None:
+        self.name, self.options = name, options
+        self._log = Log()
+        self._asking = threading.RLock()  # calibration, record, collect: one after the other
+        self._reader: CalibrationReader | None = None
+        self._recorder: LiveRecorder | None = None
+        self._collector: Any = None
+        if options.calibration:
+            self._reader = self._opened_reader(options.calibration)
+        self.loop = LiveLoop(self._opened_source, self._reader)
+        self._watch = ImageWatch(self.loop)
+        self.loop.subscribe(self._watch)
+        self._pictured_s = 0.0
+        self._told: LiveState | None = None
+
+    def start(self) -> None:
+        """Begin to read."""
+        self.loop.start()
+
+    def zero(self) -> None:
+        """Take the next frames, on which nothing may press, as those of the untouched sensor."""
+        self._log.add("operator", "zero")
+        self.loop.zero()
+        if self._collector is not None:
+            self._collector.rezero()
+
+    def use(self, calibration: str) -> dict[str, Any]:
+        """Read by another calibration from now on; "" by none."""
+        with self._asking:
+            self._reader = self._opened_reader(calibration) if calibration else None
+            source = self.loop.source
+            if self._reader is not None and source is not None:
+                self._reader.attach(source)
+            self.loop.use(self._reader)
+            self._log.add("operator", f"calibration {calibration or 'none'}")
+            return {"calibration": None if self._reader is None else self._reader.id}
+
+    def record(self, run: str) -> dict[str, Any]:
+        """Record frames and forces into a new run of this name."""
+        with self._asking:
+            self._check_free()
+            path, source = self._path(run), self._source()
+            self._recorder = LiveRecorder(path, source)
+            self.loop.subscribe(self._recorder)
+            self._log.add("operator", f"record {run}")
+            return {"run": str(path)}
+
+    def record_stop(self) -> dict[str, Any]:
+        """End the recording; the run is whole when this returns."""
+        with self._asking:
+            recorder, self._recorder = self._recorder, None
+            if recorder is None:
+                raise SafetyError("nothing is being recorded")
+            self.loop.unsubscribe(recorder)
+            recorder.close()
+            self._log.add("operator", "recording ended")
+            return {"run": str(recorder.path), "dropped": recorder.dropped}
+
+    def collect(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Collect labelled presses into a run of this name; one that is there goes on.
+
+        Args:
+            request: "run", and where wanted "scale" ("beside" for the force sensor beside the camera, "typed"
+                for weights that are typed), "asked", "session", "region", "force_range_n".
+        """
+        with self._asking:
+            self._check_free()
+            collector = self._opened_collector(request)
+            self._collector = collector
+            self.loop.subscribe(collector)
+            self._log.add("operator", f"collect presses into {collector.run.name}")
+            return {"run": str(collector.run)}
+
+    def collect_stop(self) -> dict[str, Any]:
+        """End the collection; the run is whole when this returns."""
+        with self._asking:
+            collector, self._collector = self._collector, None
+            if collector is None:
+                raise SafetyError("no presses are being collected")
+            self.loop.unsubscribe(collector)
+            collector.close()
+            self._log.add("operator", "collection ended")
+            status: dict[str, Any] = collector.status()
+            return status
+
+    def label(self, force_n: float) -> dict[str, Any]:
+        """State the weight that lies on the sensor now [N]."""
+        if self._collector is None:
+            raise SafetyError("no presses are being collected; start that first")
+        self._collector.label(float(force_n))
+        return {"force_N": float(force_n)}
+
+    def status(self) -> dict[str, Any]:
+        """Status for a page, but for the picture; plain values."""
+        found = self.loop.status()
+        if self.loop.state is not self._told:
+            self._told = self.loop.state
+            why = f": {found['why']}" if found["why"] else ""
+            failed = self._told in (LiveState.LOST, LiveState.FAILED)
+            self._log.add("fault" if failed else "rig", f"{self._told.value}{why}")
+        recorder, collector = self._recorder, self._collector
+        return {
+            **found,
+            "name": self.name,
+            "camera": self.options.camera,
+            "image": self._watch.status(),
+            "record": None if recorder is None else {"run": str(recorder.path), "dropped": recorder.dropped},
+            "collect": None if collector is None else collector.status(),
+            "log": self._log.tail(TAIL),
+        }
+
+    def picture(self, after: int = -1) -> dict[str, Any] | None:
+        """The newest frame as a JPEG, numbered; None where none is newer than `after`, or none is due."""
+        latest = self.loop.latest
+        if latest is None or latest.number == after or latest.why:
+            return None
+        if after >= 0 and time.monotonic() - self._pictured_s < PICTURE_S:
+            return None
+        self._pictured_s = time.monotonic()
+        return {"number": latest.number, **jpeg_of(latest.image)}
+
+    def close(self) -> None:
+        """End: what is recorded and collected is closed whole, then the camera is let go of."""
+        self.loop.close()
+        with self._asking:
+            for kept in (self._recorder, self._collector):
+                if kept is not None:
+                    kept.close()
+            self._recorder = self._collector = None
+
+    def _opened_reader(self, calibration: str) -> CalibrationReader:
+        reference = read_image(self.options.reference) if self.options.reference else None
+        return open_reader(calibration, reference=reference, threads=self.options.threads)
+
+    def _opened_source(self) -> LiveSource:
+        source = self.options.open()
+        if self._reader is not None:
+            self._reader.attach(source)
+        wanted = self.options.zero
+        by_itself = not source.waits and not self.options.reference and self.loop.untouched is None
+        if by_itself if wanted is None else wanted and self.loop.untouched is None:
+            self.loop.zero()
+        return source
+
+    def _opened_collector(self, request: Mapping[str, Any]) -> Any:
+        from palpate.sensing.collection.plateau_finder import Weighing
+        from palpate.sensing.collection.press_collector import PressCollector
+
+        path, source = self._path(request_field(request, "run", (str,))), self._source()
+        kind = request.get("scale", "beside")
+        if kind not in ("beside", "typed"):
+            raise InputError(f"scale {kind!r}; give 'beside' or 'typed'")
+        if kind == "beside" and source.force is None:
+            raise InputError(f"there is no force sensor beside {source.name}; type weights: scale 'typed'")
+        options = {k: request[k] for k in ("asked", "session", "region", "force_range_n") if k in request}
+        options |= {k: tuple(options[k]) for k in ("region", "force_range_n") if options.get(k) is not None}
+        if isinstance(source, HandFrames):
+            truths = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
+            options |= {"truth": source.hand.truth, "truths": truths, "licence": "CC0-1.0"}
+            options |= {"origin": "pressed by a virtual hand; virtual, not measured"}
+        scale = Weighing.by(source.force) if kind == "beside" and source.force is not None else None
+        return PressCollector(path, source.name.replace("virtual:", "virtual "), scale, **options)
+
+    def _source(self) -> LiveSource:
+        source = self.loop.source
+        if source is None:
+            raise SafetyError(
+                f"{self.options.camera} is not there now ({self.loop.why}); nothing is recorded"
+            )
+        return source
+
+    def _path(self, run: str) -> Path:
+        if not self.options.runs:
+            raise InputError("this process was given no folder for recordings; start it with one")
+        return Path(self.options.runs) / plain_name(run)
+
+    def _check_free(self) -> None:
+        if self._recorder is not None or self._collector is not None:
+            raise SafetyError("a recording is under way; end it first")
+
+
+class Nudge:
+    """Subscriber that has the server tell its clients of each frame sooner.
+
+    Args:
+        server: that tells.
+    """
+
+    def __init__(self, server: RpcServer) -> None:
+        self._server = server
+
+    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+        """Tell of it."""
+        self._server.nudge()
+
+    def on_force(self, samples: Sequence[Wrench]) -> None:
+        """Forces are told with frames."""
+
+
+class LiveServer(RpcServer):
+    """Lets others on this machine ask a `LiveService`.
+
+    Attributes:
+        ended: set once a client has asked for the end.
+    """
+
+    def __init__(self, service: LiveService) -> None:
+        self.ended = threading.Event()
+        quick: dict[str, Request] = {
+            "zero": lambda _: service.zero(),
+            "status": lambda _: service.status(),
+            "label": lambda request: service.label(request_field(request, "force_n", (int, float))),
+            "shutdown": lambda _: self.ended.set(),
+        }
+        slow: dict[str, Request] = {
+            "calibration": lambda request: service.use(request_field(request, "path", (str,))),
+            "record": lambda request: service.record(request_field(request, "run", (str,))),
+            "record_stop": lambda _: service.record_stop(),
+            "collect": service.collect,
+            "collect_stop": lambda _: service.collect_stop(),
+        }
+        super().__init__(service.name, service.status, service.picture, quick, slow)
+        service.loop.subscribe(Nudge(self))
+
+
+def main() -> int:
+    """Read a sensor until told to end."""
+    parser = argparse.ArgumentParser(description="Read a sensor live, and tell whoever asks.")
+    parser.add_argument("--name", required=True)
+    parser.add_argument(
+        "--options", default="{}", help="JSON object of options, such as camera and calibration"
+    )
+    parser.add_argument("--folder", type=Path, help="folder of the address file")
+    words = parser.parse_args()
+    ended = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended.set()
+
+    sys.setswitchinterval(SWITCH_S)
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        serve_live(words.name, LiveOptions.from_dict(json.loads(words.options)), words.folder, ended)
+    except PalpateError as e:
+        print(f"palpate: {e}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def serve_live(name: str, options: LiveOptions, folder: Path | None, ended: threading.Event) -> None:
+    """Read a sensor until the event is set, or a client asks for the end."""
+    with hold(name, folder):
+        service = LiveService(name, options)
+        server = LiveServer(service)
+        service.start()
+        path = publish(Address(name, server.port, server.token, os.getpid()), folder)
+        try:
+            while not (ended.wait(LOOK_S) or server.ended.is_set()):
+                pass
+        finally:
+            path.unlink(missing_ok=True)
+            service.close()
+            server.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
