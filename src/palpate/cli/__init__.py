@@ -38,6 +38,8 @@ HEADINGS: dict[str, dict[str, str]] = {
     },
     "Sense": {
         "live": "live_verbs:live",
+        "cameras": "machine_verbs:cameras",
+        "doctor": "machine_verbs:doctor",
         "sense": "calibrate_verbs:sense",
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",

@@ -1,0 +1,67 @@
+"""Verbs on the machine: its cameras, and what palpate needs of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Option
+
+from palpate.cli.verb_support import Json, print_found
+
+if TYPE_CHECKING:
+    from palpate.rig.real.camera_listing import ListedCamera
+
+
+def cameras(
+    all_: Annotated[bool, Option("--all", help="Tell every size and rate, and a udev rule.")] = False,
+    json_: Json = False,
+) -> None:
+    """List this machine's cameras: name, serial number, path, sizes, rates, use.
+
+    Example: palpate cameras
+    """
+    from palpate.rig.real.camera_listing import how_listed, list_cameras
+
+    found = list_cameras()
+    text = "\n".join(_camera_text(one, all_) for one in found)
+    nothing = how_listed() or "no camera is to be seen; begin without one: palpate live --camera virtual:palm"
+    print_found([one.to_dict() for one in found], text or nothing, json_)
+
+
+def doctor(json_: Json = False) -> None:
+    """Look at what palpate needs and may use here, and say how each is mended.
+
+    Ends with status 1 where something that is needed is broken.
+
+    Example: palpate doctor
+    """
+    from palpate.workflows.machine_check import check_machine, machine_text
+
+    parts = check_machine()
+    print_found([part.to_dict() for part in parts], machine_text(parts), json_)
+    if any(part.state == "broken" for part in parts):
+        raise typer.Exit(1)
+
+
+def _camera_text(one: ListedCamera, everything: bool) -> str:
+    lines = [f"{one.path}  {one.name}"]
+    lines.append(f"  palpate live --camera {one.serial or one.path}")
+    if not one.serial:
+        lines.append("  it tells no serial number, so that its path may change when cables are swapped")
+    best: dict[str, list[str]] = {}
+    for mode in one.modes:
+        rates = ", ".join(f"{rate:g}" for rate in (mode.rates_hz if everything else mode.rates_hz[:1]))
+        at = f" at {rates} Hz" if rates else ""
+        best.setdefault(mode.pixels, []).append(f"{mode.size_px[0]}x{mode.size_px[1]}{at}")
+    for pixels, sizes in best.items():
+        shown = sizes if everything else sizes[:4]
+        more = f" and {len(sizes) - len(shown)} more" if len(sizes) > len(shown) else ""
+        lines.append(f"  {pixels}: {'; '.join(shown)}{more}")
+    if one.used_by:
+        lines.append(f"  in use by {one.used_by}")
+    if one.advice:
+        lines.append(f"  -> {one.advice}")
+    if one.udev and (everything or one.advice):
+        lines.append(f"  udev rule, for a file in /etc/udev/rules.d: {one.udev}")
+    return "\n".join(lines)
