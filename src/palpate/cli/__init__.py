@@ -40,6 +40,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "live": "live_verbs:live",
         "cameras": "machine_verbs:cameras",
         "doctor": "machine_verbs:doctor",
+        "sensors": "preset_verbs:app",
         "sense": "calibrate_verbs:sense",
         "compliance": "compliance_verbs:app",
         "flow": "optics_verbs:flow",

@@ -36,7 +36,7 @@ TIMES = 1, 2, 4  # of those blurs, until they are not small beside the one that 
 MAX_BLUR_PX = 8.0  # what varies over more is light, and no edge
 WELL_TOLD = 1.2  # px: blur that is told well by the first
 PIXEL_WIDTH = 1 / 12 + 1 / 3  # px²: of the pixel, and of the difference of the next but one
-STEEPEST = 0.998  # quantile of slopes that are the sharpest edges
+EDGE_QUANTILE = 0.998  # quantile of slopes that are the sharpest edges
 MIN_SLOPE = 0.5  # grey levels a pixel
 MIN_SLOPE_NOISES = 6.0  # of a slope, to be an edge
 MAINS_HZ = 50.0, 60.0
@@ -161,7 +161,7 @@ def edge_blur_px(image: Float[ndarray, "h w"] | Float32[ndarray, "h w"], noise: 
     for times in TIMES:
         a, b = (times * step for step in STEP_PX)
         small, large = _slopes(image, a), _slopes(image, b)
-        limit = max(float(np.quantile(large, STEEPEST)), MIN_SLOPE_NOISES * _slope_noise(noise, b), MIN_SLOPE)
+        limit = max(float(np.quantile(large, EDGE_QUANTILE)), MIN_SLOPE_NOISES * _slope_noise(noise, b), MIN_SLOPE)
         edges = large >= limit
         if not edges.any():
             return None

@@ -41,6 +41,7 @@ Grid = Float32[ndarray, "h w c"]
 
 MIN_FRAMES = 5
 WORKING_PX = 320  # about the longer side of the grid that is worked on; finer images are averaged to it
+COARSE = 4  # px of a frame on one of the grid, from which a frame is halved before it becomes fractions
 SIGMA = 1.5  # px of the grid: by which a difference is smoothed
 SPREAD = 2.0  # px of the grid: over which its square is averaged
 NOISE_OVER = 8.0  # px of the grid over which variances are averaged: few frames tell little of one pixel's
@@ -53,7 +54,7 @@ MAX_SHARE = 0.6  # of the region, beyond which what lies still beside it tells a
 MAX_STILL_SHARE = 0.5  # of what lies still that a touch may change
 MIN_PX = 12  # of the grid: a smaller region is a speck
 HARDLY = 0.05  # probability of what untouched frames reach, below which their noise is not as supposed
-STRONG = 90  # percentile of the strength in a region that is its strong part
+STRONG = 75  # percentile of the strength in a region that is its strong part
 SECOND = 0.25  # of the largest part: smaller ones are not of the contact
 ROUNDS = 3  # of telling the strong part by the region, and the region by the strong part
 
@@ -118,6 +119,8 @@ class UntouchedView:
         frames: 8-bit grey ``[h w]`` or RGB ``[h w 3]`` images of the untouched sensor, five or more.
         region: x, y, width and height of the skin in the frame [px]; all of the frame without.
         false_alarm_rate: about the share of untouched frames in which a touch is seen, at most.
+        least_change: of a touch [grey levels]: what video coding and warming leave is less, and is no noise
+            that a few frames could tell.
         mm_per_px: of the skin in the frame [mm]; without it lengths are in px alone.
         marks: pins or dots in the skin that are followed: "bright" or "dark" ones, a description of dots, or
             "any" that stand on a lattice. A region is then one over several marks.
@@ -140,6 +143,7 @@ class UntouchedView:
         *,
         region: Box | None = None,
         false_alarm_rate: float = 1e-3,
+        least_change: float = 1.5,
         mm_per_px: float | None = None,
         marks: MarkKind | DottedSkin | Literal["any"] | None = None,
     ) -> None:
@@ -150,13 +154,14 @@ class UntouchedView:
         self._shape = _kind_of(frames[0])
         if not 1e-9 <= false_alarm_rate <= 0.5:
             raise RangeError(f"a false-alarm rate of {false_alarm_rate}; give a share from 1e-9 to 0.5")
+        if not 0 <= least_change < SATURATED:
+            raise RangeError(f"a least change of {least_change} grey levels; give 0 to {SATURATED:.0f}")
         if mm_per_px is not None and not 0 < mm_per_px < math.inf:
             raise RangeError(f"{mm_per_px} mm a pixel; give a length above 0 mm")
         self.region = _within(region, self._shape)
-        self.mm_per_px = mm_per_px
+        self.mm_per_px, self.least_change = mm_per_px, least_change
         self._step = max(1, round(max(self.region[2:]) / WORKING_PX))
-        middle = np.rint(np.mean(np.stack(frames), axis=0)).astype(np.uint8)
-        self._marks = None if marks is None else follow_marks(middle, marks)
+        self._marks = None if marks is None else follow_marks(_mean_frame(frames), marks)
         pitch = 0.0 if self._marks is None else self._marks.pitch_px
         self._spread = max(SPREAD, 0.5 * pitch / self._step)
         grids = np.stack([self._grid(frame) for frame in frames])
@@ -209,8 +214,11 @@ class UntouchedView:
             return SeenTouch("view changed", why, gain, change, share)
         marks = None if self._marks is None else self._marks.moved(image)
         region = self._region(difference, over) if change > 1 else None
-        if region is None:
-            return SeenTouch("untouched", "no difference beyond the noise", gain, change, share, None, marks)
+        if region is None or region.strength < self.least_change:
+            why = "no difference beyond the noise"
+            if region is not None:
+                why = f"a change of {region.strength:.1f} grey levels; a touch has {self.least_change:.1f}"
+            return SeenTouch("untouched", why, gain, change, share, None, marks)
         x, y = region.centre_px
         why = f"a change of {region.strength:.1f} grey levels around x {x:.0f}, y {y:.0f} px"
         return SeenTouch("touched", why, gain, change, share, region, marks)
@@ -268,6 +276,8 @@ class UntouchedView:
         step = self._step
         wide, high = width // step, height // step
         part = image[y : y + high * step, x : x + wide * step]
+        if step >= COARSE:  # rounding after a mean of four pixels or more is little beside their noise
+            part = cv2.resize(part, (2 * wide, 2 * high), interpolation=cv2.INTER_AREA)
         small = cv2.resize(part.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
         return small.reshape(high, wide, -1)
 
@@ -343,6 +353,10 @@ class UntouchedView:
 
 def _pair(values: Float[ndarray, 2]) -> tuple[float, float]:
     return float(values[0]), float(values[1])
+
+
+def _mean_frame(frames: Sequence[Shaped[ndarray, ...]]) -> UInt8[ndarray, "h w *c"]:
+    return np.rint(np.mean(np.stack(frames), axis=0)).astype(np.uint8)
 
 
 def _smooth(grid: Grid, sigma: float) -> Grid:

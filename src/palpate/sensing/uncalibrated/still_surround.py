@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from palpate.core import Bool, Float, Shaped, ndarray
+from palpate.core import Bool, Shaped, UInt8, ndarray
 
+LOOKED_AT_PX = 640  # about the longer side of what is looked at: larger frames are averaged to it
+MEAN_OF_THREE = np.full((1, 3), 1 / 3)
 MAX_SHIFT_PX = 0.5  # of what lies still beside the skin
 MIN_EXPLAINED = 0.5  # of the rim's difference, by a shift
 MIN_SLOPE = 4.0  # grey levels a pixel: an edge
@@ -32,11 +34,13 @@ class StillSurround:
     """
 
     def __init__(self, frames: Sequence[Shaped[ndarray, ...]], region: Box) -> None:
-        grey = np.stack(
-            [(frame if frame.ndim == 2 else frame.mean(axis=2)).astype(np.float32) for frame in frames]
-        )
+        height, width = frames[0].shape[:2]
+        self._size = (width, height)
+        self._times = max(1, round(max(self._size) / LOOKED_AT_PX))
+        grey = np.stack([self._grey(frame) for frame in frames]).astype(np.float32)
         mean = grey.mean(axis=0)
-        still = _outside(region, mean.shape)
+        x, y, wide, high = (round(value / self._times) for value in region)
+        still = _outside((x, y, wide, high), mean.shape)
         smooth = cv2.GaussianBlur(mean, (0, 0), 1.0)
         slope_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8)
         slope_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
@@ -66,19 +70,28 @@ class StillSurround:
         """
         if self._inverse is None:
             return None
-        apart = _levels(image, self._edges) / gain - self._level
+        apart = self._grey(image)[self._edges] / gain - self._level
         moved = -self._inverse @ (self._slope.T @ apart)
         left = apart + self._slope @ moved
         explained = float(left @ left) < (1 - MIN_EXPLAINED) * float(apart @ apart)
-        return (float(moved[0]), float(moved[1])) if explained and np.hypot(*moved) > MAX_SHIFT_PX else None
+        if not explained or np.hypot(*moved) < MAX_SHIFT_PX:
+            return None
+        return self._times * float(moved[0]), self._times * float(moved[1])
 
     def changed_share(self, image: Shaped[ndarray, ...]) -> float:
         """Share of what lies still that differs from the reference, by more than its brightness."""
-        now, then = _levels(image, self._even), self._even_level
+        now, then = self._grey(image)[self._even].astype(np.float64), self._even_level
         lit = then > MIN_LIT
         gain = float(np.median(now[lit] / then[lit])) if lit.sum() > MIN_LIT_PX else 1.0
         apart = now / gain - then
         return float(np.mean(np.abs(apart) > self._limit))
+
+    def _grey(self, image: Shaped[ndarray, ...]) -> UInt8[ndarray, "h w"]:
+        """The frame in grey, and a large one made smaller."""
+        if self._times > 1:
+            small = (self._size[0] // self._times, self._size[1] // self._times)
+            image = cv2.resize(image, small, interpolation=cv2.INTER_AREA)
+        return image if image.ndim == 2 else cv2.transform(image, MEAN_OF_THREE).reshape(image.shape[:2])
 
 
 def _outside(region: Box, shape: tuple[int, ...]) -> Bool[ndarray, "h w"]:
@@ -90,8 +103,3 @@ def _outside(region: Box, shape: tuple[int, ...]) -> Bool[ndarray, "h w"]:
     rows = slice(max(y, edge_y), min(y + high, height - edge_y))
     still[rows, max(x, edge_x) : min(x + wide, width - edge_x)] = False
     return still
-
-
-def _levels(image: Shaped[ndarray, ...], at: tuple[ndarray, ...]) -> Float[ndarray, " n"]:
-    part = image[at]
-    return (part if part.ndim == 1 else part.mean(axis=1)).astype(np.float64)

@@ -1,0 +1,135 @@
+"""Verbs of sensors that people own: what is known of each, with its source, and a file for one's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Argument, Typer
+
+from palpate.cli.verb_support import Group, Json, print_found, say
+
+if TYPE_CHECKING:
+    from palpate.sensors.owned import SensorPreset
+    from palpate.sensors.owned.sensor_preset import SourcedPart
+
+LIST = "list"
+
+
+class ListedGroup(Group):
+    """A group that lists where no verb is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the verb that lists where there is no other word."""
+        named = any(not word.startswith("-") for word in args) or "--help" in args
+        return super().parse_args(ctx, args if named else [LIST, *args])
+
+
+app = Typer(
+    cls=ListedGroup, add_completion=False, help="Sensors that people own: what is known of each, and whence.",
+    rich_markup_mode=None,
+)  # fmt: skip
+
+
+@app.command(LIST)
+def list_presets(json_: Json = False) -> None:
+    """List sensors that people own; what `palpate sensors` does by itself.
+
+    Each has frame sizes, the skin's region, settings of its camera and its marks, from published sources.
+
+    Example: palpate sensors
+    """
+    from palpate.sensors.owned import preset_names, sensor_preset
+
+    presets = [sensor_preset(name) for name in preset_names()]
+    rows = [(preset.name, preset.title, preset.kind, _recognised_by(preset)) for preset in presets]
+    widths = [max(len(row[i]) for row in rows) for i in range(3)]
+    lines = ["  ".join([*(row[i].ljust(widths[i]) for i in range(3)), row[3]]).rstrip() for row in rows]
+    told = "`palpate sensors show NAME` says what is known of one, and from where"
+    found = {"sensors": [preset.model_dump(mode="json") for preset in presets]}
+    print_found(found, "\n".join([*lines, "", told]), json_)
+
+
+@app.command("show")
+def show(
+    sensor: Annotated[str, Argument(help="Name of a preset, or a TOML file of one.")],
+    json_: Json = False,
+) -> None:
+    """Say what is known of a sensor, and from which source.
+
+    Example: palpate sensors show digit
+    """
+    from palpate.sensors.owned import read_preset
+
+    preset = read_preset(sensor)
+    print_found(preset.model_dump(mode="json"), _text(preset), json_)
+
+
+@app.command("new")
+def new(file: Annotated[Path, Argument(help="TOML file to begin; must not exist.")]) -> None:
+    """Begin a file for a sensor of your own, with what each field means.
+
+    Example: palpate sensors new my-sensor.toml
+    """
+    from palpate.sensors.owned import write_own_preset
+
+    write_own_preset(file)
+    say(f"{file}: fill in what you know; `palpate sensors show {file}` checks it")
+
+
+def _recognised_by(preset: SensorPreset) -> str:
+    names = [f'"{name}"' for name in preset.camera.names]
+    return ", ".join([*names, *preset.camera.usb]) or "its camera is chosen by whoever builds it"
+
+
+def _text(preset: SensorPreset) -> str:
+    lines = [f"{preset.name}: {preset.title} ({preset.kind})", preset.about, ""]
+    lines.append(_line("camera", _recognised_by(preset), preset.camera))
+    for mode in preset.camera.modes:
+        rates = ", ".join(f"{rate:g}" for rate in mode.rates_hz)
+        size = f"{mode.size_px[0]} x {mode.size_px[1]} px at {rates} Hz {mode.format}".rstrip()
+        lines.append(_line("frames", size, mode))
+    lines.append(_line("settings", _settings(preset), preset.camera.settings))
+    lines.append(_line("skin", _skin(preset), preset.skin))
+    marks = preset.marks
+    counted = "" if marks.count is None else f", {marks.count} of them"
+    lines.append(_line("marks", f"{marks.kind}{counted}", marks))
+    lines += [_line(fact.what, fact.value, fact) for fact in preset.facts]
+    cited = [f"  [{name}] {source.what}: {source.address}" for name, source in preset.sources.items()]
+    return "\n".join([*lines, *(["", "sources", *cited] if cited else [])])
+
+
+def _line(what: str, value: str, part: SourcedPart) -> str:
+    told = f"[{part.source}]" if part.source else "[assumed]"
+    return "\n".join([f"{what}: {value} {told}", *([f"  {part.note}"] if part.note else [])])
+
+
+SWITCHES = {"auto_exposure": "automatic exposure", "auto_white_balance": "automatic white balance",
+            "auto_focus": "autofocus"}  # fmt: skip
+AMOUNTS = {
+    "exposure_ms": "exposure {:g} ms",
+    "white_balance_kelvin": "white balance {:g} K",
+    "gain": "gain {:g}",
+}
+
+
+def _settings(preset: SensorPreset) -> str:
+    settings: dict[str, Any] = preset.camera.settings.model_dump()
+    switches = [
+        f"{what} {'on' if settings[name] else 'off'}"
+        for name, what in SWITCHES.items()
+        if settings[name] is not None
+    ]
+    amounts = [what.format(settings[name]) for name, what in AMOUNTS.items() if settings[name] is not None]
+    return ", ".join([*switches, *amounts]) or "none are published"
+
+
+def _skin(preset: SensorPreset) -> str:
+    skin, told = preset.skin, []
+    if skin.region_share is not None:
+        told.append("region " + ", ".join(f"{100 * share:.1f} %" for share in skin.region_share))
+    if skin.region_mm is not None:
+        told.append(f"which shows {skin.region_mm[0]:.4g} x {skin.region_mm[1]:.4g} mm")
+    if skin.size_mm is not None:
+        told.append(f"gel {skin.size_mm[0]:g} x {skin.size_mm[1]:g} mm")
+    return ", ".join(told) or "no region and no scale are published"

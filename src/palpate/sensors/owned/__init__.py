@@ -1,0 +1,20 @@
+"""Sensors that people own: what is published of each, with its source, and files for one's own."""
+
+from palpate.sensors.owned.sensor_preset import (
+    CameraAdvice,
+    FrameMode,
+    MarksInSkin,
+    PresetFact,
+    SensorPreset,
+    SkinInFrame,
+    preset_names,
+    read_preset,
+    recognised_preset,
+    sensor_preset,
+    write_own_preset,
+)
+
+__all__ = [
+    "CameraAdvice", "FrameMode", "MarksInSkin", "PresetFact", "SensorPreset", "SkinInFrame", "preset_names",
+    "read_preset", "recognised_preset", "sensor_preset", "write_own_preset",
+]  # fmt: skip

@@ -1,0 +1,54 @@
+"""`palpate sensors`: what is known of sensors that people own, and a file for one's own."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from palpate.cli import app
+
+
+def sensors(*words: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["sensors", *map(str, words)])
+    return result.exit_code, result.output
+
+
+def test_all_presets_are_listed_with_how_their_cameras_are_recognised() -> None:
+    code, said = sensors()
+    assert code == 0
+    rows = {line.split()[0]: line for line in said.splitlines() if line}
+    assert "2833:0209" in rows["digit"]
+    assert "GelSight Mini" in rows["gelsight-mini"]
+    found = json.loads(sensors("--json")[1])["sensors"]
+    assert {preset["name"] for preset in found} <= set(rows)
+
+
+def test_one_is_shown_with_the_source_of_each_value() -> None:
+    code, said = sensors("show", "gelsight-mini")
+    assert code == 0
+    assert "3280 x 2464 px at 25 Hz MJPG [issue-36]" in said
+    assert "exposure 18 ms, white balance 4500 K" in said
+    assert "[issue-36] a user's list of the camera's modes: https://github.com/" in said
+    assert "not found in a source that can be cited [assumed]" in said
+    assert json.loads(sensors("show", "digit", "--json")[1])["camera"]["usb"] == ["2833:0209"]
+
+
+def test_a_file_of_one_s_own_is_begun_checked_and_never_overwritten(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    assert sensors("new", file)[0] == 0
+    assert "A sensor of your own" in sensors("show", file)[1]
+    code, said = sensors("new", file)
+    assert (code, "exists" in said) == (2, True)
+    file.write_text(file.read_text() + "colour = 1\n")
+    assert "colour" in sensors("show", file)[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"), [(["show", "gelsite"], "gelsight-mini"), (["show", "no.toml"], "no.toml")]
+)
+def test_what_is_not_there_is_said_in_one_line(words: list[str], says: str) -> None:
+    code, said = sensors(*words)
+    assert code == 2
+    assert says in said
+    assert len(said.strip().splitlines()) == 1
