@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 
 from palpate.core import InputError, ManualClock, Pose
 from palpate.core.sensor import for_live, sensor
 from palpate.rig.virtual.virtual_hand import TREMBLING, HandHabits, VirtualHand
+from palpate.rig.virtual.virtual_world import Dent
 from palpate.sensors.palm.palm_render import render_clean
 
 SENSORS = ("palm", "tactip", "nusense")
@@ -142,6 +145,26 @@ def test_live_pictures_of_the_palm_are_those_drawn_anew() -> None:
         )
         assert np.quantile(np.abs(mixed - anew), 0.99) < 0.004
         assert np.quantile(np.abs(other - anew), 0.99) > 0.03
+
+
+def test_earlier_presses_are_told_while_others_add_to_them() -> None:
+    hand, over = VirtualHand(sensor("tactip"), clock=ManualClock()), threading.Event()
+    dent = Dent(0.0, 0.0, 0.0, (), 1e-3)
+    world = hand.world
+
+    def add() -> None:
+        while not over.is_set():
+            with world.lock:
+                world._dents.append(dent)
+
+    adding = threading.Thread(target=add)
+    adding.start()
+    try:
+        for _ in range(2000):
+            world.earlier(1.0)
+    finally:
+        over.set()
+        adding.join()
 
 
 def test_forces_beyond_the_skins_law_are_refused() -> None:

@@ -228,9 +228,11 @@ class World:
 
     def earlier(self, time_s: float) -> tuple[EarlierPress, ...]:
         """The presses that are over at a time, of those that are remembered."""
+        with self.lock:  # whoever asks for force in another thread adds to them
+            dents = list(self._dents)
         return tuple(
             EarlierPress(Pose(dent.x_m, dent.y_m, dent.depth_m), time_s - dent.time_s)
-            for dent in self._dents
+            for dent in dents
             if dent.time_s < time_s
         )
 
