@@ -150,6 +150,21 @@ def test_a_camera_that_comes_back_is_opened_again(monkeypatch) -> None:
         assert loop.status()["outages"] == 1
 
 
+def test_a_driver_that_fails_in_a_way_nobody_thought_of_is_opened_again(monkeypatch) -> None:
+    monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
+
+    class Failing(HandedFrames):
+        def grab(self, timeout_s):
+            raise RuntimeError("of its own")
+
+    first, second = Failing(waits=False), HandedFrames(waits=False)
+    with LiveLoop(lambda: second, MeanReader(), source=first) as loop:
+        loop.start()
+        second.give(numbered(0))
+        until(lambda: loop.stats.frames == 1)
+        assert loop.faults == ("RuntimeError: of its own",)
+
+
 def test_no_camera_is_a_named_state_and_the_loop_waits_for_one(monkeypatch) -> None:
     monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
 

@@ -95,6 +95,22 @@ def test_a_zero_is_taken_from_the_next_frames_and_the_picture_is_judged(served) 
     until(lambda: service.loop.untouched is not before)
 
 
+def test_presses_are_collected_beside_and_their_run_is_whole(served) -> None:
+    _, _, client, runs = served
+    client.wait_for(lambda status: status["state"] == "live", 10.0)
+    with pytest.raises(InputError, match="no force sensor"):
+        client.collect("presses")
+    client.collect("presses", scale="typed", asked=3)
+    status = client.wait_for(lambda status: status["collect"], 5.0)
+    assert status["collect"]["asked"] == 3
+    with pytest.raises(InputError, match="above 0 N"):
+        client.label(-1.0)
+    assert client.collect_stop()["presses"] == 0
+    assert not Run.open(runs / "presses").damage
+    with pytest.raises(SafetyError, match="no presses"):
+        client.label(1.0)
+
+
 def test_a_client_that_stops_reading_holds_nobody_up(served) -> None:
     service, server, client, _ = served
     deaf = socket.create_connection(("127.0.0.1", server.port))

@@ -328,6 +328,12 @@ class LiveLoop(Closing):
             except PalpateError as e:
                 self._end(LiveState.FAILED, str(e))
                 return
+            except Exception as e:  # a driver may fail in any way, and may work again
+                if self._source is None or self._source.waits:
+                    raise
+                traceback.print_exc()
+                self._lose(f"{type(e).__name__}: {e}")
+                continue
             if frame is None:
                 self._end(LiveState.ENDED, "")
                 return
@@ -337,6 +343,8 @@ class LiveLoop(Closing):
         source = self._opener()
         self._source, self._name = source, source.name
         self._last_arrival_s = time.monotonic()
+        if self._zeroing:
+            self._let_rest(True)
         return source
 
     def _arrive(self, frame: LiveFrame, source: LiveSource) -> None:

@@ -207,7 +207,7 @@ class LiveService:
             self.loop.unsubscribe(collector)
             collector.close()
             self._log.add("operator", "collection ended")
-            status: dict[str, Any] = collector.status()
+            status: dict[str, Any] = collector.status
             return status
 
     def label(self, force_n: float) -> dict[str, Any]:
@@ -232,7 +232,7 @@ class LiveService:
             "camera": self.options.camera,
             "image": self._watch.status(),
             "record": None if recorder is None else {"run": str(recorder.path), "dropped": recorder.dropped},
-            "collect": None if collector is None else collector.status(),
+            "collect": None if collector is None else collector.status,
             "log": self._log.tail(TAIL),
         }
 

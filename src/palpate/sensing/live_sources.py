@@ -31,6 +31,7 @@ STDIN = "-"
 PICAMERA2 = "picamera2"
 LOOK_S = 0.002  # between two looks for a frame of a camera
 
+FIRST_S = 60.0
 BEHIND_S = 0.5  # by which a virtual frame that is drawn may lag behind its time
 
 
@@ -182,6 +183,28 @@ class HandFrames(CameraFrames):
     def __init__(self, hand: Any, name: str) -> None:
         super().__init__(hand.camera, name, force=hand.force, let_go=hand.close)
         self.hand = hand
+        hand.camera.grab(FIRST_S)  # the first picture of all may take seconds to draw
+        self._last_s = self._skipped_to_now().time_s
+
+    def grab(self, timeout_s: float) -> LiveFrame:
+        """The next frame; where drawing has fallen behind, those in between are lost, as in a camera.
+
+        Raises:
+            NoFrameYetError: none came in time.
+        """
+        late_s = self.hand.world.now_s - self._last_s
+        if self._waiting or late_s < max(BEHIND_S, 2 / self.hand.camera.rate_hz):
+            live = super().grab(timeout_s)
+            self._last_s = live.frame.time_s
+            return live
+        self._waiting.clear()
+        frame = self._skipped_to_now()
+        lost = max(round((frame.time_s - self._last_s) * self.hand.camera.rate_hz) - 1, 0)
+        number, self._number, self._last_s = self._number, self._number + 1, frame.time_s
+        return LiveFrame(frame, time.monotonic_ns(), number, lost)
+
+    def _skipped_to_now(self) -> Frame:
+        return self.hand.camera.grab(FIRST_S)[1]
 
     def let_rest(self, rest: bool) -> None:
         """Let the hand wait in the air, or press again."""
