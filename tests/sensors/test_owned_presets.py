@@ -1,5 +1,6 @@
 """Presets of sensors that people own: sourced values only, recognised cameras, and files of one's own."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -155,3 +156,36 @@ def test_a_digit_is_opened_by_the_serial_number_on_its_back_and_shows_touch_with
     assert seen.verdict == "touched"
     assert seen.region is not None
     assert seen.region.centre_px == pytest.approx((200, 100), abs=1)
+    assert json.loads(json.dumps(seen.to_dict()))["region"]["centre_px"] == list(seen.region.centre_px)
+
+
+def gel(seed: int, tilt: float = 0.0) -> np.ndarray:
+    """A gel lit from three sides in three colours, 640 x 480; a print of 2 mm radius may tilt its skin.
+
+    A skin of slope s facing a lamp at an angle is brighter by the slope along the lamp's direction.
+    """
+    rows, columns = np.mgrid[:480, :640].astype(float)
+    x, y, radius = columns - 380, rows - 200, 2.0 / 0.0444
+    inside = np.hypot(x, y) < radius
+    lamps = [(1.0, 0.0), (-0.5, 0.87), (-0.5, -0.87)]
+    light = [110 + 20 * (a * columns / 640 + b * rows / 480) for a, b in lamps]
+    slope = [-tilt * inside * (a * x + b * y) / radius for a, b in lamps]
+    image = np.stack([one + 60 * s for one, s in zip(light, slope, strict=True)], axis=2)
+    noisy = image + np.random.default_rng(seed).normal(0, 2, image.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def test_a_made_gel_like_the_mini_s_shows_a_ball_s_print_in_millimetres() -> None:
+    mini = sensor_preset("gelsight-mini")
+    view = UntouchedView.of_preset(mini, [gel(i) for i in range(8)])
+    assert view.seen(gel(20)).verdict == "untouched"
+    seen = view.seen(gel(21, tilt=1.0))
+    assert seen.verdict == "touched"
+    assert seen.region is not None
+    scale = mini.mm_per_px((640, 480))
+    assert scale is not None
+    left, top, width, height = mini.region_px((640, 480))
+    middle = (scale * (380 - left - (width - 1) / 2), scale * (200 - top - (height - 1) / 2))
+    assert seen.region.centre_mm == pytest.approx(middle, abs=0.1)
+    assert seen.region.area_mm2 == pytest.approx(np.pi * 2.0**2, rel=0.15)  # its slope fades to the middle
+    assert (seen.region.strength > 5) == (view.seen(gel(22, tilt=0.3)).region is not None)

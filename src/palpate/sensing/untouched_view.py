@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -34,6 +34,7 @@ from palpate.sensing.uncalibrated import (
     tail_weights,
     upper_quantile,
 )
+from palpate.sensors.owned import SensorPreset
 
 TouchVerdict = Literal["untouched", "touched", "view changed"]
 Box = tuple[int, int, int, int]
@@ -103,6 +104,20 @@ class SeenTouch:
     region: TouchedRegion | None = None
     marks: MarkMotion | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """The same as numbers, words and lists, for JSON; of marks their number and largest motion."""
+        told: dict[str, Any] = {
+            "verdict": self.verdict, "why": self.why, "gain": list(self.gain), "change": self.change,
+            "changed_share": self.changed_share, "region": None, "marks": None,
+        }  # fmt: skip
+        if (region := self.region) is not None:
+            told["region"] = asdict(region) | {"outline_px": region.outline_px.tolist()}
+        if (marks := self.marks) is not None:
+            told["marks"] = {
+                "found": len(marks.at_px), "lost": marks.lost, "largest_px": marks.largest_px,
+            }  # fmt: skip
+        return told
+
 
 class Difference(NamedTuple):
     """Difference of a frame on the grid: smoothed [grey levels], and its statistic, whose mean is 1."""
@@ -167,6 +182,38 @@ class UntouchedView:
         grids = np.stack([self._grid(frame) for frame in frames])
         self._still = StillSurround(frames, self.region)
         self._learn(grids, false_alarm_rate)
+
+    @classmethod
+    def of_preset(
+        cls,
+        preset: SensorPreset,
+        frames: Sequence[Shaped[ndarray, ...]],
+        *,
+        false_alarm_rate: float = 1e-3,
+        look_for_marks: bool = False,
+    ) -> UntouchedView:
+        """View of a sensor that people own, with its region, scale and marks.
+
+        Args:
+            preset: what is known of it.
+            frames: of it, untouched.
+            false_alarm_rate: see above.
+            look_for_marks: whether to look for marks, which takes seconds, where it may or may not have any.
+
+        Raises:
+            InputError, ImageError, RangeError: see above; or frames that are squeezed.
+        """
+        if not frames:
+            raise InputError(f"no frame of the untouched sensor; {MIN_FRAMES} or more tell its noise")
+        size = (frames[0].shape[1], frames[0].shape[0])
+        kind = preset.marks.kind
+        return cls(
+            frames,
+            region=preset.region_px(size),
+            false_alarm_rate=false_alarm_rate,
+            mm_per_px=preset.mm_per_px(size),
+            marks=None if kind == "none" or (kind == "any" and not look_for_marks) else kind,
+        )
 
     @property
     def noise(self) -> float:
