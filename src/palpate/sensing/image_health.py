@@ -161,7 +161,9 @@ def edge_blur_px(image: Float[ndarray, "h w"] | Float32[ndarray, "h w"], noise: 
     for times in TIMES:
         a, b = (times * step for step in STEP_PX)
         small, large = _slopes(image, a), _slopes(image, b)
-        limit = max(float(np.quantile(large, EDGE_QUANTILE)), MIN_SLOPE_NOISES * _slope_noise(noise, b), MIN_SLOPE)
+        limit = max(
+            float(np.quantile(large, EDGE_QUANTILE)), MIN_SLOPE_NOISES * _slope_noise(noise, b), MIN_SLOPE
+        )
         edges = large >= limit
         if not edges.any():
             return None
