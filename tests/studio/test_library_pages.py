@@ -143,7 +143,7 @@ def test_a_trial_is_listed_with_its_commands_and_analysed(browser, served):
     tab.wait("document.body.innerText.includes('palpate trial run jelly --participant P01')", MAX_S)
     assert "13 of at most 13" in tab.text()
     tab.press("#analyse")
-    tab.wait("document.querySelector('#analysis-job a')", 2 * MAX_S)
+    tab.wait("!!document.querySelector('#analysis-job a')", 2 * MAX_S)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

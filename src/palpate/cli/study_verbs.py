@@ -177,7 +177,7 @@ def studio(
 ) -> None:
     """Open the studio's pages in the browser.
 
-    Start, rig, recordings, calibrations, softness, trials.
+    Start, live, rig, recordings, calibrations, softness, trials.
 
     The pages are open to this machine only, unless --host and --token say otherwise. The rig itself is held
     by a process of its own, which is started where none runs: closing the page or losing this command moves

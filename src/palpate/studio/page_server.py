@@ -22,6 +22,8 @@ from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import add_library_routes
 from palpate.studio.library.workspace import Workspace
+from palpate.studio.live.live_desk import LiveDesk
+from palpate.studio.live.live_routes import add_live_routes
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
 from palpate.studio.rendering_desk import RenderingDesk
@@ -67,6 +69,7 @@ class StudioParts:
         workspace: whose runs, calibrations and experiments are shown.
         lease: of the rig, among browsers.
         jobs: that take long.
+        lives: sensors that are read live.
     """
 
     client: RigClient
@@ -75,9 +78,11 @@ class StudioParts:
     workspace: Workspace
     lease: RigLease = field(default_factory=RigLease)
     jobs: BackgroundJobs = field(default_factory=BackgroundJobs)
+    lives: LiveDesk = field(default_factory=LiveDesk)
 
     def close(self) -> None:
-        """End what the server itself has begun; the rig goes on."""
+        """End what the server itself has begun; the rig and live sensors go on."""
+        self.lives.close()
         self.jobs.close()
         self.desk.close()
 
@@ -128,6 +133,7 @@ def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -
             return Response(status_code=404)
         return Response(newest[1], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
+    add_live_routes(app, parts.lives)
     add_pages(parts)
     ui.run_with(
         app,
@@ -150,6 +156,13 @@ def add_pages(parts: StudioParts) -> None:
         from palpate.studio.live.start_page import StartPage
 
         StartPage(parts.workspace)
+
+    @ui.page("/live", title="Live · palpate")
+    def live_page(request: Request) -> None:
+        from palpate.studio.live.live_page import LivePage
+
+        names = list(dict.fromkeys(request.query_params.getlist("sensor")))
+        LivePage(parts.workspace, parts.lives, names)
 
     @ui.page("/rig", title="Indentation rig · palpate")
     def rig_page() -> None:

@@ -17,6 +17,7 @@ from palpate.studio.page_style import ACCENT, BAD, INK
 
 PAGES = {
     "start": ("/", "Start"),
+    "live": ("/live", "Live"),
     "rig": ("/rig", "Rig"),
     "recordings": ("/recordings", "Recordings"),
     "calibrations": ("/calibrations", "Calibrations"),

@@ -25,6 +25,7 @@ class StartPage:
 
 WAYS = (
     '<section class="card" aria-label="Ways to begin"><h2>Where to go</h2><ul>'
+    '<li><a href="/live">Live</a>: read sensors now, with a calibration or without.</li>'
     '<li><a href="/rig">Rig</a>: record a calibration set, on the virtual rig or your own.</li>'
     '<li><a href="/recordings">Recordings</a>: play, note and compare what was recorded.</li>'
     '<li><a href="/calibrations">Calibrations</a>: scores, reports, comparisons.</li>'

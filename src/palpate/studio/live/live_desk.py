@@ -1,0 +1,188 @@
+"""What the studio's server keeps of live sensors: who is asked, and the last seconds of what each told.
+
+The sensors belong to processes of their own: this desk only listens, and passes on what a page asks for.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from palpate.core import Closing, InputError, PalpateError
+
+SPAN_S = 20.0
+"""Length of what is plotted [s]."""
+MAX_SAMPLES = 1200
+MAX_SENSORS = 8
+MAX_NAME = 200
+LISTEN_S = 0.04  # between two looks at what was told
+
+
+@runtime_checkable
+class LiveConnection(Protocol):
+    """Connection to the process of one live sensor, as `LiveClient` is."""
+
+    status: dict[str, Any] | None
+    picture: tuple[int, bytes, tuple[int, int]] | None
+    told_s: float | None
+
+    def ask(self, do: str, **fields: Any) -> Any:
+        """Ask for something, and wait for what came of it."""
+
+    def close(self) -> None:
+        """Go away; the process goes on."""
+
+
+Connect = Callable[[str], LiveConnection]
+Launch = Callable[[str, Mapping[str, Any]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSample:
+    """Sample of what a sensor told.
+
+    Attributes:
+        at_s: when it was heard [s, monotonic time].
+        frame_s: the source's own time of the frame [s].
+        readings: of the frame, as plain values, by column.
+        force_n: of a force sensor beside it; None without one [N].
+    """
+
+    at_s: float
+    frame_s: float
+    readings: Mapping[str, Mapping[str, Any]]
+    force_n: float | None
+
+
+class LiveSensor:
+    """A sensor that is listened to.
+
+    Attributes:
+        name: of its process.
+        connection: to it.
+        samples: of the last `SPAN_S`, oldest first.
+    """
+
+    def __init__(self, name: str, connection: LiveConnection) -> None:
+        self.name, self.connection = name, connection
+        self.samples: deque[LiveSample] = deque(maxlen=MAX_SAMPLES)
+        self._serial = -1
+
+    def listen(self, now_s: float) -> None:
+        """Keep what was told since, and forget what is older than is plotted."""
+        status = self.connection.status
+        if status is not None and status.get("serial") != self._serial:
+            self._serial = status.get("serial", -1)
+            reading, force_n = status.get("reading"), status.get("force_N")
+            newest = self.samples[-1] if self.samples else None
+            frame_s = float(reading["time_s"]) if reading else (newest.frame_s if newest else 0.0)
+            fresh = newest is None or force_n is not None or frame_s != newest.frame_s
+            if fresh and (reading or force_n is not None):
+                readings = reading["readings"] if reading else {}
+                self.samples.append(LiveSample(now_s, frame_s, readings, force_n))
+        while self.samples and now_s - self.samples[0].at_s > SPAN_S:
+            self.samples.popleft()
+
+    def age_s(self, now_s: float) -> float | None:
+        """Since when nothing was told [s]; None where nothing ever was."""
+        told_s = self.connection.told_s
+        return None if told_s is None else max(now_s - told_s, 0.0)
+
+
+def connect_live(name: str) -> LiveConnection:
+    """Connect to a live sensor's process by its name, whether it runs or not."""
+    from palpate.sensing.live_client import LiveClient
+
+    return LiveClient(name)
+
+
+def launch_sensor(name: str, options: Mapping[str, Any]) -> None:
+    """Launch a live sensor's process, and wait until it can be reached."""
+    from palpate.sensing.live_client import launch_live
+
+    launch_live(name, options)
+
+
+class LiveDesk(Closing):
+    """Live sensors of one server, shared by all tabs.
+
+    Args:
+        connect: to a process by its name.
+        launch: a process of a name with options, and waits until it can be reached.
+    """
+
+    def __init__(self, connect: Connect = connect_live, launch: Launch = launch_sensor) -> None:
+        self._connect, self._launch = connect, launch
+        self._turn = threading.Lock()
+        self._launching = threading.Lock()
+        self._sensors: dict[str, LiveSensor] = {}
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def sensor(self, name: str) -> LiveSensor:
+        """A sensor by the name of its process, listened to from now on.
+
+        Raises:
+            InputError: it is no name, or there are as many as are shown.
+        """
+        if not 0 < len(name) <= MAX_NAME or not name.isprintable():
+            raise InputError(f"{name[:60]!r} is no name of a live sensor; begin one on the page Live")
+        with self._turn:
+            if name not in self._sensors:
+                if len(self._sensors) >= MAX_SENSORS:
+                    raise InputError(f"{MAX_SENSORS} sensors are shown; end one first")
+                self._sensors[name] = LiveSensor(name, self._connect(name))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._listen, name="palpate-live-desk", daemon=True)
+                self._thread.start()
+            return self._sensors[name]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the sensors that are listened to."""
+        with self._turn:
+            return list(self._sensors)
+
+    def begin(self, name: str, options: Mapping[str, Any]) -> LiveSensor:
+        """Launch a sensor's process, unless it runs, and listen to it.
+
+        Raises:
+            PalpateError: the process did not begin; it says why.
+        """
+        sensor = self.sensor(name)
+        with self._launching:
+            if sensor.connection.status is None:
+                self._launch(name, options)
+        return sensor
+
+    def end(self, name: str) -> None:
+        """End a sensor's process, and forget it; of no consequence where it has gone."""
+        with self._turn:
+            sensor = self._sensors.pop(name, None)
+        if sensor is None:
+            return
+        try:
+            if sensor.connection.status is not None:
+                sensor.connection.ask("shutdown")
+        except PalpateError:
+            pass  # it has gone, which was asked
+        finally:
+            sensor.connection.close()
+
+    def close(self) -> None:
+        """Listen no more; the sensors' processes go on."""
+        self._closing.set()
+        for name in self.names:
+            self._sensors.pop(name).connection.close()
+
+    def _listen(self) -> None:
+        while not self._closing.wait(LISTEN_S):
+            now_s = time.monotonic()
+            with self._turn:
+                sensors = list(self._sensors.values())
+            for sensor in sensors:
+                sensor.listen(now_s)

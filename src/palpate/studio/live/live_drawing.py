@@ -1,0 +1,198 @@
+"""Drawings of live readings, as SVG: a value with its interval over the last seconds, and its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import groupby
+from typing import Any
+
+from palpate.studio.live.live_desk import SPAN_S, LiveSample
+from palpate.studio.page_style import paint
+from palpate.studio.status_text import number
+from palpate.studio.svg_drawing import BOX, nice_step
+
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 180, 50, 10, 14, 26
+GAP_S = 1.0
+"""Time without a reading over which no line is drawn [s]."""
+INK, SOFT, LINE, ACCENT, BAND, BAD, BESIDE = map(
+    paint, ("ink", "soft", "line", "accent", "band", "bad", "axis-x")
+)
+Point = tuple[float, float]
+
+
+def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: float) -> str:
+    """A reading over the last `SPAN_S` with its interval; the force sensor's beside it where both are in N.
+
+    What is not valid is drawn as crosses without an interval, so that it is seen without colour.
+    """
+    told = [(one.at_s, one.readings[column]) for one in samples if column in one.readings]
+    told = [(at, one) for at, one in told if one.get("value") is not None]
+    force = [(one.at_s, one.force_n) for one in samples if one.force_n is not None] if unit == "N" else []
+    ends = [
+        one[key] for _, one in told if one["valid"] for key in ("low", "high") if one.get(key) is not None
+    ]
+    values = [one["value"] for _, one in told] + [f for _, f in force] + ends
+    axes = _LiveAxes(values, now_s)
+    for valid, group in groupby(told, key=lambda one: bool(one[1]["valid"])):
+        part = list(group)
+        if not valid:
+            axes.crosses([(at, one["value"]) for at, one in part])
+            continue
+        for stretch in _stretches(part):
+            lows = [(at, one["low"]) for at, one in stretch if one.get("low") is not None]
+            highs = [(at, one["high"]) for at, one in stretch if one.get("high") is not None]
+            axes.band(lows, highs)
+            axes.line([(at, one["value"]) for at, one in stretch], ACCENT, "2")
+    for stretch in _stretches(force):
+        axes.line(stretch, BESIDE, "1.4", ' stroke-dasharray="5 3"')
+    words = "no reading yet"
+    if told:
+        last = told[-1][1]
+        words = f"{number(last['value'], 2)} {unit} now, {'valid' if last['valid'] else 'not valid'}"
+    name = column.removesuffix(f"_{unit}")
+    return axes.svg(f"{name} of the last {SPAN_S:g} s", words, f"{name} [{unit}]" if unit else name)
+
+
+class _LiveAxes:
+    """Axes of the last seconds, newest at the right."""
+
+    def __init__(self, values: Sequence[float], now_s: float) -> None:
+        finite = [v for v in values if math.isfinite(v)]
+        low, high = min((*finite, 0.0)), max((*finite, 0.0))
+        span = max(high - low, 0.2)
+        self._low, self._high = low - 0.06 * span, high + 0.14 * span if high - low >= 0.2 else low + span
+        self._now_s = now_s
+        self._parts: list[str] = []
+
+    def at(self, point: Point) -> str:
+        age = min(max(self._now_s - point[0], 0.0), SPAN_S)
+        x = LEFT + (1 - age / SPAN_S) * (WIDTH - LEFT - RIGHT)
+        up = (min(max(point[1], self._low), self._high) - self._low) / (self._high - self._low)
+        return f"{x:.1f},{HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM):.1f}"
+
+    def line(self, points: Sequence[Point], colour: str, width: str, extra: str = "") -> None:
+        joined = " ".join(self.at(point) for point in points)
+        self._parts.append(
+            f'<polyline points="{joined}" fill="none" stroke="{colour}" stroke-width="{width}"{extra}/>'
+        )
+
+    def band(self, lows: Sequence[Point], highs: Sequence[Point]) -> None:
+        if lows and highs:
+            joined = " ".join(self.at(point) for point in (*lows, *reversed(highs)))
+            self._parts.append(f'<polygon points="{joined}" fill="{BAND}"/>')
+
+    def crosses(self, points: Sequence[Point]) -> None:
+        path = ""
+        for point in points[:: max(1, len(points) // 150)]:
+            x, y = self.at(point).split(",")
+            path += f"M{float(x) - 2.5:.1f} {float(y) - 2.5:.1f}l5 5m-5 0l5 -5"
+        self._parts.append(f'<path d="{path}" stroke="{BAD}" stroke-width="1.2"/>')
+
+    def svg(self, title: str, words: str, unit: str) -> str:
+        parts = [
+            f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img"><title>{escape(title)}</title>',
+            f"<desc>{escape(words)}</desc>",
+        ]
+        step = nice_step((self._high - self._low) / 4)
+        digits = max(0, -math.floor(math.log10(step) + 1e-9))
+        for i in range(math.ceil(self._low / step - 1e-9), math.floor(self._high / step + 1e-9) + 1):
+            y = float(self.at((self._now_s, i * step)).split(",")[1])
+            grid = f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if i == 0 else LINE}"/>'
+            text = f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(i * step, digits)}</text>'
+            parts.append(grid + text)
+        for age in (20, 15, 10, 5, 0):
+            x = self.at((self._now_s - age, 0.0)).split(",")[0]
+            words, anchor = (f"−{age} s", "middle") if age else ("now", "end")
+            parts.append(f'<text x="{x}" y="{HEIGHT - 7}" text-anchor="{anchor}">{words}</text>')
+        name = f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">{escape(unit)}</text>'
+        return "".join([*parts, *self._parts, name, "</svg>"])
+
+
+def _stretches(points: Sequence[tuple[float, Any]]) -> list[list[tuple[float, Any]]]:
+    """Points parted where nothing was told for `GAP_S`."""
+    parts: list[list[tuple[float, Any]]] = []
+    for point in points:
+        if not parts or point[0] - parts[-1][-1][0] > GAP_S:
+            parts.append([])
+        parts[-1].append(point)
+    return parts
+
+
+def place_svg(readings: Mapping[str, Mapping[str, Any]]) -> str:
+    """Where on the skin it is touched, with both intervals, and the shear's arrow; "" where no place is read.
+
+    x points right and y down, as in the image; the frame is the calibrated range.
+    """
+    x, y = readings.get("x_mm"), readings.get("y_mm")
+    if not x or not y or x.get("value") is None or y.get("value") is None:
+        return ""
+    left, right = x.get("range") or (-20.0, 20.0)
+    top, bottom = y.get("range") or (-20.0, 20.0)
+    wide, high = max(right - left, 1e-6), max(bottom - top, 1e-6)
+    edge, thick = 0.08 * max(wide, high), max(wide, high) / 160
+    valid = x["valid"] and y["valid"]
+    colour = ACCENT if valid else BAD
+    box = f"{left - edge:.3f} {top - edge:.3f} {wide + 2 * edge:.3f} {high + 2 * edge:.3f}"
+    said = f"x {number(x['value'], 1)}, y {number(y['value'], 1)} mm, {'valid' if valid else 'not valid'}"
+    begin = (
+        f'<svg viewBox="{box}" role="img"><title>Place on the skin</title><desc>{said}</desc>'
+        f'<rect x="{left:.3f}" y="{top:.3f}" width="{wide:.3f}" height="{high:.3f}" rx="{edge / 2:.3f}" '
+        f'fill="none" stroke="{SOFT}" stroke-width="{thick:.3f}"/>'
+    )
+    parts = [begin]
+    if valid and None not in (x.get("low"), x.get("high"), y.get("low"), y.get("high")):
+        parts.append(
+            f'<rect x="{x["low"]:.3f}" y="{y["low"]:.3f}" width="{max(x["high"] - x["low"], 0):.3f}" '
+            f'height="{max(y["high"] - y["low"], 0):.3f}" fill="{BAND}" fill-opacity="0.8"/>'
+        )
+    parts.append(_cross(x["value"], y["value"], max(wide, high) / 28, thick * 2, colour))
+    parts.append(_arrow(readings, x["value"], y["value"], max(wide, high) / 5, thick * 2))
+    return "".join([*parts, "</svg>"])
+
+
+def _cross(x: float, y: float, arm: float, thick: float, colour: str) -> str:
+    path = f"M{x - arm:.3f} {y:.3f}h{2 * arm:.3f}M{x:.3f} {y - arm:.3f}v{2 * arm:.3f}"
+    return f'<path d="{path}" stroke="{colour}" stroke-width="{thick:.3f}"/>'
+
+
+def _arrow(
+    readings: Mapping[str, Mapping[str, Any]], x: float, y: float, longest: float, thick: float
+) -> str:
+    """Arrow of the shear force, its length as a share of the largest that was calibrated."""
+    along, across = readings.get("force_x_N"), readings.get("force_y_N")
+    if not along or not across or along.get("value") is None or across.get("value") is None:
+        return ""
+    most = max(*(abs(v) for one in (along, across) for v in one.get("range") or (1.0,)), 1e-6)
+    dx, dy = (longest * min(max(one["value"] / most, -1.0), 1.0) for one in (along, across))
+    return f'<path d="M{x:.3f} {y:.3f}l{dx:.3f} {dy:.3f}" stroke="{INK}" stroke-width="{thick:.3f}"/>'
+
+
+def overlay_svg(image: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
+    """What is drawn over a live picture without a calibration: where it differs from the untouched sensor."""
+    place = (image or {}).get("centre_px")
+    shapes = (image or {}).get("overlay")
+    unit = size_px[0] / 400
+    parts = [_shape(kind, one, unit) for kind, found in (shapes or {}).items() for one in found or ()]
+    if not parts and place:
+        x, y = place
+        ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{14 * unit:.1f}" fill="none"'
+        for colour, width in (("#000", 4), (BOX, 2)):
+            parts.append(f'{ring} stroke="{colour}" stroke-width="{width * unit:.1f}"/>')
+    return "".join(parts)
+
+
+def _shape(kind: str, one: Mapping[str, Any], unit: float) -> str:
+    stroke = f'fill="none" stroke="{BOX}" stroke-width="{1.6 * unit:.2f}"'
+    match kind:
+        case "lines":
+            points = " ".join(f"{x:.1f},{y:.1f}" for x, y in one["points"])
+            return f'<polygon points="{points}" {stroke}/>'
+        case "dots":
+            x, y = one["at"]
+            return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{2.2 * unit:.1f}" fill="{BOX}"/>'
+        case "arrows":
+            (x, y), (to_x, to_y) = one["start"], one["end"]
+            return f'<path d="M{x:.1f} {y:.1f}L{to_x:.1f} {to_y:.1f}" {stroke}/>'
+    return ""

@@ -1,0 +1,361 @@
+"""Live: sensors that are read now, each with its picture, its values, how sure they are, and what to mind.
+
+Which sensors are shown stands in the page's address. Each belongs to a process of its own, which goes on when
+this page is closed, and is begun, zeroed and ended here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from html import escape
+from typing import Any
+from urllib.parse import quote, urlencode
+
+from nicegui import ui
+
+from palpate.core import PalpateError, half_width_text, rounded
+from palpate.studio.html_parts import state_word
+from palpate.studio.library.workspace import Workspace
+from palpate.studio.live import live_drawing
+from palpate.studio.live.live_desk import LiveDesk, LiveSensor
+from palpate.studio.page_shell import PageBeat, page_shell, page_title
+from palpate.studio.shown_ages import Ages, age_note
+from palpate.studio.status_text import number
+
+REFRESH_S = 0.2
+MAX_PLOTS = 3
+VIRTUAL = {
+    "virtual:palm": "virtual palm",
+    "virtual:tactip": "virtual TacTip",
+    "virtual:nusense": "virtual NUSense",
+}
+NONE = {"": "none: the picture alone"}
+TYPED: dict[str, Any] = {"with_input": True, "new_value_mode": "add-unique"}
+"""Of a list in which an address may be typed that is not in it."""
+ADDRESSES = (
+    "Choose a source, or type a camera's number, path or serial number. Virtual sensors are pressed by a "
+    "virtual hand: what they read is simulated."
+)
+LOOKS = {"opening": "warn", "live": "", "ended": "", "failed": "bad", "lost": "warn"}
+SELECT = 'dense outlined options-dense stack-label id="{}" aria-label="{}"'
+PLACES = ("x_mm", "y_mm")
+
+Cameras = Callable[[], Mapping[str, str]]
+
+
+def plugged_in() -> Mapping[str, str]:
+    """Cameras of this machine by address: their serial number where they have one, in words."""
+    from palpate.rig.real.camera_listing import list_cameras
+
+    found = {}
+    for one in list_cameras():
+        used = f", in use by {one.used_by}" if one.used_by else ""
+        found[one.serial or one.path] = f"{one.name} ({one.serial or one.path}{used})"
+    return found
+
+
+class LivePage:
+    """Page of live sensors in one tab.
+
+    Args:
+        workspace: whose runs and calibrations may be chosen.
+        desk: of the server.
+        names: of the sensors that are shown, as in the address.
+        cameras: lists cameras by address, in words.
+    """
+
+    def __init__(
+        self, workspace: Workspace, desk: LiveDesk, names: list[str], cameras: Cameras = plugged_in
+    ) -> None:
+        self._workspace, self._desk, self._cameras = workspace, desk, cameras
+        page_shell("live")
+        self._cards: list[SensorCard] = []
+        PageBeat(self._ages)
+        page_title(
+            "Live", "each sensor is read by a process of its own, which goes on when this page is closed"
+        )
+        with ui.element("main").classes("sheet"):
+            self._trouble = ui.html("", sanitize=False).props('role="alert"')
+            with ui.element("div").classes("pair") as self._sensors:
+                for name in names:
+                    self._show(name)
+            self._begin_card()
+        ui.timer(0.01, self._list, once=True)
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _show(self, name: str) -> None:
+        try:
+            sensor = self._desk.sensor(name)
+        except PalpateError as e:
+            self._trouble.set_content(f'<p class="trouble">{escape(str(e))}</p>')
+            return
+        self._cards.append(SensorCard(sensor, len(self._cards), self._end))
+
+    def _begin_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Begin a sensor"'):
+            ui.html("<h2>Begin a sensor</h2>", sanitize=False)
+            ui.label(ADDRESSES).classes("soft")
+            with ui.element("div").classes("pair"):
+                self._source = ui.select(dict(VIRTUAL), value="virtual:palm", label="source", **TYPED)
+                self._source.classes("w-full")
+                self._source.props(SELECT.format("live-source", "source"))
+                self._calibration = ui.select(dict(NONE), value="", label="calibration").classes("w-full")
+                self._calibration.props(SELECT.format("live-calibration", "calibration"))
+            with ui.row().classes("items-center q-mt-sm"):
+                self._button = ui.button("Begin", on_click=self._begin).props(
+                    'unelevated no-caps id="live-begin"'
+                )
+                self._doing = ui.label("").classes("soft").props('role="status"')
+
+    async def _list(self) -> None:
+        cameras, runs, calibrations = await asyncio.to_thread(self._found)
+        sources = {**VIRTUAL, **cameras, **{name: f"recording {name}, played" for name in runs}}
+        self._source.set_options(sources, value=self._source.value)
+        known = NONE | {name: name for name in calibrations}
+        self._calibration.set_options(known, value=self._calibration.value)
+
+    def _found(self) -> tuple[Mapping[str, str], list[str], list[str]]:
+        return self._cameras(), self._workspace.found("run"), self._workspace.found("calibration")
+
+    async def _begin(self) -> None:
+        source, calibration = str(self._source.value), str(self._calibration.value or "")
+        self._button.disable()
+        self._doing.set_text(f"opening {source} …")
+        try:
+            sensor = await asyncio.to_thread(self._launched, source, calibration)
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=15000, multi_line=True)
+            return
+        finally:
+            self._button.enable()
+            self._doing.set_text("")
+        if all(card.sensor.name != sensor.name for card in self._cards):
+            with self._sensors:
+                self._show(sensor.name)
+        self._keep()
+
+    def _launched(self, source: str, calibration: str) -> LiveSensor:
+        recorded = source in self._workspace.found("run")
+        options: dict[str, Any] = {"camera": source, "runs": str(self._workspace.folder / "runs")}
+        if recorded:  # as it was recorded, over and over
+            options |= {"camera": str(self._workspace.resolve(source)), "paced": True, "repeat": True}
+        if calibration:
+            options["calibration"] = str(self._workspace.resolve(calibration))
+        return self._desk.begin(f"live {source}", options)
+
+    async def _end(self, card: SensorCard) -> None:
+        await asyncio.to_thread(self._desk.end, card.sensor.name)
+        self._cards.remove(card)
+        card.delete()
+        self._keep()
+
+    def _keep(self) -> None:
+        address = live_address([card.sensor.name for card in self._cards])
+        ui.run_javascript(f"history.replaceState(null, '', '{address}')")
+
+    def _ages(self) -> Ages:
+        now_s = time.monotonic()
+        return {card.part: card.sensor.age_s(now_s) for card in self._cards}
+
+    def _refresh(self) -> None:
+        for card in self._cards:
+            card.refresh()
+
+
+class SensorCard:
+    """One sensor: its state, its picture, its values and what can be asked of it.
+
+    Args:
+        sensor: that is listened to.
+        index: of the card on its page.
+        end: ends the sensor's process and takes the card away.
+
+    Attributes:
+        sensor: that is listened to.
+        part: by which the page's script knows its age.
+    """
+
+    def __init__(self, sensor: LiveSensor, index: int, end: Callable[[SensorCard], Any]) -> None:
+        self.sensor, self.part = sensor, f"live-{index}"
+        self._picture_number, self._serial = -1, -1
+        old = f'data-age-of="{self.part}"'
+        self._card = ui.element("section").classes("card live").props(f'aria-label="{escape(sensor.name)}"')
+        with self._card:
+            self._head = ui.html(f"<h2>{escape(sensor.name)}</h2>", sanitize=False).props(
+                f'role="status" {old}'
+            )
+            age_note(self.part, "")
+            self._advice = ui.html("", sanitize=False).props('role="status"')
+            with ui.element("div").classes("parts"):
+                with ui.element("div"):
+                    self._picture = (
+                        ui.interactive_image("", sanitize=False).classes("w-full camera").props(old)
+                    )
+                    self._place = ui.html("", sanitize=False).classes("place").props(old)
+                with ui.element("div"):
+                    self._values = ui.html("", sanitize=False).classes("values").props(old)
+                    self._plots = ui.html("", sanitize=False).classes("plot").props(old)
+            self._facts = ui.html("", sanitize=False).classes("facts").props(old)
+            self._buttons(end)
+
+    def _buttons(self, end: Callable[[SensorCard], Any]) -> None:
+        with ui.row().classes("items-center"):
+            self._zero = ui.button("Re-zero", on_click=self._zeroed).classes("re-zero")
+            self._zero.props('outline no-caps aria-label="Take the untouched sensor anew"')
+            self._ends = ui.button("End", on_click=lambda: end(self)).classes("end-live")
+            self._ends.props('flat no-caps color=negative aria-label="End this sensor"')
+            ui.label("Re-zero with nothing on the skin.").classes("soft")
+
+    def delete(self) -> None:
+        """Take the card away."""
+        self._card.delete()
+
+    def refresh(self) -> None:
+        """Show what was told since."""
+        status = self.sensor.connection.status
+        if status is None:
+            self._set(self._head, head_html(self.sensor.name, None))
+            return
+        self._show_picture(status)
+        if status.get("serial") == self._serial:
+            return
+        self._serial = status.get("serial", -1)
+        self._set(self._head, head_html(self.sensor.name, status))
+        advice = str(status.get("advice") or "")
+        self._set(self._advice, f'<p class="advice">{escape(advice)}</p>' if advice else "")
+        readings = (status.get("reading") or {}).get("readings", {})
+        self._set(self._values, values_html(readings, status))
+        self._set(self._place, live_drawing.place_svg(readings))
+        self._set(self._plots, self._plots_html(readings, status))
+        self._set(self._facts, facts_html(status))
+        self._zero.set_enabled(status.get("state") == "live" and not status.get("zeroing"))
+
+    def _plots_html(self, readings: Mapping[str, Mapping[str, Any]], status: Mapping[str, Any]) -> str:
+        samples, now_s = list(self.sensor.samples), time.monotonic()
+        columns = {name: str(one.get("unit", "")) for name, one in readings.items() if name not in PLACES}
+        if not columns and status.get("force_N") is not None:
+            columns = {"force_N": "N"}
+        chosen = sorted(columns, key=lambda name: columns[name] != "N")[:MAX_PLOTS]
+        return "".join(live_drawing.reading_svg(samples, name, columns[name], now_s) for name in chosen)
+
+    def _show_picture(self, status: Mapping[str, Any]) -> None:
+        picture = self.sensor.connection.picture
+        if picture is None or picture[0] == self._picture_number:
+            return
+        self._picture_number = picture[0]
+        self._picture.set_source(f"/live/picture?{urlencode({'name': self.sensor.name, 'n': picture[0]})}")
+        overlay = live_drawing.overlay_svg(status.get("image"), picture[2])
+        if overlay != self._picture.content:
+            self._picture.set_content(overlay)
+
+    async def _zeroed(self) -> None:
+        try:
+            await asyncio.to_thread(self.sensor.connection.ask, "zero")
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+
+    @staticmethod
+    def _set(element: ui.html, text: str) -> None:
+        if element.content != text:
+            element.set_content(text)
+
+
+def live_address(names: list[str]) -> str:
+    """Address of the page with these sensors."""
+    asked = "&".join(f"sensor={quote(name, safe='')}" for name in names)
+    return f"/live?{asked}" if asked else "/live"
+
+
+def head_html(name: str, status: Mapping[str, Any] | None) -> str:
+    """A sensor's name and its state, in a word and with its reason."""
+    title = f"<h2>{escape(name.removeprefix('live '))}"
+    if status is None:
+        gone = "Its process cannot be reached; begin it anew below."
+        return f"{title} {state_word('no connection', 'bad')}</h2><p class='soft'>{gone}</p>"
+    state = str(status.get("state"))
+    why = f'<p class="trouble">{escape(str(status["why"]))}</p>' if status.get("why") else ""
+    zeroing = f" {state_word('taking the untouched sensor', 'warn')}" if status.get("zeroing") else ""
+    return f"{title} {state_word(state, LOOKS.get(state, ''))}{zeroing}</h2>{why}"
+
+
+def values_html(readings: Mapping[str, Mapping[str, Any]], status: Mapping[str, Any]) -> str:
+    """Each reading with its interval, a lamp that has a shape of its own for each verdict, and the reason."""
+    rows = [_value_html(name, one) for name, one in readings.items()]
+    force_n = status.get("force_N")
+    if force_n is not None:
+        beside = f"<b>{number(float(force_n), 2)} N</b>"
+        rows.append(f'<div class="value"><span class="what">sensor beside</span>{beside}</div>')
+    image = status.get("image") or {}
+    if not readings and image.get("verdict"):
+        why = f'<span class="soft">{escape(str(image.get("why") or ""))}</span>'
+        verdict = escape(str(image["verdict"]))
+        rows.insert(
+            0,
+            f'<div class="value"><span class="what">without a calibration</span><b>{verdict}</b>{why}</div>',
+        )
+    return "".join(rows)
+
+
+def _value_html(name: str, one: Mapping[str, Any]) -> str:
+    unit = str(one.get("unit", ""))
+    what = escape(name.removesuffix(f"_{unit}"))
+    valid, why = bool(one.get("valid")), str(one.get("why") or "")
+    lamp = '<i class="lamp ok">●</i> valid' if valid else '<i class="lamp no">✕</i> not valid'
+    value = one.get("value")
+    text = "–"
+    if isinstance(value, int | float):
+        low, high = one.get("low"), one.get("high")
+        half = (float(high) - float(low)) / 2 if low is not None and high is not None else None
+        text = number(float(value), 2) if half is None else rounded(float(value), half)
+        text = text.replace("-", "−") + f" {escape(unit)}"
+        if valid and half is not None:
+            text += f' <span class="half">± {half_width_text(half)}</span>'
+    elif value is not None:
+        text = escape(str(value))
+    reason = f'<span class="soft">{escape(why)}</span>' if not valid else ""
+    return (
+        f'<div class="value {"" if valid else "invalid"}"><span class="what">{what}</span><b>{text}</b>'
+        f'<span class="verdict">{lamp}</span>{reason}</div>'
+    )
+
+
+def facts_html(status: Mapping[str, Any]) -> str:
+    """Rate, latency, what was lost, and how the picture is."""
+
+    def told(key: str, digits: int) -> str:
+        value = status.get(key)
+        return "–" if value is None else number(float(value), digits)
+
+    late = f"<b>{told('p50_ms', 1)}</b> ms (95 % within {told('p95_ms', 1)}, 99 % {told('p99_ms', 1)} ms)"
+    lost = f"{told('dropped', 0)} dropped, {told('lost', 0)} lost by the source, {told('broken', 0)} broken"
+    lines = [
+        f"<b>{told('rate_hz', 1)}</b> frames a second; from arrival to reading {late}",
+        f"{told('frames', 0)} frames; {lost}",
+    ]
+    drift = status.get("drift") or {}
+    if drift.get("statistic") is not None:
+        lines.append(
+            f"drift {number(float(drift['statistic']), 1)}, of {number(float(drift['limit']), 1)} allowed"
+        )
+    calibration = status.get("calibration")
+    lines.append(
+        f"calibration {escape(str(calibration))}"
+        if calibration
+        else "no calibration: nothing is read in newtons"
+    )
+    image = status.get("image") or {}
+    known = {
+        "noise": ("noise", "grey levels", 2),
+        "blur_px": ("blur", "px", 1),
+        "level": ("level", "of 255", 0),
+    }
+    seen = [
+        f"{name} {number(float(image[key]), digits)} {unit}"
+        for key, (name, unit, digits) in known.items()
+        if isinstance(image.get(key), int | float)
+    ]
+    if isinstance(image.get("clipped"), int | float):
+        seen.append(f"{100 * float(image['clipped']):.1f} % clipped")
+    return "<br>".join([*lines, *(["picture: " + ", ".join(seen)] if seen else [])])

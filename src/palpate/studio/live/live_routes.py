@@ -1,0 +1,24 @@
+"""Addresses under which the pages get the newest pictures of live sensors."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI, Response
+
+from palpate.studio.live.live_desk import LiveDesk
+
+
+def add_live_routes(app: FastAPI, lives: LiveDesk) -> None:
+    """Answer for pictures, from memory; nothing is begun by asking."""
+
+    @app.get("/live/picture")
+    async def live_picture(name: str) -> Response:
+        if name not in lives.names:
+            return Response(status_code=404)
+        newest = lives.sensor(name).connection.picture
+        return _jpeg(None if newest is None else newest[1])
+
+
+def _jpeg(data: bytes | None) -> Response:
+    if data is None:
+        return Response(status_code=404)
+    return Response(data, media_type="image/jpeg", headers={"Cache-Control": "no-store"})

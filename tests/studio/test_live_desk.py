@@ -1,0 +1,188 @@
+"""Live sensors: what they told is kept for seconds, and drawn with its doubt."""
+
+import re
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+
+from palpate.core import DeviceError, InputError
+from palpate.studio.live.live_desk import MAX_SENSORS, SPAN_S, LiveDesk, LiveSample, LiveSensor
+from palpate.studio.live.live_drawing import overlay_svg, place_svg, reading_svg
+from palpate.studio.live.live_page import facts_html, head_html, live_address, values_html
+
+
+def reading(value=3.2, half=0.4, valid=True, why="", unit="N", limits=(0.0, 20.0)):
+    """A reading as a live process tells it."""
+    low, high = (value - half, value + half) if valid else (None, None)
+    return {
+        "value": value,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "range": limits,
+        "valid": valid,
+        "why": why,
+    }
+
+
+def told(serial, time_s, value=3.2, **changed):
+    """A live process's status."""
+    return {
+        "serial": serial, "state": "live", "why": "", "advice": "", "rate_hz": 29.97, "p50_ms": 4.0,
+        "p95_ms": 6.1, "p99_ms": 8.0, "frames": 120, "dropped": 0, "lost": 0, "broken": 0, "force_N": None,
+        "reading": {"frame": "7", "time_s": time_s, "readings": {"force_N": reading(value)}},
+        **changed,
+    }  # fmt: skip
+
+
+class MadeUpConnection:
+    """Stands for `LiveClient`."""
+
+    def __init__(self):
+        self.status, self.picture, self.told_s, self.asked = None, None, None, []
+
+    def ask(self, do, **fields):
+        self.asked.append(do)
+        if do == "breaks":
+            raise DeviceError("gone")
+
+    def close(self):
+        self.asked.append("close")
+
+
+def test_each_frame_is_kept_once_and_for_the_seconds_that_are_plotted():
+    connection = MadeUpConnection()
+    sensor = LiveSensor("live x", connection)
+    for k in range(300):
+        connection.status = told(k, 0.1 * (k // 3), value=float(k // 3))  # each frame is told three times
+        sensor.listen(100.0 + 0.1 * (k // 3))
+    assert [one.readings["force_N"]["value"] for one in sensor.samples] == [float(k) for k in range(100)]
+    sensor.listen(100.0 + 9.9 + SPAN_S - 1.0)
+    assert sensor.samples[0].at_s >= 100.0 + 9.9 - 1.0
+    sensor.listen(1e6)
+    assert not sensor.samples
+
+
+def test_a_sensor_that_says_nothing_grows_old():
+    sensor = LiveSensor("live x", MadeUpConnection())
+    assert sensor.age_s(50.0) is None
+    sensor.connection.told_s = 40.0
+    assert sensor.age_s(50.0) == 10.0
+
+
+def test_a_desk_begins_a_process_once_and_ends_it_when_asked():
+    made, launched = {}, []
+
+    def connect(name):
+        made[name] = MadeUpConnection()
+        return made[name]
+
+    def launch(name, options):
+        launched.append((name, dict(options)))
+        made[name].status = told(0, 0.0)
+
+    with LiveDesk(connect, launch) as desk:
+        desk.begin("live a", {"camera": "a"})
+        desk.begin("live a", {"camera": "a"})
+        assert launched == [("live a", {"camera": "a"})]
+        desk.end("live a")
+        desk.end("live a")
+        assert made["live a"].asked == ["shutdown", "close"]
+        for k in range(MAX_SENSORS):
+            desk.sensor(f"live {k}")
+        with pytest.raises(InputError, match="end one first"):
+            desk.sensor("live more")
+        for bad in ("", "x" * 500, "a\nb"):
+            with pytest.raises(InputError, match="no name"):
+                desk.sensor(bad)
+    assert made["live 1"].asked == ["close"]  # the server's end ends no sensor
+
+
+def samples(values, valid=True, step_s=0.1):
+    return [
+        LiveSample(50.0 + step_s * k, k, {"force_N": reading(v, valid=valid)}, None)
+        for k, v in enumerate(values)
+    ]
+
+
+def polyline(svg):
+    points = re.search(r'<polyline points="([^"]+)"', svg).group(1).split()
+    return [tuple(map(float, point.split(","))) for point in points]
+
+
+def test_a_curve_rises_with_the_value_and_ends_now():
+    svg = reading_svg(samples([0.0, 1.0, 2.0, 3.0]), "force_N", "N", now_s=50.3)
+    points = polyline(svg)
+    assert [y for _, y in points] == sorted((y for _, y in points), reverse=True)
+    assert points[-1][0] == max(x for x, _ in points) == 550.0
+    per_s = (points[-1][0] - points[0][0]) / 0.3
+    assert per_s == pytest.approx(500 / SPAN_S, rel=0.01)
+    assert "<polygon" in svg
+    assert "3.00 N now, valid" in svg
+
+
+def test_what_is_not_valid_has_another_shape_and_no_interval():
+    svg = reading_svg(samples([1.0, 1.0], valid=False), "force_N", "N", now_s=50.1)
+    assert "<polygon" not in svg
+    assert "<polyline" not in svg
+    assert "not valid" in svg
+    assert svg.count("l5 5m-5 0l5 -5") == 2
+
+
+def test_no_line_is_drawn_over_a_gap():
+    both = samples([1.0, 1.0]) + [
+        LiveSample(58.0 + 0.1 * k, 9 + k, {"force_N": reading(1.0)}, None) for k in (0, 1)
+    ]
+    assert reading_svg(both, "force_N", "N", now_s=58.1).count("<polyline") == 2
+
+
+def test_the_force_sensor_beside_is_drawn_dashed_and_only_beside_newtons():
+    beside = [
+        LiveSample(50.0 + 0.1 * k, k, {"force_N": reading(1.0), "x_mm": reading(unit="mm")}, 2.0)
+        for k in range(3)
+    ]
+    assert reading_svg(beside, "force_N", "N", 50.2).count("stroke-dasharray") == 1
+    assert "stroke-dasharray" not in reading_svg(beside, "x_mm", "mm", 50.2)
+
+
+def test_the_place_lies_where_it_was_read_and_is_nowhere_without_one():
+    readings = {
+        "x_mm": reading(5.0, 1.0, unit="mm", limits=(-10, 10)),
+        "y_mm": reading(-2.0, unit="mm", limits=(-10, 10)),
+    }
+    svg = place_svg(readings)
+    assert "x 5.0, y −2.0 mm, valid" in svg
+    assert 'x="4.000"' in svg  # the interval's left end
+    assert place_svg({"x_mm": readings["x_mm"]}) == ""
+    assert place_svg({"x_mm": reading(None, valid=False), "y_mm": readings["y_mm"]}) == ""
+    pushed = place_svg(
+        readings | {"force_x_N": reading(2.0, limits=(-4, 4)), "force_y_N": reading(0.0, limits=(-4, 4))}
+    )
+    assert "l2.000 0.000" in pushed  # half of the largest, a fifth of the width
+
+
+def test_a_value_says_its_interval_or_why_it_is_not_valid_in_words_and_shape():
+    good = values_html({"force_N": reading(-3.21, 0.4)}, {})
+    assert "−3.2" in good
+    assert "± 0.40" in good
+    assert "●" in good
+    bad = values_html({"force_N": reading(3.2, valid=False, why="beyond the <range>")}, {"force_N": 1.0})
+    assert "✕" in bad
+    assert "beyond the &lt;range&gt;" in bad
+    assert "±" not in bad
+    assert "1.00 N" in bad
+    assert "–" in values_html({"force_N": reading(None, valid=False, why="x")}, {})
+
+
+def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
+    assert "no connection" in head_html("live <x>", None)
+    assert "&lt;x&gt;" in head_html("live <x>", told(0, 0.0, state="lost", why="unplugged"))
+    facts = facts_html(told(0, 0.0, image={"noise": 1.234, "clipped": 0.012}))
+    assert all(
+        part in facts for part in ("30.0", "95 % within 6.1", "0 dropped", "noise 1.23", "1.2 % clipped")
+    )
+    assert live_address(["live a&b", "live c"]) == "/live?sensor=live%20a%26b&sensor=live%20c"
+    assert live_address([]) == "/live"
+    assert overlay_svg({"centre_px": [10.0, 20.0]}, (400, 300)).count("<circle") == 2
+    assert overlay_svg(None, (400, 300)) == ""
