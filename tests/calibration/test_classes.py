@@ -375,6 +375,7 @@ def test_a_model_that_tells_nothing_is_said_to(blobs, tmp_path) -> None:
     assert "do not tell from" in kind.findings[0]
 
 
+@pytest.mark.slow
 def test_the_verbs_show_classes(blobs, tmp_path) -> None:
     folder, run = blobs
     runner = CliRunner()

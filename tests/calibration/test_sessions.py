@@ -568,6 +568,7 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
     assert np.mean(mahalanobis(scaled(*fresh), correlation) <= radius) < 0.6
 
 
+@pytest.mark.slow
 def test_a_calibration_of_angles_vectors_and_classes_is_set_anew_whole(days, tmp_path, rewritten) -> None:
     """The network stays, and so do the period and the shape of the ellipsoid; new rows are read by them."""
 

@@ -19,6 +19,7 @@ def run_verb(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_calibrate_makes_a_lens_file_and_a_picture_and_overwrites_nothing(tmp_path):
     photos = tmp_path / "photos"
     write_photographs(photos, FISHEYE, BOARD, 9)

@@ -67,8 +67,8 @@ def test_fast_and_slow_presses_are_of_elastic_bodies(rise_s, modulus_pa) -> None
 
 def test_force_falls_at_constant_depth_to_the_relaxed_bodys() -> None:
     _, depth = ramp_and_hold(0.2, 30.0)
-    force, in_effect = creeping_press(soft_tip, SKIN, MOST_N, depth, STEP_S)
-    held = force[int(0.2 / STEP_S) + 1 :]
+    force, in_effect = creeping_press(soft_tip, SKIN, MOST_N, depth[::4], 4 * STEP_S)
+    held = force[int(0.2 / STEP_S) // 4 + 1 :]
     assert (np.diff(held) < 1e-12).all()
     assert_allclose(soft_tip(held[-1], SKIN.equilibrium_pa), depth[-1], rtol=1e-3)
     assert (in_effect >= SKIN.equilibrium_pa * (1 - 1e-9)).all()

@@ -11,6 +11,8 @@ import pytest
 from palpate.core import ExistsError
 from palpate.reproductions.softness import reproduce_softness
 
+pytestmark = pytest.mark.slow  # the whole study; its laws, loop, servo and observers have quick tests
+
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:

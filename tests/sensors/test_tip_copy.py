@@ -231,6 +231,7 @@ def recorded(folder: Path, tip: VirtualTip, number: str, rng) -> None:
     write_press(folder, number, frames, rows)
 
 
+@pytest.mark.slow
 def test_verbs_calibrate_a_folder_and_a_run_read_a_force_and_weigh(tmp_path: Path, tip) -> None:
     rng = np.random.default_rng(17)
     folder = tmp_path / "presses"

@@ -257,6 +257,7 @@ def test_spots_of_one_size_are_found_and_specks_are_not() -> None:
     assert_array_equal(np.sort(spots(image)[:, 0].round()), [20, 50, 80])
 
 
+@pytest.mark.slow
 def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(tip_fit, "ROUNDS", 4)
     monkeypatch.setattr(tip_reader, "REFITTED_BELOW", 0)  # five more fits

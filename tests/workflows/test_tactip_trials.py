@@ -273,6 +273,7 @@ def test_a_viscous_specimens_force_falls_while_the_tip_stands_still() -> None:
     assert len(held.frame_sample) > 60
 
 
+@pytest.mark.slow
 def test_a_viscous_specimen_is_stiffer_to_a_faster_tip_within_its_limits() -> None:
     (words,) = specimens_at(tactip(), {"slow": SLOW_BODY}).values()
     approach = []

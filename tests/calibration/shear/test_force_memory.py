@@ -44,7 +44,7 @@ def test_a_history_that_is_not_known_is_not_made_up():
 
 @pytest.fixture(scope="module")
 def pressed():
-    return cycles(PAD, 18, 1, speed_m_s=FAST_M_S)
+    return cycles(PAD, 14, 1, speed_m_s=FAST_M_S)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def calibration(pressed):
 
 def test_memory_halves_the_error_of_loading_and_unloading(calibration):
     """Within 0.25 N in the mean on unseen cycles, with the history; twice that error without."""
-    unseen = cycles(PAD, 8, 2, speed_m_s=FAST_M_S)
+    unseen = cycles(PAD, 5, 2, speed_m_s=FAST_M_S)
     memory, _ = follow_memory(calibration.remembering, unseen.cues, unseen.time_s, unseen.press)
     off, width = {}, {}
     for known in (True, False):
