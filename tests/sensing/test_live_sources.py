@@ -14,14 +14,20 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from palpate.core import DeviceError, ImageError, InputError, ManualClock, MissingExtraError
+from palpate.core import DeviceError, Frame, ImageError, InputError, ManualClock, MissingExtraError
 from palpate.recordings import Manifest, RunWriter
 from palpate.recordings.exchange.image_files import encode
 from palpate.recordings.exchange.image_stream import ImageCutter
 from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 from palpate.sensing.frame_sources import open_source
-from palpate.sensing.live_sources import CameraFrames, NoFrameYetError, PacedFrames, open_live_source
+from palpate.sensing.live_sources import (
+    CameraFrames,
+    HandFrames,
+    NoFrameYetError,
+    PacedFrames,
+    open_live_source,
+)
 from palpate.sensing.replayed_frames import PipedFrames
 
 
@@ -229,6 +235,57 @@ def test_a_camera_that_gives_nothing_says_so_and_one_that_is_gone_says_that(monk
         capture.resume.set()
         with pytest.raises(DeviceError, match="unplugged"):
             grabbed(source, 60, 0.5)
+
+
+class SlowHand:
+    """A virtual hand whose frames take their time to draw, by the clock that a test moves."""
+
+    def __init__(self) -> None:
+        self.clock, self.rate_hz, self.rested = ManualClock(), 10.0, []
+        self.camera = self.world = self
+        self.force, self.drawn, self.presses, self.size_px = None, 0, (), (2, 2)
+
+    @property
+    def now_s(self) -> float:
+        return self.clock.ns / 1e9
+
+    def _frame(self, number: int) -> tuple[int, Frame]:
+        self.drawn = max(self.drawn, number)
+        return round(number * 1e8), Frame(np.zeros((2, 2), np.uint8), number / 10)
+
+    def grab(self, timeout_s: float):
+        self.clock.sleep(0.1)
+        return self._frame(int(self.now_s * 10))
+
+    def drain(self):
+        return [self._frame(number) for number in range(self.drawn + 1, int(self.now_s * 10) + 1)]
+
+    def rest(self) -> None:
+        self.rested.append(True)
+
+    def press(self) -> None:
+        self.rested.append(False)
+
+    def close(self) -> None:
+        self.rested.append(None)
+
+
+def test_what_a_virtual_hand_could_not_draw_in_time_is_lost_and_counted() -> None:
+    hand = SlowHand()
+    with HandFrames(hand, "virtual:slow") as source:
+        begun = hand.drawn
+        hand.clock.sleep(0.2)
+        found = [source.grab(0.1), source.grab(0.1)]
+        hand.clock.sleep(1.0)  # drawing fell behind
+        late = source.grab(0.1)
+        source.let_rest(True)
+        source.let_rest(False)
+    assert [round(10 * one.frame.time_s) - begun for one in found] == [1, 2]
+    assert [one.lost for one in found] == [0, 0]
+    assert late.frame.time_s == pytest.approx(hand.now_s, abs=0.1)
+    assert late.lost == round(10 * (late.frame.time_s - found[-1].frame.time_s)) - 1 == 10
+    assert [one.number for one in (*found, late)] == [0, 1, 2]
+    assert hand.rested == [True, False, None]
 
 
 def test_a_picamera_needs_its_library_and_gives_frames_with_it(monkeypatch) -> None:

@@ -44,6 +44,16 @@ def live(
             help="Take the first frames as those of the untouched sensor; by default of cameras alone.",
         ),
     ] = None,
+    shear: Annotated[
+        str,
+        Option(
+            help="Sensor or file of a patterned skin, as nusense:7: reads touch; newtons by a CAL of force."
+        ),
+    ] = "",
+    compliance: Annotated[
+        Path | None,
+        Option(help="Calibration (.npz) of a tip with a force sensor beside: stiffness of each press."),
+    ] = None,
     seconds: Annotated[float | None, Option(help="End after so long [s]; by default by Ctrl-C.")] = None,
     frames: Annotated[int | None, Option(help="End after so many frames of each camera.")] = None,
     record: Annotated[
@@ -74,7 +84,7 @@ def live(
     Example: palpate live cal --camera taps.avi --json
     """
     settings = _settings(size, fps, exposure_ms)
-    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads}
+    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
     addresses = camera or ["0"]
     folders = _each(calibrations or [], len(addresses))
     with ExitStack() as stack:
@@ -82,7 +92,10 @@ def live(
         sensors = []
         for i, (address, folder) in enumerate(zip(addresses, folders, strict=True)):
             path = record if record is None or len(addresses) == 1 else Path(f"{record}-{i + 1}")
-            sensors.append(stack.enter_context(_sensor(address, folder, path, reference, zero, options)))
+            one = stack.enter_context(_sensor(address, folder, path, reference, zero, options))
+            sensors.append(one)
+            if compliance is not None:
+                stack.enter_context(_presses(one, compliance, json_))
         shown = stack.enter_context(_shown(json_, quiet))
         with suppress(KeyboardInterrupt):
             for sensor, reading in _readings(sensors, seconds, frames):
@@ -218,6 +231,30 @@ def _sensor(
         opened.close()
         if recorder is not None:
             recorder.close()
+
+
+@contextmanager
+def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[None]:
+    """Tell the stiffness of each press as it ends."""
+    from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
+    from palpate.core.errors import InputError
+    from palpate.sensing.live_presses import LivePress, PressReader, compliance_of
+
+    source = sensor.live.loop.source
+    if source is None or source.force is None:
+        raise InputError(
+            "stiffness of a press needs a force sensor beside the camera, as a virtual sensor has; read "
+            "recorded presses by palpate compliance"
+        )
+
+    def told(press: LivePress) -> None:
+        words = [str(one) for one in press.readings] or [press.why]
+        say(json.dumps(press.to_dict()) if as_json else f"press {press.number}: {'; '.join(words)}")
+
+    with PressReader(compliance_of(ComplianceCalibration.load(calibration)), told) as presses:
+        sensor.live.loop.subscribe(presses)
+        yield
+        sensor.live.loop.unsubscribe(presses)
 
 
 def _close(sensor: ShownSensor) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import AsyncIterator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from palpate.core import Closing, DeviceError, Image, PathText
 from palpate.recordings.exchange.image_files import read_image
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-from palpate.sensing.live_readers import open_reader
+from palpate.sensing.live_readers import FrameReader, open_reader
 from palpate.sensing.live_slots import NewestSlot, Subscriber
 from palpate.sensing.live_sources import LiveSource, open_live_source
 from palpate.sensing.live_statistics import LiveStatistics
@@ -70,7 +71,8 @@ class Live(Closing):
         await asyncio.to_thread(self.close)
 
     def __del__(self) -> None:
-        self.close()
+        if not sys.is_finalizing():
+            self.close()
 
     def zero(self, untouched: Image | None = None) -> None:
         """Take the untouched sensor anew: from an image, or the next frames, with nothing on the skin."""
@@ -124,6 +126,7 @@ def live(
     paced: bool = False,
     idle_s: float = 2.0,
     threads: int = 1,
+    shear: str = "",
     subscribers: Sequence[Subscriber] = (),
 ) -> Live:
     """Open a sensor and read it live.
@@ -139,6 +142,8 @@ def live(
         paced: play a file at its own rate, and lose what is not taken in time.
         idle_s: a folder or run that is being written has ended when nothing came for so long [s].
         threads: of the inference engine; 0 lets it choose.
+        shear: a sensor with a patterned skin, such as "nusense:7", or a file of one: touch is read from its
+            marks, with newtons where the calibration is one of `palpate force fit`.
         subscribers: whoever else is told of frames, readings and forces.
 
     Returns:
@@ -162,8 +167,12 @@ def live(
         image = zero if isinstance(zero, np.ndarray) else read_image(zero)
     source = opener()
     try:
-        reader = None
-        if calibration is not None:
+        reader: FrameReader | None = None
+        if shear:
+            from palpate.sensing.touch_readers import open_shear_reader
+
+            reader = open_shear_reader(shear, calibration, reference=image)
+        elif calibration is not None:
             reader = open_reader(calibration, source, reference=image, threads=threads)
         slot: NewestSlot[LiveReading] = NewestSlot()
         at_start = zero if isinstance(zero, bool) else image is None and not source.waits

@@ -276,6 +276,8 @@ class LiveLoop(Closing):
         reader, latest, drift = self._reader, self._latest, self._drift
         if drift is not None and drift.advice:
             return drift.advice
+        if needs := getattr(reader, "needs", ""):
+            return str(needs)
         if reader is not None and latest is not None and latest.readings is not None and not latest.why:
             reasons = {one.why for one in latest.readings.values()}
             first = next(iter(reasons), "")

@@ -1,0 +1,112 @@
+"""Reader of live frames of a patterned skin: place, edge, shift and flags of a touch, perhaps newtons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from palpate.calibration.shear import ShearCalibration
+from palpate.core import Drift, Frame, Image, InputError, PathText, Readings
+from palpate.core.sensor import sensor as sensor_of
+from palpate.estimators.lattice import DottedSkin, read_skin
+from palpate.estimators.shear import ShearReader
+from palpate.estimators.shear.skin_marks import TiledSkin
+from palpate.sensing.live_readers import NO_ZERO
+from palpate.sensing.live_sources import LiveFrame
+from palpate.sensing.shear_frames import ForceInTouch
+
+
+class ShearFrameReader:
+    """Reads touch on a patterned skin, frame by frame, from the untouched image that it was zeroed with.
+
+    Before that it gives no readings, and `needs` says so. Frames that are dropped on the way cost nothing:
+    marks are followed from the last frame that was read, and memory fades by the frames' own times.
+
+    Args:
+        skin: tiled or dotted.
+        calibration: adds newtons; None for touch alone.
+        name: of the skin, where there is no calibration.
+
+    Attributes:
+        needs: what it waits for, or why the last frame could not be read; empty where it reads.
+    """
+
+    differential = True
+
+    def __init__(
+        self, skin: TiledSkin | DottedSkin, calibration: ShearCalibration | None = None, name: str = "skin"
+    ) -> None:
+        self._skin, self._calibration = skin, calibration
+        self._name = name
+        self._reader: ShearReader | None = None
+        self._force: ForceInTouch | None = None
+        self.needs = NO_ZERO
+
+    @property
+    def id(self) -> str:
+        """Id of the calibration, or the skin's name without one."""
+        return f"shear of {self._name}" if self._calibration is None else self._calibration.id
+
+    def zero(self, untouched: Image) -> Drift | None:
+        """Take an image as that of the untouched skin; drift is of a calibrated pad's marks.
+
+        Raises:
+            InputError: its marks cannot be found, or the calibration is of another skin.
+        """
+        reader = ShearReader(self._skin, Frame(untouched))
+        self._force = None if self._calibration is None else ForceInTouch(self._calibration, reader)
+        self._reader, self.needs = reader, ""
+        return None
+
+    def read(self, live: LiveFrame) -> Readings:
+        """Readings of a frame; none where there is no untouched image, or the frame is of another size."""
+        if self._reader is None or live.why:
+            return Readings({})
+        try:
+            touch = self._reader.touch(live.frame)
+        except InputError as refusal:
+            self.needs = str(refusal)
+            return Readings({})
+        self.needs = ""
+        return (touch if self._force is None else self._force.added(touch, live.frame)).readings
+
+    def drift_of(self, image: Image) -> Drift | None:
+        """Nothing is known of it by the image alone."""
+
+    def kind_of(self, image: Image) -> str:
+        """No kinds of change are known."""
+        return ""
+
+
+def open_shear_reader(
+    skin: str, calibration: PathText | None = None, *, reference: Image | None = None
+) -> ShearFrameReader:
+    """Open a reader of shear.
+
+    Args:
+        skin: a sensor whose patterned skin it is, such as "nusense:7", or a TOML or JSON file of a dotted
+            skin.
+        calibration: file of `palpate force fit`; None for touch without newtons.
+        reference: image of the untouched skin; without one it is zeroed later.
+
+    Raises:
+        InputError: no such sensor or skin, or one without a pattern.
+        CertificateError: no calibration of force, or a damaged one.
+    """
+    force = None if calibration is None else ShearCalibration.load(Path(calibration))
+    reader = ShearFrameReader(_skin(skin), force, skin)
+    if reference is not None:
+        reader.zero(reference)
+    return reader
+
+
+def _skin(name: str) -> TiledSkin | DottedSkin:
+    if Path(name).suffix in (".toml", ".json"):
+        return read_skin(Path(name))
+    describe = getattr(sensor_of(name), "shear_skin", None)
+    if describe is None:
+        raise InputError(
+            f"sensor {name!r} does not describe a patterned skin; nusense does, and a dotted skin is "
+            "described by a file: give skin.toml"
+        )
+    skin: TiledSkin = describe()
+    return skin
