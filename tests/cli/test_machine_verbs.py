@@ -42,6 +42,16 @@ def test_cameras_are_listed_with_the_command_that_reads_each(monkeypatch) -> Non
     assert found[0]["modes"][0] == {"pixels": "MJPG", "size_px": [640, 480], "rates_hz": [60.0, 30.0]}
 
 
+def test_a_camera_of_a_sensor_that_is_known_is_opened_as_its_preset_says(monkeypatch) -> None:
+    mini = ListedCamera("/dev/video4", "GelSight Mini R0B 2BNN-4ZE7: Ge", "2BNN4ZE7", "0c45:636d")
+    monkeypatch.setattr(camera_listing, "list_cameras", lambda: (mini, CAMERA))
+    text = typed("cameras")
+    assert "palpate live --camera 2BNN4ZE7 --size 3280x2464 --fps 25 --exposure-ms 18\n" in text
+    assert "palpate sensors show gelsight-mini" in text
+    assert "palpate live --camera 4B2D\n" in text
+    assert [one["preset"] for one in json.loads(typed("cameras", "--json"))] == ["gelsight-mini", None]
+
+
 def test_without_a_camera_it_says_how_to_begin(monkeypatch) -> None:
     monkeypatch.setattr(camera_listing, "list_cameras", lambda: ())
     assert "virtual:palm" in typed("cameras")

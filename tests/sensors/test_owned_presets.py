@@ -55,6 +55,8 @@ def test_each_value_has_a_source_with_an_address_or_is_said_to_be_assumed(name: 
         ("DIGIT: DIGIT", "", "digit"),
         ("", "2833:0209", "digit"),
         ("Integrated Webcam", "0c45:6366", None),
+        ("Digital Microscope", "", None),
+        ("GelSight Minimal", "", None),
         ("", "", None),
     ],
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Option
@@ -11,6 +11,7 @@ from palpate.cli.verb_support import Json, print_found
 
 if TYPE_CHECKING:
     from palpate.rig.real.camera_listing import ListedCamera
+    from palpate.sensors.owned import SensorPreset
 
 
 def cameras(
@@ -26,7 +27,7 @@ def cameras(
     found = list_cameras()
     text = "\n".join(_camera_text(one, all_) for one in found)
     nothing = how_listed() or "no camera is to be seen; begin without one: palpate live --camera virtual:palm"
-    print_found([one.to_dict() for one in found], text or nothing, json_)
+    print_found([_camera_fields(one) for one in found], text or nothing, json_)
 
 
 def doctor(json_: Json = False) -> None:
@@ -44,9 +45,23 @@ def doctor(json_: Json = False) -> None:
         raise typer.Exit(1)
 
 
+def _camera_fields(one: ListedCamera) -> dict[str, Any]:
+    preset = _preset_of(one)
+    return one.to_dict() | {"preset": None if preset is None else preset.name}
+
+
+def _preset_of(one: ListedCamera) -> SensorPreset | None:
+    from palpate.sensors.owned import recognised_preset
+
+    return recognised_preset(one.name, one.usb_id)
+
+
 def _camera_text(one: ListedCamera, everything: bool) -> str:
+    preset = _preset_of(one)
     lines = [f"{one.path}  {one.name}"]
-    lines.append(f"  palpate live --camera {one.serial or one.path}")
+    lines.append(f"  palpate live --camera {one.serial or one.path}{_live_options(preset)}")
+    if preset is not None:
+        lines.append(f"  of a sensor that is known: palpate sensors show {preset.name}")
     if not one.serial:
         lines.append("  it tells no serial number, so that its path may change when cables are swapped")
     best: dict[str, list[str]] = {}
@@ -65,3 +80,12 @@ def _camera_text(one: ListedCamera, everything: bool) -> str:
     if one.udev and (everything or one.advice):
         lines.append(f"  udev rule, for a file in /etc/udev/rules.d: {one.udev}")
     return "\n".join(lines)
+
+
+def _live_options(preset: SensorPreset | None) -> str:
+    """Options that open a sensor's camera in its usual size, rate and exposure."""
+    if preset is None or not preset.camera.modes:
+        return ""
+    mode, exposure_ms = preset.camera.modes[0], preset.camera.settings.exposure_ms
+    exposure = "" if exposure_ms is None else f" --exposure-ms {exposure_ms:g}"
+    return f" --size {mode.size_px[0]}x{mode.size_px[1]} --fps {mode.rates_hz[0]:g}{exposure}"

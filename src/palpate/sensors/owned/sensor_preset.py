@@ -7,6 +7,7 @@ region is a share of the frame, so that it holds at every size that the camera o
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -95,7 +96,7 @@ class OwnedCamera(SourcedPart):
     """How a sensor's camera is recognised, what it offers and how it is set.
 
     Attributes:
-        names: parts of the name that it tells over USB.
+        names: words of the name that it tells over USB.
         usb: its vendor and product numbers, as `lsusb` writes them.
         modes: sizes and rates.
         settings: advice.
@@ -223,8 +224,9 @@ class SensorPreset(Part):
 
     def recognises(self, name: str, usb: str = "") -> bool:
         """Whether a camera is of this sensor, by the name it tells or its USB numbers as "2833:0209"."""
-        named = any(part.lower() in name.lower() for part in self.camera.names)
-        return named or usb.lower() in self.camera.usb
+        # Whole words: "DIGIT" is no part of "Digital Microscope".
+        words = (rf"(?<![a-z0-9]){re.escape(part.lower())}(?![a-z0-9])" for part in self.camera.names)
+        return any(re.search(word, name.lower()) for word in words) or usb.lower() in self.camera.usb
 
 
 MAX_NOT_SQUARE = 0.03
