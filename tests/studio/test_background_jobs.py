@@ -70,7 +70,7 @@ def test_jobs_are_bounded_cancelled_and_end_with_the_server():
 def test_a_job_that_is_refused_says_so_in_one_line(monkeypatch, capsys):
     def refuses(voice, what):
         voice.progress("looking", 0, 1)
-        raise InputError(f"{what.name}\nis none")
+        raise InputError(f"{what}\nis none")
 
     monkeypatch.setitem(job_process.JOBS, "report", refuses)
     assert job_process.main(["report", "cal"]) == 2

@@ -1,6 +1,8 @@
-"""Live sensors: what they told is kept for seconds, and drawn with its doubt."""
+"""Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
 import re
+import sys
+import time
 
 import pytest
 
@@ -10,6 +12,8 @@ from palpate.core import DeviceError, InputError
 from palpate.studio.live.live_desk import MAX_SENSORS, SPAN_S, LiveDesk, LiveSample, LiveSensor
 from palpate.studio.live.live_drawing import overlay_svg, place_svg, reading_svg
 from palpate.studio.live.live_page import facts_html, head_html, live_address, values_html
+from palpate.studio.live.start_desk import StartDesk
+from palpate.studio.live.start_page import collected_html, coverage_html, result_html, steps_html
 
 
 def reading(value=3.2, half=0.4, valid=True, why="", unit="N", limits=(0.0, 20.0)):
@@ -62,6 +66,16 @@ def test_each_frame_is_kept_once_and_for_the_seconds_that_are_plotted():
     assert sensor.samples[0].at_s >= 100.0 + 9.9 - 1.0
     sensor.listen(1e6)
     assert not sensor.samples
+
+
+def test_a_frame_that_is_not_read_anew_draws_no_line_beside_a_force_that_goes_on():
+    connection = MadeUpConnection()
+    sensor = LiveSensor("live x", connection)
+    for k in range(20):
+        connection.status = told(k, 0.0, force_N=1.0)
+        sensor.listen(100.0 + 0.1 * k)
+    assert [bool(one.readings) for one in sensor.samples] == [True] + 19 * [False]
+    assert [one.force_n for one in sensor.samples] == 20 * [1.0]
 
 
 def test_a_sensor_that_says_nothing_grows_old():
@@ -186,3 +200,104 @@ def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert live_address([]) == "/live"
     assert overlay_svg({"centre_px": [10.0, 20.0]}, (400, 300)).count("<circle") == 2
     assert overlay_svg(None, (400, 300)) == ""
+
+
+COVERAGE = {
+    "edges_N": [0.0, 5.0, 10.0], "columns": ["left", "middle", "right"], "rows": ["top", "middle", "bottom"],
+    "counts": [[[1, 0], [0, 0], [0, 0]], [[0, 0], [2, 3], [0, 0]], [[0, 0], [0, 0], [0, 1]]],
+}  # fmt: skip
+
+
+def test_the_map_of_presses_says_how_many_and_how_hard_and_what_is_bare():
+    html = coverage_html(COVERAGE)
+    cells = re.findall(r'<td class="(\w+)">(.*?)</td>', html)
+    assert [kind for kind, _ in cells].count("bare") == 6
+    assert cells[0] == ("pressed", "<b>1</b><br>to 5 N")
+    assert cells[4] == ("pressed", "<b>5</b><br>to 10 N")
+    assert coverage_html({}) == ""
+    collect = {"text": "12 of 40, a gap", "touched": True, "holding": False, "force_N": -1.5, "refused": 2,
+               "last_refused": {"why": "<slipped>"}, "advice": "press"}  # fmt: skip
+    words = collected_html(collect)
+    assert all(part in words for part in ("12 of 40, a gap", "hold still", "−1.50 N", "&lt;slipped&gt;"))
+
+
+def test_each_step_says_in_a_word_how_it_stands():
+    session = {
+        "camera": "virtual:palm",
+        "scale": "virtual",
+        "done": ["camera", "settings"],
+        "step": "untouched",
+    }
+    states = re.findall(r'data-state="([^"]+)"', steps_html(session, None))
+    assert states == ["done", "done", "waits", "to come", "to come", "to come"]
+    session |= {"done": ["camera", "settings", "untouched", "collect", "train"], "step": "live",
+                "trained": {"sentence": "errs by <0.2> N", "curve": {"text": "ten more"}}}  # fmt: skip
+    assert re.findall(r'data-state="([^"]+)"', steps_html(session, None)) == ["done"] * 5 + ["ready"]
+    told = result_html(session)
+    assert "simulated, not measured" in told
+    assert "&lt;0.2&gt;" in told
+    assert "simulated" not in result_html(session | {"camera": "0"})
+
+
+SESSION = """
+import json, sys
+def say(**told): print(json.dumps(told), flush=True)
+say(session={"step": "collect", "args": sys.argv[1:]}, progress=["presses", 1, 40])
+say(picture="aGVsbG8=", collect={"presses": 1})
+weight = json.loads(sys.stdin.readline())["force_N"]
+say(said=f"got {weight}")
+if weight > 5: say(error="too heavy"); sys.exit(2)
+sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def starts():
+    with StartDesk((sys.executable, "-c", SESSION)) as desk:
+        yield desk
+
+
+def until(holds):
+    end_s = time.monotonic() + 20
+    while not holds() and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return holds()
+
+
+def test_a_session_is_heard_weighed_stopped_and_gone_on_with(starts, tmp_path):
+    folder = tmp_path / "mine"
+    run = starts.begin(folder, "0", "typed", 12, seed=3)
+    assert until(lambda: run.collect)
+    assert run.session["args"] == [
+        str(folder),
+        "--camera",
+        "0",
+        "--scale",
+        "typed",
+        "--presses",
+        "12",
+        "--seed",
+        "3",
+    ]
+    assert (run.step, run.done, run.total, run.picture) == ("presses", 1, 40, (1, b"hello"))
+    with pytest.raises(InputError, match="goes on already"):
+        starts.begin(folder, "0", "typed", 12)
+    run.weigh(1.5)
+    assert until(lambda: run.said == "got 1.5")
+    run.close()
+    assert not run.running
+    assert "go on when you are ready" in run.why
+    again = starts.begin(folder, "0", "typed", 12)
+    again.weigh(9.0)
+    assert until(lambda: not again.running)
+    assert again.why == "too heavy"
+    assert starts.run(folder) is again
+    assert starts.run(tmp_path) is None
+
+
+def test_no_more_sessions_go_on_than_are_allowed_and_none_outlives_the_server(tmp_path):
+    with StartDesk((sys.executable, "-c", SESSION)) as desk:
+        runs = [desk.begin(tmp_path / str(k), "0", "typed", 10) for k in range(2)]
+        with pytest.raises(InputError, match="stop one first"):
+            desk.begin(tmp_path / "third", "0", "typed", 10)
+    assert not any(run.running for run in runs)

@@ -53,8 +53,9 @@ def browser(devtools, tmp_path_factory):
 class Studio:
     """The command, and what it started."""
 
-    def __init__(self, folder):
-        self.folder, self.runs = folder / "at", folder / "runs"
+    def __init__(self, folder, *options):
+        self.options = options
+        self.folder, self.runs = folder, folder / "runs"
         with socket.create_server(("127.0.0.1", 0)) as probe:
             self.port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
@@ -65,7 +66,16 @@ class Studio:
 
     def open(self):
         self.process = subprocess.Popen(
-            [sys.executable, "-c", STUDIO, "--port", str(self.port), "--runs", str(self.runs)],
+            [
+                sys.executable,
+                "-c",
+                STUDIO,
+                "--port",
+                str(self.port),
+                "--workspace",
+                str(self.folder),
+                *self.options,
+            ],
             env={**os.environ, "XDG_RUNTIME_DIR": str(self.folder)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -24,6 +24,7 @@ from palpate.studio.library.file_routes import add_library_routes
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_routes import add_live_routes
+from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
 from palpate.studio.rendering_desk import RenderingDesk
@@ -70,6 +71,7 @@ class StudioParts:
         lease: of the rig, among browsers.
         jobs: that take long.
         lives: sensors that are read live.
+        starts: first sessions.
     """
 
     client: RigClient
@@ -79,9 +81,11 @@ class StudioParts:
     lease: RigLease = field(default_factory=RigLease)
     jobs: BackgroundJobs = field(default_factory=BackgroundJobs)
     lives: LiveDesk = field(default_factory=LiveDesk)
+    starts: StartDesk = field(default_factory=StartDesk)
 
     def close(self) -> None:
         """End what the server itself has begun; the rig and live sensors go on."""
+        self.starts.close()
         self.lives.close()
         self.jobs.close()
         self.desk.close()
@@ -133,7 +137,7 @@ def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -
             return Response(status_code=404)
         return Response(newest[1], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    add_live_routes(app, parts.lives)
+    add_live_routes(app, parts.lives, parts.starts, parts.workspace)
     add_pages(parts)
     ui.run_with(
         app,
@@ -152,10 +156,10 @@ def add_pages(parts: StudioParts) -> None:
     from nicegui import ui
 
     @ui.page("/", title="Start · palpate")
-    def start_page() -> None:
+    def start_page(request: Request) -> None:
         from palpate.studio.live.start_page import StartPage
 
-        StartPage(parts.workspace)
+        StartPage(parts.workspace, parts.starts, parts.lives, request.query_params.get("folder", ""))
 
     @ui.page("/live", title="Live · palpate")
     def live_page(request: Request) -> None:
@@ -184,9 +188,8 @@ def add_pages(parts: StudioParts) -> None:
 
         asked = request.query_params
         frames = (_whole(asked.get("frame")), _whole(asked.get("beside_frame")))
-        RecordingsPage(
-            parts.workspace, asked.get("run", ""), asked.get("beside", ""), *frames, asked.get("split", "")
-        )
+        names = (asked.get("run", ""), asked.get("beside", ""))
+        RecordingsPage(parts.workspace, parts.jobs, *names, frames, asked.get("split", ""))
 
     @ui.page("/calibrations", title="Calibrations · palpate")
     def calibrations_page(request: Request) -> None:

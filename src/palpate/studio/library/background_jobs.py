@@ -86,14 +86,17 @@ class BackgroundJobs(Closing):
         self._jobs: dict[int, BackgroundJob] = {}
         self._ears: list[threading.Thread] = []
 
-    def begin(self, title: str, do: str, *what: Path, suffix: str) -> BackgroundJob:
+    def begin(
+        self, title: str, do: str, *what: str | Path, suffix: str = "", out: Path | None = None
+    ) -> BackgroundJob:
         """Begin a job.
 
         Args:
             title: in words.
             do: what, by its name in `job_process`.
-            what: the folders that it works on.
-            suffix: of the file that it makes.
+            what: the folders that it works on, and what else it is told.
+            suffix: of the file that it makes, kept for as long as the server runs.
+            out: what it makes instead, and leaves behind.
 
         Raises:
             InputError: as many as are allowed are running.
@@ -102,21 +105,26 @@ class BackgroundJobs(Closing):
             if sum(job.state == "running" for job in self._jobs.values()) >= MAX_RUNNING:
                 raise InputError(f"{MAX_RUNNING} jobs are running; wait for one, or cancel it")
             number = next(self._numbers)
-            out = Path(self._folder.name) / f"{do}-{number}{suffix}"
+            made = out or Path(self._folder.name) / f"{do}-{number}{suffix}"
             process = subprocess.Popen(  # noqa: S603 - our own module, by our own interpreter
-                [*self._command, do, *map(str, what), str(out)],
+                [*self._command, do, *map(str, what), str(made)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
             )
-            job = self._jobs[number] = BackgroundJob(number, title, out, process)
+            job = self._jobs[number] = BackgroundJob(number, title, made, process)
             for old in list(self._jobs)[:-MAX_KEPT]:
                 if self._jobs[old].state != "running":
-                    self._jobs.pop(old).out.unlink(missing_ok=True)
+                    self._forget(old)
         ear = threading.Thread(target=job.hear, name=f"palpate-job-{number}", daemon=True)
         self._ears = [one for one in self._ears if one.is_alive()] + [ear]
         ear.start()
         return job
+
+    def _forget(self, number: int) -> None:
+        gone = self._jobs.pop(number)
+        if gone.out.parent == Path(self._folder.name):
+            gone.out.unlink(missing_ok=True)
 
     def get(self, number: int) -> BackgroundJob | None:
         """A job by its number; None of one that never was or is kept no longer."""

@@ -35,18 +35,28 @@ class JobVoice:
         print(json.dumps(line), flush=True)
 
 
-def evaluate_job(voice: JobVoice, calibration: Path, run: Path, out: Path) -> dict[str, Any]:
+def calibrate_job(voice: JobVoice, run: str, targets: str, out: str) -> dict[str, Any]:
+    """Calibrate on a run and certify, as `palpate calibrate` does by itself."""
+    import palpate
+    from palpate.workflows.certification import certify
+
+    plan = palpate.CalibrationPlan(tuple(targets.split(",")), model="kernel-ridge")
+    card = certify(palpate.Run.open(run), plan, out, voice.progress)
+    return {"targets": {one.column: one.score.model_dump(mode="json") for one in card.targets}}
+
+
+def evaluate_job(voice: JobVoice, calibration: str, run: str, out: str) -> dict[str, Any]:
     """Score a calibration on a run, into a file; what was found of each target."""
     import palpate
 
     scores = palpate.evaluate(
         palpate.Estimator.open(calibration), palpate.Run.open(run), progress=voice.progress
     )
-    out.write_text(json.dumps(scores, allow_nan=False) + "\n")
+    Path(out).write_text(json.dumps(scores, allow_nan=False) + "\n")
     return {"targets": scores["targets"], "findings": scores["findings"]}
 
 
-def report_job(voice: JobVoice, calibration: Path, out: Path) -> dict[str, Any]:
+def report_job(voice: JobVoice, calibration: str, out: str) -> dict[str, Any]:
     """Write a calibration's report."""
     from palpate.reports import write_report
 
@@ -55,7 +65,7 @@ def report_job(voice: JobVoice, calibration: Path, out: Path) -> dict[str, Any]:
     return {}
 
 
-def compare_job(voice: JobVoice, first: Path, second: Path, out: Path) -> dict[str, Any]:
+def compare_job(voice: JobVoice, first: str, second: str, out: str) -> dict[str, Any]:
     """Set two calibrations side by side, as a page and in words."""
     from palpate.reports.comparison_page import compare_calibrations, comparison_text, write_comparison
 
@@ -65,32 +75,38 @@ def compare_job(voice: JobVoice, first: Path, second: Path, out: Path) -> dict[s
     return {"text": comparison_text(comparison)}
 
 
-def analyse_job(voice: JobVoice, folder: Path, out: Path) -> dict[str, Any]:
+def analyse_job(voice: JobVoice, folder: str, out: str) -> dict[str, Any]:
     """Analyse an experiment's answers, as `palpate trial analyse` does with its own settings."""
     from palpate.psychophysics.analysis import analyse_experiment
     from palpate.psychophysics.experiments import read_kept_answers
     from palpate.reports.trial_page import analysis_answers, write_trial_page
 
     voice.progress("analysing", 0, 1)
-    kept = read_kept_answers(folder)
+    kept = read_kept_answers(Path(folder))
     found = analyse_experiment(
         kept.judgements, kept.stimuli, unanswered=kept.unanswered, simulated=kept.simulated
     )
-    write_trial_page(found, out, folder.name)
+    write_trial_page(found, Path(out), Path(folder).name)
     told = ["Simulated: nothing here is a measurement of people."] if kept.simulated else []
     if kept.withdrawn:
         told.append(f"{len(kept.withdrawn)} with answers whose consent does not stand are left out.")
     return {"text": "\n".join([*told, *analysis_answers(found)])}
 
 
-JOBS = {"analyse": analyse_job, "evaluate": evaluate_job, "report": report_job, "compare": compare_job}
+JOBS = {
+    "analyse": analyse_job,
+    "calibrate": calibrate_job,
+    "compare": compare_job,
+    "evaluate": evaluate_job,
+    "report": report_job,
+}
 
 
 def main(words: list[str]) -> int:
     """Do one job; 0 where it was done, 2 where it was refused and said why."""
     voice = JobVoice()
     try:
-        found = JOBS[words[0]](voice, *map(Path, words[1:]))  # type: ignore[operator]
+        found = JOBS[words[0]](voice, *words[1:])  # type: ignore[operator]
     except PalpateError as e:
         voice.say({"error": " ".join(str(e).split())})
         return 2

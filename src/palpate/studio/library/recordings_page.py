@@ -8,17 +8,20 @@ from __future__ import annotations
 import asyncio
 import json
 from html import escape
+from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
 from nicegui import ui
 
-from palpate.core import PalpateError
+from palpate.core import InputError, PalpateError, has_unit, refuse_existing
 from palpate.recordings import Run, split
 from palpate.recordings.run_notes import MAX_NOTE, RunNote, add_note, read_notes
 from palpate.studio import page_style
 from palpate.studio.html_parts import state_word, table_html
 from palpate.studio.library import run_drawing
+from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
+from palpate.studio.library.calibrations_page import calibration_address, job_html
 from palpate.studio.library.workspace import RunSummary, Workspace
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration
@@ -42,6 +45,8 @@ LINK = (
     "their lengths</label>"
 )
 SELECT = 'dense outlined options-dense stack-label id="split" aria-label="kind of split"'
+TARGETS = 'dense outlined options-dense stack-label use-chips id="targets" aria-label="what shall be read"'
+LOOK_S = 0.3
 HEADS = ("run", "frames", "length", "labels", "sensor", "size", "state")
 SPLITS = ("auto", "random", "session", "blocks")
 
@@ -51,17 +56,21 @@ class RecordingsPage:
 
     Args:
         workspace: whose runs are shown.
+        jobs: of the server.
         name: of the run that is shown; "" for the list.
         beside: of another one.
-        frame, beside_frame: numbers of the frames that are shown first.
+        frames: numbers of the frames of both that are shown first.
         spec: how the frames are split; "" for not.
     """
 
     def __init__(
-        self, workspace: Workspace, name: str, beside: str, frame: int, beside_frame: int, spec: str
-    ) -> None:
+        self, workspace: Workspace, jobs: BackgroundJobs, name: str, beside: str, frames: tuple[int, int],
+        spec: str,
+    ) -> None:  # fmt: skip
         self._workspace, self._name, self._beside = workspace, name, beside
-        self._at, self._spec = (frame, beside_frame), spec
+        self._jobs = jobs
+        self._job: BackgroundJob | None = None
+        self._at, self._spec = frames, spec
         page_shell("recordings")
         ui.add_body_html(page_style.text_of("player.html"))
         PageBeat()
@@ -117,6 +126,7 @@ class RecordingsPage:
             self._choose_other(sorted(known))
             if not self._beside:
                 self._split_card()
+                self._calibrate_card()
 
     def _player(self, name: str, frame: int, param: str) -> None:
         opened = self._workspace.run(name)
@@ -174,6 +184,48 @@ class RecordingsPage:
             self._split_shown = ui.html("", sanitize=False).classes("plot")
             if self._spec:
                 kinds.set_options([*dict.fromkeys([*SPLITS, *groups, self._spec])], value=self._spec)
+
+    def _calibrate_card(self) -> None:
+        about = self._workspace.run(self._name).manifest
+        columns = [name for name, kind in about.labels.items() if kind == "number" and has_unit(name)]
+        if not columns:
+            return
+        with ui.element("section").classes("card").props('aria-label="Calibrate"'):
+            ui.html("<h2>Calibrate on this run</h2>", sanitize=False)
+            chosen = [name for name in about.targets if name in columns] or columns[:1]
+            self._targets = ui.select(columns, value=chosen, label="what shall be read", multiple=True)
+            self._targets.classes("w-full").props(TARGETS)
+            self._out = ui.input("folder in the workspace", value=f"cal-{Path(self._name).name}")
+            self._out.classes("w-full q-my-sm").props(
+                'dense outlined id="cal-out" aria-label="calibration folder"'
+            )
+            ui.button("Calibrate", on_click=self._calibrate).props('unelevated no-caps id="calibrate"')
+            self._job_shown = ui.html("", sanitize=False).props('id="calibration-job"')
+        ui.timer(LOOK_S, self._watch)
+
+    async def _calibrate(self) -> None:
+        try:
+            out, targets = (
+                self._workspace.resolve(str(self._out.value or "")),
+                list(self._targets.value or ()),
+            )
+            refuse_existing(out)
+            if not targets:
+                raise InputError("nothing is chosen that shall be read; choose one label or more")
+            what = (self._workspace.resolve(self._name), ",".join(targets))
+            self._job = self._jobs.begin(f"Calibration {out.name}", "calibrate", *what, out=out)
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+
+    def _watch(self) -> None:
+        if self._job is None:
+            return
+        text = job_html(self._job)
+        if self._job.state == "done":
+            link = calibration_address(self._workspace.name_of(self._job.out))
+            text += f'<p><a href="{link}">Look at it among the calibrations</a></p>'
+        if text != self._job_shown.content:
+            self._job_shown.set_content(text)
 
     async def _split(self, event: object) -> None:
         spec = str(getattr(event, "value", "") or "")

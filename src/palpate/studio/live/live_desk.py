@@ -48,7 +48,7 @@ class LiveSample:
     Attributes:
         at_s: when it was heard [s, monotonic time].
         frame_s: the source's own time of the frame [s].
-        readings: of the frame, as plain values, by column.
+        readings: of the frame, as plain values, by column; empty where it is no other than the last.
         force_n: of a force sensor beside it; None without one [N].
     """
 
@@ -80,9 +80,10 @@ class LiveSensor:
             reading, force_n = status.get("reading"), status.get("force_N")
             newest = self.samples[-1] if self.samples else None
             frame_s = float(reading["time_s"]) if reading else (newest.frame_s if newest else 0.0)
-            fresh = newest is None or force_n is not None or frame_s != newest.frame_s
-            if fresh and (reading or force_n is not None):
-                readings = reading["readings"] if reading else {}
+            read_anew = bool(reading) and (newest is None or frame_s != newest.frame_s)
+            if read_anew or force_n is not None:
+                # A frame that was read before is not read again: its curve ends until the next one.
+                readings = reading["readings"] if read_anew else {}
                 self.samples.append(LiveSample(now_s, frame_s, readings, force_n))
         while self.samples and now_s - self.samples[0].at_s > SPAN_S:
             self.samples.popleft()

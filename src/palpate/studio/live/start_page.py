@@ -1,34 +1,320 @@
-"""Start: what there is to do first, with a sensor or without one."""
+"""Start: from a camera, or a virtual sensor, to live newtons, each step a card that says how it stands.
+
+The steps are done by a process of their own, and kept in a folder of the workspace, which stands in the
+page's address: whoever opens it goes on where it was left.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+from urllib.parse import urlencode
+
 from nicegui import ui
 
+from palpate.core import InputError, PalpateError
+from palpate.studio.html_parts import commands_html, progress_html, state_word, trouble_html
 from palpate.studio.library.workspace import Workspace
-from palpate.studio.page_shell import PageBeat, page_shell, page_title
+from palpate.studio.live.live_desk import LiveDesk
+from palpate.studio.live.live_page import TYPED, VIRTUAL, Cameras, live_address, plugged_in
+from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
+from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
+from palpate.studio.status_text import duration
+
+REFRESH_S = 0.25
+FIRST = "my-sensor"
+GRAM_N = 9.80665e-3
+STEPS = {
+    "camera": "Camera and scale",
+    "settings": "Picture",
+    "untouched": "Untouched sensor",
+    "collect": "Presses",
+    "train": "Calibration",
+    "live": "Live newtons",
+}
+SCALES = {
+    "virtual": "virtual scale",
+    "typed": "weights that are typed",
+}
+SELECT = 'dense outlined options-dense stack-label id="{}" aria-label="{}"'
+OUTLINED = 'dense outlined stack-label id="{}" aria-label="{}"'
 
 
 class StartPage:
     """First page, in one tab.
 
     Args:
-        workspace: that is worked in.
+        workspace: in which the session's folder lies.
+        starts, lives: of the server.
+        name: of the session's folder, as in the address; "" for a new one.
+        cameras: lists cameras by address, in words.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(
+        self, workspace: Workspace, starts: StartDesk, lives: LiveDesk, name: str,
+        cameras: Cameras = plugged_in,
+    ) -> None:  # fmt: skip
+        self._workspace, self._starts, self._lives = workspace, starts, lives
+        self._cameras = cameras
+        self._kept: dict[str, Any] = {}
+        self._picture_number, self._chosen = -1, False
         page_shell("start")
         PageBeat()
-        page_title("Start", f"workspace {workspace.folder}")
-        with ui.element("main").classes("sheet"):
-            ui.html(WAYS, sanitize=False)
+        page_title("Start", "from a plugged-in sensor to readings that say how sure they are")
+        with ui.element("main").classes("sheet start"):
+            self._trouble = ui.html("", sanitize=False).props('id="start-trouble" role="alert"')
+            self._choice_card(name or FIRST)
+            with ui.element("div").classes("pair"):
+                self._steps = ui.html("", sanitize=False).classes("steps").props('id="steps" role="status"')
+                self._press_card()
+            self._result = ui.html("", sanitize=False).props('id="result"')
+            self._live_button = ui.button("Read it live", on_click=self._go_live)
+            self._live_button.props('unelevated no-caps id="go-live"').set_visibility(False)
+            self._commands = ui.html("", sanitize=False).props('id="commands"')
+        ui.timer(0.01, self._fill, once=True)
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _choice_card(self, name: str) -> None:
+        with ui.element("section").classes("card").props('aria-label="Camera and scale"'):
+            ui.html(f"<h2>{STEPS['camera']}</h2>", sanitize=False)
+            ui.label(
+                "Choose what is plugged in, or type a camera's number or serial number, and a scale's port. "
+                "A virtual sensor is pressed by a virtual hand: what it reads is simulated, not measured."
+            ).classes("soft")
+            with ui.element("div").classes("fields choice q-mt-sm"):
+                self._camera = ui.select(dict(VIRTUAL), value="virtual:palm", label="camera", **TYPED)
+                self._camera.props(SELECT.format("camera", "camera")).on_value_change(self._suit_scale)
+                self._scale = ui.select(dict(SCALES), value="virtual", label="scale", **TYPED)
+                self._scale.props(SELECT.format("scale", "scale that labels presses"))
+                self._presses = ui.number("presses", value=40, min=10, max=400, format="%d")
+                self._presses.props(OUTLINED.format("presses", "presses to collect"))
+                self._folder = ui.input("folder in the workspace", value=name)
+                self._folder.props(OUTLINED.format("folder", "folder of the session"))
+            with ui.row().classes("items-center q-mt-sm"):
+                self._button = ui.button("Begin", on_click=self._begin).props(
+                    'unelevated no-caps id="start-begin"'
+                )
+                self._stop = ui.button("Stop", on_click=self._stopped).props(
+                    'outline no-caps id="start-stop"'
+                )
+                self._clock = ui.label("").classes("soft")
+
+    def _press_card(self) -> None:
+        with ui.element("section").classes("card").props('aria-label="Presses"'):
+            ui.html("<h2>What the camera sees, and what was pressed</h2>", sanitize=False)
+            self._picture = ui.interactive_image("", sanitize=False).classes("w-full camera")
+            self._picture.props('alt="no picture yet"')
+            self._collect = ui.html(NO_PRESSES, sanitize=False).props('id="collect"')
+            with ui.row().classes("items-center") as self._typed:
+                self._weight = ui.number("weight lying there now", value=100.0, min=0.1, suffix="g")
+                self._weight.props(OUTLINED.format("weight", "weight that lies on the sensor now, in grams"))
+                ui.button("It lies there", on_click=self._weigh).props('outline no-caps id="weigh"')
+            self._typed.set_visibility(False)
+
+    async def _fill(self) -> None:
+        cameras = await asyncio.to_thread(self._cameras)
+        self._camera.set_options({**VIRTUAL, **cameras}, value=self._camera.value)
+        await self._look()
+
+    async def _look(self) -> None:
+        """Take in the session that the folder holds."""
+        try:
+            self._kept = await asyncio.to_thread(kept_session, self._path())
+        except PalpateError as e:
+            self._kept = {}
+            self._trouble.set_content(trouble_html(str(e)))
+        if self._kept and not self._chosen:
+            self._chosen = True
+            for element, known, key in ((self._camera, VIRTUAL, "camera"), (self._scale, SCALES, "scale")):
+                value = str(self._kept[key])
+                element.set_options({value: value} | known, value=value)
+            self._presses.set_value(self._kept["asked"])
+
+    def _path(self) -> Any:
+        return self._workspace.resolve(str(self._folder.value or ""))
+
+    def _suit_scale(self) -> None:
+        """A virtual scale lies beneath virtual sensors alone."""
+        virtual = str(self._camera.value).startswith("virtual:")
+        if virtual != (self._scale.value == "virtual"):
+            self._scale.set_value("virtual" if virtual else "typed")
+
+    async def _begin(self) -> None:
+        self._trouble.set_content("")
+        try:
+            presses = self._presses.value
+            if presses is None or presses != int(presses):
+                raise InputError(f"{presses} presses; give a whole number, 40 is a good one")
+            work = (str(self._camera.value), str(self._scale.value), int(presses))
+            await asyncio.to_thread(self._starts.begin, self._path(), *work)
+        except PalpateError as e:
+            self._trouble.set_content(trouble_html(str(e)))
+            return
+        self._chosen = True
+        keep_in_address(folder=self._folder.value)
+
+    async def _stopped(self) -> None:
+        run = self._run()
+        if run is not None:
+            await asyncio.to_thread(run.close)
+
+    def _weigh(self) -> None:
+        run = self._run()
+        if run is not None and self._weight.value:
+            run.weigh(float(self._weight.value) * GRAM_N)
+
+    async def _go_live(self) -> None:
+        session = self._session()
+        camera, calibration = str(session["camera"]), str(session["calibration"])
+        self._live_button.disable()
+        try:
+            sensor = await asyncio.to_thread(
+                self._lives.begin,
+                f"live {camera}",
+                {
+                    "camera": camera,
+                    "calibration": calibration,
+                    "runs": str(self._workspace.folder / "runs"),
+                },
+            )
+            if sensor.connection.status is not None:
+                await asyncio.to_thread(sensor.connection.ask, "calibration", path=calibration)
+        except PalpateError as e:
+            self._trouble.set_content(trouble_html(str(e)))
+            return
+        finally:
+            self._live_button.enable()
+        ui.navigate.to(live_address([sensor.name]))
+
+    def _run(self) -> StartRun | None:
+        try:
+            return self._starts.run(self._path())
+        except PalpateError:
+            return None
+
+    def _session(self) -> dict[str, Any]:
+        run = self._run()
+        return (run.session if run is not None else {}) or self._kept
+
+    async def _refresh(self) -> None:
+        run, session = self._run(), self._session()
+        running = run is not None and run.running
+        self._button.set_enabled(not running)
+        self._button.set_text("Go on" if session and session.get("step") != "live" else "Begin")
+        self._stop.set_visibility(running)
+        self._clock.set_text(f"for {duration(time.monotonic() - run.begun_s)}" if running and run else "")
+        if run is not None and run.why and not running:
+            self._set(self._trouble, trouble_html(run.why))
+        self._set(self._steps, steps_html(session, run))
+        collected = (run.collect if run is not None else {}) or dict(session.get("collected") or {})
+        said = trouble_html(run.said) if run is not None and run.said else ""
+        self._set(self._collect, (collected_html(collected) if collected else NO_PRESSES) + said)
+        self._typed.set_visibility(running and session.get("scale") == "typed")
+        if run is not None and run.picture is not None and run.picture[0] != self._picture_number:
+            self._picture_number = run.picture[0]
+            asked = urlencode({"folder": str(self._folder.value), "n": self._picture_number})
+            self._picture.set_source(f"/start/picture?{asked}")
+            self._picture.props('alt="what the camera sees"')
+        done = session.get("step") == "live" and not running
+        self._live_button.set_visibility(done)
+        self._set(self._result, result_html(session) if done else "")
+        commands = list(session.get("commands") or ())
+        heading = '<section class="card"><h2>The same by commands</h2>'
+        self._set(self._commands, f"{heading}{commands_html(commands)}</section>" if commands else "")
+
+    @staticmethod
+    def _set(element: ui.html, text: str) -> None:
+        if element.content != text:
+            element.set_content(text)
 
 
-WAYS = (
-    '<section class="card" aria-label="Ways to begin"><h2>Where to go</h2><ul>'
-    '<li><a href="/live">Live</a>: read sensors now, with a calibration or without.</li>'
-    '<li><a href="/rig">Rig</a>: record a calibration set, on the virtual rig or your own.</li>'
-    '<li><a href="/recordings">Recordings</a>: play, note and compare what was recorded.</li>'
-    '<li><a href="/calibrations">Calibrations</a>: scores, reports, comparisons.</li>'
-    '<li><a href="/softness">Softness</a>: render an object on a display.</li>'
-    '<li><a href="/trials">Trials</a>: experiments with people.</li></ul></section>'
-)
+NO_PRESSES = '<p class="empty">No press yet. Press anywhere, hold still for a second, let go.</p>'
+
+
+def steps_html(session: Mapping[str, Any], run: StartRun | None) -> str:
+    """The steps as cards: done, under way, or still to come, each in a word and with what it found."""
+    done, running = list(session.get("done") or ()), run is not None and run.running
+    now = str(session.get("step") or "camera")
+    parts = []
+    for number, (step, title) in enumerate(STEPS.items(), 1):
+        state, look = "to come", "warn"
+        if step in done or (step == "live" and now == "live"):
+            state, look = ("ready" if step == "live" else "done"), ""
+        elif step == now:
+            state = "under way" if running else "waits"
+        found = _found(step, session)
+        if step == now != "live" and run is not None and running:
+            found += progress_html(run.step, run.done, run.total, title)
+        heading = f"<h3>{number}. {title} {state_word(state, look)}</h3>"
+        parts.append(f'<section class="card step" data-state="{state}">{heading}{found}</section>')
+    return "".join(parts)
+
+
+def _found(step: str, session: Mapping[str, Any]) -> str:
+    """What a step has found, in words."""
+    if step == "camera" and session.get("camera"):
+        return f'<p class="soft">{escape(str(session["camera"]))}, scale: {escape(str(session["scale"]))}</p>'
+    settings = session.get("settings") or {}
+    if step == "settings" and settings:
+        width, height = settings["size_px"]
+        advice = (settings.get("health") or {}).get("advice") or ()
+        told = f'<p class="soft">{width} × {height} px, {settings["rate_hz"]:.1f} frames a second</p>'
+        return told + "".join(f'<p class="advice">{escape(str(one))}</p>' for one in advice)
+    if step == "collect" and session.get("collected"):
+        return f'<p class="soft">{escape(str(session["collected"].get("text", "")))}</p>'
+    if step == "train" and session.get("trained"):
+        return f'<p class="soft">calibration {escape(str(session["trained"].get("id", "")))}</p>'
+    return ""
+
+
+def collected_html(collect: Mapping[str, Any]) -> str:
+    """Presses so far: how many, what is missing, how it stands now, and where and how hard was pressed."""
+    force = collect.get("force_N")
+    now = "hold still …" if collect.get("touched") else "untouched"
+    now = "held still" if collect.get("holding") else now
+    shown = f", {force:.2f} N".replace("-", "−") if isinstance(force, int | float) else ""
+    told = f"<p><b>{escape(str(collect.get('text', '')))}</b></p>"
+    told += f'<p class="soft">now: {now}{shown}</p>' if "touched" in collect else ""
+    refused = collect.get("last_refused")
+    if refused:
+        why = escape(str(refused["why"]))
+        told += f'<p class="soft">{collect.get("refused")} did not count; the last: {why}</p>'
+    if collect.get("advice"):
+        told += f'<p class="advice">{escape(str(collect["advice"]))}</p>'
+    return told + coverage_html(collect.get("map") or {})
+
+
+def coverage_html(coverage: Mapping[str, Any]) -> str:
+    """A table of the image's nine fields: how many presses in each, and up to which force."""
+    counts, edges = coverage.get("counts"), coverage.get("edges_N")
+    if not counts or not edges:
+        return ""
+    rows = []
+    for name, fields in zip(coverage["rows"], counts, strict=True):
+        cells = ""
+        for bins in fields:
+            count = sum(bins)
+            top = max((edges[k + 1] for k, one in enumerate(bins) if one), default=0)
+            words = f"<b>{count}</b><br>to {top:g} N" if count else "none"
+            cells += f'<td class="{"pressed" if count else "bare"}">{words}</td>'
+        rows.append(f"<tr><th>{escape(name)}</th>{cells}</tr>")
+    heads = "".join(f"<th>{escape(name)}</th>" for name in coverage["columns"])
+    return (
+        '<table class="map"><caption>Presses by place in the image</caption>'
+        f"<thead><tr><th></th>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    )
+
+
+def result_html(session: Mapping[str, Any]) -> str:
+    """What the certificate says in one sentence, and what ten more presses would bring."""
+    trained = session.get("trained") or {}
+    curve = (trained.get("curve") or {}).get("text", "")
+    simulated = str(session.get("camera", "")).startswith("virtual:")
+    warning = f"<p>{state_word('simulated, not measured', 'warn')}</p>" if simulated else ""
+    more = f'<p class="soft">{escape(str(curve))}</p>' if curve else ""
+    sentence = f"<p>{escape(str(trained.get('sentence', '')))}</p>"
+    begin = '<section class="card" aria-label="Certificate"><h2>Certificate</h2>'
+    return f"{begin}{warning}{sentence}{more}</section>"

@@ -1,0 +1,161 @@
+"""What the studio's server keeps of first sessions: a process for each folder, and what it told last.
+
+The session itself lies in its folder: whoever opens the page finds it as it stands, also after a restart.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from palpate.core import Closing, InputError
+
+MODULE = "palpate.studio.live.start_process"
+MAX_LINE = 4 << 20  # bytes of a line, the longest of which is a picture
+MAX_SESSIONS = 2
+"""Sessions that go on at once: each opens a camera, and trains."""
+ENDS_S = 3.0
+
+
+class StartRun:
+    """Process that goes through a session's steps.
+
+    Attributes:
+        begun_s: when it began [s, monotonic time].
+        session: the newest that it told of the session.
+        collect: the newest that it told of the presses.
+        step, done, total: how far it is.
+        picture: number and JPEG bytes of the newest picture; None before the first.
+        said: the last word on a weight that was typed.
+        why: what ended it, where something did.
+    """
+
+    def __init__(self, command: list[str]) -> None:
+        self.begun_s = time.monotonic()
+        self.session: dict[str, Any] = {}
+        self.collect: dict[str, Any] = {}
+        self.step, self.done, self.total = "begins", 0, 0
+        self.picture: tuple[int, bytes] | None = None
+        self.said = self.why = ""
+        self._process = subprocess.Popen(  # noqa: S603 - our own module, by our own interpreter
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        self._stopped = False
+        self._ear = threading.Thread(target=self._hear, name="palpate-start", daemon=True)
+        self._ear.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it goes on."""
+        return self._ear.is_alive()
+
+    def weigh(self, force_n: float) -> None:
+        """Tell it a weight that lies on the sensor now [N]."""
+        pipe = self._process.stdin
+        if pipe is not None and self.running:
+            with suppress(OSError):
+                pipe.write(json.dumps({"force_N": force_n}).encode() + b"\n")
+                pipe.flush()
+
+    def stop(self) -> None:
+        """End it; what was recorded stays, and the next process goes on."""
+        self._stopped = True
+        self._process.terminate()
+
+    def close(self) -> None:
+        """End it, and wait for that."""
+        self.stop()
+        self._ear.join(ENDS_S)
+        if self.running:
+            self._process.kill()
+            self._ear.join(ENDS_S)
+
+    def _hear(self) -> None:
+        said, last = self._process.stdout, ""
+        assert said is not None
+        with said:
+            while line := said.readline(MAX_LINE):
+                try:
+                    told = json.loads(line)
+                except ValueError:
+                    last = line.decode(errors="replace").strip() or last
+                    continue
+                if isinstance(told, dict):
+                    self._take(told)
+        code = self._process.wait()
+        if self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.close()
+        if code and not self.why:
+            self.why = (
+                "stopped; go on when you are ready" if self._stopped else f"status {code}: {last[-300:]}"
+            )
+
+    def _take(self, told: dict[str, Any]) -> None:
+        if "picture" in told:
+            number = 1 if self.picture is None else self.picture[0] + 1
+            self.picture = number, base64.b64decode(told["picture"])
+        if "progress" in told:
+            self.step, self.done, self.total = told["progress"]
+        self.session = told.get("session", told.get("done", {}).get("session", self.session))
+        self.collect = told.get("collect", self.collect)
+        self.said = str(told.get("said", self.said))
+        self.why = str(told.get("error", self.why))
+
+
+class StartDesk(Closing):
+    """First sessions of one server, by folder.
+
+    Args:
+        command: that goes through a session; another in tests.
+    """
+
+    def __init__(self, command: tuple[str, ...] = (sys.executable, "-m", MODULE)) -> None:
+        self._command, self._turn = command, threading.Lock()
+        self._runs: dict[Path, StartRun] = {}
+
+    def run(self, folder: Path) -> StartRun | None:
+        """The process of a folder's session, also one that has ended; None where none was begun here."""
+        return self._runs.get(folder)
+
+    def begin(
+        self, folder: Path, camera: str, scale: str, presses: int, seed: int = 0, *, real_time: bool = False
+    ) -> StartRun:
+        """Begin a session, or go on with it.
+
+        Raises:
+            InputError: it goes on already, or as many as are allowed do.
+        """
+        with self._turn:
+            going = [one for one in self._runs.values() if one.running]
+            kept = self._runs.get(folder)
+            if kept is not None and kept.running:
+                raise InputError(f"the session in {folder.name} goes on already; watch it, or stop it first")
+            if len(going) >= MAX_SESSIONS:
+                raise InputError(f"{MAX_SESSIONS} sessions go on; stop one first")
+            words = [str(folder), "--camera", camera, "--scale", scale, "--presses", str(presses)]
+            words += ["--seed", str(seed), *(["--real-time"] if real_time else [])]
+            self._runs[folder] = StartRun([*self._command, *words])
+            return self._runs[folder]
+
+    def close(self) -> None:
+        for one in self._runs.values():
+            one.close()
+
+
+def kept_session(folder: Path) -> dict[str, Any]:
+    """A folder's session as it was kept; empty where there is none, or its file cannot be read.
+
+    Raises:
+        PalpateError: the file is not a session's.
+    """
+    from palpate.workflows.start_session import STATE, StartSession
+
+    return StartSession(folder).to_dict() if (folder / STATE).is_file() else {}

@@ -1,0 +1,190 @@
+"""Whole sessions in the studio: recorded, calibrated, read live; two operators; a client that hangs."""
+
+import json
+import os
+import re
+import socket
+import time
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from tests.studio import devtools
+from tests.studio.test_page_security import Served
+from tests.studio.test_rig_page import (
+    MAX_S,
+    Studio,
+    opened,
+    state_is,
+    until_it_presses,
+    use_small_plan,
+)
+from websockets.sync.client import connect
+
+from palpate.devices.rpc import find
+from palpate.sensing.live_client import LiveClient
+
+pytestmark = pytest.mark.slow
+LONG_S = 300.0
+SENSOR = "live virtual:palm"
+MAX_FIRST_S = 3.0
+"""From when the server is up until a page shows its first picture, on a machine that is free [s]."""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to drive")
+    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def studio(tmp_path, request):
+    studio = Studio(tmp_path, *getattr(request, "param", ()))
+    yield studio
+    studio.close()
+    if find(SENSOR, studio.folder / "palpate") is not None:
+        with LiveClient(SENSOR, studio.folder / "palpate") as client:
+            if client.reached(5.0):
+                client.shutdown()
+
+
+@pytest.mark.parametrize("studio", [("--accelerated",)], indirect=True)
+def test_a_session_from_the_plan_to_a_report_and_live_newtons(browser, studio, tmp_path):
+    tab = opened(browser, studio)
+    use_small_plan(tab)  # configured; its places are drawn as a preview
+    assert tab.run("document.querySelectorAll('#grid circle title').length") == 1
+    tab.type(".field-cycles input", "80")
+    tab.press("#plan-use")
+    tab.wait("document.querySelector('#progress').innerText.includes('0 of 400 shots')", MAX_S)
+    tab.type(".run-name input", "session")
+    tab.press("#start")
+    tab.press("#pause")  # as soon as it can be
+    tab.wait(state_is("paused"), MAX_S)
+    tab.press("#resume")
+    studio.rig.wait_for(lambda status: status["shots"] >= 100, LONG_S)
+    tab.press("#stop")
+    tab.wait(state_is("stopped"), MAX_S)
+
+    tab.go(f"{studio.url}recordings?run=runs%2Fsession")
+    tab.wait("document.querySelector('.player img')?.naturalWidth > 100", MAX_S)
+    tab.press("#calibrate")
+    tab.wait("document.querySelector('#calibration-job').innerText.includes('done')", LONG_S)
+    tab.press("#calibration-job a")
+    tab.wait("document.querySelectorAll('.calibration table').length === 1", MAX_S)
+    tab.press(".report-button")
+    tab.wait("!!document.querySelector('#jobs a')", LONG_S)
+
+    tab.go(f"{studio.url}live")
+    tab.wait("!!document.querySelector('#live-begin')", MAX_S)
+    choose(tab, "#live-calibration", "cal-session")
+    tab.press("#live-begin")
+    tab.wait("/^−?[0-9.]+ N/.test(document.querySelector('.value b')?.innerText ?? '')", LONG_S)
+    tab.wait("!!document.querySelector('.live .plot svg')", MAX_S)
+    assert tab.said == []
+    elsewhere = [url for url in tab.requested if f"127.0.0.1:{studio.port}" not in url]
+    assert [url for url in elsewhere if not url.startswith(("data:", "about:", "blob:"))] == []
+
+
+def choose(tab, selector, words):
+    """Choose from a list by the words of one of its lines."""
+    tab.press(selector)
+    holds = f"i.innerText.includes({json.dumps(words)})"
+    line = f"[...document.querySelectorAll('.q-menu .q-item')].find((i) => {holds})"
+    tab.wait(f"!!{line}", MAX_S)
+    tab.run(f"{line}.click()")
+    tab.wait("!document.querySelector('.q-menu')", MAX_S)
+
+
+def test_two_browsers_cannot_both_move_the_rig_and_both_can_stop_it(browser, studio, tmp_path):
+    second = devtools.Browser(tmp_path / "second")
+    try:
+        one, two = opened(browser, studio), opened(second, studio)
+        use_small_plan(one)  # which takes the rig
+        two.wait(
+            "document.querySelector('#holder').innerText.startsWith('Another browser holds the rig')", MAX_S
+        )
+        two.wait("document.querySelector('#start').disabled")
+        one.wait("document.querySelector('#holder').innerText === 'You hold the rig.'")
+        one.type(".run-name input", "theirs")
+        one.press("#start")
+        until_it_presses(studio)
+        assert two.run("['#pause', '#stop', '#abort'].every((i) => document.querySelector(i).disabled)")
+        two.press("#estop")
+        studio.rig.wait_for(lambda status: status["held"] and not status["recording"], MAX_S)
+        two.wait("document.querySelector('#release').disabled", MAX_S)
+        one.press("#release")
+        one.press("#release-yes")
+        studio.rig.wait_for(lambda status: not status["held"], MAX_S)
+        one.wait("!document.querySelector('.q-dialog__backdrop')", MAX_S)
+        one.press("#let-go")
+        two.wait("!document.querySelector('#start').disabled", MAX_S)
+    finally:
+        second.close()
+
+
+def test_the_first_picture_is_there_soon_after_the_server_is(browser, tmp_path):
+    """Measured on the page of the rig whose process runs already; the pages' own files are not cached."""
+    served = Served()
+    try:
+        begun_s = time.monotonic()
+        tab = browser.open(f"http://127.0.0.1:{served.port}/rig")
+        tab.wait("document.querySelector('#camera img')?.naturalWidth > 0", MAX_S)
+        took_s = time.monotonic() - begun_s
+        busy = os.getloadavg()[0] / (os.cpu_count() or 1)
+        print(f"first picture {took_s:.2f} s after the server was up, load {busy:.1f} a core")
+        assert took_s < MAX_FIRST_S * max(1.0, 2 * busy)
+    finally:
+        served.close()
+
+
+def test_a_client_that_stops_reading_holds_nobody_up_and_is_dropped(browser):
+    served = Served()
+    try:
+        page = served.ask("GET", "/rig")[2]
+        query = json.loads(re.search(r"query: (\{.*?\}),", page).group(1))
+        words = "&".join(f"{name}={value}" for name, value in query.items())
+        address = f"ws://127.0.0.1:{served.port}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&{words}"
+        quiet = socket.create_connection(("127.0.0.1", served.port))
+        quiet.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        with connect(address, sock=quiet, max_size=None, ping_interval=None, close_timeout=0.1) as client:
+            client.send("40")  # and from here on nothing is read
+            tab = browser.open(f"http://127.0.0.1:{served.port}/rig")
+            tab.wait("document.querySelector('#force-now b')?.innerText.length > 0", MAX_S)
+            late = []
+            for _ in range(40):
+                begun_s = time.monotonic()
+                assert served.ask("GET", "/picture")[0] == 200
+                late.append(time.monotonic() - begun_s)
+                time.sleep(0.25)
+            assert sorted(late)[len(late) // 2] < 1.0
+            assert tab.run("document.querySelector('#silence').hidden")
+    finally:
+        served.close()
+
+
+def test_a_server_with_a_token_gives_nothing_without_it_and_a_page_with_it(browser):
+    os.environ["TOKEN"] = "s3cret"
+    served = Served()
+    del os.environ["TOKEN"]
+    try:
+        assert served.ask("GET", "/")[0] == 401
+        assert served.ask("POST", "/estop", x_palpate="estop")[0] == 401
+        assert served.handshake()[0] in (401, 403)
+        cookie = f"palpate-token-{served.port}=s3cret"
+        assert served.handshake(Cookie=cookie)[0] == 101
+        tab = browser.open(f"http://127.0.0.1:{served.port}/rig?token=s3cret")
+        tab.wait(
+            "document.querySelector('#force-now b')?.innerText.length > 0", MAX_S
+        )  # its socket was let in
+        assert "token" not in tab.run("location.href")
+        assert "s3cret" not in tab.run("document.cookie")
+        tab.front()
+        tab.key("Escape", 27)
+        assert served.process.stdout.readline().strip() == "estop"
+    finally:
+        served.close()
