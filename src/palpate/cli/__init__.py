@@ -17,6 +17,8 @@ __all__ = ["ALIASES", "HEADINGS", "Group", "Root", "Verbs", "app", "main", "star
 
 HEADINGS: dict[str, dict[str, str]] = {
     "Record": {
+        "start": "start_verbs:start",
+        "collect": "start_verbs:collect",
         "plan": "rig_verbs:plan_app",
         "record": "rig_verbs:record",
         "rig": "rig_hand_verbs:rig_app",

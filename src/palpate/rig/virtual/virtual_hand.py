@@ -41,6 +41,7 @@ SEATINGS = 5  # standard deviations of the skin's height, above the deepest that
 MAX_TRIES = 1000  # for a random place
 NO_SLIP = (2.0, 0.0, 0.0, 0.0)
 REMEMBERED_S = 60.0  # of what the hand did
+MOST_N = 10.0  # of a hand that holds still
 FIRST_S = 1.0  # untouched, before the first press
 
 
@@ -50,7 +51,7 @@ class HandHabits:
 
     Attributes:
         force_n: least and greatest force that is aimed at; None for 4 to 80 % of the greatest that the
-            skin's law knows [N].
+            skin's law knows, and 10 N at most [N].
         ramp_s: from first touch to the plateau, and back [s].
         hold_s: of a plateau [s].
         pause_s: in the air between two presses [s].
@@ -169,6 +170,12 @@ def _eased(share: Series) -> Series:
     return np.asarray(t * t * (3 - 2 * t))
 
 
+def _usual_range(known_n: float) -> tuple[float, float]:
+    """Forces that a hand aims at on a skin that is known to so many newtons."""
+    greatest = min(0.8 * known_n, MOST_N)
+    return greatest / 20, greatest
+
+
 class HandWorld(World):
     """World in which a hand, not a stage, brings the probe to its place.
 
@@ -188,7 +195,7 @@ class HandWorld(World):
         super().__init__(sensor, clock, travel, ORIGIN_M, vary, FORCE_HZ, seed, faults)
         self.habits = habits
         law = self._skin.law
-        self.force_range_n = habits.force_n or (0.04 * law.force_n[-1], 0.8 * law.force_n[-1])
+        self.force_range_n = habits.force_n or _usual_range(float(law.force_n[-1]))
         if not 0 < self.force_range_n[0] <= self.force_range_n[1] <= law.force_n[-1]:
             raise InputError(
                 f"a hand that presses with {self.force_range_n} N; the skin of {sensor.name} is known from 0 "
@@ -378,6 +385,11 @@ class VirtualHand:
         touch, values = truth_at(self.world, TRUTHS, time_ns)
         x, y = (touch.x_m, touch.y_m) if touch else (0.0, 0.0)
         return values | {"true_x_mm": 1e3 * x, "true_y_mm": 1e3 * y}
+
+    def force_at(self, time_s: float) -> float:
+        """True normal force at a time of the last seconds on the hand's clock [N], for a fake scale."""
+        touch = self.world.touch_at(time_s)
+        return 0.0 if touch is None else touch.force_n[2]
 
     def held(self, time_ns: int) -> HandPress | None:
         """Press whose plateau a time lies in, of those that are remembered [ns]."""

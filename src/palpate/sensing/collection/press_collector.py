@@ -188,6 +188,11 @@ class PressCollector:
                 self._image = ImagePlateau()
 
     @property
+    def refusals(self) -> int:
+        """How many presses did not count."""
+        return self._refusals
+
+    @property
     def coverage(self) -> PressCoverage:
         """Where and how hard was pressed."""
         with self._lock:

@@ -33,14 +33,12 @@ class PressCoverage:
         counts: presses in each row and column of the image and each bin of force ``[3 3 b]``.
         unplaced: presses whose contact is not seen.
         asked: how many presses there shall be.
-        beyond: presses with more force than the last edge, or less than the first.
     """
 
     edges_n: tuple[float, ...]
     counts: np.ndarray
     unplaced: int
     asked: int
-    beyond: int = 0
 
     @classmethod
     def of(
@@ -62,27 +60,22 @@ class PressCoverage:
         forces = [one.force_n for one in presses]
         edges = force_edges(force_range_n or (0.0, max(forces, default=1.0)))
         counts = np.zeros((3, 3, len(edges) - 1), np.int64)
-        unplaced = beyond = 0
+        unplaced = 0
         for one in presses:
-            k = int(np.searchsorted(edges, one.force_n, side="right")) - 1
-            if one.force_n == edges[-1]:
-                k -= 1
-            if not 0 <= k < len(edges) - 1:
-                beyond += 1
-                continue
             if one.place_px is None:
                 unplaced += 1
                 continue
             x, y, width, height = region
             column = min(max(int(3 * (one.place_px[0] - x) / width), 0), 2)
             row = min(max(int(3 * (one.place_px[1] - y) / height), 0), 2)
-            counts[row, column, k] += 1
-        return cls(tuple(edges), counts, unplaced, asked, beyond)
+            k = int(np.searchsorted(edges, one.force_n, side="right")) - 1
+            counts[row, column, min(max(k, 0), len(edges) - 2)] += 1  # what lies beyond, in the last bin
+        return cls(tuple(edges), counts, unplaced, asked)
 
     @property
     def presses(self) -> int:
         """How many presses there are."""
-        return int(self.counts.sum()) + self.unplaced + self.beyond
+        return int(self.counts.sum()) + self.unplaced
 
     @property
     def missing(self) -> list[str]:
@@ -119,7 +112,6 @@ class PressCoverage:
             "rows": list(ROWS),
             "counts": self.counts.tolist(),
             "unplaced": self.unplaced,
-            "beyond": self.beyond,
         }
 
     def _gaps(self) -> list[tuple[float, float]]:
@@ -140,7 +132,7 @@ class PressCoverage:
 
 
 def force_edges(force_range_n: tuple[float, float]) -> np.ndarray:
-    """Edges of about five bins of force at round numbers, over a range [N].
+    """Edges of about five bins of force at round numbers, nearest to a range's ends [N].
 
     Example:
         >>> force_edges((0.0, 5.0)).tolist()
@@ -150,6 +142,6 @@ def force_edges(force_range_n: tuple[float, float]) -> np.ndarray:
     width = max(high - low, 1e-6) / FORCE_BINS
     scale = 10.0 ** math.floor(math.log10(width))
     step = next(scale * nice for nice in NICE if scale * nice >= width * (1 - 1e-9))
-    first = math.floor(low / step + 1e-9)
-    last = max(math.ceil(high / step - 1e-9), first + 1)
+    first = math.floor(low / step + 0.5)
+    last = max(math.floor(high / step + 0.5), first + 1)
     return np.round(np.arange(first, last + 1) * step, 9)

@@ -1,0 +1,204 @@
+"""Verbs of a sensor's first ten minutes: start, collect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar, say
+
+if TYPE_CHECKING:
+    from palpate.sensing.collection import PressCollector
+    from palpate.workflows.press_feeds import PressFeed
+
+CameraOption = Annotated[
+    str, Option(help="Camera: its number, path or USB serial number; or virtual:palm, virtual:tactip.")
+]
+ScaleOption = Annotated[
+    str,
+    Option(help="Serial port of a scale; typed for known weights; virtual beneath a virtual sensor."),
+]
+PressesOption = Annotated[int, Option(help="Presses to collect.", min=1)]
+SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
+RealTime = Annotated[bool, Option("--real-time", help="Let a virtual second take one.")]
+
+
+def collect(
+    camera: CameraOption,
+    scale: ScaleOption,
+    out: Annotated[Path, Option(help="Run to record into; one that is there goes on.")],
+    presses: PressesOption = 40,
+    sensor: Annotated[str, Option(help="What the sensor is called; by default by its camera.")] = "",
+    session: Annotated[str, Option(help="What this sitting is called; by default the day.")] = "",
+    seed: SeedOption = 0,
+    real_time: RealTime = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Collect presses by hand, labelled by a scale.
+
+    Press the sensor on the scale, hold still for a second, let go; steady presses are found by themselves,
+    and what is missing is said. With --scale typed, lay known weights on and type each while it lies there.
+
+    Example: palpate collect --camera 0 --scale /dev/ttyUSB0 --out presses
+    Example: palpate collect --camera virtual:palm --scale virtual --out presses
+    """
+    from palpate.sensing.collection import PressCollector
+    from palpate.workflows.press_feeds import open_feed
+
+    with progress_bar(quiet) as progress:
+        feed = open_feed(camera, scale, seed=seed, real_time=real_time)
+        try:
+            with PressCollector(
+                out, sensor or feed.sensor, feed.weighing, asked=presses, session=session, region=feed.region,
+                force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
+                frame_late_s=feed.frame_late_s, truth=feed.truth, truths=feed.truths, origin=feed.origin,
+                regions=feed.regions, clock=feed.clock,
+            ) as collector:  # fmt: skip
+                _pressed(feed, collector, progress, quiet or json_)
+                status = collector.status
+        finally:
+            feed.close()
+    print_found(status, f"{out}: {status['text']} ({status['refused']} did not count)", json_)
+
+
+def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: bool) -> None:
+    """Take frames and forces in until all presses are there; tell of each."""
+    typed = _typed_weights(collector) if feed.force is None else None
+    feed.press(go_on=True)
+    told = -1
+    while len(collector.presses) < collector.asked:
+        frame = feed.grab()
+        if feed.force is not None:
+            collector.on_force(feed.force.drain())
+        collector.on_frame(frame)
+        if typed is not None:
+            typed()
+        count = len(collector.presses) + collector.refusals
+        if count != told:
+            told = count
+            progress("presses", len(collector.presses), collector.asked)
+            if not quiet:
+                _tell(collector)
+    feed.press(go_on=False)
+
+
+def _tell(collector: PressCollector) -> None:
+    status = collector.status
+    words = status["text"] if len(collector.presses) else "press anywhere, and hold still for a second"
+    if status["last_refused"] and collector.refusals:
+        words += f"; the last that did not count: {status['last_refused']['why']}"
+    if status["advice"]:
+        words += f"; {status['advice']}"
+    say(words, err=True)
+
+
+def _typed_weights(collector: PressCollector) -> Any:
+    """Read weights from the keyboard in a thread, and state each when it comes."""
+    import queue
+    import sys
+    import threading
+
+    from palpate.core import PalpateError
+
+    lines: queue.Queue[str] = queue.Queue()
+    say("lay a weight on, type its mass in g (or its force as 2.5N), take it off", err=True)
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line.strip())
+
+    threading.Thread(target=read, name="typed weights", daemon=True).start()
+
+    def take() -> None:
+        while not lines.empty():
+            try:
+                collector.label(force_of(lines.get()))
+            except PalpateError as e:
+                say(str(e), err=True)
+
+    return take
+
+
+def force_of(words: str) -> float:
+    """Force of a weight as typed: a mass in g, or with its unit as 200g, 0.2kg, 7oz, 2.5N [N].
+
+    Example:
+        >>> round(force_of("100"), 4), force_of("2.5 N")
+        (0.9807, 2.5)
+    """
+    from palpate.core import InputError
+    from palpate.rig.real.scale.weight_line import NEWTONS
+
+    text = words.replace(",", ".").strip()
+    number = text.rstrip("abcdefghijklmnopqrstuvwxyzN ").strip()
+    unit = text[len(number) :].strip() or "g"
+    try:
+        value = float(number)
+        return value * NEWTONS[unit]
+    except (ValueError, KeyError) as e:
+        raise InputError(
+            f"{words!r} is no weight; type a mass in g, or with a unit: {', '.join(NEWTONS)}"
+        ) from e
+
+
+def start(
+    folder: Annotated[Path, Option(help="Folder of the session; one that is there goes on.")] = Path(
+        "my-sensor"
+    ),
+    terminal: Annotated[
+        bool, Option("--terminal", help="Do it all here, without pages; by default on a virtual sensor.")
+    ] = False,
+    camera: CameraOption = "virtual:palm",
+    scale: ScaleOption = "virtual",
+    presses: PressesOption = 40,
+    seed: SeedOption = 0,
+    real_time: RealTime = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Go from a plugged-in camera to live newtons, step by step.
+
+    Opens the page that leads through it. With --terminal all steps are done here: settings, untouched sensor,
+    presses, training, and the commands that do the same are printed. Left half-way, the same command goes on.
+
+    Example: palpate start
+    Example: palpate start --terminal --camera 0 --scale /dev/ttyUSB0
+    """
+    if not terminal:
+        _open_page(folder)
+        return
+    from palpate.workflows.start_session import StartSession
+
+    session = StartSession(folder)
+    if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
+        session.choose(camera, scale, asked=presses, seed=seed)
+    with progress_bar(quiet) as progress:
+        if session.step in ("settings", "untouched", "collect"):
+            feed = session.feed(real_time=real_time)
+            try:
+                for line in session.check_settings(feed)["health"]["advice"]:
+                    say(line, err=True)
+                session.take_untouched(feed)
+                say("press anywhere, hold still for a second, let go", err=True)
+                session.collect(feed, progress)
+            finally:
+                feed.close()
+        if session.step == "train":
+            session.train(progress)
+    found = session.to_dict()
+    curve = (session.state.trained.get("curve") or {}).get("text", "")
+    lines = [session.state.collected.get("text", ""), session.sentence, curve, "The same by commands:"]
+    print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
+
+
+def _open_page(folder: Path) -> None:
+    """Serve the studio, and open it at the page of the first steps."""
+    from palpate.core import InputError
+
+    raise InputError(
+        "the pages of the first steps are not here yet; do them in the terminal: "
+        f"palpate start --terminal --folder {folder}"
+    )

@@ -1,0 +1,164 @@
+"""Learning curve of presses: error against how many were learnt from, and what ten more would bring.
+
+Models learn from some of the presses and are scored on all others, so that no press is on both sides. Errors
+of learning fall about as a power of the number learnt from, E(n) = a n^-b, and this is fitted; how far it can
+be trusted is told by drawing the scored presses anew.
+
+Reference: C. Cortes et al., Learning curves: asymptotic values and rate of convergence, NIPS 6 (1994).
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.fitting import preparation_of
+from palpate.calibration.training_data import learning_set
+from palpate.core import InputError, Progress, silent
+from palpate.estimators.networks import make_model
+from palpate.estimators.networks.model_interface import predict_rows
+from palpate.recordings import PackedSet, Run, pack
+from palpate.recordings.splits import group_names, within_session
+
+SHARES = (0.25, 0.5, 0.8)
+REPEATS = 2
+DRAWS = 500
+MORE = 10
+MIN_PRESSES = 8
+BAND = (5.0, 95.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LearningCurve:
+    """Error against presses.
+
+    Attributes:
+        presses: learnt from, ascending.
+        mae: mean absolute error on presses not learnt from, in the target's unit.
+        a, b: of E(n) = a n^-b.
+        have: presses that there are.
+        expected: error with all of them, and its 5th and 95th percentile.
+        with_more: the same with `more` presses more.
+        unit: of the errors.
+        more: presses more.
+    """
+
+    presses: tuple[int, ...]
+    mae: tuple[float, ...]
+    a: float
+    b: float
+    have: int
+    expected: tuple[float, float, float]
+    with_more: tuple[float, float, float]
+    unit: str = "N"
+    more: int = MORE
+
+    @property
+    def text(self) -> str:
+        """What more presses would bring, in one sentence."""
+        now, (then, low, high) = self.expected[0], self.with_more
+        if self.b <= 0:
+            return (
+                f"with {self.have} presses the error is {now:.3g} {self.unit}; more have not lessened it so "
+                "far: look at how they are labelled, or press elsewhere"
+            )
+        return (
+            f"with {self.have} presses the error is {now:.3g} {self.unit}; {self.more} more would bring "
+            f"{then:.3g} {self.unit} ({low:.2g} to {high:.2g})"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "presses": list(self.presses), "mae": list(self.mae), "a": self.a, "b": self.b, "have": self.have,
+            "expected": list(self.expected), "with_more": list(self.with_more), "unit": self.unit,
+            "more": self.more, "text": self.text,
+        }  # fmt: skip
+
+
+def power_law(presses: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
+    """Coefficients a and b of E = a n^-b, by least squares of logarithms.
+
+    Example:
+        >>> a, b = power_law(np.array([10.0, 20.0, 40.0]), np.array([0.4, 0.2, 0.1]))
+        >>> round(a, 6), round(b, 6)
+        (4.0, 1.0)
+    """
+    slope, level = np.polyfit(np.log(presses), np.log(np.maximum(errors, 1e-12)), 1)
+    return float(math.exp(level)), float(-slope)
+
+
+def curve_of(presses: np.ndarray, errors: np.ndarray, have: int, *, seed: int = 0) -> LearningCurve:
+    """The curve of errors that were found.
+
+    Args:
+        presses: learnt from in each trial ``[k]``.
+        errors: mean absolute error of each press in each trial, NaN where it was learnt from ``[k p]``.
+        have: presses that there are.
+        seed: of the draws.
+    """
+
+    def means(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        sizes = np.unique(presses)
+        each = np.array([np.nanmean(errors[presses == n][:, columns]) for n in sizes])
+        return sizes, each
+
+    rng, every = np.random.default_rng(seed), np.arange(errors.shape[1])
+    sizes, mae = means(every)
+    a, b = power_law(sizes, mae)
+    drawn = []
+    for _ in range(DRAWS):
+        numbers, each = means(rng.choice(every, len(every)))
+        if np.isfinite(each).all():
+            drawn.append(power_law(numbers, each))
+    laws = np.array(drawn)
+
+    def at(n: int) -> tuple[float, float, float]:
+        low, high = np.percentile(laws[:, 0] * float(n) ** -laws[:, 1], BAND)
+        return a * n**-b, float(low), float(high)
+
+    return LearningCurve(tuple(sizes.tolist()), tuple(mae.tolist()), a, b, have, at(have), at(have + MORE))
+
+
+def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent) -> LearningCurve:
+    """Learn from parts of a run's presses, and score on the others.
+
+    Args:
+        run: of presses, as a `PressCollector` makes it.
+        plan: what is estimated and how; its first target counts.
+        progress: called with how far it is.
+
+    Raises:
+        InputError: fewer than 8 presses.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        packed = Path(folder) / "packed"
+        pack(run, packed, preparation_of(run, plan))
+        learning = learning_set(PackedSet.open(packed), plan, None, str(run.path))
+        table = learning.packed.table
+        _, press = np.unique(group_names(table, within_session(table, ("press",))), return_inverse=True)
+        count = int(press.max()) + 1
+        if count < MIN_PRESSES:
+            raise InputError(f"{count} presses tell no learning curve; collect {MIN_PRESSES} or more")
+        rng, trials, errors = np.random.default_rng(plan.seed), [], []
+        sizes = sorted({max(4, round(share * count)) for share in SHARES})
+        for done, size in enumerate(np.repeat(sizes, REPEATS).tolist()):
+            progress("learning curve", done, REPEATS * len(sizes))
+            chosen = rng.choice(count, size, replace=False)
+            inside = np.isin(press, chosen)
+            rows, others = np.flatnonzero(inside), np.flatnonzero(~inside)
+            fitted = make_model(plan.model, plan.options).fit(learning.data, rows, seed=plan.seed)
+            off = np.abs(predict_rows(fitted, learning.data, others) - learning.data.values[others])[:, 0]
+            each = np.full(count, np.nan)
+            sums, n = np.bincount(press[others], off, count), np.bincount(press[others], minlength=count)
+            each[n > 0] = sums[n > 0] / n[n > 0]
+            trials.append(size)
+            errors.append(each)
+        progress("learning curve", 1, 1)
+    return curve_of(np.array(trials), np.array(errors), count, seed=plan.seed)

@@ -1,0 +1,202 @@
+"""Feeds of presses: a camera's frames beside a scale's samples, of real devices or of a virtual sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from palpate.core import (
+    Clock,
+    Closing,
+    DeviceError,
+    ForceSensor,
+    Frame,
+    InputError,
+    ManualClock,
+    MonotonicClock,
+)
+from palpate.sensing.collection import Weighing
+from palpate.sensing.collection.press_coverage import Box
+from palpate.sensing.live_sources import NoFrameYetError, open_live_source
+
+VIRTUAL = "virtual"
+TYPED = "typed"
+TRUTH_LABELS = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
+FAST_HZ = 12.0  # frames a second of a virtual sensor that does not wait for the clock
+TRANSPORT_S = 0.008  # of a virtual camera
+WAIT_S = 2.0  # for a frame
+
+
+@dataclass(frozen=True, slots=True)
+class FedFrame:
+    """One frame, and when it was here on the feed's clock [ns]."""
+
+    frame: Frame
+    arrived_ns: int
+
+
+@runtime_checkable
+class PressFeed(Protocol):
+    """Frames and forces of a sensor that a person presses."""
+
+    sensor: str
+    clock: Clock
+    force: ForceSensor | None
+    weighing: Weighing | None
+    region: Box | None
+    regions: dict[str, Box]
+    force_range_n: tuple[float, float] | None
+    frame_late_s: float
+    truth: Callable[[int], dict[str, float]] | None
+    truths: tuple[str, ...]
+    origin: str
+
+    def grab(self) -> FedFrame:
+        """The next frame.
+
+        Raises:
+            DeviceError: the camera is gone.
+        """
+
+    def press(self, go_on: bool) -> None:
+        """Let a virtual hand press, or rest; a person is asked instead."""
+
+    def close(self) -> None:
+        """Let go of the devices."""
+
+
+class VirtualFeed(Closing):
+    """A virtual hand on a virtual sensor, with a scale beneath.
+
+    Args:
+        name: of the sensor.
+        seed: of the hand.
+        real_time: whether a second takes one.
+        scale: serial port of a scale that stands in for the virtual one; time is real then.
+    """
+
+    truths: tuple[str, ...] = TRUTH_LABELS
+    origin = "pressed by palpate's virtual hand; virtual, not measured"
+    frame_late_s = TRANSPORT_S
+
+    def __init__(self, name: str, *, seed: int = 0, real_time: bool = False, scale: str = VIRTUAL) -> None:
+        from palpate.rig.virtual.virtual_hand import VirtualHand
+
+        self._fast = not real_time and scale in (VIRTUAL, TYPED)
+        self.clock: Clock = ManualClock() if self._fast else MonotonicClock()
+        self.hand = VirtualHand(name, seed=seed, clock=self.clock, pressing=False)
+        self.sensor = self.hand.design.name
+        self.force: ForceSensor | None = None
+        self.weighing: Weighing | None = None
+        if scale == VIRTUAL:
+            self.force, self.weighing = self.hand.force, Weighing.by(self.hand.force, "the virtual scale")
+        elif scale != TYPED:
+            self.force, self.weighing = serial_scale(scale, self.clock)
+        self.regions: dict[str, Box] = dict(self.hand.design.regions())
+        self.region: Box | None = self.regions[self.hand.design.axes.region]
+        self.force_range_n: tuple[float, float] | None = self.hand.force_range_n
+        self.truth: Callable[[int], dict[str, float]] | None = self.hand.truth
+
+    def grab(self) -> FedFrame:
+        """The next frame; in faster time not every one is drawn."""
+        if self._fast:
+            self.clock.sleep(max(1 / FAST_HZ - 1.5 / self.hand.camera.rate_hz, 0.0))
+        at_ns, frame = self.hand.camera.grab()
+        return FedFrame(frame, at_ns)
+
+    def press(self, go_on: bool) -> None:
+        """Let the hand press, or rest."""
+        (self.hand.press if go_on else self.hand.rest)()
+
+    def close(self) -> None:
+        """Let go."""
+        self.hand.close()
+        if self.force is not None:
+            self.force.close()
+
+
+class CameraFeed(Closing):
+    """A camera beside a scale on a serial port, or beside weights that are typed.
+
+    Args:
+        camera: address, see `palpate.sensing.live_sources.open_live_source`.
+        scale: serial port of a scale, or "typed".
+    """
+
+    truth: Callable[[int], dict[str, float]] | None = None
+    truths: tuple[str, ...] = ()
+    origin = "pressed by hand"
+    frame_late_s = 0.0
+    region: Box | None = None
+    force_range_n: tuple[float, float] | None = None
+
+    def __init__(self, camera: str, scale: str) -> None:
+        self.clock: Clock = MonotonicClock()
+        self.sensor = camera
+        self.regions: dict[str, Box] = {}
+        self.force: ForceSensor | None = None
+        self.weighing: Weighing | None = None
+        if scale != TYPED:
+            self.force, self.weighing = serial_scale(scale, self.clock)
+        try:
+            self._source = open_live_source(camera)
+        except BaseException:
+            self.close()
+            raise
+
+    def grab(self) -> FedFrame:
+        """The next frame."""
+        try:
+            got = self._source.grab(WAIT_S)
+        except NoFrameYetError as e:
+            raise DeviceError(
+                f"{self.sensor} gave no frame for {WAIT_S:g} s; look whether it is plugged in, and whether "
+                "another program reads it"
+            ) from e
+        if got is None:
+            raise DeviceError(f"{self.sensor} has ended; presses are collected from a camera")
+        return FedFrame(got.frame, got.arrived_ns)
+
+    def press(self, go_on: bool) -> None:
+        """Do nothing: a person presses."""
+
+    def close(self) -> None:
+        """Let go of both."""
+        if self.force is not None:
+            self.force.close()
+        source = getattr(self, "_source", None)
+        if source is not None:
+            source.close()
+
+
+def serial_scale(port: str, clock: Clock) -> tuple[ForceSensor, Weighing]:
+    """Open a scale on a serial port: by default as a kitchen scale, 10 lines a second and 0.4 s late."""
+    from palpate.rig.real.scale import ScaleSpec, SerialScale
+
+    opened = SerialScale.open(ScaleSpec(port), clock)
+    return opened, Weighing.by(opened, f"the scale at {port}")
+
+
+def open_feed(camera: str, scale: str, *, seed: int = 0, real_time: bool = False) -> PressFeed:
+    """Open a camera and what labels its presses.
+
+    Args:
+        camera: address, such as 0, a USB serial number, or ``virtual:palm``.
+        scale: serial port of a scale, ``typed`` for known weights, ``virtual`` beneath a virtual sensor.
+        seed: of a virtual hand.
+        real_time: whether a virtual second takes one.
+
+    Raises:
+        InputError: a real camera on a virtual scale.
+        DeviceError: a device is not there.
+    """
+    kind, _, name = camera.partition(":")
+    if kind != VIRTUAL and scale == VIRTUAL:
+        raise InputError(
+            f"camera {camera} with scale {scale}: only a virtual sensor stands on a virtual scale; give the "
+            "serial port of a scale, such as /dev/ttyUSB0, or 'typed' for known weights"
+        )
+    if kind == VIRTUAL:
+        return VirtualFeed(name or "palm", seed=seed, real_time=real_time, scale=scale)
+    return CameraFeed(camera, scale)

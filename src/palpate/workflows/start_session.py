@@ -1,0 +1,405 @@
+"""Session from a camera that was just plugged in to live newtons: steps that can be left and gone on with.
+
+Camera, settings, untouched sensor, presses, training, live reading: each step leaves what it found in a file
+of the session's folder, written whole or not at all, and its frames in an ordinary run. Whatever was done can
+be done by commands, which the session lists.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import cv2
+import numpy as np
+
+from palpate.core import InputError, PathText, Progress, RecordingError, new_file, silent, storage_errors
+from palpate.sensing.collection.press_collector import PressCollector
+from palpate.workflows.press_feeds import PressFeed, open_feed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from palpate.calibration.calibration_plan import CalibrationPlan
+    from palpate.estimators.model_card import Card
+
+STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
+STATE, RUN, CALIBRATION, UNTOUCHED = "start.json", "presses", "calibration", "untouched.png"
+PRESSES = 40
+LEAST_PRESSES = 10
+"""Presses that a calibration takes at least: fewer promise no interval of 90 % for the next one."""
+STILL_FRAMES = 16  # of the untouched sensor
+MODEL, TARGET, SPLIT = "kernel-ridge", "force_N", "group:press"
+GIVE_UP_S = 60.0  # without a press of any kind
+
+Watch = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class StartState:
+    """State of a session, as kept in its file.
+
+    Attributes:
+        camera: address of it; empty before one was chosen.
+        scale: serial port, "typed" or "virtual".
+        sensor: name of the sensor, which its run has.
+        asked: presses that shall be collected.
+        seed: of a virtual hand, and of all that is random in training.
+        done: steps that are done.
+        settings, collected, trained: what these steps found.
+    """
+
+    camera: str = ""
+    scale: str = ""
+    sensor: str = ""
+    asked: int = PRESSES
+    seed: int = 0
+    done: list[str] = field(default_factory=list)
+    settings: dict[str, Any] = field(default_factory=dict)
+    collected: dict[str, Any] = field(default_factory=dict)
+    trained: dict[str, Any] = field(default_factory=dict)
+
+
+class StartSession:
+    r"""Session of one sensor, in a folder.
+
+    Args:
+        folder: of it; made where it is not there, gone on with where it is.
+
+    Raises:
+        RecordingError: its file is not a session's.
+
+    Example:
+        session = StartSession("my-sensor")
+        session.choose("virtual:palm", "virtual")
+        with session.feed() as feed:
+            session.check_settings(feed)
+            session.take_untouched(feed)
+            session.collect(feed)
+        session.train()
+        print(session.sentence, *session.commands(), sep="\n")
+    """
+
+    def __init__(self, folder: PathText) -> None:
+        self.folder = Path(folder)
+        self.state = self._read()
+
+    @property
+    def step(self) -> str:
+        """The first step that is not done; "live" where all before it are."""
+        return next((one for one in STEPS if one not in self.state.done), STEPS[-1])
+
+    @property
+    def run(self) -> Path:
+        """Run of the presses."""
+        return self.folder / RUN
+
+    @property
+    def calibration(self) -> Path:
+        """Folder of the calibration that is or will be made of them."""
+        return self.folder / self.state.trained.get("folder", CALIBRATION)
+
+    @property
+    def untouched(self) -> Path:
+        """Image of the untouched sensor."""
+        return self.folder / UNTOUCHED
+
+    def choose(
+        self, camera: str, scale: str, *, sensor: str = "", asked: int = PRESSES, seed: int = 0
+    ) -> None:
+        """Choose camera and scale. Another camera than before leaves all later steps to be done anew.
+
+        Raises:
+            InputError: presses of another sensor were collected here, or fewer presses than can be
+                learnt from.
+        """
+        if asked < LEAST_PRESSES:
+            raise InputError(
+                f"{asked} presses; {LEAST_PRESSES} or more make a calibration, {PRESSES} a good one"
+            )
+        if camera != self.state.camera and (self.run / "manifest.json").is_file():
+            raise InputError(
+                f"{self.folder} holds presses of {self.state.camera}; begin a session of {camera} in another "
+                "folder"
+            )
+        kept = self.state.done if camera == self.state.camera and scale == self.state.scale else []
+        self.state = StartState(
+            camera,
+            scale,
+            sensor,
+            asked,
+            seed,
+            [*kept],
+            self.state.settings,
+            self.state.collected,
+            self.state.trained,
+        )
+        self._done("camera")
+
+    def feed(self, *, real_time: bool = False) -> PressFeed:
+        """Open the camera and the scale that were chosen."""
+        self._needs("camera")
+        return open_feed(self.state.camera, self.state.scale, seed=self.state.seed, real_time=real_time)
+
+    def check_settings(self, feed: PressFeed) -> dict[str, Any]:
+        """Look at a still picture: focus, noise, flicker, exposure, and what to do about them."""
+        from palpate.sensing.image_health import image_health
+
+        self._needs("camera")
+        frames = [feed.grab() for _ in range(STILL_FRAMES)]
+        lasted_s = (frames[-1].arrived_ns - frames[0].arrived_ns) / 1e9
+        rate_hz = (len(frames) - 1) / lasted_s if lasted_s > 0 else 1.0
+        health = image_health([one.frame.image for one in frames], rate_hz, region=feed.region)
+        height, width = frames[0].frame.image.shape[:2]
+        found = {"rate_hz": rate_hz, "size_px": [width, height], "health": health.to_dict()}
+        self.state.settings = json.loads(json.dumps(found))  # as its file gives it back
+        self._done("settings")
+        return self.state.settings
+
+    def take_untouched(self, feed: PressFeed) -> Path:
+        """Keep the mean of some frames of the untouched sensor."""
+        self._needs("settings")
+        feed.press(go_on=False)
+        frames = np.stack([feed.grab().frame.image for _ in range(STILL_FRAMES)])
+        mean = np.rint(frames.mean(axis=0)).astype(np.uint8)
+        coded = cv2.imencode(".png", mean if mean.ndim == 2 else mean[..., ::-1])[1]
+        self.untouched.unlink(missing_ok=True)
+        with new_file(self.untouched) as path:
+            path.write_bytes(coded.tobytes())
+        self._done("untouched")
+        return self.untouched
+
+    def collector(self, feed: PressFeed) -> PressCollector:
+        """The collector of this session's presses on a feed; a run that is there goes on."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return PressCollector(
+            self.run,
+            self.state.sensor or feed.sensor,
+            feed.weighing,
+            asked=self.state.asked,
+            region=feed.region,
+            force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
+            frame_late_s=feed.frame_late_s,
+            truth=feed.truth,
+            truths=feed.truths,
+            origin=feed.origin,
+            regions=feed.regions,
+            clock=feed.clock,
+        )
+
+    def collect(
+        self, feed: PressFeed, progress: Progress = silent, watch: Watch = lambda _: None
+    ) -> dict[str, Any]:
+        """Collect presses until there are as many as were asked for.
+
+        Args:
+            feed: camera and scale.
+            progress: called with how far it is.
+            watch: called with the collector's status whenever a press counts, or is refused.
+
+        Raises:
+            DeviceError: camera or scale is gone; what was collected stays, and the same call goes on.
+            InputError: nobody presses.
+        """
+        self._needs("untouched")
+        with self.collector(feed) as collector:
+            feed.press(go_on=True)
+            seen, last_ns = -1, feed.clock.now_ns()
+            while len(collector.presses) < self.state.asked:
+                frame = feed.grab()
+                if feed.force is not None:
+                    collector.on_force(feed.force.drain())
+                collector.on_frame(frame)
+                count = len(collector.presses) + collector.refusals
+                if count != seen:
+                    seen, last_ns = count, frame.arrived_ns
+                    progress("presses", len(collector.presses), self.state.asked)
+                    watch(collector.status)
+                if frame.arrived_ns - last_ns > GIVE_UP_S * 1e9:
+                    raise InputError(
+                        f"no press came for {GIVE_UP_S:g} s; {collector.coverage.text}. "
+                        "The same command goes on"
+                    )
+            feed.press(go_on=False)
+            self.note_collected(collector)
+        return self.state.collected
+
+    def note_collected(self, collector: PressCollector) -> None:
+        """Take what a collector holds, of this process or another, for the presses of this session."""
+        status = collector.status
+        self.state.collected = {
+            k: status[k] for k in ("presses", "asked", "missing", "text", "refused", "map")
+        }
+        self._done("collect")
+
+    def plan(self) -> CalibrationPlan:
+        """Plan of the calibration: whole presses held out, colour learnt from where there is any."""
+        from palpate.calibration.calibration_plan import CalibrationPlan
+
+        channels: Literal[1, 3] = 3 if self._in_colour() else 1
+        return CalibrationPlan((TARGET,), model=MODEL, split=SPLIT, seed=self.state.seed, channels=channels)
+
+    def train(self, progress: Progress = silent, *, curve: bool = True) -> Card:
+        """Calibrate on the presses, and certify.
+
+        Args:
+            progress: called with how far it is.
+            curve: whether to say what ten more presses would bring.
+
+        Raises:
+            InputError: fewer presses than can be learnt from.
+        """
+        from palpate.calibration.certificate import read_predictions
+        from palpate.recordings import Run
+        from palpate.sensing.collection.learning_curve import MIN_PRESSES, learning_curve
+        from palpate.workflows.certification import certify
+
+        self._needs("untouched")
+        run = Run.open(self.run)
+        count = run.labels["press"].nunique() if len(run) else 0
+        if count < LEAST_PRESSES:
+            raise InputError(
+                f"{self.run} holds {count} presses; collect {LEAST_PRESSES} or more, best {PRESSES}"
+            )
+        out = self._next_calibration()
+        card = certify(run, self.plan(), out, progress)
+        told = (
+            learning_curve(run, self.plan(), progress).to_dict() if curve and count >= MIN_PRESSES else None
+        )
+        self.state.trained = {
+            "folder": out.name,
+            "id": card.id,
+            "presses": int(count),
+            "sentence": honest_sentence(card, read_predictions(out, card), int(count)),
+            "curve": told,
+        }
+        self._done("train")
+        return card
+
+    @property
+    def sentence(self) -> str:
+        """The certificate in one sentence; empty before there is one."""
+        return str(self.state.trained.get("sentence", ""))
+
+    def commands(self) -> list[str]:
+        """Commands that do what was done here, in order."""
+        s, done = self.state, self.state.done
+        found = []
+        if "collect" in done or self.run.exists():
+            args = ["palpate", "collect", "--camera", s.camera, "--scale", s.scale, "--presses", str(s.asked)]
+            args += ["--sensor", s.sensor] if s.sensor else []
+            args += ["--seed", str(s.seed)] if s.seed else []
+            found.append(shlex.join([*args, "--out", str(self.run)]))
+        if "train" in done:
+            args = [
+                "palpate",
+                "calibrate",
+                str(self.run),
+                "--targets",
+                TARGET,
+                "--model",
+                MODEL,
+                "--split",
+                SPLIT,
+            ]
+            args += ["--seed", str(s.seed)] if s.seed else []
+            args += ["--rgb"] if self._in_colour() else []
+            found.append(shlex.join([*args, "--out", str(self.calibration)]))
+            found.append(shlex.join(["palpate", "live", str(self.calibration), "--camera", s.camera]))
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain values, for the page and for ``--json``."""
+        return asdict(self.state) | {
+            "folder": str(self.folder),
+            "step": self.step,
+            "run": str(self.run),
+            "calibration": str(self.calibration),
+            "commands": self.commands(),
+        }
+
+    def _in_colour(self) -> bool:
+        from palpate.recordings import Run
+
+        image = Run.open(self.run).frame(0).image
+        return image.ndim == 3 and bool((image != image[..., :1]).any())
+
+    def _needs(self, step: str) -> None:
+        if step not in self.state.done:
+            raise InputError(f"the step {step!r} of {self.folder} is not done yet; it is at {self.step!r}")
+
+    def _done(self, step: str) -> None:
+        """Note that a step is done, and that the later ones that follow from it are not."""
+        before = STEPS[: STEPS.index(step)]
+        if step == "collect":  # more presses: the calibration that is there is of fewer
+            self.state.done = [one for one in self.state.done if one != "train"]
+        self.state.done = [one for one in STEPS if one in self.state.done or one == step or one in before]
+        self._write()
+
+    def _next_calibration(self) -> Path:
+        """A folder that is not there yet: a calibration is never overwritten."""
+        k, out = 1, self.folder / CALIBRATION
+        while out.exists():
+            k += 1
+            out = self.folder / f"{CALIBRATION}-{k}"
+        return out
+
+    def _read(self) -> StartState:
+        path = self.folder / STATE
+        if not path.is_file():
+            return StartState()
+        try:
+            return StartState(**json.loads(path.read_bytes()))
+        except (ValueError, TypeError, RecursionError) as e:
+            raise RecordingError(
+                f"{path} is no session's file ({e}); move it away, and the runs beside it stay"
+            ) from e
+
+    def _write(self) -> None:
+        path = self.folder / STATE
+        with storage_errors(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            partial = path.with_name(f".{path.name}.partial")
+            partial.write_text(json.dumps(asdict(self.state), indent=1, sort_keys=True) + "\n")
+            partial.replace(path)
+
+
+def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
+    """What a certificate of hand presses promises, and what it does not.
+
+    Args:
+        card: the certificate.
+        predictions: its held-out ones.
+        presses: that were learnt from.
+    """
+    score = card.targets[0].score
+    if score.says_nothing or not beats_the_mean(predictions):
+        return (
+            f"Useless: on presses that it had not seen it errs by {score.mae:.3g} N on average, not surely "
+            f"less than always saying the mean does ({score.mean_mae:.3g} N). Look whether each label "
+            "belongs to its press, and whether the image changes where the sensor is pressed."
+        )
+    return (
+        f"On presses that it had not seen it errs by {score.mae:.2g} N on average, and its 90 % intervals "
+        f"held {100 * score.coverage_90:.0f} % of frames ({100 * score.coverage_90_low:.0f} to "
+        f"{100 * score.coverage_90_high:.0f} %, from {presses} presses): by one hand, on one day, with one "
+        "probe; what another day brings is not tested."
+    )
+
+
+def beats_the_mean(predictions: pd.DataFrame) -> bool:
+    """Whether held-out estimates surely err less than the other presses' mean: by 95 %, over presses."""
+    from palpate.calibration.coverage.grouped_rates import grouped_mean_interval
+
+    true, told = predictions[TARGET].to_numpy(float), predictions[f"estimate:{TARGET}"].to_numpy(float)
+    press = predictions["press"].astype(str).to_numpy()
+    of_press = predictions.groupby("press")[TARGET].mean()
+    others = (of_press.sum() - of_press) / (len(of_press) - 1)
+    mean = others.to_dict()
+    by_mean = predictions["press"].map(mean).to_numpy(float)
+    found = grouped_mean_interval(np.abs(by_mean - true) - np.abs(told - true), press)
+    return found is not None and found[0] > 0

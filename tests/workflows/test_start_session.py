@@ -1,0 +1,194 @@
+"""Laws of the first session: whole on a virtual sensor, gone on with where it was left, honest at its end."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.rig.serial_terminal import FakeTerminal
+
+from palpate.core import DeviceError, InputError, RecordingError
+from palpate.estimators.certified import Estimator
+from palpate.recordings import Run
+from palpate.rig.fakes.printing_scale import PrintingScale
+from palpate.sensing.collection.learning_curve import curve_of
+from palpate.workflows.press_feeds import CameraFeed, FedFrame, VirtualFeed, open_feed
+from palpate.workflows.start_session import STATE, StartSession, beats_the_mean
+
+
+def begun(folder: Path, presses: int = 10) -> StartSession:
+    session = StartSession(folder)
+    session.choose("virtual:tactip", "virtual", asked=presses)
+    return session
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> StartSession:
+    session = begun(tmp_path_factory.mktemp("start") / "session")
+    feed = session.feed()
+    session.check_settings(feed)
+    session.take_untouched(feed)
+    session.collect(feed)
+    feed.close()
+    session.train(curve=False)
+    return session
+
+
+def test_session_ends_in_a_calibration_that_reads_newtons(whole: StartSession) -> None:
+    assert whole.step == "live"
+    run, estimator = Run.open(whole.run), Estimator.open(whole.calibration)
+    touched = run.labels[~run.labels.reference.astype(bool)]
+    off = [
+        estimator.read(run.frame(i))["force_N"].value - touched.true_force_N[i]
+        for i in touched.index[::7].tolist()
+    ]
+    assert np.abs(off).mean() < 0.3 * touched.true_force_N.mean()
+
+
+def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) -> None:
+    again = StartSession(whole.folder)
+    assert again.state == whole.state
+    assert again.step == "live"
+    left = begun(tmp_path / "left")
+    assert left.step == "settings"
+    with pytest.raises(InputError, match="'untouched'"):
+        left.train()
+
+
+def test_commands_say_what_was_done(whole: StartSession) -> None:
+    verbs = [shlex.split(one)[1] for one in whole.commands()]
+    assert verbs == ["collect", "calibrate", "live"]
+    assert "--split group:press" in whole.commands()[1]
+
+
+def test_sentence_says_by_whom_and_what_is_not_tested(whole: StartSession) -> None:
+    for words in ("10 presses", "one hand, on one day", "not tested"):
+        assert words in whole.sentence
+
+
+def test_only_estimates_that_surely_beat_the_mean_are_worth_something() -> None:
+    rng, press = np.random.default_rng(0), np.repeat(np.arange(40), 8)
+    force = rng.uniform(1, 10, 40)[press]
+    good = pd.DataFrame({"press": press, "force_N": force, "estimate:force_N": force + 0.5})
+    assert beats_the_mean(good)
+    shuffled = good.assign(**{"estimate:force_N": rng.permutation(40)[press] / 4.0})
+    assert not beats_the_mean(shuffled)
+
+
+@pytest.mark.slow
+def test_sentence_of_shuffled_labels_says_useless(whole: StartSession, tmp_path: Path) -> None:
+    from palpate.recordings.manifest import Manifest
+    from palpate.recordings.run_writer import RunWriter
+
+    run = Run.open(whole.run)
+    table = run.labels
+    order = np.random.default_rng(3).permutation(table.press.nunique())
+    level = table[~table.reference.astype(bool)].groupby("press").force_N.mean()
+    other = dict(zip(level.index, level.to_numpy()[order], strict=True))
+    session = begun(tmp_path / "shuffled")
+    session._done("untouched")
+    kinds = {name: run.manifest.labels[name] for name in ("press", "session", "reference", "force_N")}
+    manifest = Manifest.new(sensor="tactip", labels=kinds, targets=("force_N",))
+    with RunWriter.create(session.run, manifest, overflow="wait") as writer:
+        for i in range(len(run)):
+            row = table.iloc[i]
+            labels = {"press": str(row.press), "session": str(row.session), "reference": bool(row.reference)}
+            force = 0.0 if row.reference else float(other[row.press])
+            writer.frame(run.frame(i).image, labels=labels | {"force_N": force})
+    session.train(curve=False)
+    assert session.sentence.startswith("Useless")
+
+
+def test_calibration_is_never_overwritten(whole: StartSession) -> None:
+    assert whole._next_calibration() != whole.calibration
+
+
+def test_device_that_goes_leaves_what_was_collected(tmp_path: Path) -> None:
+    session = begun(tmp_path / "session")
+    feed = session.feed()
+    session.check_settings(feed)
+    session.take_untouched(feed)
+    grab = feed.grab
+
+    def gone() -> FedFrame:
+        if feed.clock.now_ns() > 16e9:
+            raise DeviceError("the camera does not answer")
+        return grab()
+
+    feed.grab = gone  # type: ignore[method-assign]
+    with pytest.raises(DeviceError):
+        session.collect(feed)
+    kept = Run.open(session.run).labels.press.nunique()
+    assert kept >= 2
+    assert StartSession(session.folder).step == "collect"
+
+
+def test_real_camera_does_not_stand_on_a_virtual_scale() -> None:
+    with pytest.raises(InputError, match="typed"):
+        open_feed("0", "virtual")
+
+
+@pytest.mark.slow
+def test_kitchen_scale_on_a_serial_port_labels_a_virtual_sensor(tmp_path: Path) -> None:
+    """In real time: a scale of 10 lines a second that is 0.4 s late."""
+    hands: list[VirtualFeed] = []
+    device = PrintingScale(lambda t: hands[0].hand.force_at(t) if hands else 0.0, now_s=time.monotonic())
+    with FakeTerminal(device) as terminal:
+        feed = VirtualFeed("tactip", scale=terminal.path)
+        hands.append(feed)
+        session = StartSession(tmp_path / "session")
+        session.choose("virtual:tactip", terminal.path, asked=10)
+        collector = session.collector(feed)
+        feed.press(go_on=True)
+        ends_ns = feed.clock.now_ns() + 20 * 10**9
+        with collector:
+            while feed.clock.now_ns() < ends_ns:
+                assert feed.force is not None
+                frame = feed.grab()
+                collector.on_force(feed.force.drain())
+                collector.on_frame(frame)
+        feed.close()
+    table = Run.open(session.run).labels
+    touched = table[~table.reference.astype(bool)]
+    assert touched.press.nunique() >= 3
+    assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.06
+
+
+def test_broken_file_of_a_session_is_named(tmp_path: Path) -> None:
+    (tmp_path / STATE).write_text(json.dumps({"cameras": []}))
+    with pytest.raises(RecordingError, match="move it away"):
+        StartSession(tmp_path)
+
+
+def test_too_few_presses_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="10 or more"):
+        StartSession(tmp_path).choose("virtual:palm", "virtual", asked=3)
+
+
+def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
+    rng = np.random.default_rng(0)
+    presses = np.repeat([10, 20, 32], 2)
+    errors = (4 / presses)[:, None] * np.exp(0.1 * rng.standard_normal((6, 40)))
+    curve = curve_of(presses, errors, 40)
+    assert curve.b == pytest.approx(1.0, abs=0.1)
+    assert curve.with_more[0] == pytest.approx(4 / 50, rel=0.1)
+    assert curve.with_more[1] < curve.with_more[0] < curve.with_more[2]
+    assert "10 more would bring" in curve.text
+
+
+def test_learning_curve_that_does_not_fall_says_so() -> None:
+    presses = np.repeat([10, 20, 32], 2)
+    errors = np.random.default_rng(0).uniform(0.9, 1.0, (6, 40)) * (1 + presses[:, None] / 100)
+    assert "more have not lessened it" in curve_of(presses, errors, 40).text
+
+
+def test_feeds_keep_their_contract() -> None:
+    from palpate.workflows.press_feeds import PressFeed
+
+    assert isinstance(VirtualFeed("tactip"), PressFeed)
+    assert all(hasattr(CameraFeed, name) for name in ("grab", "press", "close", "truth", "truths"))
