@@ -3,10 +3,13 @@
     python tools/palm_copies.py                  # eight copies, twenty minutes of one core
     python tools/palm_copies.py --copies 3 --presses 8
     python tools/palm_copies.py --law imperfect  # membranes, mirrors and cameras with every fault
+    python tools/palm_copies.py --law imperfect --copies 6 --new 8 --fitted  # by six known forces alone
+    python tools/palm_copies.py --law imperfect --copies 6 --new 8 --fitted --control  # holds less
     python tools/palm_copies.py --law each --copies 3  # one fault at a time, E and C known
 
-Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way and read by the fast one.
-No reader knows of the faults: what they cost, and whether intervals still hold, is what is asked.
+Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way with the camera's noise.
+No reader knows which faults a copy has: what they cost, and whether intervals hold, is what is asked. The
+control reads by a model in which presses differ by nothing but the copy's terms, and takes its own word.
 Numbers stand in docs/how-to/find-a-palms-constants.md.
 """
 
@@ -21,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.core import ImageError, Pose
-from palpate.sensors.palm.palm_copy import PalmCopy, PicturedPress, designed_copy
-from palpate.sensors.palm.palm_copy_fit import fit_copy, read_press
+from palpate.sensors.palm.copies.palm_copy import AS_SAID, LOCAL, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
@@ -106,26 +109,37 @@ def read_by(known: PalmCopy, new: list[tuple[PicturedPress, Pose, float]], into:
             into["depth, mm" if name == "depth_m" else "place, mm"].append((1e3 * miss, held))
 
 
-def study(
-    design: PalmSpec, copies: int, presses: int, seed: int, spread: CopySpread
-) -> Iterator[dict[str, Errors]]:
+def believing(design: PalmSpec, control: bool) -> PalmCopy:
+    """What is known of a copy beforehand; for the control, that its terms are all that presses differ by."""
+    return (
+        designed_copy(design, local_spreads=dict.fromkeys(LOCAL[3:], 1e-6))
+        if control
+        else designed_copy(design)
+    )
+
+
+def study(design: PalmSpec, asked: argparse.Namespace, spread: CopySpread) -> Iterator[dict[str, Errors]]:
     """Errors of every copy: of its constants, and of new presses by what is known of it."""
-    for k in range(copies):
-        rng = np.random.default_rng([seed, k])
+    presses = asked.presses
+    for k in range(asked.copies):
+        rng = np.random.default_rng([asked.seed, k])
         # As the design, which the readers know: what the rim does is no difference between copies.
         copy = replace(drawn_palm(design, rng, spread), rim=design.rim)
-        told, new = ([pressed(copy, rng) for _ in range(n)] for n in (presses, NEW))
+        told, new = ([pressed(copy, rng) for _ in range(n)] for n in (presses, asked.new))
         errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
-        designed, one = designed_copy(design), [told[0][0]]
-        read_by(knowing_both(design, copy), new, errors["new presses, E and C known"])
-        read_by(knowing(design, copy), new, errors["new presses, C known, E not"])
-        read_by(designed, new, errors["new presses, neither known"])
+        designed, one = believing(design, asked.control), [told[0][0]]
+        if not asked.fitted:
+            read_by(knowing_both(design, copy), new, errors["new presses, E and C known"])
+            read_by(knowing(design, copy), new, errors["new presses, C known, E not"])
+            read_by(designed, new, errors["new presses, neither known"])
         try:
             fitted = fit_copy(designed, [press for press, _, _ in told]).copy
         except ImageError:
             errors[f"constants by {presses} presses"]["refused"].append((1.0, True))
             yield errors
             continue
+        if asked.control:
+            fitted = replace(fitted, widening=AS_SAID)
         for name, value, truth, share in (
             ("E, per cent", fitted.modulus_pa, copy.youngs_modulus_pa, fitted.modulus_share),
             (
@@ -138,6 +152,9 @@ def study(
             off = float(np.log(value / truth))
             errors[f"constants by {presses} presses"][name].append((100 * off, abs(off) <= NORMAL * share))
         read_by(fitted, new, errors[f"new presses, by {presses} presses"])
+        if asked.fitted:
+            yield errors
+            continue
         try:
             read_by(fit_copy(designed, one).copy, new, errors["new presses, by one known force"])
         except ImageError:
@@ -164,7 +181,9 @@ def main() -> None:
     )
     parser.add_argument("--copies", type=int, default=8)
     parser.add_argument("--presses", type=int, default=6)
-    parser.add_argument("--new", type=int, default=NEW, help="presses that are read, of each fault")
+    parser.add_argument("--new", type=int, default=NEW, help="presses that are read")
+    parser.add_argument("--fitted", action="store_true", help="read by the copy that was fitted alone")
+    parser.add_argument("--control", action="store_true", help="by a model that is taken for exact")
     parser.add_argument("--smaller", type=int, default=14, help="times smaller than the full frame")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--law", choices=("plain", "imperfect", "each"), default="plain")
@@ -176,7 +195,7 @@ def main() -> None:
     found = (
         each_fault(design, asked.copies, asked.new, asked.seed)
         if asked.law == "each"
-        else study(design, asked.copies, asked.presses, asked.seed, spread)
+        else study(design, asked, spread)
     )
     for k, errors in enumerate(found):
         for case, quantities in errors.items():

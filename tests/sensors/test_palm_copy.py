@@ -14,13 +14,13 @@ from palpate.core import ExistsError, ImageError, InputError, ManualClock, Pose,
 from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
-from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
-from palpate.sensors.palm.palm_copy_fit import fit_copy, pictured, read_press
-from palpate.sensors.palm.palm_copy_store import pictured_presses, read_copy, write_copy
+from palpate.sensors.palm.copies.palm_copy import TERMS, PalmCopy, PicturedPress, Widening, designed_copy
+from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press
+from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
+from palpate.sensors.palm.copies.palm_weight import check_weight
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
-from palpate.sensors.palm.palm_weight import check_weight
 
 DESIGN = scaled_down(palm(), 20, "tiny")
 E, C = DESIGN.youngs_modulus_pa, DESIGN.stress_optic.coefficient_per_pa
@@ -145,19 +145,29 @@ def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:
-    from palpate.sensors.palm.palm_copy_store import design_for
+    from palpate.sensors.palm.copies.palm_copy_store import design_for
 
     known = design_for("debug", (108, 192))
-    known = replace(known, terms=known.terms + 0.01 * np.arange(len(TERMS)))
+    known = replace(
+        known, terms=known.terms + 0.01 * np.arange(len(TERMS)), widening=Widening(1.5, 2.0, 1.25, 6),
+        local_spreads=(0.01, 0.02, 0.03, 0.04, 0.05),
+    )  # fmt: skip
     write_copy(known, "debug", tmp_path / "mine.json")
     again = read_copy(tmp_path / "mine.json")
     assert np.array_equal(again.terms, known.terms)
     assert np.array_equal(again.covariance, known.covariance)
     assert again.spec == known.spec
+    assert (again.widening, again.local_spreads) == (known.widening, known.local_spreads)
     with pytest.raises(ExistsError):
         write_copy(known, "debug", tmp_path / "mine.json")
     record = json.loads((tmp_path / "mine.json").read_text())
-    for changed in ({"format": "other"}, {"covariance": [[1.0]]}, {"terms": {}}, {"preset": "none"}):
+    for changed in (
+        {"format": "other"},
+        {"covariance": [[1.0]]},
+        {"terms": {}},
+        {"preset": "none"},
+        {"widening": {"place": -1.0}},
+    ):
         (tmp_path / "other.json").write_text(json.dumps(record | changed))
         with pytest.raises(InputError):
             read_copy(tmp_path / "other.json")

@@ -10,7 +10,7 @@ from typer import Argument, Option
 from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
 if TYPE_CHECKING:
-    from palpate.sensors.palm.palm_copy import CopyFit, PalmCopy
+    from palpate.sensors.palm.copies.palm_copy import CopyFit, PalmCopy
 
 app = group("Find one palm's own constants, and check them by a weight.")
 
@@ -38,8 +38,9 @@ def fit(
     Example: palpate palm fit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
-    from palpate.sensors.palm.palm_copy_fit import fit_copy
-    from palpate.sensors.palm.palm_copy_store import (
+    from palpate.sensors.palm.copies.copy_advice import unsure_constants
+    from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
+    from palpate.sensors.palm.copies.palm_copy_store import (
         MAX_REACH,
         design_for,
         pictured_presses,
@@ -52,8 +53,9 @@ def fit(
         pictured = pictured_presses(run, presses, force_share, MAX_REACH * preset_radius_m(preset))
         known = design_for(preset, pictured[0].image.shape[:2], friction)
         found = fit_copy(known, pictured, tell)
+        unsure = unsure_constants(found.copy, tell)
     write_copy(found.copy, preset, out)
-    answer = _copy_answer(found) | {"copy": str(out)}
+    answer = _copy_answer(found) | {"unsure": [one._asdict() for one in unsure], "copy": str(out)}
     print_found(answer, _copy_text(answer), json_)
 
 
@@ -65,8 +67,8 @@ def read(
 
     Example: palpate palm read press.png --reference rest.png --copy mine.json --json
     """
-    from palpate.sensors.palm.palm_copy_fit import read_press
-    from palpate.sensors.palm.palm_copy_store import read_copy, read_picture
+    from palpate.sensors.palm.copies.palm_copy_fit import read_press
+    from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
 
     known = read_copy(copy)
     with progress_bar(quiet):
@@ -101,8 +103,8 @@ def weigh(
 
     Example: palpate palm weigh w.png --reference rest.png --copy mine.json --mass-g 200
     """
-    from palpate.sensors.palm.palm_copy_store import read_copy, read_picture
-    from palpate.sensors.palm.palm_weight import check_weight
+    from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
+    from palpate.sensors.palm.copies.palm_weight import check_weight
 
     known = read_copy(copy)
     with progress_bar(quiet) as tell:
@@ -129,7 +131,8 @@ def _copy_answer(found: CopyFit) -> dict[str, Any]:
         "modulus_Pa": copy.modulus_pa, "modulus_share": COVERED * copy.modulus_share,
         "coefficient_per_Pa": copy.coefficient_per_pa,
         "coefficient_share": COVERED * copy.coefficient_share, "coverage": 0.9,
-        "terms": copy.told, "untold": list(found.untold), "presses": len(found.presses),
+        "terms": copy.told, "widening": copy.widening._asdict(), "untold": list(found.untold),
+        "presses": len(found.presses),
         "off_of_white": max(one.off for one in found.presses),
     }  # fmt: skip
 
@@ -149,6 +152,21 @@ def _copy_text(answer: dict[str, Any]) -> str:
             for name, one in answer["terms"].items()
         ),
     ]
+    wider = answer["widening"]
+    lines.append(
+        f"  by {wider['presses']} presses held out, intervals of new ones are {wider['place']:.2f} times as "
+        f"wide in place, {wider['depth']:.2f} in depth and {wider['force']:.2f} in force"
+    )
+    lines += [_unsure_text(one) for one in answer["unsure"]]
     if untold:
         lines.append(f"  not told by these presses: {untold}; press at other places and depths")
     return "\n".join([*lines, f"copy: {answer['copy']}"])
+
+
+def _unsure_text(one: dict[str, Any]) -> str:
+    return (
+        f"  {one['constant']} is told to ± {one['half_share']:.1%} only: {one['fault']} hides it, which owes "
+        f"{one['owed']:.0%} of that; a press of {one['force_n']:.2g} N at ({1e3 * one['x_m']:.0f}, "
+        f"{1e3 * one['y_m']:.0f}) mm, {1e3 * one['depth_m']:.1f} mm deep, would make it ± "
+        f"{one['then_share']:.1%}"
+    )

@@ -88,7 +88,17 @@ def table_of(spec: PalmSpec) -> SphereTable:
 
 def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
     """The table at one depth, in sphere radii and moduli."""
-    return table_of(spec).at(depth_m / spec.indenter_radius_m)
+    R = spec.indenter_radius_m
+    proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
+    kept = _pressed(proportions, depth_m / R)
+    return table_of(spec).at(depth_m / R) if kept is None else kept
+
+
+@lru_cache(maxsize=16)
+def _pressed(proportions: tuple[float, float, float, float], depth: float) -> TabulatedPress | None:
+    """The same, kept, since one picture asks for its depth several times; None without a table."""
+    table = _table(*proportions)
+    return None if table is None else table.at(depth)
 
 
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:

@@ -7,7 +7,9 @@ whatever E is; with both unknown it tells no more than their product, and one kn
 
 All of it is one estimate: terms of the copy with a prior, place and depth of each press, pixels as they were
 measured, and known forces where there are any. A calibration, a reading and a check with a known weight
-differ in what is known beforehand, and in nothing else.
+differ in what is known beforehand, and in nothing else. Where one press finds the membrane other than the
+copy's terms say, by an uneven modulus or thickness or by what is frozen in there, is a few unknowns of that
+press, small beforehand.
 """
 
 from __future__ import annotations
@@ -27,13 +29,47 @@ from palpate.sensors.palm.palm_spec import PalmSpec, View
 TERMS = (
     "modulus", "product", "lamp", "polariser_rad", "elevation_rad", "mirror_across_px", "mirror_down_px",
     "fringes_across_px", "fringes_down_px", "ambient", "corner_loss", "mired", "blur_px",
+    "thickness", "mirror_turn_rad", "fringes_turn_rad", "mirror_scale", "fringes_scale",
+    "residual_along", "residual_aside", "harder_across", "harder_along",
 )  # fmt: skip
 """Logarithms of E, of E C and of the lamp's light over the design's; turns of polariser and of the mirror's
 line of sight; shifts of both regions in the frame; room light and corner loss beyond the design's; the lamp's
-colour; and the lens's blur."""
+colour; the lens's blur; the thickness's logarithm; both regions' turns, and logarithms of size; residual
+birefringence along the axes and along their diagonals, in wavelengths over the diameter; and by how much the
+logarithm of E grows from the middle to the rim, along x and along y."""
+
+LOCAL = (
+    "x_m", "y_m", "log_depth", "exposure", "harder", "thicker", "residual_along", "residual_aside",
+)  # fmt: skip
+"""Unknowns of one press: place, logarithm of the depth in m and of the exposure over the untouched frame's,
+and by how much the membrane differs there from what the copy's terms say, in the terms' units."""
 
 Terms = Float[ndarray, " t"]
 Covariance = Float[ndarray, "t t"]
+Local = Float[ndarray, " 8"]
+
+
+class Widening(NamedTuple):
+    """By how much presses that were held out missed, over what their intervals said.
+
+    Attributes:
+        place, depth, force: factors on standard deviations of what a new press is read to be.
+        presses: that were held out; 0 where none were, and all factors are 1.
+    """
+
+    place: float = 1.0
+    depth: float = 1.0
+    force: float = 1.0
+    presses: int = 0
+
+
+AS_SAID = Widening()
+"""No press was held out."""
+
+LOCAL_SPREADS = {
+    "exposure": 0.01, "harder": 0.012, "thicker": 0.004, "residual_along": 0.004, "residual_aside": 0.004,
+}  # fmt: skip
+"""By how much one press differs from what its copy's terms say. Assumed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +80,16 @@ class PalmCopy:
         spec: the palm as designed.
         terms: see `TERMS`; 0 is the spec.
         covariance: of them.
+        widening: of what new presses are read to be, by the presses that the copy was found from.
+        local_spreads: standard deviations of `LOCAL` from exposure on: by how much one press differs from
+            what the terms say.
     """
 
     spec: PalmSpec
     terms: Terms
     covariance: Covariance
+    widening: Widening = AS_SAID
+    local_spreads: tuple[float, ...] = tuple(LOCAL_SPREADS.values())
 
     @property
     def modulus_pa(self) -> float:
@@ -81,20 +122,34 @@ class PalmCopy:
     def looks(self) -> PalmSpec:
         """Spec of a palm that looks as this copy does; its E is the design's, its C takes all the product."""
         at = dict(zip(TERMS, self.terms.tolist(), strict=True))
-        law = self.spec.stress_optic
+        spec, law = self.spec, self.spec.stress_optic
+        size, axis = residual_of(spec, at["residual_along"], at["residual_aside"])
+        mirror = _moved(spec.mirror, at["mirror_across_px"], at["mirror_down_px"])
+        fringes = _moved(spec.fringes, at["fringes_across_px"], at["fringes_down_px"])
         return replace(
-            self.spec,
+            spec,
             stress_optic=replace(law, coefficient_per_pa=law.coefficient_per_pa * math.exp(at["product"])),
-            lamp_gain=self.spec.lamp_gain * math.exp(at["lamp"]),
-            polariser_rad=self.spec.polariser_rad + at["polariser_rad"],
-            mirror_elevation_rad=self.spec.mirror_elevation_rad + at["elevation_rad"],
-            mirror=_moved(self.spec.mirror, at["mirror_across_px"], at["mirror_down_px"]),
-            fringes=_moved(self.spec.fringes, at["fringes_across_px"], at["fringes_down_px"]),
-            ambient=max(self.spec.ambient + at["ambient"], 0.0),
-            corner_loss=min(max(self.spec.corner_loss + at["corner_loss"], 0.0), 1.0),
-            lamp_mired=self.spec.lamp_mired + at["mired"],
-            chain=replace(self.spec.chain, blur_px=max(at["blur_px"], 0.0)),
+            lamp_gain=spec.lamp_gain * math.exp(at["lamp"]),
+            polariser_rad=spec.polariser_rad + at["polariser_rad"],
+            mirror_elevation_rad=spec.mirror_elevation_rad + at["elevation_rad"],
+            mirror=_turned(mirror, at["mirror_turn_rad"], at["mirror_scale"]),
+            fringes=_turned(fringes, at["fringes_turn_rad"], at["fringes_scale"]),
+            ambient=max(spec.ambient + at["ambient"], 0.0),
+            corner_loss=min(max(spec.corner_loss + at["corner_loss"], 0.0), 1.0),
+            lamp_mired=spec.lamp_mired + at["mired"],
+            chain=replace(spec.chain, blur_px=max(at["blur_px"], 0.0)),
+            thickness_m=spec.thickness_m * math.exp(at["thickness"]),
+            frozen_birefringence=size,
+            frozen_axis_rad=axis,
         )
+
+    def under(self, local: Local) -> PalmCopy:
+        """The copy as one press finds it: even, with what the membrane is there; see `LOCAL`."""
+        terms = self.terms.copy()
+        for name, value in zip(LOCAL[5:], local[5:], strict=True):
+            terms[AT["thickness" if name == "thicker" else name]] += value
+        terms[AT["product"]] += harder_at(self, local)
+        return replace(self, terms=terms)
 
     @property
     def as_spec(self) -> PalmSpec:
@@ -103,15 +158,43 @@ class PalmCopy:
         return replace(self.looks, youngs_modulus_pa=self.modulus_pa, stress_optic=law)
 
 
+AT = {name: i for i, name in enumerate(TERMS)}
+"""Place of each term among all."""
+
+
+def harder_at(copy: PalmCopy, local: Local) -> float:
+    """Logarithm of E at a press's place over the copy's own."""
+    across, along = copy.terms[AT["harder_across"]], copy.terms[AT["harder_along"]]
+    return float((across * local[0] + along * local[1]) / copy.spec.radius_m + local[4])
+
+
+def residual_of(spec: PalmSpec, along: float, aside: float) -> tuple[float, float]:
+    """Residual birefringence and its axis [rad] of a design, and of wavelengths over its diameter."""
+    unit = spec.stress_optic.reference_wavelength_m / spec.diameter_m
+    turn = 2 * spec.frozen_axis_rad
+    u = spec.frozen_birefringence * math.cos(turn) + unit * along
+    v = spec.frozen_birefringence * math.sin(turn) + unit * aside
+    return math.hypot(u, v), math.atan2(v, u) / 2
+
+
 def _moved(view: View, across_px: float, down_px: float) -> View:
     cx, cy = view.middle_px
     return replace(view, middle_px=(cx + across_px, cy + down_px))
 
 
+def _turned(view: View, turn_rad: float, scale: float) -> View:
+    wide, high = (pitch * math.exp(-scale) for pitch in view.pitches_m)
+    rows = None if view.row_pitch_m is None else high
+    return replace(view, pitch_m=wide, row_pitch_m=rows, turn_rad=view.turn_rad + turn_rad)
+
+
 SPREADS = {
-    "lamp": 0.1, "polariser_rad": math.radians(2.0), "elevation_rad": math.radians(1.5),
+    "lamp": 0.2, "polariser_rad": math.radians(2.0), "elevation_rad": math.radians(1.5),
     "mirror_across_px": 1.0, "mirror_down_px": 1.0, "fringes_across_px": 0.5, "fringes_down_px": 0.5,
     "ambient": 0.01, "corner_loss": 0.1, "mired": 8.0, "blur_px": 0.4,
+    "thickness": 0.02, "mirror_turn_rad": math.radians(0.4), "fringes_turn_rad": math.radians(0.4),
+    "mirror_scale": 0.003, "fringes_scale": 0.003, "residual_along": 0.012, "residual_aside": 0.012,
+    "harder_across": 0.015, "harder_along": 0.015,
 }  # fmt: skip
 """By how much copies differ from their design, as standard deviations. Assumed."""
 BLUR_PX = 0.5  # of a lens, where nothing is known of it. Assumed.
@@ -119,7 +202,7 @@ BLUR_PX = 0.5  # of a lens, where nothing is known of it. Assumed.
 
 def designed_copy(
     spec: PalmSpec, *, modulus_share: float = 0.25, coefficient_share: float = 0.25,
-    spreads: Mapping[str, float] = SPREADS,
+    spreads: Mapping[str, float] = SPREADS, local_spreads: Mapping[str, float] = LOCAL_SPREADS,
 ) -> PalmCopy:  # fmt: skip
     """What is known of a copy before it was pressed: its design, and how far copies differ.
 
@@ -127,21 +210,25 @@ def designed_copy(
         spec: the design.
         modulus_share, coefficient_share: standard deviations of E and C, as shares.
         spreads: of all other terms, in their units.
+        local_spreads: of what one press differs by; as small as can be, they say that the terms are all.
 
     Raises:
         RangeError: a spread that is not finite or not above 0.
     """
-    others = [spreads[name] for name in TERMS[2:]]
-    if not all(math.isfinite(one) and one > 0 for one in (modulus_share, coefficient_share, *others)):
+    others, own = (
+        [of[name] for name in names] for of, names in ((spreads, TERMS[2:]), (local_spreads, LOCAL[3:]))
+    )
+    if not all(math.isfinite(one) and one > 0 for one in (modulus_share, coefficient_share, *others, *own)):
         raise RangeError(
-            f"spreads of copies: modulus {modulus_share}, coefficient {coefficient_share}, {dict(spreads)}; "
+            f"spreads of copies: modulus {modulus_share}, coefficient {coefficient_share}, "
+            f"{dict(spreads)}, of one press {dict(local_spreads)}; "
             "each has to be finite and above 0"
         )
     covariance = np.diag(np.square([modulus_share, math.hypot(modulus_share, coefficient_share), *others]))
     covariance[0, 1] = covariance[1, 0] = modulus_share**2  # E C holds E
     terms = np.zeros(len(TERMS))
     terms[TERMS.index("blur_px")] = BLUR_PX
-    return PalmCopy(spec, terms, covariance)
+    return PalmCopy(spec, terms, covariance, local_spreads=tuple(own))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,18 @@ import numpy as np
 
 from palpate.core import ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
 from palpate.recordings.run_reader import Run
-from palpate.sensors.palm.palm_copy import TERMS, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.copies.palm_copy import (
+    LOCAL,
+    TERMS,
+    PalmCopy,
+    PicturedPress,
+    Widening,
+    designed_copy,
+)
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
-FORMAT = "palpate palm copy 1"
+FORMAT = "palpate palm copy 2"
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
 MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 
@@ -34,7 +41,8 @@ def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
     record: dict[str, Any] = {
         "format": FORMAT, "preset": design, "frame_px": list(copy.spec.frame_px),
         "friction": copy.spec.friction, "terms": dict(zip(TERMS, copy.terms.tolist(), strict=True)),
-        "covariance": copy.covariance.tolist(),
+        "covariance": copy.covariance.tolist(), "widening": copy.widening._asdict(),
+        "local_spreads": dict(zip(LOCAL[3:], copy.local_spreads, strict=True)),
     }  # fmt: skip
     with new_file(path) as building:
         building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -57,13 +65,16 @@ def read_copy(path: Path) -> PalmCopy:
         covariance = np.array(record["covariance"], dtype=np.float64)
         fits = record["format"] == FORMAT and covariance.shape == (len(TERMS),) * 2
         width, height = (int(one) for one in record["frame_px"])
+        widening = Widening(**record["widening"])
+        own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
         spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
     sound = fits and np.isfinite(terms).all() and np.isfinite(covariance).all()
+    sound = sound and all(math.isfinite(one) and one > 0 for one in (*widening[:3], *own))
     if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
         raise InputError(f"{path} is no palm's copy: its terms and covariance are not those of {FORMAT}")
-    return PalmCopy(spec, terms, covariance)
+    return PalmCopy(spec, terms, covariance, widening, own)
 
 
 def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:

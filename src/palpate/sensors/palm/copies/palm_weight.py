@@ -8,14 +8,14 @@ against what the calibration says, by what both are uncertain of.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palpate.core import Float, Progress, UInt8, ndarray, silent
 from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, weight_n
-from palpate.sensors.palm.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
-from palpate.sensors.palm.palm_copy_fit import fit_copy
+from palpate.sensors.palm.copies.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
+from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
 
 FLOOR = 0.01  # of E and C, by which no weight is trusted to be better: a share
 
@@ -86,7 +86,7 @@ def forgotten(calibrated: PalmCopy) -> PalmCopy:
     covariance[:2], covariance[:, :2] = 0.0, 0.0
     covariance[:2, :2] = designed_copy(calibrated.spec).covariance[:2, :2]
     covariance[2:, 2:] += np.diag([(0.1 * one) ** 2 for one in _usual_spreads(calibrated)])
-    return PalmCopy(calibrated.spec, calibrated.terms, covariance)
+    return replace(calibrated, covariance=covariance)
 
 
 def _usual_spreads(calibrated: PalmCopy) -> Float[ndarray, " n"]:

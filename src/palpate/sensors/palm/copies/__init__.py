@@ -1,0 +1,1 @@
+"""Copies of the palm: constants found from a few presses of known force, presses read, weights checked."""

@@ -1,0 +1,118 @@
+"""What a copy's presses leave unsure of E and C: the term that hides it, and a press that would tell more.
+
+Of a constant's variance a term owes the square of their correlation. What a further press would tell follows
+from the slopes of the picture that the copy itself would show, before anyone has pressed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from palpate.core import Float, Progress, ndarray, silent
+from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, PIXEL_SD
+from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
+from palpate.sensors.palm.copies.copy_slopes import picture_slopes
+from palpate.sensors.palm.copies.palm_copy import LOCAL, TERMS, PalmCopy
+from palpate.sensors.palm.copies.press_picture import BLOCK_PX
+
+ALLOWED = {"modulus": 0.05, "coefficient": 0.03}  # half of a 90 % interval, as a share, from which it is said
+COVERED = 1.645
+FORCE_SHARE, PLACE_SD_M = 0.01, 30e-6  # to which a further press would be known
+SHALLOW, DEEP = 0.2, 0.8  # of the deepest press, of those that are thought of
+AWAY = 0.5  # of the radius, of the same
+
+
+class UnsureConstant(NamedTuple):
+    """A constant that is known less well than is asked of it.
+
+    Attributes:
+        constant: "modulus" or "coefficient".
+        half_share: half of its 90 % interval, as a share.
+        fault: the term that it is told from the least.
+        owed: share of its variance that would go, were that term known.
+        x_m, y_m, depth_m, force_n: of the press that would tell the most of it, of those thought of.
+        then_share: half of its 90 % interval with that press.
+    """
+
+    constant: str
+    half_share: float
+    fault: str
+    owed: float
+    x_m: float
+    y_m: float
+    depth_m: float
+    force_n: float
+    then_share: float
+
+
+def unsure_constants(copy: PalmCopy, progress: Progress = silent) -> tuple[UnsureConstant, ...]:
+    """Of E and C those of which half of the 90 % interval is wider than 5 and 3 %.
+
+    Args:
+        copy: after its presses.
+        progress: called with presses that are thought of.
+    """
+    directions = {"modulus": _direction(1.0, 0.0), "coefficient": _direction(-1.0, 1.0)}
+    half = {name: COVERED * _spread(copy.covariance, one) for name, one in directions.items()}
+    wide = {name: one for name, one in directions.items() if half[name] > ALLOWED[name]}
+    if not wide:
+        return ()
+    thought = _presses(copy)
+    after = []
+    for i, local in enumerate(thought):
+        progress("thinking of presses", i, len(thought))
+        after.append(told_by(copy, local))
+    return tuple(_unsure(copy, name, one, thought, after) for name, one in wide.items())
+
+
+def told_by(copy: PalmCopy, local: Float[ndarray, " 8"]) -> Float[ndarray, "t t"]:
+    """Covariance of a copy's terms, were one more press of known force and place seen."""
+    n = len(TERMS)
+    J = picture_slopes(copy, local, None)
+    _, slopes = log_force(copy, local)
+    H = J.T @ J / (PIXEL_SD * BLOCK_PX) ** 2 + np.outer(slopes, slopes) / FORCE_SHARE**2
+    H[:n, :n] += np.linalg.inv(copy.covariance)
+    own = [1 / PLACE_SD_M**2, 1 / PLACE_SD_M**2, 0.0, *(1 / one**2 for one in copy.local_spreads)]
+    H[n:, n:] += np.diag(own)
+    return np.asarray(np.linalg.inv(H)[:n, :n])
+
+
+def _unsure(
+    copy: PalmCopy, name: str, towards: ndarray, thought: list[ndarray], after: list[ndarray]
+) -> UnsureConstant:
+    variance = _spread(copy.covariance, towards) ** 2
+    owed = (copy.covariance @ towards) ** 2 / np.diag(copy.covariance) / variance
+    fault = 2 + int(np.argmax(owed[2:]))
+    spreads = [_spread(one, towards) for one in after]
+    best = int(np.argmin(spreads))
+    local = thought[best]
+    force_n = math.exp(log_force(copy, local)[0])
+    return UnsureConstant(
+        name, COVERED * math.sqrt(variance), TERMS[fault], float(owed[fault]), float(local[0]),
+        float(local[1]), math.exp(local[2]), force_n, COVERED * spreads[best],
+    )  # fmt: skip
+
+
+def _presses(copy: PalmCopy) -> list[ndarray]:
+    """Presses that are thought of: shallow and deep, in the middle and beside it both ways."""
+    away, deepest = AWAY * copy.spec.radius_m, deepest_m(copy.spec)
+    found = []
+    for x, y in ((0.0, 0.0), (away, 0.0), (0.0, away)):
+        for share in (SHALLOW, DEEP):
+            local = np.zeros(len(LOCAL))
+            local[:3] = x, y, math.log(max(share * deepest, MIN_DEPTH_M))
+            found.append(local)
+    return found
+
+
+def _direction(modulus: float, product: float) -> Float[ndarray, " t"]:
+    towards = np.zeros(len(TERMS))
+    towards[:2] = modulus, product
+    return towards
+
+
+def _spread(covariance: ndarray, towards: ndarray) -> float:
+    return math.sqrt(float(towards @ covariance @ towards))

@@ -1,0 +1,185 @@
+"""A copy of the palm from pictures of its presses: where to begin, and the estimate from there.
+
+The estimate is made twice: at first by the copy's terms alone, then behind what the untouched frames show
+beyond them (see `press_picture`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from palpate.core import Float, ImageError, InputError, Pose, Progress, UInt8, ndarray, silent
+from palpate.sensors.palm.copies.copy_estimate import (
+    MIN_DEPTH_M,
+    PIXEL_SD,
+    CopyEstimate,
+    CopyState,
+)
+from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
+from palpate.sensors.palm.copies.palm_copy import (
+    AT,
+    LOCAL,
+    TERMS,
+    CopyFit,
+    PalmCopy,
+    PicturedPress,
+    PressFound,
+)
+from palpate.sensors.palm.copies.press_picture import (
+    BLOCK_PX,
+    Pixels,
+    SeenPress,
+    backdrop_of,
+    lamp_of,
+    pictured,
+    seen_press,
+)
+from palpate.sensors.palm.mirror_view import contact_px
+from palpate.sensors.palm.palm_spec import PalmSpec
+
+Place = Float[ndarray, " 3"]
+
+ASIDE_M = ((0.0, 0.0), (0.0, 2e-3), (0.0, -2e-3))  # y is seen foreshortened, under a dimple that leans
+STARTS = 3  # of a press alone, each with another product
+TRIED = 2  # rounds after which the likelier of two starts is kept
+DEPTHS = 11  # at which a press is looked for
+PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
+MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
+SEEN = 0.03  # of white, by which the mirror's picture has to change
+SURE = 0.03  # spread of the product below which only its mean is looked at
+LIT = 0.03  # spread of the lamp below which the untouched frame is compared with what is known beforehand
+WEIGHT = (PIXEL_SD * BLOCK_PX) ** 2
+
+
+def fit_copy(known: PalmCopy, presses: Sequence[PicturedPress], progress: Progress = silent) -> CopyFit:
+    """Estimate a copy's terms, and place, depth and force of each press.
+
+    Args:
+        known: of the copy beforehand.
+        presses: pictures, with or without forces; one is a reading, five to ten of known force calibrate.
+        progress: called with rounds of the estimate.
+
+    Raises:
+        InputError: no press.
+        ImageError: a picture of another size, in which no press is seen, or that is no such palm's.
+        RangeError: a force that is not above 0.
+    """
+    if not presses:
+        raise InputError("no press; a copy is found from one picture at least")
+    seen = [seen_press(known.spec, one) for one in presses]
+    rests = [one.rest for one in seen]
+    sure = math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]) <= LIT
+    lit = 0.0 if sure else lamp_of(known, rests)
+    first = _first_states(replace(known, terms=known.terms + lit * _unit("lamp")), seen, progress)
+    rough = None
+    if not sure:
+        few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # rays, which do for a start
+        rough = CopyEstimate(few, seen)
+        best = min((rough.settled(state, progress, TRIED) for state in first), key=rough.cost)
+        first = [rough.settled(best, progress)]
+    at = replace(known, terms=first[0].terms)
+    places = [(float(x), float(y)) for x, y in first[0].local[:, :2]]
+    backdrop = backdrop_of(at, rests, places)
+    estimate = CopyEstimate(known, seen, backdrop, before=rough)
+    found = estimate.fit(min((estimate.settled(one, progress) for one in first), key=estimate.cost))
+    worst = max(one.off for one in found.presses)
+    if worst > MAX_OFF:
+        raise ImageError(
+            f"the nearest picture of this palm differs by {100 * worst:.1f} % of white, and "
+            f"{100 * MAX_OFF:g} % are allowed: another palm, another probe, or regions that are not where "
+            "the preset has them"
+        )
+    return found
+
+
+def read_press(
+    known: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"]
+) -> PressFound:
+    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`."""
+    return fit_copy(known, [PicturedPress(image, reference)]).presses[0]
+
+
+def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[CopyState]:
+    """Where to begin: at the few products that all presses together find likeliest.
+
+    A press alone may look alike with another product, depth and place.
+    """
+    looks = []
+    for i, one in enumerate(seen):
+        progress("looking for presses", i, len(seen))
+        looks.append(_first_looks(known, one))
+    together = {product: sum(each[product].score for each in looks) for product in looks[0]}
+    likeliest = sorted(together, key=lambda product: together[product])[: STARTS if len(seen) == 1 else 2]
+    return [_state_at(known, seen, [each[one].place for each in looks], one) for one in likeliest]
+
+
+class _Look(NamedTuple):
+    """How far the likeliest of a few pictures is from a press, and that picture's place and depth."""
+
+    score: float
+    place: Place
+
+
+def _state_at(
+    known: PalmCopy, seen: Sequence[SeenPress], looks: Sequence[Place], product: float
+) -> CopyState:
+    terms = known.terms + product * _unit("product")
+    local = np.zeros((len(seen), len(LOCAL)))
+    local[:, :3], local[:, 3] = looks, [one.exposure for one in seen]
+    moduli = [
+        known.terms[0] + math.log(one.press.force_n) - log_force(known, own)[0]
+        for one, own in zip(seen, local, strict=True) if one.press.force_n is not None
+    ]  # fmt: skip
+    if moduli:
+        terms[0] = np.median(moduli)
+    return CopyState(terms, local)
+
+
+def _first_looks(known: PalmCopy, seen: SeenPress) -> dict[float, _Look]:
+    """Place from where the mirror changes; for every product the likeliest depth of a few."""
+    spec = known.looks
+    width, height = spec.mirror.size_px
+    change = np.abs(seen.change[-height * width * 3 :]).reshape(height, width, 3).mean(axis=2)
+    if not change.max() > SEEN:
+        raise ImageError("no press is seen in the mirror's view; press deeper, or look at lamp and mirror")
+    rows, columns = np.nonzero(change > 0.5 * np.quantile(change, 0.995))
+    x, y = seen.press.place_m or _place_of(spec, np.array([np.median(columns), np.median(rows)]) + 0.5)
+    asides = ASIDE_M if seen.press.place_m is None else ASIDE_M[:1]
+    spread = math.sqrt(known.covariance[1, 1])
+    products = PRODUCTS * spread if spread > SURE else np.zeros(1)
+    rest = _exposed(known, Pose(x, y, 0.0), seen)
+    found: dict[float, _Look] = {}
+    for depth in np.geomspace(MIN_DEPTH_M, 0.96 * deepest_m(spec), DEPTHS):
+        for product in products:
+            for dx, dy in asides:
+                terms = known.terms + product * _unit("product")
+                at = Pose(x + dx, y + dy, float(depth))
+                off = seen.change - (_exposed(replace(known, terms=terms), at, seen) - rest)
+                score = float(off @ off) / WEIGHT + (product / spread) ** 2
+                if float(product) not in found or score < found[float(product)].score:
+                    place = np.array([at.x_m, at.y_m, math.log(at.depth_m)])
+                    found[float(product)] = _Look(score, place)
+    return found
+
+
+def _exposed(known: PalmCopy, at: Pose, seen: SeenPress) -> Pixels:
+    return pictured(replace(known, terms=known.terms + seen.exposure * _unit("lamp")), at)
+
+
+def _unit(name: str) -> Float[ndarray, " t"]:
+    return (np.arange(len(TERMS)) == AT[name]).astype(float)
+
+
+def _place_of(spec: PalmSpec, at_px: Float[ndarray, " 2"]) -> tuple[float, float]:
+    """Place on the skin that the mirror shows at a pixel; `contact_px` is linear in it."""
+    zero = np.array(contact_px(spec, 0.0, 0.0))
+    step = np.array(contact_px(spec, 1e-3, 1e-3)) - zero
+    x, y = (at_px - zero) / step * 1e-3
+    reach = 0.75 * spec.radius_m
+    size = max(math.hypot(x, y) / reach, 1.0)
+    return float(x / size), float(y / size)
