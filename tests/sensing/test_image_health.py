@@ -64,6 +64,12 @@ def test_noise_is_told_with_the_rounding_to_grey_levels_and_without_the_flicker(
     assert image_health(flickering, 30.0).noise == pytest.approx(math.sqrt(noise**2 + 1 / 12), rel=0.02)
 
 
+def test_few_frames_tell_the_same_noise_as_many() -> None:
+    for frames in (4, 6, 48):
+        found = image_health(movie(SCENE, frames, noise=2.0, seed=frames), 30.0).noise
+        assert found == pytest.approx(math.sqrt(4 + 1 / 12), rel=0.03), frames
+
+
 @pytest.mark.parametrize(
     ("rate_hz", "lamp_hz", "readout_s", "seen_hz", "mains_hz"),
     [

@@ -82,6 +82,13 @@ def test_brightness_alone_is_no_touch(view: UntouchedView, gain: float) -> None:
     assert np.mean([one.gain for one in seen]) == pytest.approx(gain, rel=2e-3)
 
 
+def test_a_much_darker_frame_has_its_noise_brightened_and_is_still_no_touch() -> None:
+    rng = np.random.default_rng(13)
+    part = LIT[:240, :320]
+    strict = UntouchedView([taken(part, rng) for _ in range(10)], least_change=0)
+    assert {strict.seen(taken(0.65 * part, rng)).verdict for _ in range(15)} == {"untouched"}
+
+
 def test_a_touch_is_found_in_a_brighter_frame_and_where_the_reference_is_almost_saturated() -> None:
     rng = np.random.default_rng(7)
     bright = LIT + 90  # with a tenth more, part of it is saturated

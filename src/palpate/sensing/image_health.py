@@ -17,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy import stats
 
 from palpate.core import Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
 
@@ -261,7 +262,9 @@ def _noise(grey: Float32[ndarray, "n h w"]) -> float:
     level = np.maximum(grey.mean(axis=0), 1.0)
     bands = np.stack([cv2.blur((one / level).mean(axis=1), (1, 9)).ravel() for one in grey])
     even = grey / np.maximum(bands, 0.05)[:, :, None]
-    return float(np.sqrt(np.median(even.var(axis=0, ddof=1))))
+    freedom = len(grey) - 1  # the median of few frames' variances lies below their mean
+    usual = float(np.median(even.var(axis=0, ddof=1))) * freedom / float(stats.chi2.median(freedom))
+    return math.sqrt(usual)
 
 
 def _slopes(image: Float[ndarray, "h w"], sigma: float) -> Float32[ndarray, "_ _"]:
