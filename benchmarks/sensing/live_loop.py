@@ -24,8 +24,8 @@ import numpy as np
 
 from palpate.core import Frame, ManualClock
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.live_readers import CalibrationReader, open_reader
 from palpate.sensing.live_sources import CameraFrames, LiveSource, live_frame, open_live_source
+from palpate.sensing.streaming.live_readers import CalibrationReader, open_reader
 
 SEED = 21
 FRAMES = 300  # in memory

@@ -15,11 +15,12 @@ from palpate.core import DeviceError, Drift, InputError
 from palpate.core.device_protocols import Wrench
 from palpate.estimators import Estimator
 from palpate.recordings import export_folder
-from palpate.sensing import live_drift, live_loop, live_slots, open_source, sense
+from palpate.sensing import live_loop, open_source, sense
 from palpate.sensing.live_iteration import Live, live
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-from palpate.sensing.live_readers import open_reader
-from palpate.sensing.live_slots import NewestSlot
+from palpate.sensing.streaming import live_drift, live_slots
+from palpate.sensing.streaming.live_readers import open_reader
+from palpate.sensing.streaming.live_slots import NewestSlot
 
 
 class Kept:

@@ -12,8 +12,8 @@ from palpate.calibration.compliance.compliance_calibration import calibrate_comp
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core import Frame, InputError
 from palpate.core.device_protocols import Wrench
-from palpate.sensing.live_presses import MIN_FRAMES, PressReader, compliance_of, press_table
 from palpate.sensing.live_sources import LiveFrame
+from palpate.sensing.streaming.live_presses import MIN_FRAMES, PressReader, compliance_of, press_table
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press, specimens_at
 

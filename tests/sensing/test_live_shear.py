@@ -13,7 +13,7 @@ from palpate.sensing.frame_sources import Unreadable
 from palpate.sensing.live_loop import LiveLoop
 from palpate.sensing.live_sources import live_frame
 from palpate.sensing.shear_frames import read_touches
-from palpate.sensing.touch_readers import open_shear_reader
+from palpate.sensing.streaming.touch_readers import open_shear_reader
 
 
 class Frames(list):

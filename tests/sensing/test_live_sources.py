@@ -28,7 +28,7 @@ from palpate.sensing.live_sources import (
     PacedFrames,
     open_live_source,
 )
-from palpate.sensing.replayed_frames import PipedFrames
+from palpate.sensing.streaming.replayed_frames import PipedFrames
 
 
 def images(count: int, seed: int = 0) -> list[np.ndarray]:

@@ -14,10 +14,10 @@ from typer import Argument, Option
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say
 
 if TYPE_CHECKING:
-    from palpate.sensing.live_image import ImageWatch
     from palpate.sensing.live_iteration import Live
     from palpate.sensing.live_loop import LiveReading
-    from palpate.sensing.live_recorder import LiveRecorder
+    from palpate.sensing.streaming.live_image import ImageWatch
+    from palpate.sensing.streaming.live_recorder import LiveRecorder
 
 TAKE_S = 0.02  # for a reading of one of several sensors
 SHOWN_S = 0.1  # between two drawings
@@ -210,9 +210,9 @@ def _sensor(
     options: dict[str, Any],
 ) -> Iterator[ShownSensor]:
     from palpate.core.files import refuse_existing
-    from palpate.sensing.live_image import ImageWatch
     from palpate.sensing.live_iteration import live
-    from palpate.sensing.live_recorder import LiveRecorder
+    from palpate.sensing.streaming.live_image import ImageWatch
+    from palpate.sensing.streaming.live_recorder import LiveRecorder
 
     if record is not None:
         refuse_existing(record)
@@ -238,7 +238,7 @@ def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[
     """Tell the stiffness of each press as it ends."""
     from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
     from palpate.core.errors import InputError
-    from palpate.sensing.live_presses import LivePress, PressReader, compliance_of
+    from palpate.sensing.streaming.live_presses import LivePress, PressReader, compliance_of
 
     source = sensor.live.loop.source
     if source is None or source.force is None:

@@ -13,10 +13,10 @@ import numpy as np
 from palpate.core import Closing, DeviceError, Image, PathText
 from palpate.recordings.exchange.image_files import read_image
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-from palpate.sensing.live_readers import FrameReader, open_reader
-from palpate.sensing.live_slots import NewestSlot, Subscriber
 from palpate.sensing.live_sources import LiveSource, open_live_source
-from palpate.sensing.live_statistics import LiveStatistics
+from palpate.sensing.streaming.live_readers import FrameReader, open_reader
+from palpate.sensing.streaming.live_slots import NewestSlot, Subscriber
+from palpate.sensing.streaming.live_statistics import LiveStatistics
 
 TAKE_S = 0.1  # so that an interrupt is heard
 
@@ -169,7 +169,7 @@ def live(
     try:
         reader: FrameReader | None = None
         if shear:
-            from palpate.sensing.touch_readers import open_shear_reader
+            from palpate.sensing.streaming.touch_readers import open_shear_reader
 
             reader = open_shear_reader(shear, calibration, reference=image)
         elif calibration is not None:

@@ -19,11 +19,11 @@ import numpy as np
 
 from palpate.core import Closing, DeviceError, Image, PalpateError, Readings, Wrench
 from palpate.core.reading import plain_number
-from palpate.sensing.live_drift import DriftWatch
-from palpate.sensing.live_readers import FrameReader, mean_image
-from palpate.sensing.live_slots import NewestSlot, Subscriber, SubscriberLine
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
-from palpate.sensing.live_statistics import LiveStatistics, StatisticsKeeper
+from palpate.sensing.streaming.live_drift import DriftWatch
+from palpate.sensing.streaming.live_readers import FrameReader, mean_image
+from palpate.sensing.streaming.live_slots import NewestSlot, Subscriber, SubscriberLine
+from palpate.sensing.streaming.live_statistics import LiveStatistics, StatisticsKeeper
 
 GRAB_S = 0.25  # so that closing waits no longer
 TAKE_S = 0.05  # between two looks at the force while no frame comes

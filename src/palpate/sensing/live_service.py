@@ -26,11 +26,11 @@ from palpate.devices.device_status import Log, jpeg_of
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.recordings.exchange.image_files import read_image
-from palpate.sensing.live_image import ImageWatch
 from palpate.sensing.live_loop import LiveLoop, LiveState
-from palpate.sensing.live_readers import CalibrationReader, open_reader
-from palpate.sensing.live_recorder import LiveRecorder
 from palpate.sensing.live_sources import HandFrames, LiveFrame, LiveSource, open_live_source
+from palpate.sensing.streaming.live_image import ImageWatch
+from palpate.sensing.streaming.live_readers import CalibrationReader, open_reader
+from palpate.sensing.streaming.live_recorder import LiveRecorder
 
 LOOK_S = 0.2
 TAIL = 60  # lines of the log that are told

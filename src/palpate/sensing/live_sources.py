@@ -333,7 +333,7 @@ def open_live_source(
     if not _is_device(text) and Path(text).exists():
         return _file(Path(text), paced, repeat, rate_hz, idle_s)
     if text == STDIN:
-        from palpate.sensing.replayed_frames import PipedFrames
+        from palpate.sensing.streaming.replayed_frames import PipedFrames
 
         return PipedFrames()
     if not _is_device(text) and ("/" in text or Path(text).suffix):
@@ -346,7 +346,7 @@ def _is_device(text: str) -> bool:
 
 
 def _file(path: Path, paced: bool, repeat: bool, rate_hz: float, idle_s: float) -> LiveSource:
-    from palpate.sensing.replayed_frames import open_file_frames
+    from palpate.sensing.streaming.replayed_frames import open_file_frames
 
     if not paced:
         return open_file_frames(path, idle_s)

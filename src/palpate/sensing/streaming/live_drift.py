@@ -14,7 +14,7 @@ from typing import Any
 
 from palpate.core import Drift, Image, ImageError, Readings
 from palpate.core.reading import plain_number
-from palpate.sensing.live_readers import FrameReader
+from palpate.sensing.streaming.live_readers import FrameReader
 
 LOOK_S = 0.25  # between two looks at drift, and at why frames are refused
 WINDOW_S = 60.0

@@ -10,9 +10,9 @@ from palpate.core.sensor import sensor as sensor_of
 from palpate.estimators.lattice import DottedSkin, read_skin
 from palpate.estimators.shear import ShearReader
 from palpate.estimators.shear.skin_marks import TiledSkin
-from palpate.sensing.live_readers import NO_ZERO
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.shear_frames import ForceInTouch
+from palpate.sensing.streaming.live_readers import NO_ZERO
 
 
 class ShearFrameReader:
