@@ -101,7 +101,16 @@ def score(
     return rows
 
 
-def cover(folder: Path, seed: int, plan: CalibrationPlan) -> dict[str, float]:
+def _kept(press: np.ndarray, frames: int) -> np.ndarray:
+    """Rows of so many frames of each press, equally spaced."""
+    rows = []
+    for name in np.unique(press):
+        of = np.flatnonzero(press == name)
+        rows.append(of[np.unique(np.linspace(0, len(of) - 1, frames).round().astype(int))])
+    return np.sort(np.concatenate(rows))
+
+
+def cover(folder: Path, seed: int, plan: CalibrationPlan, frames: int) -> dict[str, float]:
     """Fits and intervals as the certificate makes them, without its audits; scores on held-out presses."""
     begun, run, test = (
         time.process_time(),
@@ -117,19 +126,20 @@ def cover(folder: Path, seed: int, plan: CalibrationPlan) -> dict[str, float]:
             sets.append(learning_set(packed, plan, groups, name).data)
         learn, held = sets
         parts = split(table_to_learn(run.labels, plan), "group:press", folds=plan.folds or 5, seed=plan.seed)
+        kept = _kept(learn.groups, frames)
         model = make_model(plan.model, plan.options)
         outputs = np.empty_like(learn.values)
         for k, rows in enumerate(parts.folds):
-            fitted = model.fit(learn, parts.training_rows(k), seed=plan.seed)
+            fitted = model.fit(learn, np.intersect1d(parts.training_rows(k), kept), seed=plan.seed)
             outputs[rows] = predict_rows(fitted, learn, rows)
-        fitted = model.fit(learn, np.arange(len(learn.values)), seed=plan.seed)
+        fitted = model.fit(learn, kept, seed=plan.seed)
         told = predict_rows(fitted, held, np.arange(len(held.values)))
-    intervals = fit_intervals(outputs, learn.values, learn.groups, plan.coverage)
+    intervals = fit_intervals(outputs[kept], learn.values[kept], learn.groups[kept], plan.coverage)
     low, high = intervals.ends(told)
     return {
         "seed": seed,
         "mae": float(np.abs(told - held.values).mean()),
-        "held_out_mae": float(np.abs(outputs - learn.values).mean()),
+        "held_out_mae": float(np.abs(outputs - learn.values)[kept].mean()),
         "coverage_90": float(intervals.hold(told, held.values).mean()),
         "half_width": float((high - low).mean() / 2),
         "cpu_s": time.process_time() - begun,
@@ -146,6 +156,7 @@ def main() -> None:
     parser.add_argument("--model", default="kernel-ridge")
     parser.add_argument("--tag", default="as-wizard")
     parser.add_argument("--field", action="append", default=[], help="NAME=JSON of the calibration's plan")
+    parser.add_argument("--frames", type=int, default=8, help="of each press that are learnt from")
     parser.add_argument("--folds", type=int, default=None)
     parser.add_argument("--rig", action="store_true", help="score the rig's calibration instead")
     asked = parser.parse_args()
@@ -164,7 +175,7 @@ def main() -> None:
                 plan = CalibrationPlan(
                     ("force_N",), model=asked.model, split="group:press", channels=3, folds=asked.folds
                 )
-                rows.append(cover(folder, seed, plan))
+                rows.append(cover(folder, seed, plan, asked.frames))
                 print(json.dumps(rows[-1]), flush=True)
         told = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         print(f"{len(rows)} seeds: {told}")
