@@ -165,7 +165,7 @@ def test_intervals_are_widened_where_held_out_presses_miss_and_stay_where_they_d
             errors = standardised(H, np.zeros_like(H), known, list(range(2, 8)))
             factors.append(widening_of(errors, 6).force)
         found[scale] = float(np.sqrt(np.mean(np.square(factors))))
-    assert found[1.0] == pytest.approx(1.0, abs=0.1)
+    assert 1.0 <= found[1.0] < 1.2
     assert found[10.0] > 2.0
     assert widening_of({"place": [9.0], "depth": [], "force": [9.0]}, 1) == Widening()
 

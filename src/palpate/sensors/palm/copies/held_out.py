@@ -65,13 +65,16 @@ def standardised(
 
 
 def widening_of(errors: dict[str, list[float]], presses: int) -> Widening:
-    """Factors by which intervals have to be wider, from standardised errors of held-out presses."""
+    """Factors by which intervals have to be wider, from standardised errors of held-out presses; 1 or more.
+
+    What errs alike in all presses does not show in them, so that small errors make no interval narrower.
+    """
     if presses < LEAST:
         return Widening()
 
     def factor(name: str) -> float:
         seen = np.array(errors[name])
-        return math.sqrt((AS_STATED + float(seen @ seen)) / (AS_STATED + len(seen)))
+        return max(math.sqrt((AS_STATED + float(seen @ seen)) / (AS_STATED + len(seen))), 1.0)
 
     return Widening(factor("place"), factor("depth"), factor("force"), presses)
 
