@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -18,8 +19,10 @@ from typer.testing import CliRunner
 
 import palpate
 from palpate.cli import app
+from palpate.cli.live_verbs import ShownSensor
 from palpate.recordings import Run, export_folder
 from palpate.recordings.exchange.image_files import encode
+from palpate.sensing.live_loop import LiveState
 
 SENSED = ("frame", "time_s", "readings", "drift", "calibration")
 
@@ -121,6 +124,22 @@ def test_what_cannot_be_opened_is_one_line(tmp_path) -> None:
         assert result.stderr.startswith("palpate: ")
         assert len(result.stderr.splitlines()) == 1
         assert why in result.stderr
+
+
+def test_a_camera_that_is_lost_and_comes_back_is_told(capsys) -> None:
+    loop = SimpleNamespace(name="camera 4B2D", state=LiveState.LIVE, why="")
+    shown = ShownSensor(SimpleNamespace(loop=loop), None, None)
+    for state, why in (
+        (LiveState.LIVE, ""),
+        (LiveState.LOST, "it was unplugged"),
+        (LiveState.LOST, "it is not there"),
+        (LiveState.LIVE, ""),
+    ):
+        loop.state, loop.why = state, why
+        shown.tell_state()
+    lost, back = capsys.readouterr().err.splitlines()
+    assert lost == "camera 4B2D lost: it was unplugged; it is opened again when it comes back"
+    assert back == "camera 4B2D is back"
 
 
 LIVE = "from palpate.cli import main; main()"

@@ -114,6 +114,16 @@ class ShownSensor:
     def __init__(self, live: Live, watch: ImageWatch | None, recorder: LiveRecorder | None) -> None:
         self.live, self.watch, self.recorder = live, watch, recorder
         self.count = 0
+        self._lost = False
+
+    def tell_state(self) -> None:
+        """Say on stderr that the camera was lost, or came back."""
+        loop = self.live.loop
+        lost = loop.state.value == "lost"
+        if lost != self._lost:
+            self._lost = lost
+            said = f"lost: {loop.why}; it is opened again when it comes back" if lost else "is back"
+            say(f"{loop.name} {said}", err=True)
 
     def line(self, reading: LiveReading) -> str:
         """The newest reading in one line."""
@@ -274,6 +284,7 @@ def _readings(
     while going and time.monotonic() < end_s:
         for sensor in list(going):
             reading = sensor.live.take(TAKE_S)
+            sensor.tell_state()
             if reading is not None:
                 sensor.count += 1
                 yield sensor, reading
