@@ -232,7 +232,7 @@ class LiveLoop(Closing):
 
     @property
     def state(self) -> LiveState:
-        """What it does now."""
+        """State that it is in now."""
         return self._state
 
     @property

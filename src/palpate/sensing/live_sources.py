@@ -64,7 +64,7 @@ class LiveSource(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called: "virtual:palm", "camera 4B2D", a path."""
+        """Name of it: "virtual:palm", "camera 4B2D", a path."""
 
     @property
     def waits(self) -> bool:
