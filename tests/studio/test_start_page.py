@@ -18,7 +18,7 @@ from palpate.devices.rpc import find
 from palpate.recordings import Run
 from palpate.sensing.live_client import LiveClient
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 MAX_S, LONG_S = 120.0, 900.0
 MAX_WIZARD_S = 180.0
 """From the first page to live newtons, on two cores that are free [s]."""

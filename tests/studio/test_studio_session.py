@@ -1,5 +1,6 @@
 """Whole sessions in the studio: recorded, calibrated, read live; two operators; a client that hangs."""
 
+import ast
 import json
 import os
 import re
@@ -18,7 +19,6 @@ from tests.studio.test_rig_page import (
     Studio,
     opened,
     state_is,
-    until_it_presses,
     use_small_plan,
 )
 from websockets.sync.client import connect
@@ -26,7 +26,7 @@ from websockets.sync.client import connect
 from palpate.devices.rpc import find
 from palpate.sensing.live_client import LiveClient
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 LONG_S = 300.0
 SENSOR = "live virtual:palm"
 MAX_FIRST_S = 3.0
@@ -112,7 +112,8 @@ def test_two_browsers_cannot_both_move_the_rig_and_both_can_stop_it(browser, stu
         one.wait("document.querySelector('#holder').innerText === 'You hold the rig.'")
         one.type(".run-name input", "theirs")
         one.press("#start")
-        until_it_presses(studio)
+        studio.rig.wait_for(lambda status: status["recording"], MAX_S)
+        two.wait(state_is("running"), MAX_S)
         assert two.run("['#pause', '#stop', '#abort'].every((i) => document.querySelector(i).disabled)")
         two.press("#estop")
         studio.rig.wait_for(lambda status: status["held"] and not status["recording"], MAX_S)
@@ -146,7 +147,7 @@ def test_a_client_that_stops_reading_holds_nobody_up_and_is_dropped(browser):
     served = Served()
     try:
         page = served.ask("GET", "/rig")[2]
-        query = json.loads(re.search(r"query: (\{.*?\}),", page).group(1))
+        query = ast.literal_eval(re.search(r"query: (\{.*?\}),", page).group(1))
         words = "&".join(f"{name}={value}" for name, value in query.items())
         address = f"ws://127.0.0.1:{served.port}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&{words}"
         quiet = socket.create_connection(("127.0.0.1", served.port))

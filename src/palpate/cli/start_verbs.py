@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import urlencode
 
 from typer import Option
 
@@ -156,6 +157,7 @@ def start(
     presses: PressesOption = 40,
     seed: SeedOption = 0,
     real_time: RealTime = False,
+    port: Annotated[int, Option(min=1, max=65535, help="Of the pages, on 127.0.0.1.")] = 8080,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -168,7 +170,7 @@ def start(
     Example: palpate start --terminal --camera 0 --scale /dev/ttyUSB0
     """
     if not terminal:
-        _open_page(folder)
+        _open_page(folder, port)
         return
     from palpate.workflows.start_session import StartSession
 
@@ -194,11 +196,8 @@ def start(
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
 
-def _open_page(folder: Path) -> None:
-    """Serve the studio, and open it at the page of the first steps."""
-    from palpate.core import InputError
+def _open_page(folder: Path, port: int) -> None:
+    """Serve the studio, whose first page leads through the steps."""
+    from palpate.cli.study_verbs import serve_studio
 
-    raise InputError(
-        "the pages of the first steps are not here yet; do them in the terminal: "
-        f"palpate start --terminal --folder {folder}"
-    )
+    serve_studio(port=port, workspace=folder.absolute().parent, page=f"?{urlencode({'folder': folder.name})}")

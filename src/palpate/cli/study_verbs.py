@@ -186,6 +186,26 @@ def studio(
 
     Example: palpate studio --port 8080 --workspace .
     """
+    serve_studio(
+        port=port, workspace=workspace, rig=rig, runs=runs, accelerated=accelerated, objects=objects,
+        bench=bench, host=host, token=token,
+    )  # fmt: skip
+
+
+def serve_studio(
+    *,
+    port: int,
+    workspace: Path,
+    rig: str = "virtual:palm",
+    runs: Path | None = None,
+    accelerated: bool = False,
+    objects: Path | None = None,
+    bench: Path | None = None,
+    host: str = "127.0.0.1",
+    token: bool = False,
+    page: str = "",
+) -> None:
+    """Serve the studio's pages, see `studio`; `page` is what follows the address that is printed."""
     import secrets
 
     from palpate.rig.service import RigClient, launch, rig_name
@@ -207,7 +227,8 @@ def studio(
             typer.echo(f"starting the rig {rig} …")
             launch(rig, recorded, accelerated=accelerated)
             client.reached(within_s=10.0)
-        typer.echo(f"{_page_address(host, port, secret)}  (Ctrl-C ends the page, and pauses a recording)")
+        address = _page_address(host, port, secret, page)
+        typer.echo(f"{address}  (Ctrl-C ends the page, and pauses a recording)")
         try:
             with contextlib.suppress(KeyboardInterrupt):
                 serve_pages(StudioParts(client, recorded, desk, Workspace(workspace)), port, host, secret)
@@ -215,7 +236,7 @@ def studio(
             typer.echo(_leave(client, rig))
 
 
-def _page_address(host: str, port: int, secret: str) -> str:
+def _page_address(host: str, port: int, secret: str, page: str) -> str:
     """The address to open; one that stands for every address is told by this machine's name."""
     import socket
 
@@ -223,7 +244,7 @@ def _page_address(host: str, port: int, secret: str) -> str:
 
     shown = f"[{host}]" if ":" in host else host
     shown = socket.gethostname() if host in EVERY_ADDRESS else shown
-    return f"http://{shown}:{port}/" + (f"?token={secret}" if secret else "")
+    return f"http://{shown}:{port}/{page or (f'?token={secret}' if secret else '')}"
 
 
 def _leave(client: RigClient, rig: str) -> str:

@@ -83,7 +83,7 @@ class LiveSensor:
             read_anew = bool(reading) and (newest is None or frame_s != newest.frame_s)
             if read_anew or force_n is not None:
                 # A frame that was read before is not read again: its curve ends until the next one.
-                readings = reading["readings"] if read_anew else {}
+                readings = reading["readings"] if reading and read_anew else {}
                 self.samples.append(LiveSample(now_s, frame_s, readings, force_n))
         while self.samples and now_s - self.samples[0].at_s > SPAN_S:
             self.samples.popleft()
