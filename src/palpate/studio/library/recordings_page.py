@@ -192,7 +192,8 @@ class RecordingsPage:
             return
         with ui.element("section").classes("card").props('aria-label="Calibrate"'):
             ui.html("<h2>Calibrate on this run</h2>", sanitize=False)
-            chosen = [name for name in about.targets if name in columns] or columns[:1]
+            chosen = [name for name in about.targets if name in columns]
+            chosen = chosen or [name for name in columns if name.endswith("_N")][:1] or columns[:1]
             self._targets = ui.select(columns, value=chosen, label="what shall be read", multiple=True)
             self._targets.classes("w-full").props(TARGETS)
             self._out = ui.input("folder in the workspace", value=f"cal-{Path(self._name).name}")

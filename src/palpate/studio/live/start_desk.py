@@ -21,7 +21,8 @@ MODULE = "palpate.studio.live.start_process"
 MAX_LINE = 4 << 20  # bytes of a line, the longest of which is a picture
 MAX_SESSIONS = 2
 """Sessions that go on at once: each opens a camera, and trains."""
-ENDS_S = 3.0
+ENDS_S = 15.0
+"""Time for a process that is told to end to close what it records [s]; then it is killed."""
 
 
 class StartRun:

@@ -11,6 +11,7 @@ import argparse
 import base64
 import json
 import queue
+import signal
 import sys
 import threading
 import time
@@ -25,6 +26,7 @@ from palpate.studio.library.job_process import JobVoice
 PICTURE_S = 0.35  # between two pictures that are told
 PICTURE_PX = 480
 SILENT_S = 60.0  # without a press, after which the process ends; the session stays as it is
+STOPPED = 3  # status of a process that was told to end
 RESTS = ("settings", "untouched", "collect")
 
 
@@ -147,6 +149,8 @@ def main() -> int:
     parser.add_argument("--presses", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true")
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: sys.exit(STOPPED))  # what is being recorded is closed whole
     voice = JobVoice()
     try:
         found = run_session(parser.parse_args(), voice)
