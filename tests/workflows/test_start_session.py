@@ -63,7 +63,7 @@ def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) 
 def test_commands_say_what_was_done(whole: StartSession) -> None:
     verbs = [shlex.split(one)[1] for one in whole.commands()]
     assert verbs == ["collect", "calibrate", "live"]
-    assert "--split group:press" in whole.commands()[1]
+    assert "--split group:press --folds 10" in whole.commands()[1]
 
 
 def test_sentence_says_by_whom_and_what_is_not_tested(whole: StartSession) -> None:
