@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import tempfile
 import time
 from pathlib import Path
@@ -35,6 +36,7 @@ from palpate.rig.plans.plan_files import plan_of
 from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
 from palpate.sensing.collection import PressCollector, Weighing
+from palpate.sensing.collection.press_collector import REST
 from palpate.workflows.press_feeds import TRANSPORT_S, TRUTH_LABELS, FedFrame
 
 LEARNT, HELD_OUT = 40, 20
@@ -125,6 +127,7 @@ def cover(folder: Path, seed: int, plan: CalibrationPlan, frames: int) -> dict[s
             groups = split(table_to_learn(one.labels, plan), "group:press", folds=2).groups
             sets.append(learning_set(packed, plan, groups, name).data)
         learn, held = sets
+        pressed = (table_to_learn(test.labels, plan)["press"] != REST).to_numpy()
         parts = split(table_to_learn(run.labels, plan), "group:press", folds=plan.folds or 5, seed=plan.seed)
         kept = _kept(learn.groups, frames)
         model = make_model(plan.model, plan.options)
@@ -138,18 +141,28 @@ def cover(folder: Path, seed: int, plan: CalibrationPlan, frames: int) -> dict[s
     low, high = intervals.ends(told)
     return {
         "seed": seed,
-        "mae": float(np.abs(told - held.values).mean()),
+        "mae": float(np.abs(told - held.values)[pressed].mean()),
+        "untouched_n": float(told[~pressed].mean()) if (~pressed).any() else math.nan,
         "held_out_mae": float(np.abs(outputs - learn.values)[kept].mean()),
-        "coverage_90": float(intervals.hold(told, held.values).mean()),
+        "coverage_90": float(intervals.hold(told, held.values)[pressed].mean()),
         "half_width": float((high - low).mean() / 2),
         "cpu_s": time.process_time() - begun,
     }
+
+
+def rig_error(estimator: Estimator, test: Run) -> float:
+    """Mean absolute error of a calibration on the held-out presses of a hand [N]."""
+    labels = test.labels
+    rows = np.flatnonzero(~labels["reference"].astype(bool) & (labels["press"] != REST))
+    read = [estimator.read(test.frame(int(i)))["force_N"].value for i in rows]
+    return float(np.abs(np.array(read) - labels["force_N"].to_numpy(float)[rows]).mean())
 
 
 def main() -> None:
     """Do one stage."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("stage", choices=("collect", "rig", "score", "cover"))
+    parser.add_argument("--first", type=int, default=0, help="seed of the first hand")
     parser.add_argument("--sensor", default="palm")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--folder", type=Path, default=Path("hands"))
@@ -163,14 +176,14 @@ def main() -> None:
     folder, name = asked.folder / asked.sensor, asked.sensor
     folder.mkdir(parents=True, exist_ok=True)
     if asked.stage == "collect":
-        for seed in range(asked.seeds):
+        for seed in range(asked.first, asked.first + asked.seeds):
             if not (folder / f"hand{seed}-test").exists():
                 print(f"{collect(name, seed, folder, f'hand{seed}'):.1f} s of one core", flush=True)
     elif asked.stage == "rig":
         record_rig(name, folder / "rig")
     elif asked.stage == "cover":
         rows = []
-        for seed in range(asked.seeds):
+        for seed in range(asked.first, asked.first + asked.seeds):
             if (folder / f"hand{seed}-test").exists():
                 plan = CalibrationPlan(
                     ("force_N",), model=asked.model, split="group:press", channels=3, folds=asked.folds
@@ -182,18 +195,18 @@ def main() -> None:
     else:
         fields = {key: json.loads(value) for key, _, value in (one.partition("=") for one in asked.field)}
         tuples = {key: tuple(v) if isinstance(v, list) else v for key, v in fields.items()}
-        seeds = range(asked.seeds)
+        rows = []
+        seeds = range(asked.first, asked.first + asked.seeds)
         if asked.rig:
-            run = Run.open(folder / "rig")
-            rows = score(
-                folder,
-                "rig",
-                plan_for(run, model=asked.model, **tuples),
-                [f"hand{s}-test" for s in seeds],
-                asked.tag,
-            )
+            run, cal = Run.open(folder / "rig"), folder / f"cal-rig-{asked.tag}"
+            if not cal.exists():
+                calibrate(run, plan_for(run, model=asked.model, **tuples), cal)
+            estimator = Estimator.open(cal)
+            for s in seeds:
+                error = rig_error(estimator, Run.open(folder / f"hand{s}-test"))
+                rows.append({"test": f"hand{s}-test", "mae": error, "coverage_90": math.nan})
+                print(json.dumps(rows[-1]), flush=True)
         else:
-            rows = []
             for s in seeds:
                 run = Run.open(folder / f"hand{s}-learn")
                 rows += score(

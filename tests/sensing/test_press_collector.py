@@ -12,6 +12,7 @@ from palpate.core import Frame, InputError, ManualClock, RangeError
 from palpate.recordings import Run
 from palpate.rig.virtual.virtual_hand import TREMBLING, USUAL, HandHabits, VirtualHand
 from palpate.sensing.collection import PressCollector, PressCoverage, Weighing
+from palpate.sensing.collection.press_collector import REST, presses_in
 from palpate.sensing.collection.press_coverage import LabelledPress
 
 TRUTHS = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
@@ -66,7 +67,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_labels_are_the_true_forces(run: Path) -> None:
     table = Run.open(run).labels
-    touched = table[~table.reference.astype(bool)]
+    touched = table[~table.reference.astype(bool) & (table.press != REST)]
     assert touched.press.nunique() == 5
     assert np.abs(touched.force_N - touched.true_force_N).max() < 0.15
     assert np.abs(touched.force_N - touched.true_force_N).mean() < 0.05
@@ -80,6 +81,16 @@ def test_frames_of_the_untouched_sensor_are_untouched_and_one_a_press(run: Path)
     assert rest.press.tolist() == ["1", "2", "3", "4", "5"]
 
 
+def test_each_fifth_press_brings_a_frame_of_no_force_to_learn_from(run: Path) -> None:
+    table = Run.open(run).labels
+    rest = table[table.press == REST]
+    assert len(rest) == 1
+    assert not rest.reference.astype(bool).any()
+    assert (rest.force_N == 0).all()
+    assert (rest.true_force_N == 0).all()
+    assert len(presses_in(Run.open(run))) == 5
+
+
 def test_run_goes_on_and_nothing_is_overwritten(run: Path) -> None:
     before = Run.open(run)
     images = [before.frame(i).image.copy() for i in (0, len(before) - 1)]
@@ -90,7 +101,7 @@ def test_run_goes_on_and_nothing_is_overwritten(run: Path) -> None:
     assert len(after) > count
     for i, image in zip((0, count - 1), images, strict=True):
         assert np.array_equal(after.frame(i).image, image)
-    assert after.labels.press.nunique() == 6
+    assert len(presses_in(after)) == 6
 
 
 def test_run_of_another_sensor_is_refused(run: Path) -> None:
@@ -110,7 +121,7 @@ def test_typed_weights_label_what_lies_still(tmp_path: Path) -> None:
     habits = HandHabits(weights_n=(1.0, 2.0, 4.0), hold_s=(2.0, 2.0))
     collected(tmp_path / "run", 3, habits=habits, typed=True)
     table = Run.open(tmp_path / "run").labels
-    touched = table[~table.reference.astype(bool)]
+    touched = table[~table.reference.astype(bool) & (table.press != REST)]
     assert touched.press.nunique() == 3
     assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.1
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from palpate.core import InputError, PathText, Progress, RecordingError, new_file, silent, storage_errors
-from palpate.sensing.collection.press_collector import PressCollector
+from palpate.sensing.collection.press_collector import REST, PressCollector
 from palpate.workflows.press_feeds import PressFeed, open_feed
 
 if TYPE_CHECKING:
@@ -261,11 +261,12 @@ class StartSession:
         from palpate.calibration.certificate import read_predictions
         from palpate.recordings import Run
         from palpate.sensing.collection.learning_curve import MIN_PRESSES, learning_curve
+        from palpate.sensing.collection.press_collector import presses_in
         from palpate.workflows.certification import certify
 
         self._needs("untouched")
         run = Run.open(self.run)
-        count = run.labels["press"].nunique() if len(run) else 0
+        count = len(presses_in(run)) if len(run) else 0
         if count < LEAST_PRESSES:
             raise InputError(
                 f"{self.run} holds {count} presses; collect {LEAST_PRESSES} or more, best {PRESSES}"
@@ -278,8 +279,8 @@ class StartSession:
         self.state.trained = {
             "folder": out.name,
             "id": card.id,
-            "presses": int(count),
-            "sentence": honest_sentence(card, read_predictions(out, card), int(count)),
+            "presses": count,
+            "sentence": honest_sentence(card, read_predictions(out, card), count),
             "curve": told,
         }
         self._done("train")
@@ -397,6 +398,7 @@ def beats_the_mean(predictions: pd.DataFrame) -> bool:
     """Whether held-out estimates surely err less than the other presses' mean: by 95 %, over presses."""
     from palpate.calibration.coverage.grouped_rates import grouped_mean_interval
 
+    predictions = predictions[predictions["press"] != REST]
     true, told = predictions[TARGET].to_numpy(float), predictions[f"estimate:{TARGET}"].to_numpy(float)
     press = predictions["press"].astype(str).to_numpy()
     of_press = predictions.groupby("press")[TARGET].mean()

@@ -25,6 +25,7 @@ from palpate.estimators.networks import make_model
 from palpate.estimators.networks.model_interface import predict_rows
 from palpate.recordings import PackedSet, Run, pack
 from palpate.recordings.splits import group_names, within_session
+from palpate.sensing.collection.press_collector import REST
 
 SHARES = (0.25, 0.5, 0.8)
 REPEATS = 2
@@ -142,7 +143,10 @@ def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent)
         pack(run, packed, preparation_of(run, plan))
         learning = learning_set(PackedSet.open(packed), plan, None, str(run.path))
         table = learning.packed.table
-        _, press = np.unique(group_names(table, within_session(table, ("press",))), return_inverse=True)
+        rest = (table["press"] == REST).to_numpy()  # learnt from always, and never scored
+        names = np.asarray(group_names(table, within_session(table, ("press",))))
+        press = np.full(len(names), -1)
+        press[~rest] = np.unique(names[~rest], return_inverse=True)[1]
         count = int(press.max()) + 1
         if count < MIN_PRESSES:
             raise InputError(f"{count} presses tell no learning curve; collect {MIN_PRESSES} or more")
@@ -152,7 +156,7 @@ def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent)
             progress("learning curve", done, REPEATS * len(sizes))
             chosen = rng.choice(count, size, replace=False)
             inside = np.isin(press, chosen)
-            rows, others = np.flatnonzero(inside), np.flatnonzero(~inside)
+            rows, others = np.flatnonzero(inside | rest), np.flatnonzero(~inside & ~rest)
             fitted = make_model(plan.model, plan.options).fit(learning.data, rows, seed=plan.seed)
             off = np.abs(predict_rows(fitted, learning.data, others) - learning.data.values[others])[:, 0]
             each = np.full(count, np.nan)

@@ -51,7 +51,8 @@ PRESS_LABELS: dict[str, LabelKind] = {
     "place_y_px": "number",
 }
 """Labels of every frame. `force_N` is along the scale's axis, its zero taken off; `reference` marks the
-untouched sensor before a press; places are of the contact in the image, missing where it is not seen."""
+untouched sensor before a press; places are of the contact in the image, missing where it is not seen. Frames
+of the press "rest" are of the untouched sensor too, and learnt from as 0 N."""
 
 FRAMES_A_PRESS = 4
 """Frames that are kept of a press: eight tell no more of its force, and take twice as long to learn from."""
@@ -59,8 +60,13 @@ FRAMES_HZ = 12.0  # that are kept of a press, at most
 KEPT_S = 3.0  # of frames while nothing is touched
 KEPT_BYTES = 192_000_000
 CLEAR_S = 0.2  # before a press, that its frame of the untouched sensor is taken
+REST_S = 0.5  # before that, in which the sensor is taken to be at rest
 FAST_DELAY_S = 0.02  # of a scale whose samples are those of a frame's own exposure
 SAMPLES_A_FRAME = 2.0
+REST, REST_EVERY = "rest", 5
+"""Press that stands for none: of each fifth press a frame before it is kept with 0 N, so that a calibration
+reads the untouched sensor too. All are one press, since they are alike: none is learnt from while one is held
+out."""
 MAX_REFUSED = 20  # that are remembered
 DRIFT_SHARE = 0.02  # of the greatest force, by which a zero may wander before it is said
 LONG_S = 20.0  # of a touch, after which it is asked whether it is one
@@ -337,13 +343,15 @@ class PressCollector:
             why = "no frame of the camera came while it was held; check the camera's rate"
             return Refused("late", why, plateau.ends_ns)
         chosen = np.unique(np.linspace(0, len(during) - 1, self._frames_a_press).round().astype(int))
-        rest = self._rest_before(shown, plateau)
+        rests = self._rests_before(shown, plateau)
         during = [during[k] for k in chosen]
         name = f"{len(self.presses) + 1}"
         middle = during[len(during) // 2][1]
-        place = contact_place(middle.image, rest[1].image, self._whole(middle)) if rest else None
-        if rest:
-            self._write(*rest[:2], name, True, 0.0, 0.0, None)
+        place = contact_place(middle.image, rests[-1][1].image, self._whole(middle)) if rests else None
+        if len(rests) > 1 and len(self.presses) % REST_EVERY == 0:
+            self._write(*rests[0], REST, False, 0.0, 0.0, None)
+        if rests:
+            self._write(*rests[-1], name, True, 0.0, 0.0, None)
         for at, frame, middle_ns in during:
             force = self._force_of(plateau, middle_ns, frame)
             self._write(at, frame, name, False, force, plateau.spread_n, place)
@@ -352,13 +360,12 @@ class PressCollector:
             self._bytes -= self._frames.popleft()[1].image.nbytes
         return None
 
-    def _rest_before(
+    def _rests_before(
         self, shown: Sequence[tuple[int, Frame, int]], plateau: Plateau
-    ) -> tuple[int, Frame] | None:
-        """The last frame of the untouched sensor before a press."""
-        touched_ns = plateau.touched_ns or plateau.begins_ns
-        clear = [one for one in shown if one[2] < touched_ns - CLEAR_S * NS_PER_S]
-        return clear[-1][:2] if clear else None
+    ) -> list[tuple[int, Frame]]:
+        """Frames of the untouched sensor before a press, from `REST_S` before it on."""
+        clear_ns = (plateau.touched_ns or plateau.begins_ns) - CLEAR_S * NS_PER_S
+        return [one[:2] for one in shown if clear_ns - REST_S * NS_PER_S < one[2] < clear_ns]
 
     def _write(
         self,
@@ -413,7 +420,7 @@ def presses_in(run: Run) -> list[LabelledPress]:
     table = run.labels
     if not len(table):
         return []
-    touched = table[~table["reference"].astype(bool)]
+    touched = table[~table["reference"].astype(bool) & (table["press"] != REST)]
     found = []
     for _, rows in touched.groupby(["session", "press"], sort=False):
         first = rows.iloc[0]
