@@ -194,7 +194,7 @@ def test_an_empty_workspace_says_what_to_do(browser, tmp_path):
         empty = {"recordings": "runs", "calibrations": "calibrations", "trials": "experiments"}
         for path, what in empty.items():
             words = f"No {what} yet"
-            opened(browser, served, path).wait(
+            opened(browser, served, f"/{path}").wait(
                 f"document.body.innerText.includes({json.dumps(words)})", MAX_S
             )
         tab = opened_any(browser, served, "/recordings?run=..%2F..%2Fetc")

@@ -274,6 +274,9 @@ def test_text_stands_out_in_every_state_and_nothing_is_cut_off(browser, served, 
         assert tab.run("document.documentElement.scrollWidth") <= size[0]
         tab.screenshot(tmp_path / f"{name}-{scheme}-{size[0]}.png")
         assert (tmp_path / f"{name}-{scheme}-{size[0]}.png").stat().st_size > 10_000
-    # The measure itself: grey on white is told as too weak.
-    tab.run("document.querySelector('#doing').innerHTML = '<b style=\"color:#aaa\">weak</b>'")
-    assert min(one[1] for one in tab.run(CONTRASTS) if one[0] == "weak") == pytest.approx(2.32, abs=0.05)
+    # The measure itself: grey on the card's ground is told as too weak.
+    grey, colours = ("#555555", page_style.DARK) if scheme == "dark" else ("#aaaaaa", page_style.LIGHT)
+    tab.run(f"document.querySelector('#doing').innerHTML = '<b style=\"color:{grey}\">weak</b>'")
+    told = min(one[1] for one in tab.run(CONTRASTS) if one[0] == "weak")
+    assert told == pytest.approx(contrast(grey, colours["card"]), abs=0.05)
+    assert told < LARGE_TEXT
