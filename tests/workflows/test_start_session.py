@@ -63,7 +63,15 @@ def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) 
 def test_commands_say_what_was_done(whole: StartSession) -> None:
     verbs = [shlex.split(one)[1] for one in whole.commands()]
     assert verbs == ["collect", "calibrate", "live"]
-    assert "--split group:press --folds 10" in whole.commands()[1]
+    assert "--split group:press --folds 11" in whole.commands()[1]  # ten presses, and the untouched sensor
+
+
+def test_untouched_sensor_is_read_as_no_force(whole: StartSession) -> None:
+    labels, estimator = Run.open(whole.run).labels, Estimator.open(whole.calibration)
+    at_rest = Run.open(whole.run).frame(int(np.flatnonzero(labels.reference.astype(bool))[-1]))
+    reading = estimator.read(at_rest)["force_N"]
+    assert abs(reading.value) < 0.3
+    assert reading.low <= 0 <= reading.high
 
 
 def test_sentence_says_by_whom_and_what_is_not_tested(whole: StartSession) -> None:
