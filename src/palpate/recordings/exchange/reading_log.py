@@ -75,7 +75,7 @@ class ReadingLog(Closing):
         with storage_errors(self._path):
             self._writer.start("", f"palpate {__version__}")
             self._schema = self._writer.register_schema(
-                SCHEMA["title"],  # type: ignore[arg-type]
+                str(SCHEMA["title"]),
                 "jsonschema",
                 json.dumps(SCHEMA).encode(),
             )

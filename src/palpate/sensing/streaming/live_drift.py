@@ -64,11 +64,11 @@ class DriftWatch:
         self._next_s = now_s + LOOK_S
         try:
             drift = self._reader.drift_of(image)
-            refused = not readings.valid
-            kind = self._reader.kind_of(image) if refused else ""
+            # A value beyond the range is not valid either, and says nothing of the camera.
+            kind = "" if readings.valid else self._reader.kind_of(image)
         except ImageError:  # of another size: the readings say so
             return
-        self._looks.append(Look(now_s, drift, refused, kind))
+        self._looks.append(Look(now_s, drift, bool(kind), kind))
 
     def zeroed(self) -> None:
         """The untouched image was taken anew: what was seen before says nothing of now."""

@@ -101,7 +101,8 @@ class CalibrationReader:
 
     def kind_of(self, image: Image) -> str:
         """Kind of change that the guard sees in an image that it refuses; "" for none."""
-        return self.estimator.verdict(Frame(image)).kind
+        verdict = self.estimator.verdict(Frame(image))
+        return verdict.kind if verdict.atypicality > 1 else ""
 
 
 def open_reader(
