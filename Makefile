@@ -10,10 +10,14 @@ INSTALL := $(PIP) install --constraint constraints.txt --build-constraint constr
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test slow mutants check style types layers doctests exports documentation docs bench clean
+.PHONY: help start demo test slow mutants check style types layers doctests exports documentation docs bench clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
+
+# Without a rig, a camera or a scale: the page begins with virtual ones.
+start: .venv/studio.stamp ## open the first page: from a plugged-in or virtual sensor to live newtons
+	$(BIN)/palpate start --folder my-sensor
 
 # One thread: its images are small, and threads that wait for each other take the cores from the renderer.
 demo: .venv/sense.stamp ## render a recording, calibrate, evaluate, sense, report; no torch, no data
@@ -76,6 +80,10 @@ clean: ## remove the environment, caches and built documentation; demo-out folde
 	@echo "installing palpate into .venv; the first time takes a minute or more"
 	$(PIP) install --constraint constraints.txt --upgrade pip
 	$(INSTALL) --editable .
+	@touch $@
+
+.venv/studio.stamp: .venv/sense.stamp
+	$(INSTALL) --editable '.[studio,rig]'
 	@touch $@
 
 .venv/work.stamp: .venv/sense.stamp
