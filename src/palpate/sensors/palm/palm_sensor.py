@@ -226,7 +226,7 @@ class Palm:
         return self if small else Palm(palm_spec.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
 
     def for_live(self) -> Palm:
-        """As on a rig, with the ball's pictures mixed between depths that are drawn once, and kept."""
+        """Both regions as on a rig, the ball's pictures mixed between depths that are drawn once and kept."""
         return replace(self.for_rig(), level_m=LEVEL_M, _slow=OrderedDict())
 
     def _mixed(self, contact: Contact, spec: PalmSpec) -> Picture:

@@ -49,7 +49,7 @@ class UnsureConstant(NamedTuple):
 
 
 def unsure_constants(copy: PalmCopy, progress: Progress = silent) -> tuple[UnsureConstant, ...]:
-    """Of E and C those of which half of the 90 % interval is wider than 5 and 3 %.
+    """Find which of E and C have half of a 90 % interval wider than 5 and 3 % respectively.
 
     Args:
         copy: after its presses.

@@ -64,7 +64,7 @@ def _even(
 
 @lru_cache(maxsize=8)
 def _tables(spec: PalmSpec) -> tuple[SphereTable, ...]:
-    """Of the design's thickness, and of one below and above where there are such."""
+    """Tables of the design's thickness, and of the next thinner and thicker where there are such."""
     beside = [replace(spec, thickness_m=spec.thickness_m * math.exp(off)) for off in (-THICKER, THICKER)]
     if not all(has_table(replace(spec, thickness_m=spec.thickness_m * s)) for s in (0.92, 1.09)):
         return (table_of(spec),)

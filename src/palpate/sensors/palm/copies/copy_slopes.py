@@ -36,7 +36,7 @@ NEAR_LOCAL = (1e-4, 1e-4, 0.02)
 
 
 def picture_slopes(known: PalmCopy, local: Local, backdrop: Backdrop | None) -> Float[ndarray, "n u"]:
-    """Of pixels, over `TERMS` and `LOCAL`, in this order; over E none: a picture does not show it alone."""
+    """Slopes of pixels over `TERMS` and `LOCAL`, in this order; 0 over E, which no picture shows alone."""
     full, known = known, replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # for most, few do
     clean = known.terms.copy()
     clean[[AT["residual_along"], AT["residual_aside"]]] = 0.0
