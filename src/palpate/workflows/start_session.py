@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
 STATE, RUN, CALIBRATION, UNTOUCHED = "start.json", "presses", "calibration", "untouched.png"
 PRESSES = 40
-LEAST_PRESSES = 10
+MIN_TO_LEARN = 10
 """Presses that a calibration takes at least: fewer promise no interval of 90 % for the next one."""
 STILL_FRAMES = 16  # of the untouched sensor
 MODEL, TARGET, SPLIT = "kernel-ridge", "force_N", "group:press"
@@ -120,9 +120,9 @@ class StartSession:
             InputError: presses of another sensor were collected here, or fewer presses than can be
                 learnt from.
         """
-        if asked < LEAST_PRESSES:
+        if asked < MIN_TO_LEARN:
             raise InputError(
-                f"{asked} presses; {LEAST_PRESSES} or more make a calibration, {PRESSES} a good one"
+                f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one"
             )
         if camera != self.state.camera and (self.run / "manifest.json").is_file():
             raise InputError(
@@ -267,9 +267,9 @@ class StartSession:
         self._needs("untouched")
         run = Run.open(self.run)
         count = len(presses_in(run)) if len(run) else 0
-        if count < LEAST_PRESSES:
+        if count < MIN_TO_LEARN:
             raise InputError(
-                f"{self.run} holds {count} presses; collect {LEAST_PRESSES} or more, best {PRESSES}"
+                f"{self.run} holds {count} presses; collect {MIN_TO_LEARN} or more, best {PRESSES}"
             )
         out = self._next_calibration()
         card = certify(run, self.plan(), out, progress)

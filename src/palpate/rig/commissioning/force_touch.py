@@ -114,7 +114,7 @@ def _axes(change_n: np.ndarray) -> tuple[str, str, str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Weighing:
+class WeighingResult:
     """What a known weight showed.
 
     Attributes:
@@ -141,7 +141,7 @@ def weigh(
     mass_g: float,
     mass_tolerance_g: float,
     lay: Callable[[], None],
-) -> Weighing:
+) -> WeighingResult:
     """Compare a known weight with the change of force that it makes.
 
     Args:
@@ -173,7 +173,7 @@ def weigh(
     factor = expected_n / read_n
     half = 2.0 * math.hypot(before_u[normal], after_u[normal]) / read_n
     share = math.sqrt(half**2 + (mass_tolerance_g / mass_g) ** 2 + LOCAL_G_SHARE**2)
-    return Weighing(expected_n, read_n, factor, factor * share)
+    return WeighingResult(expected_n, read_n, factor, factor * share)
 
 
 def _blocks(force: ForceSensor, clock: Clock) -> tuple[Force, Force]:

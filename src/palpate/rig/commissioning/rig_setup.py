@@ -22,7 +22,7 @@ from palpate.devices import Mounting
 from palpate.devices.check.check_result import CheckResult
 from palpate.rig.commissioning.bench import frame_times
 from palpate.rig.commissioning.first_touch import Say, first_touch
-from palpate.rig.commissioning.force_touch import Weighing, weigh
+from palpate.rig.commissioning.force_touch import WeighingResult, weigh
 from palpate.rig.commissioning.found_parts import BAUD, FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import mean_force
 from palpate.rig.commissioning.scale_setup import ask_scale
@@ -387,7 +387,7 @@ def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
         raise InputError("the weight has to be off before anything moves; begin anew")
 
 
-def _take_scale(part: dict[str, Any], found: Weighing, answers: Answers, say: Say) -> None:
+def _take_scale(part: dict[str, Any], found: WeighingResult, answers: Answers, say: Say) -> None:
     words = (
         f"the weight is {found.expected_n:.3f} N, and {found.read_n:.3f} N were read: a factor of "
         f"{found.factor:.4f} +- {found.uncertainty:.4f} (95 %)"

@@ -41,7 +41,7 @@ SEATINGS = 5  # standard deviations of the skin's height, above the deepest that
 MAX_TRIES = 1000  # for a random place
 NO_SLIP = (2.0, 0.0, 0.0, 0.0)
 REMEMBERED_S = 60.0  # of what the hand did
-MOST_N = 10.0  # of a hand that holds still
+MAX_N = 10.0  # of a hand that holds still
 FIRST_S = 1.0  # untouched, before the first press
 
 
@@ -172,7 +172,7 @@ def _eased(share: Series) -> Series:
 
 def _usual_range(known_n: float) -> tuple[float, float]:
     """Forces that a hand aims at on a skin that is known to so many newtons."""
-    greatest = min(0.8 * known_n, MOST_N)
+    greatest = min(0.8 * known_n, MAX_N)
     return greatest / 20, greatest
 
 

@@ -18,7 +18,7 @@ from palpate.core import Float, ndarray
 from palpate.sensors.palm.copies.palm_copy import Widening
 
 AS_STATED = 4.0  # errors in number, of the size that was stated, that are assumed beside those seen
-LEAST = 2  # presses, below which nothing is held out
+MIN_PRESSES = 2  # presses, below which nothing is held out
 
 Square = Float[ndarray, "u u"]
 
@@ -69,7 +69,7 @@ def widening_of(errors: dict[str, list[float]], presses: int) -> Widening:
 
     What errs alike in all presses does not show in them, so that small errors make no interval narrower.
     """
-    if presses < LEAST:
+    if presses < MIN_PRESSES:
         return Widening()
 
     def factor(name: str) -> float:
