@@ -200,3 +200,27 @@ def test_feeds_keep_their_contract() -> None:
 
     assert isinstance(VirtualFeed("tactip"), PressFeed)
     assert all(hasattr(CameraFeed, name) for name in ("grab", "press", "close", "truth", "truths"))
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        {"done": None},
+        {"done": 3},
+        {"done": ["camera", "dance"]},
+        {"asked": "40"},
+        {"asked": True},
+        {"seed": -1},
+        {"settings": 7},
+        {"trained": []},
+        {"trained": {"folder": 3}},
+        {"trained": {"folder": "../elsewhere"}},
+        {"trained": {"folder": "/etc"}},
+        {"trained": {"sentence": None}},
+        {"trained": {"curve": "steep"}},
+    ],
+)
+def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dict, tmp_path: Path) -> None:
+    (tmp_path / STATE).write_text(json.dumps({"camera": "virtual:palm", "scale": "virtual"} | kept))
+    with pytest.raises(RecordingError, match="no session's file"):
+        StartSession(tmp_path)

@@ -10,14 +10,23 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import numpy as np
 
-from palpate.core import InputError, PathText, Progress, RecordingError, new_file, silent, storage_errors
+from palpate.core import (
+    InputError,
+    PathText,
+    Progress,
+    RecordingError,
+    new_file,
+    plain_name,
+    silent,
+    storage_errors,
+)
 from palpate.sensing.collection.press_collector import REST, PressCollector
 from palpate.workflows.press_feeds import PressFeed, open_feed
 
@@ -356,8 +365,8 @@ class StartSession:
         if not path.is_file():
             return StartState()
         try:
-            return StartState(**json.loads(path.read_bytes()))
-        except (ValueError, TypeError, RecursionError) as e:
+            return checked_state(StartState(**json.loads(path.read_bytes())))
+        except (ValueError, TypeError, RecursionError, InputError) as e:
             raise RecordingError(
                 f"{path} is no session's file ({e}); move it away, and the runs beside it stay"
             ) from e
@@ -369,6 +378,27 @@ class StartSession:
             partial = path.with_name(f".{path.name}.partial")
             partial.write_text(json.dumps(asdict(self.state), indent=1, sort_keys=True) + "\n")
             partial.replace(path)
+
+
+def checked_state(state: StartState) -> StartState:
+    """A state as it was read, if each of its values is one that a session could have kept.
+
+    Raises:
+        ValueError, InputError: one is none, such as a calibration that lies outside of the session's folder.
+    """
+    for one in fields(StartState):
+        value, usual = getattr(state, one.name), getattr(StartState(), one.name)
+        if type(value) is not type(usual):
+            raise ValueError(f"{one.name} is {value!r}")
+    if not set(state.done) <= set(STEPS) or state.asked < 1 or state.seed < 0:
+        raise ValueError(f"done {state.done}, asked {state.asked}, seed {state.seed}")
+    found = [state.trained.get(name, "") for name in ("folder", "sentence")]
+    if not all(isinstance(one, str) for one in found):
+        raise ValueError(f"trained is {state.trained}")
+    plain_name(found[0] or CALIBRATION, "a calibration")
+    if not isinstance(state.trained.get("curve") or {}, dict):
+        raise TypeError(f"curve is {state.trained['curve']!r}")
+    return state
 
 
 def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
