@@ -156,7 +156,9 @@ def started(words: list[str], **options) -> subprocess.Popen:
     )
 
 
-def test_ctrl_c_leaves_run_and_log_whole(spots, tmp_path) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="a process is told to end by POSIX signals")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_who_ends_it_leaves_run_and_log_whole(spots, tmp_path, name) -> None:
     _, run, _ = spots
     images = b"".join(encode(frame.image).tobytes() for frame in run.frames())
     run_, log = tmp_path / "kept", tmp_path / "log.mcap"
@@ -165,7 +167,7 @@ def test_ctrl_c_leaves_run_and_log_whole(spots, tmp_path) -> None:
     process.stdin.write(images)
     process.stdin.flush()
     lines = [process.stdout.readline() for _ in range(12)]
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     _, said = process.communicate(timeout=30)
     assert process.returncode == 0, said
     assert [json.loads(line)["number"] for line in lines] == list(range(12))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, numbers_of, say
+from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.sensing.live_iteration import Live
@@ -87,7 +87,7 @@ def live(
     options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
     addresses = camera or ["0"]
     folders = _each(calibrations or [], len(addresses))
-    with ExitStack() as stack:
+    with stopped_by_signals(), ExitStack() as stack:
         log = None if mcap is None else stack.enter_context(_reading_log(mcap))
         sensors = []
         for i, (address, folder) in enumerate(zip(addresses, folders, strict=True)):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -15,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.verb_support import ENDING, Json, Quiet, group, print_found, progress_bar, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.devices.check.check_result import CheckResult
@@ -247,28 +245,7 @@ def _late(clocks: Offset) -> str:
     )
 
 
-ONCE_S = 2.0  # after a signal, in which another must not cut short the stop that the first began
 # Ctrl-C, a request to end, and a terminal that is closed.
-_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Stop the stage, as Ctrl-C does, also where the process is told to end or its terminal is closed."""
-    asked_s = -math.inf
-
-    def interrupt(number: int, frame: object) -> None:
-        nonlocal asked_s
-        before_s, asked_s = asked_s, time.monotonic()
-        if asked_s - before_s > ONCE_S:
-            raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in _ENDING}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -281,7 +258,7 @@ def _signals_ask(control: OperatorControl) -> Iterator[None]:
             OperatorCommand.ESTOP if control.command is OperatorCommand.ABORT else OperatorCommand.ABORT
         )
 
-    before = {number: signal.signal(number, ask) for number in _ENDING}
+    before = {number: signal.signal(number, ask) for number in ENDING}
     try:
         yield
     finally:

@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 from typer import Option
 
-from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar, say
+from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar, say, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.sensing.collection import PressCollector
@@ -49,7 +49,7 @@ def collect(
     from palpate.sensing.collection import PressCollector
     from palpate.workflows.press_feeds import open_feed
 
-    with progress_bar(quiet) as progress:
+    with stopped_by_signals(), progress_bar(quiet) as progress:
         feed = open_feed(camera, scale, seed=seed, real_time=real_time)
         try:
             with PressCollector(
@@ -177,7 +177,7 @@ def start(
     session = StartSession(folder)
     if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
         session.choose(camera, scale, asked=presses, seed=seed)
-    with progress_bar(quiet) as progress:
+    with stopped_by_signals(), progress_bar(quiet) as progress:
         if session.step in ("settings", "untouched", "collect"):
             feed = session.feed(real_time=real_time)
             try:

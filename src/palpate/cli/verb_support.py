@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import shlex
+import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -34,6 +37,8 @@ INTERRUPTED_STAGE = (
     "contact. Look whether the stage stands; `palpate rig stop` stops it, `palpate rig status` says where it "
     "is, and after a homing that was interrupted its place is not to be believed until it is homed"
 )
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+ONCE_S = 2.0  # after a signal, in which another must not cut short the stop that the first began
 MOVING = ("home", "jog", "zero", "check", "setup")
 """Verbs of the group `rig` that move a stage."""
 
@@ -89,6 +94,33 @@ class Group(TyperGroup):
         for heading, rows in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(rows)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """End by Ctrl-C's own way also where the process is told to end, or its terminal is closed.
+
+    What is recorded is closed whole then, and a stage stopped. Who has the end of the terminal ignored, as by
+    nohup, goes on.
+    """
+    asked_s = -math.inf
+
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal asked_s
+        before_s, asked_s = asked_s, time.monotonic()
+        if asked_s - before_s > ONCE_S:
+            raise KeyboardInterrupt
+
+    before = {
+        number: signal.signal(number, interrupt)
+        for number in ENDING
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def group(help_text: str) -> typer.Typer:
