@@ -31,13 +31,14 @@ def movie(
     readout_s: float = 0.0,
     noise: float = 1.5,
     seed: int = 0,
+    rise: np.ndarray | None = None,
 ) -> list[np.ndarray]:
-    """A still scene under a lamp, rows exposed one after the other, for a moment each."""
+    """A still scene under a lamp, rows exposed one after the other, for a moment each; brighter by `rise`."""
     rng = np.random.default_rng(seed)
     taken = []
     for i in range(frames):
         at = i / rate_hz + np.arange(HEIGHT) / HEIGHT * readout_s
-        light = 1 + amplitude * np.sin(2 * np.pi * lamp_hz * at + 0.3)
+        light = 1 + amplitude * np.sin(2 * np.pi * lamp_hz * at + 0.3) + (0.0 if rise is None else rise[i])
         seen = scene * light[:, None] + rng.normal(0, noise, scene.shape)
         taken.append(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
     return taken
@@ -104,6 +105,21 @@ def test_a_lamp_that_is_on_no_mains_is_told_as_such() -> None:
     assert health.flicker.frequency_hz == pytest.approx(7.0, abs=0.1)
     assert health.flicker.mains_hz is None
     assert "supply" in health.advice[0]
+
+
+@pytest.mark.parametrize("frames", [16, 30, 60])
+@pytest.mark.parametrize("settles_in", [0.3, math.inf])  # of the time filmed; a straight line
+def test_a_lamp_that_warms_up_does_not_flicker_and_one_that_does_both_is_told(
+    frames: int, settles_in: float
+) -> None:
+    at = np.linspace(0, 1, frames)
+    rise = 0.03 * (at if math.isinf(settles_in) else 1 - np.exp(-at / settles_in))
+    alone = image_health(movie(SCENE, frames, rise=rise), 30.0)
+    assert alone.flicker.frequency_hz is None
+    assert not [word for word in alone.advice if "flicker" in word or "supply" in word]
+    both = image_health(movie(SCENE, frames, amplitude=0.04, rise=rise), 30.0)
+    assert both.flicker.frequency_hz == pytest.approx(10.0, abs=0.3)
+    assert both.flicker.mains_hz == 50.0
 
 
 def test_saturated_and_black_shares_are_those_that_were_put_in() -> None:

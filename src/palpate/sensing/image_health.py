@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 from scipy import stats
+from scipy.signal import detrend
 
 from palpate.core import Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
 
@@ -226,14 +227,19 @@ def lit_region(frames: Sequence[Shaped[ndarray, ...]]) -> tuple[int, int, int, i
 
 
 def _frequency(over_all: Float[ndarray, " n"], within: Float[ndarray, "n b"], rate_hz: float) -> float | None:
-    """The frequency that stands out; None where none does."""
+    """The frequency that stands out; None where none does.
+
+    A lamp that warms up, or an exposure that settles, is no flicker: a straight line is taken off first, and
+    what is left of the change falls from the slowest frequency on, and has no peak.
+    """
     n = len(over_all)
-    window = np.hanning(n)[:, None]
     signals = np.concatenate([over_all[:, None] * math.sqrt(within.shape[1]), within], axis=1)
-    padded = 8 * n
-    power = (np.abs(np.fft.rfft((signals - signals.mean(axis=0)) * window, padded, axis=0)) ** 2).sum(axis=1)
-    power[:8] = 0.0  # slower than one period in all of the frames: drift
-    best = int(power.argmax())
+    window, padded = np.hanning(n)[:, None], 8 * n
+    power = (np.abs(np.fft.rfft(detrend(signals, axis=0) * window, padded, axis=0)) ** 2).sum(axis=1)
+    beside = np.concatenate([[np.inf], power, [0.0]])
+    peaks = (power >= beside[:-2]) & (power >= beside[2:])
+    peaks[:8] = False  # slower than one period in all of the frames: drift
+    best = int(np.where(peaks, power, 0.0).argmax())
     usual = float(np.median(power[8:]))
     if power[best] < FLICKER_NOISES**2 * max(usual, 1e-15):
         return None
