@@ -260,6 +260,22 @@ def test_an_untouched_image_may_be_given_and_serves_the_next_calibration() -> No
         assert loop.latest.readings["force_N"].value == 21.0
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 80.0, 1000.0])
+def test_bias_of_force_is_of_the_moment_of_the_zero_at_any_rate_of_samples(rate_hz: float) -> None:
+    force = Steps()
+    source = HandedFrames(waits=True, force=force)
+    at_s = np.arange(0, 12, 1 / rate_hz)
+    raw_n = np.where(at_s < 11, 5.25, 0.25)  # pressed for long, let go of for a second, then zeroed
+    with ran(source, MeanReader(), zero_frames=1) as loop:
+        force.samples = [
+            Wrench(round(1e9 * t), (0.0, 0.0, f)) for t, f in zip(at_s, raw_n.tolist(), strict=True)
+        ]
+        until(lambda: loop.status()["force_N"] == 0.25)
+        loop.zero()
+        source.give(numbered(0))
+        until(lambda: loop.status()["force_N"] == 0.0)
+
+
 def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> None:
     force, kept = Steps(), Kept()
     source = HandedFrames(waits=True, force=force)

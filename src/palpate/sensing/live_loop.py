@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import Closing, DeviceError, Image, PalpateError, Readings, Wrench
+from palpate.core import NS_PER_S, Closing, DeviceError, Image, PalpateError, Readings, Wrench
 from palpate.core.reading import plain_number
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
@@ -31,6 +31,7 @@ SILENT_S = 2.0  # without a frame, after which a camera is lost
 REOPEN_S = 0.5  # between two tries to open a lost camera
 ZERO_FRAMES = 15  # half a second at 30 frames a second, in which a lamp's flicker shows
 TOLD_S = 0.2  # age of the rate and latencies that a reading carries
+BIAS_S = 0.5  # of the force sensor's last samples, whose median is its bias
 MAX_FAULTS = 20
 
 
@@ -148,7 +149,7 @@ class LiveLoop(Closing):
         self._latest: LiveReading | None = None
         self._wrench: Wrench | None = None
         self._bias_n = 0.0
-        self._forces: deque[float] = deque(maxlen=200)
+        self._forces: deque[tuple[int, float]] = deque()
         self._force_why = ""
         self._outages = 0
         self._untouched: Image | None = None
@@ -446,7 +447,7 @@ class LiveLoop(Closing):
     def _take_zero(self, image: Image) -> None:
         self._untouched = image
         if self._forces:
-            self._bias_n = float(np.median(self._forces))
+            self._bias_n = float(np.median([force for _, force in self._forces]))
         reader, drift = self._reader, self._drift
         if reader is not None:
             try:
@@ -474,7 +475,9 @@ class LiveLoop(Closing):
         good = [one for one in samples if not one.fault]
         if good:
             self._wrench = good[-1]
-            self._forces.extend(one.force_n[2] for one in good)
+            self._forces.extend((one.time_ns, one.force_n[2]) for one in good)
+            while self._forces[0][0] < good[-1].time_ns - BIAS_S * NS_PER_S:
+                self._forces.popleft()
         for line in self._lines if samples else ():
             line.force(samples)
 
