@@ -71,6 +71,27 @@ def test_the_loading_of_each_press_is_read_and_nothing_after_its_peak() -> None:
         assert len(shown_ms) == pytest.approx(30 * table.time_s[-1], abs=2)
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 80.0, 1000.0])
+@pytest.mark.parametrize("newtons_a_second", [0.15, 0.6])
+def test_a_slow_press_is_no_drift_of_the_bias_at_any_rate_of_samples(
+    rate_hz: float, newtons_a_second: float
+) -> None:
+    told = []
+    peak_s = 3.0 + 2.0 / newtons_a_second
+    at_s = np.arange(0.0, peak_s + 1.5, 1 / rate_hz)
+    drifting_n = BIAS_N + 0.002 * at_s
+    force_n = np.where(at_s < peak_s, np.clip(newtons_a_second * (at_s - 3.0), 0.0, None), 0.0)
+    with PressReader(Given(), told.append) as reader:
+        raw_n = (drifting_n + force_n).tolist()
+        reader.on_force(
+            [Wrench(round(1e9 * t), (0.0, 0.0, n)) for t, n in zip(at_s.tolist(), raw_n, strict=True)]
+        )
+        reader.wait(1, 1.0)
+    (press,) = told
+    # The bias is the median of five seconds: it lags behind a drift by up to half of them and the press.
+    assert press.force_n == pytest.approx(2.0, abs=0.06 + 0.002 * (peak_s - 3.0 + 2.5))
+
+
 def test_a_press_too_quick_to_film_says_so_and_the_next_is_read() -> None:
     given, told = Given(), []
     quick, slow = ramp(1.0, 1.05, 4.0, 1.1), ramp(3.0, 4.0, 4.0, 4.5)

@@ -28,7 +28,8 @@ from palpate.sensing.live_sources import LiveFrame
 THRESHOLD_N = 0.15
 OVER_S = 0.15  # below half of the threshold, after which a press is over
 BEFORE_S = 0.4  # of the untouched sensor, that belongs to a press
-BIAS_S = 0.5  # of samples, whose median is the force sensor's bias
+RESTING_S = 5.0  # of untouched samples, whose median is the force sensor's bias: a slow press is no drift
+RESTING = 400  # of them at most, however fast they come
 MIN_FRAMES = 8
 MAX_FRAMES = 600  # of one press: twenty seconds at 30 frames a second
 MAX_PRESSES = 4  # that wait to be read; later ones are passed over, and said so
@@ -106,7 +107,7 @@ class PressReader(Closing):
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, Image]] = deque(maxlen=MAX_FRAMES)
         self._samples: deque[tuple[int, float]] = deque()
-        self._resting: deque[float] = deque(maxlen=400)
+        self._resting: deque[tuple[int, float]] = deque()
         self._begun_ns: int | None = None
         self._below_ns: int | None = None
         self._number, self._waiting = 0, 0
@@ -147,14 +148,14 @@ class PressReader(Closing):
 
     def _follow(self, at_ns: int, raw_n: float) -> None:
         if self._begun_ns is None:
-            bias_n = float(np.median(self._resting)) if self._resting else raw_n
+            bias_n = float(np.median([n for _, n in self._resting])) if self._resting else raw_n
             self._samples.append((at_ns, raw_n - bias_n))
             while self._samples[0][0] < at_ns - round(BEFORE_S * NS_PER_S):
                 self._samples.popleft()
             if raw_n - bias_n > self._threshold_n:
                 self._begun_ns, self._below_ns, self._bias_n = at_ns, None, bias_n
             else:
-                self._resting.append(raw_n)
+                self._rest(at_ns, raw_n)
             return
         force_n = raw_n - self._bias_n
         self._samples.append((at_ns, force_n))
@@ -164,6 +165,14 @@ class PressReader(Closing):
             self._below_ns = at_ns
         elif at_ns - self._below_ns >= OVER_S * NS_PER_S:
             self._end_press()
+
+    def _rest(self, at_ns: int, raw_n: float) -> None:
+        """Keep a sample of the untouched sensor, unless one just before it is kept."""
+        if self._resting and at_ns - self._resting[-1][0] < RESTING_S / RESTING * NS_PER_S:
+            return
+        self._resting.append((at_ns, raw_n))
+        while self._resting[0][0] < at_ns - RESTING_S * NS_PER_S:
+            self._resting.popleft()
 
     def _end_press(self) -> None:
         with self._lock:
