@@ -21,6 +21,7 @@ from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
 from palpate.sensing.streaming import live_drift, live_slots
 from palpate.sensing.streaming.live_readers import open_reader
 from palpate.sensing.streaming.live_slots import NewestSlot
+from palpate.sensing.streaming.live_statistics import StatisticsKeeper
 
 
 class Kept:
@@ -122,6 +123,16 @@ def test_latency_is_from_arrival_to_reading_and_rate_is_of_arrivals() -> None:
     assert stats.rate_hz == pytest.approx(20.0)
     assert 2.0 < stats.p50_ms < 700.0
     assert stats.p50_ms <= stats.p95_ms <= stats.p99_ms < 1300.0
+
+
+def test_a_rate_is_of_the_last_five_seconds_also_when_nothing_comes_any_more() -> None:
+    now_ns = time.monotonic_ns()
+    for silent_s, told_hz in ((0.02, 50.0), (0.9, 50.0), (2.0, 30.0), (4.0, 10.0), (6.0, None)):
+        kept = StatisticsKeeper()
+        for i in range(500):
+            kept.arrived(now_ns - round(1e9 * (silent_s + (499 - i) / 50)), 0, 0)
+        found = kept.now().rate_hz
+        assert found == (told_hz if told_hz is None else pytest.approx(told_hz, rel=0.05)), silent_s
 
 
 def test_a_camera_that_comes_back_is_opened_again(monkeypatch) -> None:

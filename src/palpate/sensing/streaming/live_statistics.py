@@ -15,6 +15,7 @@ from palpate.core import NS_PER_S, Float
 Percentiles = tuple[float | None, float | None, float | None]
 KEPT = 1000  # latencies of which percentiles are told: half a minute at 30 frames a second
 RATE_S = 5.0  # over which a rate is told
+SILENT_S = 1.0  # without a frame, and two periods, after which the silence counts in the rate
 KEPT_ARRIVALS = 2048  # five seconds at 400 frames a second
 
 
@@ -23,7 +24,7 @@ class LiveStatistics:
     """Counts and times of a live loop so far.
 
     Attributes:
-        rate_hz: frames a second that came, over the last five seconds; None until there are two.
+        rate_hz: frames a second that came, over the last five seconds; None where fewer than two did.
         p50_ms, p95_ms, p99_ms: from a frame's arrival to its reading, of the last thousand; None without any.
         frames: that were read.
         dropped: that came, and were replaced by a newer one before they could be read.
@@ -79,7 +80,7 @@ class StatisticsKeeper:
             counts = self._frames, self._dropped, self._lost, self._broken
             if time.monotonic() - self._told_s > age_s:
                 self._told_s = time.monotonic()
-                self._rate = _rate_hz(list(self._arrivals_ns))
+                self._rate = _rate_hz(list(self._arrivals_ns), time.monotonic_ns())
                 self._percentiles = _percentiles_ms(np.array(self._latencies_ns, np.float64))
             return LiveStatistics(self._rate, *self._percentiles, *counts)
 
@@ -91,9 +92,12 @@ def _percentiles_ms(latencies_ns: Float[np.ndarray, " n"]) -> Percentiles:
     return float(p50), float(p95), float(p99)
 
 
-def _rate_hz(arrivals_ns: list[int]) -> float | None:
-    if not arrivals_ns:
+def _rate_hz(arrivals_ns: list[int], now_ns: int) -> float | None:
+    recent = [at for at in arrivals_ns if now_ns - at <= RATE_S * NS_PER_S]
+    if len(recent) < 2 or recent[-1] <= recent[0]:
         return None
-    recent = [at for at in arrivals_ns if arrivals_ns[-1] - at <= RATE_S * NS_PER_S]
-    span_ns = recent[-1] - recent[0]
-    return (len(recent) - 1) * NS_PER_S / span_ns if span_ns > 0 else None
+    rate_hz = (len(recent) - 1) * NS_PER_S / (recent[-1] - recent[0])
+    silent_s = (now_ns - recent[-1]) / NS_PER_S
+    if silent_s > max(SILENT_S, 2 / rate_hz):
+        return len(recent) * NS_PER_S / (now_ns - recent[0])
+    return rate_hz
