@@ -164,6 +164,13 @@ def test_coverage_that_misses_nothing_says_nothing() -> None:
     assert PressCoverage.of(presses, REGION, 40, (0.0, 5.0)).missing == []
 
 
+def test_press_that_is_not_seen_fills_its_bin_of_force_and_hides_no_other() -> None:
+    seen = [LabelledPress(f, (45.0, 45.0)) for f in (0.5, 1.5, 4.5)]
+    told = PressCoverage.of([*seen, LabelledPress(2.5, None)], REGION, 40, (0.0, 5.0))
+    assert (told.presses, told.unplaced) == (4, 1)
+    assert told.missing == ["a gap at 3 to 4 N"]
+
+
 def test_status_is_plain_and_says_what_is_missing(run: Path) -> None:
     with PressCollector(run, "tactip", Weighing(200.0), truths=TRUTHS) as collector:
         status = collector.status

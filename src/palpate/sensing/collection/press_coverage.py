@@ -31,13 +31,13 @@ class PressCoverage:
     Attributes:
         edges_n: of the bins of force [N].
         counts: presses in each row and column of the image and each bin of force ``[3 3 b]``.
-        unplaced: presses whose contact is not seen.
+        unplaced_counts: presses whose contact is not seen, in each bin of force ``[b]``.
         asked: how many presses there shall be.
     """
 
     edges_n: tuple[float, ...]
     counts: np.ndarray
-    unplaced: int
+    unplaced_counts: np.ndarray
     asked: int
 
     @classmethod
@@ -60,17 +60,23 @@ class PressCoverage:
         forces = [one.force_n for one in presses]
         edges = force_edges(force_range_n or (0.0, max(forces, default=1.0)))
         counts = np.zeros((3, 3, len(edges) - 1), np.int64)
-        unplaced = 0
+        unplaced = np.zeros(len(edges) - 1, np.int64)
         for one in presses:
+            k = int(np.searchsorted(edges, one.force_n, side="right")) - 1
+            k = min(max(k, 0), len(edges) - 2)  # what lies beyond, in the last bin
             if one.place_px is None:
-                unplaced += 1
+                unplaced[k] += 1
                 continue
             x, y, width, height = region
             column = min(max(int(3 * (one.place_px[0] - x) / width), 0), 2)
             row = min(max(int(3 * (one.place_px[1] - y) / height), 0), 2)
-            k = int(np.searchsorted(edges, one.force_n, side="right")) - 1
-            counts[row, column, min(max(k, 0), len(edges) - 2)] += 1  # what lies beyond, in the last bin
+            counts[row, column, k] += 1
         return cls(tuple(edges), counts, unplaced, asked)
+
+    @property
+    def unplaced(self) -> int:
+        """Presses whose contact is not seen."""
+        return int(self.unplaced_counts.sum())
 
     @property
     def presses(self) -> int:
@@ -116,9 +122,7 @@ class PressCoverage:
 
     def _gaps(self) -> list[tuple[float, float]]:
         """Bins of force without a press, next ones joined; those of presses that are not seen count too."""
-        by_force = self.counts.sum(axis=(0, 1))
-        if self.unplaced:  # their forces are not kept by bin
-            return []
+        by_force = self.counts.sum(axis=(0, 1)) + self.unplaced_counts
         gaps: list[tuple[float, float]] = []
         for k, count in enumerate(by_force.tolist()):
             if count:
