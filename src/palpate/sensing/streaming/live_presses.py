@@ -73,7 +73,7 @@ class LivePress:
 
 
 def compliance_of(calibration: ComplianceCalibration) -> PressRead:
-    """What reads a press by a calibration of compliance, as `palpate compliance read` does."""
+    """Function that reads a press by a calibration of compliance, as `palpate compliance` does."""
 
     def read(frames: Sequence[Image], table: PressTable, name: str) -> Sequence[Reading]:
         press = reference_trial(frames, table).press
