@@ -186,7 +186,9 @@ def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
     assert curve.b == pytest.approx(1.0, abs=0.1)
     assert curve.with_more[0] == pytest.approx(4 / 50, rel=0.1)
     assert curve.with_more[1] < curve.with_more[0] < curve.with_more[2]
-    assert "10 more would bring" in curve.text
+    assert curve.ratio[0] == pytest.approx(40 / 50, rel=0.03)
+    assert curve.ratio[1] < 40 / 50 < curve.ratio[2]
+    assert curve.text.startswith("10 more presses would change the error by -")
 
 
 def test_learning_curve_that_does_not_fall_says_so() -> None:

@@ -46,6 +46,7 @@ class LearningCurve:
         have: presses that there are.
         expected: error with all of them, and its 5th and 95th percentile.
         with_more: the same with `more` presses more.
+        ratio: of the two errors, the later over the present one, and its 5th and 95th percentile.
         unit: of the errors.
         more: presses more.
     """
@@ -57,28 +58,28 @@ class LearningCurve:
     have: int
     expected: tuple[float, float, float]
     with_more: tuple[float, float, float]
+    ratio: tuple[float, float, float]
     unit: str = "N"
     more: int = MORE
 
     @property
     def text(self) -> str:
         """What more presses would bring, in one sentence."""
-        now, (then, low, high) = self.expected[0], self.with_more
         if self.b <= 0:
             return (
-                f"with {self.have} presses the error is {now:.3g} {self.unit}; more have not lessened it so "
-                "far: look at how they are labelled, or press elsewhere"
+                f"of {self.have} presses, more have not lessened the error so far: look at how they are "
+                "labelled, or press elsewhere"
             )
+        least, share, most = (100 * (ratio - 1) for ratio in (self.ratio[1], self.ratio[0], self.ratio[2]))
         return (
-            f"with {self.have} presses the error is {now:.3g} {self.unit}; {self.more} more would bring "
-            f"{then:.3g} {self.unit} ({low:.2g} to {high:.2g})"
+            f"{self.more} more presses would change the error by {share:.0f} % ({least:.0f} to {most:.0f} %)"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return {
             "presses": list(self.presses), "mae": list(self.mae), "a": self.a, "b": self.b, "have": self.have,
-            "expected": list(self.expected), "with_more": list(self.with_more), "unit": self.unit,
+            "expected": list(self.expected), "with_more": list(self.with_more), "ratio": list(self.ratio), "unit": self.unit,
             "more": self.more, "text": self.text,
         }  # fmt: skip
 
@@ -124,7 +125,12 @@ def curve_of(presses: np.ndarray, errors: np.ndarray, have: int, *, seed: int = 
         low, high = np.percentile(laws[:, 0] * float(n) ** -laws[:, 1], BAND)
         return a * n**-b, float(low), float(high)
 
-    return LearningCurve(tuple(sizes.tolist()), tuple(mae.tolist()), a, b, have, at(have), at(have + MORE))
+    fewer = have / (have + MORE)
+    low, high = np.percentile(fewer ** laws[:, 1], BAND).tolist()
+    ratio = (fewer**b, low, high)
+    return LearningCurve(
+        tuple(sizes.tolist()), tuple(mae.tolist()), a, b, have, at(have), at(have + MORE), ratio
+    )
 
 
 def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent) -> LearningCurve:
