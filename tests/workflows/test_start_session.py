@@ -194,7 +194,7 @@ def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
 def test_learning_curve_that_does_not_fall_says_so() -> None:
     presses = np.repeat([10, 20, 32], 2)
     errors = np.random.default_rng(0).uniform(0.9, 1.0, (6, 40)) * (1 + presses[:, None] / 100)
-    assert "more have not lessened it" in curve_of(presses, errors, 40).text
+    assert "more have not lessened the error" in curve_of(presses, errors, 40).text
 
 
 def test_feeds_keep_their_contract() -> None:

@@ -67,7 +67,7 @@ class LearningCurve:
         """What more presses would bring, in one sentence."""
         if self.b <= 0:
             return (
-                f"of {self.have} presses, more have not lessened the error so far: look at how they are "
+                f"up to {self.have} presses, more have not lessened the error: look at how they are "
                 "labelled, or press elsewhere"
             )
         least, share, most = (100 * (ratio - 1) for ratio in (self.ratio[1], self.ratio[0], self.ratio[2]))
