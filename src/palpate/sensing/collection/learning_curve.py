@@ -79,8 +79,8 @@ class LearningCurve:
         """Plain values for JSON."""
         return {
             "presses": list(self.presses), "mae": list(self.mae), "a": self.a, "b": self.b, "have": self.have,
-            "expected": list(self.expected), "with_more": list(self.with_more), "ratio": list(self.ratio), "unit": self.unit,
-            "more": self.more, "text": self.text,
+            "expected": list(self.expected), "with_more": list(self.with_more), "ratio": list(self.ratio),
+            "unit": self.unit, "more": self.more, "text": self.text,
         }  # fmt: skip
 
 
