@@ -112,6 +112,7 @@ def test_the_copys_own_untouched_frames_are_its_zero(original, record_spots, tmp
     assert valid[1] > 40
 
 
+@pytest.mark.slow
 def test_the_adapted_folder_reads_as_network_and_correction_do(original, record_spots, tmp_path) -> None:
     run = relabelled(record_spots("few", 16, seed=1), tmp_path / "copy", affine)
     before = hashes(original)
@@ -133,6 +134,7 @@ def test_the_adapted_folder_reads_as_network_and_correction_do(original, record_
     assert "adapted from calibration" in write_report(tmp_path / "adapted", tmp_path / "r.html").read_text()
 
 
+@pytest.mark.slow
 def test_an_adapted_calibration_can_be_adapted_again(original, record_spots, tmp_path) -> None:
     copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
     again = relabelled(record_spots("more", 12, seed=3), tmp_path / "again", lambda row: affine(affine(row)))

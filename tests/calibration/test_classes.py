@@ -206,6 +206,7 @@ def test_predictions_say_what_each_row_was_told_as(blobs) -> None:
     np.testing.assert_array_equal(np.array(kind.names)[outputs.argmax(axis=1)], table["estimate:kind"])
 
 
+@pytest.mark.slow
 def test_classes_alone_make_a_calibration(blobs, tmp_path) -> None:
     """The label `object` groups rows where nothing else is said; as a class it must not hold itself out."""
     folder, run = blobs

@@ -90,6 +90,7 @@ def test_several_quantities_reach_farther_than_one_as_balls_of_normal_errors_do(
     assert joint_reach(1, 0.9) == pytest.approx(reference_half_width(1.0, 0.9), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_joint_regions_are_scored_by_labels_without_the_instrument(record_spots, tmp_path) -> None:
     """Two vectors share a target, so that one's region is not mistaken for the other's."""
     run, fresh = record_spots("run", 20), record_spots("fresh", 10, seed=1)

@@ -53,6 +53,7 @@ def former(record_spots_module, tmp_path_factory) -> Path:
     return calibrate(record_spots_module("run", 20), CalibrationPlan(**PLAN, instruments=FORMER), out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("take_over", [adapt, reset_intervals])
 def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_is_stated(
     take_over, former, record_spots, tmp_path
@@ -68,6 +69,7 @@ def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_i
     assert re.match(r"x_mm: ±0\.82 mm of its labels' instrument \(laser B\)", line)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [(), ("--intervals-only",)])
 def test_a_file_of_instruments_goes_before_the_run_s_and_the_former_one_when_adapting(
     words, former, record_spots, tmp_path
@@ -85,6 +87,7 @@ def test_a_file_of_instruments_goes_before_the_run_s_and_the_former_one_when_ada
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("take_over", [adapt, reset_intervals])
 def test_runs_partly_measured_are_adapted_to_once_an_instrument_is_stated_for_all(
     take_over, record_spots, tmp_path
@@ -108,6 +111,7 @@ def test_joined_runs_have_the_least_certain_instrument_in_whichever_order(order,
     assert "fine C" in found.instrument
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_runs_of_which_some_state_no_instrument_are_refused_until_one_is_stated_for_all(
     order, record_spots, tmp_path

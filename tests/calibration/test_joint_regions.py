@@ -72,6 +72,7 @@ def test_distances_are_those_of_the_unit_ball_after_whitening() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_vector_is_read_scored_and_told(record_spots, tmp_path) -> None:
     run = record_spots("run", 30)
     plan = CalibrationPlan(

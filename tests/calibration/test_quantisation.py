@@ -161,6 +161,7 @@ def test_what_is_int8_already_and_what_exists_is_refused(calibration, quantised,
         cost(quantised[0], calibration)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("held_out", "says"), [(None, "none that it has not seen"), (1, "no convolution behind")]
 )

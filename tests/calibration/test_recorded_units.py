@@ -148,6 +148,7 @@ def drifting_rim(folder: Path, seed: int, ordered: bool) -> None:
             writer.frame(image, time_ns=i * 10**9, labels={"force_N": float(one)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sessions", [2, 3])
 @pytest.mark.parametrize("ordered", [True, False])
 def test_a_rim_that_drifts_in_each_session_fails_where_sessions_are_held_out(

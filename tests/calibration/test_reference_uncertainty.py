@@ -34,6 +34,7 @@ def measured_by(half: float) -> TargetCard:
     return TargetCard.model_construct(measured_by=card)
 
 
+@pytest.mark.slow
 def test_the_truth_is_covered_where_the_instrument_s_scale_is_unknown_and_labels_alone_would_not() -> None:
     """Each of 200 calibrations has its own constant error of the instrument, as large as the model's errors.
 
@@ -67,6 +68,7 @@ def test_the_reference_is_taken_out_again_to_the_last_digits() -> None:
     assert with_reference(nothing, 1.0, 0.5, 2.0) == (0.5, 2.0)
 
 
+@pytest.mark.slow
 def test_a_stated_instrument_stands_on_the_card_and_widens_readings_but_no_scores(
     record_spots, tmp_path
 ) -> None:

@@ -425,6 +425,7 @@ def test_a_run_of_a_session_that_was_learnt_from_is_no_other_day(days, tmp_path,
     assert "session day0 is one" in found["same_session"]
 
 
+@pytest.mark.slow
 def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days, tmp_path) -> None:
     first = days(1, presses=20)[0]
     calibrate(first, PLAN, tmp_path / "cal")

@@ -140,6 +140,7 @@ def test_a_path_that_is_not_there_is_told_as_one_for_runs_and_images(tmp_path: P
 OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera": "their_devices:Camera"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("role", "kind", "message"),
     [

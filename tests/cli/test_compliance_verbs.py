@@ -127,6 +127,7 @@ def test_a_calibration_is_never_overwritten(experiment, calibration) -> None:
     assert path.read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -> None:
     out, more = tmp_path / "compared", ("--calibration", calibration[0]) if calibrated else ()

@@ -44,6 +44,7 @@ def pictures(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_measured_table_maps_the_frames_and_all_of_it_is_written(pictures):
     table, out = pictures / "beam.csv", pictures / "orders"
     said = optics(

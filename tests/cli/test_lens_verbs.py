@@ -75,6 +75,7 @@ def test_a_board_is_drawn_for_print(tmp_path):
     assert cv2.imread(str(out), 0).shape == (8 * 120, 10 * 120)
 
 
+@pytest.mark.slow
 def test_a_calibration_keeps_its_lens_and_reads_by_it(record_spots, tmp_path):
     lens = Lens("kannala-brandt", (40.0, 40.0), (31.5, 23.5), (0.05, 0, 0, 0), (48, 64), 0.7)
     run = record_spots("run", 16)

@@ -107,6 +107,7 @@ def test_help_has_an_example_that_runs(tmp_path):
     render(*words[:-2], out=tmp_path / words[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "changed"),
     [

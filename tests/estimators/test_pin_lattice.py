@@ -41,6 +41,7 @@ def of_seeds(seeds: range) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.array([judged(one, way)[:2] for one in frames]) for way in (True, False))  # type: ignore
 
 
+@pytest.mark.slow
 def test_none_is_false_or_lost_under_all_nuisances_where_one_level_fails() -> None:
     ours, one_level = of_seeds(range(4))
     assert_array_equal(ours, 0)
@@ -70,6 +71,7 @@ def test_light_to_one_side_moves_no_pin() -> None:
     assert worst < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["hexagonal", "rings"])
 def test_a_pin_has_the_name_of_its_place_whichever_others_are_hidden(layout) -> None:
     """Up to one turn by sixths, the same for all frames of a sensor; also where the middle is hidden."""

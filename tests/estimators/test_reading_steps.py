@@ -145,6 +145,7 @@ def a_card_of_bands(target: TargetCard, rng: np.random.Generator) -> TargetCard:
     return target.model_copy(update={"over_range": over, "measured_by": instrument})
 
 
+@pytest.mark.slow
 def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
     record_spots, tmp_path, monkeypatch
 ) -> None:
@@ -237,6 +238,7 @@ def test_a_reader_that_knows_no_circle_stops_at_one(record_spots, tmp_path, monk
         assert "times 6.283185307179586 / (2 pi), above -3.141592653589793 and" in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_reader_passes_classes_over_and_reads_a_reset_card(
     reset, record_spots, tmp_path, monkeypatch, rewritten
@@ -277,6 +279,7 @@ SPREADS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SPREADS)
 def test_the_bounds_of_the_spread_are_those_that_the_card_states(
     case, record_spots, tmp_path, monkeypatch

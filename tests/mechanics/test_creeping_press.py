@@ -65,6 +65,7 @@ def test_fast_and_slow_presses_are_of_elastic_bodies(rise_s, modulus_pa) -> None
     assert abs(soft_tip(force[-1], elastic_of_the_other) / depth[-1] - 1) > 0.1
 
 
+@pytest.mark.slow
 def test_force_falls_at_constant_depth_to_the_relaxed_bodys() -> None:
     _, depth = ramp_and_hold(0.2, 30.0)
     force, in_effect = creeping_press(soft_tip, SKIN, MOST_N, depth[::4], 4 * STEP_S)

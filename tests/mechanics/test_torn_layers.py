@@ -100,6 +100,7 @@ def _under(places_mm: Any, forces_n: Any, cut: SurfaceCut = CUT) -> CutOpening:
     return cut_opening(STACK, cut, PLANE_M, 1e-3 * np.array(places_mm), np.array(forces_n).T)
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_a_cut_is_symmetric_and_positive() -> None:
     for one in cut_response(STACK, DEPTH_M, PLANE_M).stiffness[::16]:
         assert np.allclose(one, one.conj().T, atol=1e-9 * np.abs(one).max())

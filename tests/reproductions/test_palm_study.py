@@ -191,6 +191,7 @@ def test_a_network_is_ahead_only_where_the_intervals_over_places_do_not_overlap(
         assert beside(one, other) == "their intervals overlap"
 
 
+@pytest.mark.slow
 def test_every_network_of_a_study_has_the_same_number_of_steps_where_that_is_promised(tmp_path):
     for scale in (scale_of("small"), scale_of("full")):
         study = study_folder(tmp_path / scale.name, scale, 0)

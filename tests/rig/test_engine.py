@@ -276,6 +276,7 @@ def test_a_pause_lifts_the_probe_and_a_resumed_press_finds_contact_anew(tmp_path
     assert at["z_m"] <= -CLEARANCE_MM * 1e-3 + 1e-9
 
 
+@pytest.mark.slow
 def test_a_sweep_turns_round_at_its_force_and_records_all_the_while(tmp_path: Path) -> None:
     sweep = Ramp(
         name="sweep",

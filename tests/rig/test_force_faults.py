@@ -125,6 +125,7 @@ def test_on_the_tactip_too_at_5_mm_s_under_a_coarse_sensor(kind: str, phase: str
     assert stop.after_m <= (ALLOWED_COARSE_MM if pulled else ALLOWED_MM) * MM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["force-stuck", "force-scaled", "force-held-back", "force-reversed"])
 def test_without_the_monitor_the_same_faults_are_pressed_on(
     kind: str, monkeypatch: pytest.MonkeyPatch

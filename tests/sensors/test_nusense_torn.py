@@ -28,6 +28,7 @@ def _pulled_away() -> tuple[NuSense, Contact]:
     return sensor, _touch(sensor, 1.5, PressHistory(path_m=((0.0, 0.0), (0.0, -1e-3))))
 
 
+@pytest.mark.slow
 def test_a_torn_pad_yields_more_and_hardly_so_far_from_the_cut() -> None:
     near, whole = _touch(NuSense(SPEC), 1.2).force_n, _touch(WHOLE, 1.2).force_n
     assert 0.85 < near / whole < 0.995

@@ -228,6 +228,7 @@ EDGES = ("edge:4", "edge:10", "edge:10:30", "edge:20", "edge:10@5")
 SMALL = ("cylinder:6:12", "sphere:5", "punch:6@30:40", "two-points:2:20:30", "points:8:-7,0;7,3,0.2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", EDGES + SMALL)
 def test_every_probe_presses_from_first_touch_on(words):
     forces = [layered(words, depth).force_n for depth in (0.5e-6, 5e-6, 62.5e-6, 187.5e-6, 0.5e-3)]
@@ -235,6 +236,7 @@ def test_every_probe_presses_from_first_touch_on(words):
     assert (np.diff(forces) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", EDGES)
 def test_an_edge_has_a_law_down_to_its_first_touch(words):
     """Straight edges to 1 % from 0.01 mm on; a leaning one, of which a corner touches first, to 5 %."""

@@ -155,6 +155,7 @@ def test_a_known_weight_sees_what_has_changed(tip, fitted, skin: float, gel: flo
         assert check.ratio_change < -0.1 < 0 < check.stiffness_change
 
 
+@pytest.mark.slow
 def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
     rng = np.random.default_rng(15)
     with pytest.raises(ImageError, match="leans by"):

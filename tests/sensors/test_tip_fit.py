@@ -183,6 +183,7 @@ def test_another_tip_does_not_fit_and_says_so_by_its_residual(fitted) -> None:
     assert judge_tip(fitted, tapped(90), (at, mirrored)).residual_px > 20
 
 
+@pytest.mark.slow
 def test_too_few_taps_and_poses_that_do_not_differ_are_refused() -> None:
     at, places = tapped(90)
     with pytest.raises(InputError, match="8 taps or more"):

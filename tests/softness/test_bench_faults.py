@@ -200,6 +200,7 @@ def outcome_of(name: str, state: str) -> Outcome:
 CELLS = [(name, state) for name in FAULTS for state in STATES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "state"), CELLS, ids=[f"{n} / {s}" for n, s in CELLS])
 def test_a_fault_is_named_and_ends_safe_and_the_finger_meets_no_more_than_is_said(name, state) -> None:
     fault, came = FAULTS[name], outcome_of(name, state)

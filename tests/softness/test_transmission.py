@@ -111,6 +111,7 @@ def one_frequency(monkeypatch):
     monkeypatch.setattr(transmitted_cues, "FASTER", 1.0001)
 
 
+@pytest.mark.slow
 def test_at_one_frequency_the_interval_felt_is_the_reading_s_through_the_finger(one_frequency) -> None:
     made = {"peak_n": 0.3, "draws": 200, "frequency_hz": OFTEN}
     one = transmit("n", flat(200), FINGER, true_flat_pa=200e3, **made)
@@ -238,6 +239,7 @@ def test_bad_input_is_refused(tmp_path, two) -> None:
         CueNoise(0.0, 0.1)
 
 
+@pytest.mark.slow
 def test_the_verb_renders_readings_writes_a_page_and_objects_and_overwrites_nothing(tmp_path) -> None:
     for name, value in (("A", 0.2), ("B", 0.06)):
         (tmp_path / name).mkdir()

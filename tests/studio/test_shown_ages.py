@@ -55,6 +55,7 @@ class FreezingStage:
         return self._inner.moving()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accelerated", [True, False])
 def test_behind_a_frozen_engine_all_numbers_age_by_real_time(tmp_path, accelerated):
     opened = open_served_rig("virtual:palm", accelerated=accelerated)

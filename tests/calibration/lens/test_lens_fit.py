@@ -16,6 +16,7 @@ def numbers_of(lens):
     return np.array([*lens.focal_px, *lens.centre_px, *lens.distortion])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lens", "model"), BOTH, ids=["fisheye", "pinhole"])
 def test_without_noise_the_lens_comes_back_exactly(lens, model):
     """1e-4 px and 1e-5 of coefficients: least squares stops there."""
@@ -25,6 +26,7 @@ def test_without_noise_the_lens_comes_back_exactly(lens, model):
     assert fit.mean_px < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lens", "model"), BOTH, ids=["fisheye", "pinhole"])
 def test_with_noise_the_lens_comes_back_within_its_stated_errors(lens, model):
     """0.1 px an axis: 4 standard errors of 8 or 9 numbers; the error of a corner is 0.1 sqrt(pi / 2) px."""
@@ -76,6 +78,7 @@ def shifted(view, change):
     return BoardView(view.name, view.corners_m, change(view.places_px.copy()), view.size_px)
 
 
+@pytest.mark.slow
 def test_a_view_that_does_not_fit_is_left_out_and_named():
     """A board with a wave of 4 px in it, and one whose rows are numbered from the second on."""
     views = corner_views(FISHEYE, 16)
@@ -95,6 +98,7 @@ def test_a_view_that_does_not_fit_is_left_out_and_named():
     np.testing.assert_allclose(numbers_of(fit.lens), numbers_of(clean.lens), rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_corner_that_lies_far_off_is_left_out_and_the_view_stays():
     views = corner_views(FISHEYE, 16)
 
@@ -109,6 +113,7 @@ def test_a_corner_that_lies_far_off_is_left_out_and_the_view_stays():
     assert (np.abs(numbers_of(fit.lens) - numbers_of(FISHEYE)) < 4 * errors).all()
 
 
+@pytest.mark.slow
 def test_the_lens_ends_where_the_boards_did():
     views = corner_views(FISHEYE, 16)
     fit = fit_lens(views, BOARD, "fisheye")
@@ -118,6 +123,7 @@ def test_the_lens_ends_where_the_boards_did():
     assert np.isnan(fit.lens.rays(np.array([[-300.0, 240.0]]))).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "message"),
     [

@@ -162,6 +162,7 @@ def test_a_copy_has_wider_intervals_until_a_weight_is_laid(calibrated, unseen):
         calibration.weighed(unseen.cues[:1], 50.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["4", "8"])
 def test_one_known_weight_tells_a_copys_stiffness(calibrated, number):
     """A softer and a stiffer copy: within 0.15 N after, twice as far off before, within the wide interval."""
