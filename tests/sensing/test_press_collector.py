@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.core import Frame, InputError, ManualClock, RangeError
+from palpate.core import Frame, InputError, ManualClock, RangeError, Wrench
 from palpate.recordings import Run
 from palpate.rig.virtual.virtual_hand import TREMBLING, USUAL, HandHabits, VirtualHand
 from palpate.sensing.collection import PressCollector, PressCoverage, Weighing
@@ -177,3 +177,12 @@ def test_status_is_plain_and_says_what_is_missing(run: Path) -> None:
     assert status["presses"] == len(collector.presses)
     assert status["asked"] == 40
     assert "waiting for the scale" in status["advice"]
+
+
+def test_what_the_scale_says_is_wrong_is_advice_also_without_a_press(run: Path) -> None:
+    said = "its unit changed from g to oz"
+    with PressCollector(run, "tactip", Weighing(200.0), truths=TRUTHS) as collector:
+        collector.on_force([Wrench(10**9, (0.0, 0.0, 1.0), fault=said)])
+        assert said in collector.advice
+        collector.on_force([Wrench((2 + k) * 10**9, (0.0, 0.0, 0.0)) for k in range(101)])
+        assert said not in collector.advice

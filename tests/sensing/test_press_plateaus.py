@@ -141,3 +141,12 @@ def test_every_press_is_judged_once() -> None:
     found = verdicts(hand(5.0, presses=6))
     assert len(found) == 6
     assert all(isinstance(one, Plateau) for one in found)
+
+
+def test_a_zero_taken_under_a_weight_is_told_when_the_weight_goes() -> None:
+    resting = [Wrench(round(1e9 * k / 200), (0.0, 0.0, 5.0 if k < 400 else 0.0)) for k in range(1000)]
+    again = [Wrench(one.time_ns + 5 * 10**9, one.force_n) for one in resting]
+    found = [one for one in verdicts(resting + again) if isinstance(one, Refused)]
+    assert found
+    assert {one.kind for one in found} == {"zero moved"}
+    assert "5 N less than untouched" in found[0].why

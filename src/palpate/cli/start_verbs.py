@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import urlencode
@@ -23,6 +27,8 @@ ScaleOption = Annotated[
 ]
 PressesOption = Annotated[int, Option(help="Presses to collect.", min=1)]
 SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
+_GROUPED = re.compile(r"[1-9]\d*,\d{3}(?!\d)|_")  # a thousand to some, 1 to others
+ADVICE_S = 5.0  # after which advice that nobody has heeded is told again
 RealTime = Annotated[bool, Option("--real-time", help="Let a virtual second take one.")]
 
 
@@ -67,7 +73,7 @@ def collect(
 
 def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: bool) -> None:
     """Take frames and forces in until all presses are there; tell of each."""
-    typed = _typed_weights(collector) if feed.force is None else None
+    beside = _beside(feed, quiet)
     feed.press(go_on=True)
     told = -1
     while len(collector.presses) < collector.asked:
@@ -75,52 +81,85 @@ def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: b
         if feed.force is not None:
             collector.on_force(feed.force.drain())
         collector.on_frame(frame)
-        if typed is not None:
-            typed()
-        count = len(collector.presses) + collector.refusals
-        if count != told:
-            told = count
-            progress("presses", len(collector.presses), collector.asked)
-            if not quiet:
-                _tell(collector)
+        beside(collector)
+        if len(collector.presses) != told:
+            told = len(collector.presses)
+            progress("presses", told, collector.asked)
     feed.press(go_on=False)
 
 
-def _tell(collector: PressCollector) -> None:
-    status = collector.status
-    words = status["text"] if len(collector.presses) else "press anywhere, and hold still for a second"
-    if status["last_refused"] and collector.refusals:
-        words += f"; the last that did not count: {status['last_refused']['why']}"
-    if status["advice"]:
-        words += f"; {status['advice']}"
-    say(words, err=True)
+def _beside(feed: PressFeed, quiet: bool) -> Callable[[PressCollector], None]:
+    """What is done after each frame: typed weights are stated, and it is told how the presses stand."""
+    typed = _typed_weights() if feed.force is None else None
+    tell = _teller()
+
+    def do(collector: PressCollector) -> None:
+        if typed is not None:
+            typed(collector)
+        if not quiet:
+            tell(collector)
+
+    return do
 
 
-def _typed_weights(collector: PressCollector) -> Any:
-    """Read weights from the keyboard in a thread, and state each when it comes."""
+def _teller() -> Callable[[PressCollector], None]:
+    """Tell of each press that counts or does not, and again and again of what keeps any from counting."""
+    told, told_s = -1, 0.0
+
+    def tell(collector: PressCollector) -> None:
+        nonlocal told, told_s
+        count = len(collector.presses) + collector.refusals
+        if count == told and (time.monotonic() - told_s < ADVICE_S or not collector.advice):
+            return
+        told, told_s = count, time.monotonic()
+        status = collector.status
+        words = status["text"] if len(collector.presses) else "press anywhere, and hold still for a second"
+        if status["last_refused"] and collector.refusals:
+            words += f"; the last that did not count: {status['last_refused']['why']}"
+        if status["advice"]:
+            words += f"; {status['advice']}"
+        say(words, err=True)
+
+    return tell
+
+
+def _typed_weights() -> Callable[[PressCollector], None]:
+    """Read weights from the keyboard in a thread; what is returned states those that have come."""
     import queue
     import sys
     import threading
 
-    from palpate.core import PalpateError
+    from palpate.core import InputError, PalpateError
 
-    lines: queue.Queue[str] = queue.Queue()
+    lines: queue.Queue[str | None] = queue.Queue()
     say("lay a weight on, type its mass in g (or its force as 2.5N), take it off", err=True)
 
     def read() -> None:
-        for line in sys.stdin:
-            lines.put(line.strip())
+        with suppress(OSError, ValueError):
+            for line in sys.stdin or ():
+                lines.put(line.strip())
+        lines.put(None)
 
     threading.Thread(target=read, name="typed weights", daemon=True).start()
+    ended = False
 
-    def take() -> None:
+    def state(collector: PressCollector) -> None:
+        nonlocal ended
         while not lines.empty():
+            words = lines.get()
+            ended = ended or words is None
             try:
-                collector.label(force_of(lines.get()))
+                if words:
+                    collector.label(force_of(words))
             except PalpateError as e:
                 say(str(e), err=True)
+        if ended and not collector.weight_stated:
+            raise InputError(
+                f"nothing more can be typed: the standard input has ended; {collector.coverage.text}. "
+                "The same command goes on"
+            )
 
-    return take
+    return state
 
 
 def force_of(words: str) -> float:
@@ -133,7 +172,7 @@ def force_of(words: str) -> float:
     from palpate.core import InputError
     from palpate.rig.real.scale.weight_line import NEWTONS
 
-    text = words.replace(",", ".").strip()
+    text = "" if _GROUPED.search(words) else words.replace(",", ".").strip()
     number = text.rstrip("abcdefghijklmnopqrstuvwxyzN ").strip()
     unit = text[len(number) :].strip() or "g"
     try:
@@ -141,7 +180,8 @@ def force_of(words: str) -> float:
         return value * NEWTONS[unit]
     except (ValueError, KeyError) as e:
         raise InputError(
-            f"{words!r} is no weight; type a mass in g, or with a unit: {', '.join(NEWTONS)}"
+            f"{words!r} is no weight; type a mass in g, or with a unit: {', '.join(NEWTONS)}; a "
+            "thousand without a comma: 1000 or 1kg"
         ) from e
 
 
@@ -184,8 +224,7 @@ def start(
                 for line in session.check_settings(feed)["health"]["advice"]:
                     say(line, err=True)
                 session.take_untouched(feed)
-                say("press anywhere, hold still for a second, let go", err=True)
-                session.collect(feed, progress)
+                session.collect(feed, progress, beside=_beside(feed, quiet or json_))
             finally:
                 feed.close()
         if session.step == "train":

@@ -204,7 +204,11 @@ class StartSession:
         )
 
     def collect(
-        self, feed: PressFeed, progress: Progress = silent, watch: Watch = lambda _: None
+        self,
+        feed: PressFeed,
+        progress: Progress = silent,
+        watch: Watch = lambda _: None,
+        beside: Callable[[PressCollector], None] = lambda _: None,
     ) -> dict[str, Any]:
         """Collect presses until there are as many as were asked for.
 
@@ -212,6 +216,7 @@ class StartSession:
             feed: camera and scale.
             progress: called with how far it is.
             watch: called with the collector's status whenever a press counts, or is refused.
+            beside: called with the collector after each frame, such as to state a weight that was typed.
 
         Raises:
             DeviceError: camera or scale is gone; what was collected stays, and the same call goes on.
@@ -226,6 +231,7 @@ class StartSession:
                 if feed.force is not None:
                     collector.on_force(feed.force.drain())
                 collector.on_frame(frame)
+                beside(collector)
                 count = len(collector.presses) + collector.refusals
                 if count != seen:
                     seen, last_ns = count, frame.arrived_ns

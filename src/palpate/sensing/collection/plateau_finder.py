@@ -151,6 +151,11 @@ class PlateauFinder:
         return None if self._last is None or self.zero_n is None else self._last[1] - self.zero_n
 
     @property
+    def fault(self) -> str:
+        """What the scale says is wrong with its samples; empty since a good one of the untouched sensor."""
+        return self._fault
+
+    @property
     def touched(self) -> bool:
         """Whether a press is under way."""
         return bool(self._press) and not self._behind
@@ -358,6 +363,11 @@ class PlateauFinder:
         if good.any():
             best = np.flatnonzero(good)[np.argmax(lasts[good])]
             return int(starts[i[best]]), int(ends[j[best]] - 1)
+        if not held.any() and bool((long & (level < -self.touch_n)).any()):
+            why = (
+                f"{self.scale.name} weighed {-level[long].min():.3g} N less than untouched: something lay on"
+            )
+            return Refused("zero moved", f"{why} it as its zero was taken; take it off, begin anew", ended_ns)
         if not held.any():
             return Refused(
                 "too short", f"no force was held for {shortest:.2g} s; hold still longer", ended_ns

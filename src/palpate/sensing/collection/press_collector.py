@@ -187,6 +187,11 @@ class PressCollector:
                 raise InputError("nothing is seen to lie on the sensor; lay the weight on, then state it")
             self._typed_n = force_n
 
+    @property
+    def weight_stated(self) -> bool:
+        """Whether a weight was stated of a press that has not ended yet."""
+        return self._typed_n is not None
+
     def rezero(self) -> None:
         """Take what comes next for the untouched sensor."""
         with self._lock:
@@ -215,6 +220,8 @@ class PressCollector:
                 if self._image.touched and self._typed_n is None:
                     return "state the weight that lies on the sensor"
                 return ""
+            if finder.fault and not finder.touched:
+                return f"{finder.scale.name} said: {finder.fault}; no press counts until that is mended"
             newest = self._frames[-1][0] if self._frames else None
             if finder.newest_ns is None or finder.zero_n is None:
                 return f"waiting for {finder.scale.name}; leave the sensor untouched"
