@@ -12,13 +12,21 @@ import pandas as pd
 import pytest
 from tests.rig.serial_terminal import FakeTerminal
 
+from palpate.calibration.certificate import read_predictions
+from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.core import DeviceError, InputError, RecordingError
-from palpate.estimators.certified import Estimator
+from palpate.estimators.certified import Estimator, read_card
 from palpate.recordings import Run
 from palpate.rig.fakes.printing_scale import PrintingScale
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.workflows.press_feeds import CameraFeed, FedFrame, VirtualFeed, open_feed
-from palpate.workflows.start_session import STATE, StartSession, beats_the_mean
+from palpate.workflows.start_session import (
+    STATE,
+    StartSession,
+    beats_the_mean,
+    honest_sentence,
+    rate_beyond,
+)
 
 
 def begun(folder: Path, presses: int = 10) -> StartSession:
@@ -86,6 +94,40 @@ def test_only_estimates_that_surely_beat_the_mean_are_worth_something() -> None:
     assert beats_the_mean(good)
     shuffled = good.assign(**{"estimate:force_N": rng.permutation(40)[press] / 4.0})
     assert not beats_the_mean(shuffled)
+
+
+def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of() -> None:
+    told, truth, holds = [], [], 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+
+        def pressed(count: int, rng: np.random.Generator = rng) -> pd.DataFrame:
+            press = np.repeat(np.arange(count), 4)
+            force = rng.uniform(0.5, 11, count)[press]
+            off = 0.5 * rng.standard_t(4, count)[press] + rng.normal(0, 0.05, len(press))
+            return pd.DataFrame({"press": press, "force_N": force, "estimate:force_N": force + off})
+
+        learnt, new = pressed(40), pressed(1000)
+        told_of, true_of = (
+            [one[[name]].to_numpy() for one in (learnt, new)] for name in ("estimate:force_N", "force_N")
+        )
+        intervals = fit_intervals(told_of[0], true_of[0], learnt.press.to_numpy(), 0.9)
+        truth.append(float(intervals.hold(told_of[1], true_of[1]).mean()))
+        rate, low, high = rate_beyond(learnt)
+        told.append(rate)
+        holds += low <= truth[-1] <= high
+    assert np.mean(told) == pytest.approx(np.mean(truth), abs=0.02)
+    assert holds >= 10
+
+
+def test_sentence_of_two_sittings_does_not_say_one_day(whole: StartSession) -> None:
+    card = read_card(whole.calibration)
+    predictions = read_predictions(whole.calibration, card)
+    assert "on one day" in honest_sentence(card, predictions, 10)
+    half = np.where(predictions.press.astype(int) > 5, "tuesday", "monday")
+    told = honest_sentence(card, predictions.assign(session=half), 10)
+    assert "in 2 sittings" in told
+    assert "one day" not in told
 
 
 @pytest.mark.slow
