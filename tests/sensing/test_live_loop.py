@@ -11,14 +11,16 @@ import pytest
 from tests.sensing.live_stand_ins import HandedFrames, MeanReader, numbered, until
 
 from palpate.calibration.calibration_plan import ReferenceRule
-from palpate.core import DeviceError, Drift, InputError
+from palpate.core import DeviceError, Drift, Frame, InputError
 from palpate.core.device_protocols import Wrench
 from palpate.estimators import Estimator
 from palpate.recordings import export_folder
 from palpate.sensing import live_loop, open_source, sense
 from palpate.sensing.live_iteration import Live, live
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
+from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming import live_drift, live_slots
+from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_readers import open_reader
 from palpate.sensing.streaming.live_slots import NewestSlot
 from palpate.sensing.streaming.live_statistics import StatisticsKeeper
@@ -256,6 +258,24 @@ def test_the_untouched_image_is_the_mean_of_frames_and_is_taken_off() -> None:
         assert [float(zero.mean()) for zero in reader.zeros] == [12.0]
         assert loop.latest.readings["force_N"].value == pytest.approx(38.0)
         assert not loop.zeroing
+
+
+def test_flicker_is_told_at_the_rate_of_the_frames_that_show_it_not_of_those_that_came() -> None:
+    """Every second frame of 60 a second is read: lamps on 50 Hz mains are seen at 10 Hz, not at 20."""
+    rng, source = np.random.default_rng(0), HandedFrames(waits=True)
+    taken = []
+    for i in range(60):
+        light = 1 + 0.05 * np.sin(2 * np.pi * 100 * i / 30)
+        image = np.clip(np.rint(rng.normal(120 * light, 1.5, (48, 64))), 0, 255).astype(np.uint8)
+        taken.append(LiveFrame(Frame(image, i / 30), time.monotonic_ns(), 2 * i))
+    source.give(*taken, None)
+    with ran(source, zero_at_start=True, zero_frames=48) as loop:
+        watch = ImageWatch(loop)
+        assert loop.wait(5.0)
+        watch.on_frame(taken[-1], None)
+        assert loop.untouched_rate_hz == pytest.approx(30.0)
+        assert watch.status()["flicker"]["frequency_hz"] == pytest.approx(10.0, abs=0.3)
+        assert watch.status()["flicker"]["mains_hz"] == 50.0
 
 
 def test_an_untouched_image_may_be_given_and_serves_the_next_calibration() -> None:

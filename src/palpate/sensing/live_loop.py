@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import NS_PER_S, Closing, DeviceError, Image, PalpateError, Readings, Wrench
+from palpate.core import NS_PER_S, Closing, DeviceError, Frame, Image, PalpateError, Readings, Wrench
 from palpate.core.reading import plain_number
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
@@ -139,7 +139,7 @@ class LiveLoop(Closing):
         self._frames: NewestSlot[LiveFrame] = NewestSlot()
         self._hand_over = hand_over
         self._kept = StatisticsKeeper()
-        self._zero_frames, self._zero_images, self._zeroing = zero_frames, deque[Image](), zero_at_start
+        self._zero_frames, self._zeros, self._zeroing = zero_frames, deque[Frame](), zero_at_start
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._state, self._why = LiveState.OPENING, ""
@@ -154,6 +154,7 @@ class LiveLoop(Closing):
         self._outages = 0
         self._untouched: Image | None = None
         self._untouched_frames: tuple[Image, ...] = ()
+        self._untouched_rate_hz: float | None = None
         self._last_arrival_s = time.monotonic()
         for one in subscribers:
             self.subscribe(one)
@@ -201,7 +202,7 @@ class LiveLoop(Closing):
         The force sensor's bias is taken at the same time.
         """
         with self._lock:
-            self._zero_images.clear()
+            self._zeros.clear()
             self._zeroing = untouched is None
         if untouched is None:
             self._let_rest(True)
@@ -260,6 +261,11 @@ class LiveLoop(Closing):
     def untouched_frames(self) -> tuple[Image, ...]:
         """Frames that it was averaged from, the same object until others are taken; none without them."""
         return self._untouched_frames
+
+    @property
+    def untouched_rate_hz(self) -> float | None:
+        """Rate at which these were taken: the camera's, less what was dropped between them; None without."""
+        return self._untouched_rate_hz
 
     @property
     def zeroing(self) -> bool:
@@ -393,7 +399,7 @@ class LiveLoop(Closing):
 
     def _read(self, frame: LiveFrame) -> None:
         if self._zeroing and not frame.why and not getattr(self._source, "touched", False):
-            self._collect_zero(frame.frame.image)
+            self._collect_zero(frame.frame)
         reader = self._reader
         readings = None if reader is None else reader.read(frame)
         done_ns = time.monotonic_ns()
@@ -427,13 +433,15 @@ class LiveLoop(Closing):
         source = self._source
         return source is not None and source.waits
 
-    def _collect_zero(self, image: Image) -> None:
-        if self._zero_images and self._zero_images[0].shape != image.shape:
-            self._zero_images.clear()
-        self._zero_images.append(image)
-        if len(self._zero_images) >= self._zero_frames:
-            images = list(self._zero_images)
-            self._zero_images.clear()
+    def _collect_zero(self, frame: Frame) -> None:
+        if self._zeros and self._zeros[0].image.shape != frame.image.shape:
+            self._zeros.clear()
+        self._zeros.append(frame)
+        if len(self._zeros) >= self._zero_frames:
+            images = [one.image for one in self._zeros]
+            lasted_s = self._zeros[-1].time_s - self._zeros[0].time_s
+            self._zeros.clear()
+            self._untouched_rate_hz = (len(images) - 1) / lasted_s if lasted_s > 0 else None
             self._zeroing, self._untouched_frames = False, tuple(images)
             self._take_zero(mean_image(images))
             self._let_rest(False)

@@ -57,7 +57,7 @@ class ImageWatch:
         self._frames, self._view, self._health = frames, None, {}
         if not frames:
             return
-        rate_hz = self._loop.stats.rate_hz or ASSUMED_HZ
+        rate_hz = self._loop.untouched_rate_hz or ASSUMED_HZ
         try:
             self._view = UntouchedView(frames)
             self._health = image_health(frames, rate_hz).to_dict()
