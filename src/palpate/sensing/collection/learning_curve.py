@@ -2,7 +2,8 @@
 
 Models learn from some of the presses and are scored on all others, so that no press is on both sides. Errors
 of learning fall about as a power of the number learnt from, E(n) = a n^-b, and this is fitted; how far it can
-be trusted is told by drawing the scored presses anew.
+be trusted is told by drawing the scored presses anew. That does not hold which presses were learnt from, nor
+that errors may stop to fall: on simulated presses such intervals of 90 % hold the truth in about 75 %.
 
 Reference: C. Cortes et al., Learning curves: asymptotic values and rate of convergence, NIPS 6 (1994).
 """
