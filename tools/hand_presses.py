@@ -5,9 +5,9 @@
     python tools/hand_presses.py cover                # fits and intervals alone, of every hand
     python tools/hand_presses.py score [--rig]        # calibrate each, score on the held-out presses
 
-A seed draws other places, forces, seatings, lamp gains and noise from the same laws, press by press: all hands
-have the same habits, and days do not differ. So hands differ by chance alone, and their scatter is that of drawn
-presses. The rig's calibration is scored on the very same held-out presses.
+A seed draws other places, forces, seatings, lamp gains and noise from the same laws, press by press: all
+hands have the same habits, and days do not differ. So hands differ by chance alone, and their scatter is that
+of drawn presses. The rig's calibration is scored on the very same held-out presses.
 """
 
 from __future__ import annotations

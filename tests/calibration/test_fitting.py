@@ -110,7 +110,6 @@ DAMAGES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(
     damage, record_spots, tmp_path
@@ -276,7 +275,6 @@ def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
         calibrate(record_spots("run", 1), PLAN, tmp_path / "cal")
 
 
-@pytest.mark.slow
 def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp_path) -> None:
     plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
     calibrate(record_spots("run", 40), plan, tmp_path / "cal")

@@ -90,8 +90,8 @@ class SeenTouch:
             reference, so that no contact can be told.
         why: of the verdict, in words.
         gain: brightness over the reference's, of each channel.
-        change: largest value of the statistic, over that which a touch needs; a touch is above 1 in an area, and
-            single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
+        change: largest value of the statistic, over that which a touch needs; a touch is above 1 in an area,
+            and single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
         changed_share: of the region in which a difference is seen.
         region: the largest connected change; None but for "touched".
         marks: of the skin and how far they moved; None where none are followed, or the view has changed.
