@@ -196,3 +196,15 @@ def test_a_live_run_in_python_starts_when_it_is_first_asked(spots) -> None:
         assert readings.stats.frames == 0
         assert next(iter(readings)).readings["x_mm"].unit == "mm"
     assert time.monotonic() - begun_s < 20
+
+
+@pytest.mark.parametrize("option", ["--seconds", "--frames", "--wait"])
+@pytest.mark.parametrize("value", ["0", "-3", "nan"])
+def test_an_end_that_never_comes_is_refused(option, value) -> None:
+    said = typed("live", "--camera", "virtual:tactip", option, value, status=2).output
+    assert option in said
+    assert "Traceback" not in said
+
+
+def test_an_empty_address_is_not_the_folder_in_which_one_stands(spots) -> None:
+    assert "address of a camera is empty" in typed("live", "--camera", "", status=2).output

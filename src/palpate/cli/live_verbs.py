@@ -83,6 +83,7 @@ def live(
     Example: palpate live --camera virtual:palm --seconds 5
     Example: palpate live cal --camera taps.avi --json
     """
+    _check_ends(seconds, frames, wait)
     settings = _settings(size, fps, exposure_ms)
     options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
     addresses = camera or ["0"]
@@ -189,6 +190,19 @@ def _settings(size: str | None, fps: float | None, exposure_ms: float | None) ->
         rate_hz=usual.rate_hz if fps is None else fps,
         exposure_s=usual.exposure_s if exposure_ms is None else 1e-3 * exposure_ms,
     )
+
+
+def _check_ends(seconds: float | None, frames: int | None, wait: float) -> None:
+    """Refuse an end that has passed, or never comes; not-a-number is neither above 0 nor below."""
+    from palpate.core.errors import InputError
+
+    for name, value, unit in (
+        ("--seconds", seconds, " [s]"),
+        ("--frames", frames, ""),
+        ("--wait", wait, " [s]"),
+    ):
+        if value is not None and not value > 0:
+            raise InputError(f"{name} {value}; it has to be above 0{unit}, or is left out")
 
 
 def _each(folders: list[Path], count: int) -> list[Path | None]:

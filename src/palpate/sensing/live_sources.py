@@ -322,6 +322,8 @@ def open_live_source(
         MissingExtraError: the camera needs a package that is not installed.
     """
     text = str(address)
+    if not text.strip():
+        raise InputError("the address of a camera is empty; `palpate cameras` lists what there is")
     if (paced or repeat) and _is_device(text):
         raise InputError(f"{text} is no file, and has a pace of its own; leave paced and repeat out")
     if repeat and not paced:
