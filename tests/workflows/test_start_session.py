@@ -268,3 +268,13 @@ def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dic
     (tmp_path / STATE).write_text(json.dumps({"camera": "virtual:palm", "scale": "virtual"} | kept))
     with pytest.raises(RecordingError, match="no session's file"):
         StartSession(tmp_path)
+
+
+def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
+    first, second = StartSession(tmp_path / "session"), StartSession(tmp_path / "session")
+    with first.held():
+        first.choose("virtual:tactip", "virtual", asked=10)
+        with pytest.raises(RecordingError, match="another writer"), second.held():
+            pass
+    with second.held():
+        assert second.state == first.state  # not as it was when the second read it

@@ -17,6 +17,7 @@ from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar, say
 if TYPE_CHECKING:
     from palpate.sensing.collection import PressCollector
     from palpate.workflows.press_feeds import PressFeed
+    from palpate.workflows.start_session import StartSession
 
 CameraOption = Annotated[
     str, Option(help="Camera: its number, path or USB serial number; or virtual:palm, virtual:tactip.")
@@ -215,9 +216,8 @@ def start(
     from palpate.workflows.start_session import StartSession
 
     session = StartSession(folder)
-    if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
-        session.choose(camera, scale, asked=presses, seed=seed)
-    with stopped_by_signals(), progress_bar(quiet) as progress:
+    with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
+        _choose(session, camera, scale, presses, seed)
         if session.step in ("settings", "untouched", "collect"):
             feed = session.feed(real_time=real_time)
             try:
@@ -233,6 +233,18 @@ def start(
     curve = (session.state.trained.get("curve") or {}).get("text", "")
     lines = [session.state.collected.get("text", ""), session.sentence, curve, "The same by commands:"]
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
+
+
+def _choose(session: StartSession, camera: str, scale: str, presses: int, seed: int) -> None:
+    """Choose camera and scale, where that was not done yet or they are others."""
+    if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
+        session.choose(camera, scale, asked=presses, seed=seed)
+    elif presses != session.state.asked:
+        say(
+            f"{session.folder} was begun for {session.state.asked} presses, which stays; begin {presses} in "
+            "another folder",
+            err=True,
+        )
 
 
 def _open_page(folder: Path, port: int) -> None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +23,7 @@ from palpate.core import (
     PathText,
     Progress,
     RecordingError,
+    lock,
     new_file,
     plain_name,
     silent,
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
 STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
 STATE, RUN, CALIBRATION, UNTOUCHED = "start.json", "presses", "calibration", "untouched.png"
+LOCK = ".start.lock"
 PRESSES = 40
 MIN_TO_LEARN = 10
 """Presses that a calibration takes at least: fewer promise no interval of 90 % for the next one."""
@@ -120,6 +123,22 @@ class StartSession:
     def untouched(self) -> Path:
         """Image of the untouched sensor."""
         return self.folder / UNTOUCHED
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other processes from going through the steps of this session meanwhile.
+
+        Raises:
+            RecordingError: another goes through them.
+            StorageError: the folder cannot be written.
+        """
+        path = self.folder / LOCK
+        with storage_errors(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        with lock(path):
+            self.state = self._read()  # what another has done since it was read
+            yield
 
     def choose(
         self, camera: str, scale: str, *, sensor: str = "", asked: int = PRESSES, seed: int = 0

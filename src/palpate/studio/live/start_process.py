@@ -17,11 +17,14 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from palpate.core import PalpateError
 from palpate.studio.library.file_routes import jpeg_bytes
 from palpate.studio.library.job_process import JobVoice
+
+if TYPE_CHECKING:
+    from palpate.workflows.start_session import StartSession
 
 PICTURE_S = 0.35  # between two pictures that are told
 PICTURE_PX = 480
@@ -119,6 +122,11 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
     from palpate.workflows.start_session import StartSession
 
     session = StartSession(words.folder)
+    with session.held():
+        return _through_steps(session, words, voice)
+
+
+def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
     chosen = (session.state.camera, session.state.scale)
     if session.step == "camera" or chosen != (words.camera, words.scale):
         session.choose(words.camera, words.scale, asked=words.presses, seed=words.seed)
