@@ -14,7 +14,16 @@ from palpate.core import ExistsError, ImageError, InputError, ManualClock, Pose,
 from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
-from palpate.sensors.palm.copies.palm_copy import TERMS, PalmCopy, PicturedPress, Widening, designed_copy
+from palpate.sensors.palm.copies import palm_weight
+from palpate.sensors.palm.copies.palm_copy import (
+    TERMS,
+    CopyFit,
+    PalmCopy,
+    PicturedPress,
+    PressFound,
+    Widening,
+    designed_copy,
+)
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press
 from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
 from palpate.sensors.palm.copies.palm_weight import check_weight
@@ -125,6 +134,22 @@ def test_a_known_weight_sees_what_has_drifted(fitted, modulus, coefficient, drif
     assert check.force_n == pytest.approx(2.0)
     assert math.log1p(check.modulus_change) == pytest.approx(math.log(modulus), abs=0.04)
     assert math.log1p(check.coefficient_change) == pytest.approx(math.log(coefficient), abs=0.04)
+    assert check.read_n == pytest.approx(2.0 * coefficient, rel=0.05)
+
+
+@pytest.mark.parametrize(("modulus", "coefficient", "read_n"), [(1.0, 1.15, 2.3), (1.15, 1.0, 2.0)])
+def test_a_weight_is_read_as_more_by_as_much_as_the_coefficient_has_grown_and_not_by_the_modulus(
+    monkeypatch, modulus: float, coefficient: float, read_n: float
+) -> None:
+    calibrated, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
+    terms = calibrated.terms.copy()
+    terms[:2] += math.log(modulus), math.log(modulus * coefficient)
+    found = PressFound(0.0, 0.0, 2e-3, 2.0, 1e-5, 1e-5, 1e-5, 0.01, 0.004)
+    moved = CopyFit(replace(calibrated, terms=terms), (found,), ())
+    monkeypatch.setattr(palm_weight, "fit_copy", lambda *_: moved)
+    check, _ = check_weight(calibrated, picture, picture, 2.0 / GRAVITY_M_S2)
+    assert check.read_n == pytest.approx(read_n)
+    assert check.coefficient_change == pytest.approx(coefficient - 1)
 
 
 def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:

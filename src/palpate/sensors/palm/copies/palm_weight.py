@@ -26,7 +26,7 @@ class WeightCheck:
 
     Attributes:
         force_n: of the weight [N].
-        read_n: that the calibration reads from the picture [N].
+        read_n: that the picture tells by the calibration's C, whatever E is [N].
         modulus_change, coefficient_change: of E and C since the calibration, as shares.
         modulus_deviations, coefficient_deviations: the same in standard deviations.
     """
@@ -69,12 +69,12 @@ def check_weight(
     known = forgotten(calibrated)
     found = fit_copy(known, [PicturedPress(image, reference, force_n, WEIGHT_SHARE)], progress)
     before, now = calibrated.terms[:2], found.copy.terms[:2]
-    read_n = found.presses[0].force_n * math.exp(float(before[1] - now[1]))
     towards = np.array([[1.0, 0.0], [-1.0, 1.0]])  # ln E, ln C
     change = towards @ (now - before)
     spread = towards @ (calibrated.covariance[:2, :2] + found.copy.covariance[:2, :2]) @ towards.T
     deviations = change / np.sqrt(np.diag(spread) + FLOOR**2)
     shares = np.expm1(change)
+    read_n = found.presses[0].force_n * math.exp(float(change[1]))  # E C is seen, and C is taken as it was
     return WeightCheck(
         force_n, read_n, float(shares[0]), float(shares[1]), float(deviations[0]), float(deviations[1])
     ), found
