@@ -278,3 +278,11 @@ def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
             pass
     with second.held():
         assert second.state == first.state  # not as it was when the second read it
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_draw_of_presses_that_were_all_learnt_from_is_left_out_without_a_word() -> None:
+    errors = np.array([[np.nan, 0.8, 0.8], [0.4, np.nan, 0.4], [np.nan, np.nan, 0.2]])
+    curve = curve_of(np.array([4, 8, 16]), errors, 16)
+    assert curve.mae == pytest.approx((0.8, 0.4, 0.2))
+    assert np.isfinite(curve.expected).all()

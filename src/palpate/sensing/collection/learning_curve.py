@@ -109,8 +109,9 @@ def curve_of(presses: np.ndarray, errors: np.ndarray, have: int, *, seed: int = 
 
     def means(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         sizes = np.unique(presses)
-        each = np.array([np.nanmean(errors[presses == n][:, columns]) for n in sizes])
-        return sizes, each
+        scored = [errors[presses == n][:, columns] for n in sizes]
+        scored = [part[np.isfinite(part)] for part in scored]
+        return sizes, np.array([part.mean() if len(part) else math.nan for part in scored])
 
     rng, every = np.random.default_rng(seed), np.arange(errors.shape[1])
     sizes, mae = means(every)
