@@ -447,3 +447,10 @@ def test_a_differential_calibration_says_that_it_needs_a_zero(
 def test_a_source_that_cannot_be_opened_is_refused_at_once(tmp_path) -> None:
     with pytest.raises(InputError, match="not there"):
         live(camera=tmp_path / "none.avi")
+
+
+def test_frames_that_a_driver_hands_over_together_tell_no_rate() -> None:
+    kept, now_ns = StatisticsKeeper(), time.monotonic_ns()
+    for k in range(5):
+        kept.arrived(now_ns + 40_000 * k, 0, 0)
+    assert kept.now().rate_hz is None

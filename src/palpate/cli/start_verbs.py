@@ -231,7 +231,14 @@ def start(
             session.train(progress)
     found = session.to_dict()
     curve = (session.state.trained.get("curve") or {}).get("text", "")
-    lines = [session.state.collected.get("text", ""), session.sentence, curve, "The same by commands:"]
+    simulated = "Simulated, not measured:" if session.state.camera.startswith("virtual:") else ""
+    lines = [
+        session.state.collected.get("text", ""),
+        simulated,
+        session.sentence,
+        curve,
+        "The same by commands:",
+    ]
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
 

@@ -358,7 +358,7 @@ class LiveLoop(Closing):
 
     def _arrive(self, frame: LiveFrame, source: LiveSource) -> None:
         self._last_arrival_s = time.monotonic()
-        if self._state is not LiveState.LIVE:
+        if self._state not in (LiveState.LIVE, LiveState.FAILED):
             self._state, self._why = LiveState.LIVE, ""
         replaced = self._frames.put(frame, wait=source.waits)
         self._kept.arrived(frame.arrived_ns, frame.lost, int(replaced))
@@ -383,7 +383,8 @@ class LiveLoop(Closing):
                 self._faults.append(str(e))
 
     def _end(self, state: LiveState, why: str) -> None:
-        self._state, self._why = state, why
+        if self._state is not LiveState.FAILED:  # the other thread's end does not hide why
+            self._state, self._why = state, why
         self._frames.end()
 
     # The thread that reads them.

@@ -14,6 +14,7 @@ from palpate.core import NS_PER_S, Float
 
 Percentiles = tuple[float | None, float | None, float | None]
 KEPT = 1000  # latencies of which percentiles are told: half a minute at 30 frames a second
+MIN_SPAN_S = 0.2  # of arrivals that tell a rate
 RATE_S = 5.0  # over which a rate is told
 SILENT_S = 1.0  # without a frame, and two periods, after which the silence counts in the rate
 KEPT_ARRIVALS = 2048  # five seconds at 400 frames a second
@@ -94,8 +95,8 @@ def _percentiles_ms(latencies_ns: Float[np.ndarray, " n"]) -> Percentiles:
 
 def _rate_hz(arrivals_ns: list[int], now_ns: int) -> float | None:
     recent = [at for at in arrivals_ns if now_ns - at <= RATE_S * NS_PER_S]
-    if len(recent) < 2 or recent[-1] <= recent[0]:
-        return None
+    if len(recent) < 2 or recent[-1] - recent[0] < MIN_SPAN_S * NS_PER_S:
+        return None  # a driver's first frames come together
     rate_hz = (len(recent) - 1) * NS_PER_S / (recent[-1] - recent[0])
     silent_s = (now_ns - recent[-1]) / NS_PER_S
     if silent_s > max(SILENT_S, 2 / rate_hz):
