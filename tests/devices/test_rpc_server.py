@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -14,7 +16,7 @@ from typing import Any
 import pytest
 
 from palpate.core import DeviceError
-from palpate.devices.rpc import Address, encode_message, publish
+from palpate.devices.rpc import Address, encode_message, publish, running
 from palpate.devices.rpc_client import RpcClient
 from palpate.devices.rpc_server import ANSWERED_S, RpcServer
 
@@ -60,3 +62,17 @@ def test_a_client_that_reads_nothing_holds_up_no_end(tmp_path) -> None:
             assert time.monotonic() - begun_s < ANSWERED_S + 1.0
         with pytest.raises(DeviceError):
             client.ask("much")
+
+
+def test_processes_that_run_are_named_by_their_prefix_and_those_that_are_gone_are_not(tmp_path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    for name, pid in (
+        ("live b", os.getpid()),
+        ("live a", os.getpid()),
+        ("rig", os.getpid()),
+        ("live c", gone.pid),
+    ):
+        publish(Address(name, 1, "token", pid), tmp_path)
+    (tmp_path / "devices-broken.json").write_text("[]")
+    assert running("live ", tmp_path) == ["live a", "live b"]

@@ -105,11 +105,35 @@ def find(name: str, folder: Path | None = None) -> Address | None:
     That there is a file does not mean that there is a process: one that was killed leaves it behind.
     """
     try:
-        data = path_of(name, folder).read_bytes()[:_MAX_BYTES]
-        fields = json.loads(data)
-        return Address(str(fields["name"]), int(fields["port"]), str(fields["token"]), int(fields["pid"]))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, PalpateError):
+        return _read_address(path_of(name, folder))
+    except PalpateError:
         return None
+
+
+def running(prefix: str, folder: Path | None = None) -> list[str]:
+    """Names that begin so, of processes that are alive, in order."""
+    found = [_read_address(path) for path in folder_of(folder).glob("devices-*.json")]
+    return sorted({one.name for one in found if one and one.name.startswith(prefix) and _is_alive(one.pid)})
+
+
+def _read_address(path: Path) -> Address | None:
+    try:
+        fields = json.loads(path.read_bytes()[:_MAX_BYTES])
+        return Address(str(fields["name"]), int(fields["port"]), str(fields["token"]), int(fields["pid"]))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _is_alive(pid: int) -> bool:
+    if pid <= 0 or os.name != "posix":  # elsewhere there is no asking without a signal
+        return pid > 0
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
 ASKED_BYTES = 256 * 1024

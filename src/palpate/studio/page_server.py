@@ -163,9 +163,10 @@ def add_pages(parts: StudioParts) -> None:
 
     @ui.page("/live", title="Live · palpate")
     def live_page(request: Request) -> None:
+        from palpate.studio.live.live_desk import running_sensors
         from palpate.studio.live.live_page import LivePage
 
-        names = list(dict.fromkeys(request.query_params.getlist("sensor")))
+        names = list(dict.fromkeys(request.query_params.getlist("sensor"))) or running_sensors()
         LivePage(parts.workspace, parts.lives, names)
 
     @ui.page("/rig", title="Indentation rig · palpate")

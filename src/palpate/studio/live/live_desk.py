@@ -17,6 +17,7 @@ from palpate.core import Closing, InputError, PalpateError
 SPAN_S = 20.0
 """Length of what is plotted [s]."""
 MAX_SAMPLES = 1200
+PREFIX = "live "  # of the names of their processes
 MAX_SENSORS = 8
 MAX_NAME = 200
 LISTEN_S = 0.04  # between two looks at what was told
@@ -99,6 +100,13 @@ def connect_live(name: str) -> LiveConnection:
     from palpate.sensing.live_client import LiveClient
 
     return LiveClient(name)
+
+
+def running_sensors() -> list[str]:
+    """Names of this user's live sensors that run, by whichever page they were begun."""
+    from palpate.devices.rpc import running
+
+    return running(PREFIX)[:MAX_SENSORS]
 
 
 def launch_sensor(name: str, options: Mapping[str, Any]) -> None:
