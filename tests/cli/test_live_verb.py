@@ -180,6 +180,13 @@ def test_who_ends_it_leaves_run_and_log_whole(spots, tmp_path, name) -> None:
 
 
 @pytest.mark.slow
+def test_a_source_that_ends_without_a_frame_is_no_success() -> None:
+    with started(["--camera", "-"], stdin=subprocess.DEVNULL) as process:
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert b"ended without a frame" in said
+
+
 def test_a_closed_pipe_ends_it_without_a_trace(spots) -> None:
     words = ["--camera", str(spots[2]), "--paced", "--json"]
     with started(words, stdin=subprocess.DEVNULL) as process:

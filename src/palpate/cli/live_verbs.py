@@ -107,6 +107,11 @@ def live(
             _close(sensor)
     for sensor in sensors:
         say(sensor.summary(), err=True)
+    if all(sensor.is_over_and_empty() for sensor in sensors):
+        from palpate.core.errors import InputError
+
+        names = ", ".join(sensor.live.loop.name for sensor in sensors)
+        raise InputError(f"{names} ended without a frame; nothing was read")
 
 
 class ShownSensor:
@@ -153,14 +158,19 @@ class ShownSensor:
         counts = f"{s.frames} frames, {s.dropped} dropped, {s.lost} lost"
         counts += f", {s.broken} broken" if s.broken else ""
         times = ""
-        if s.rate_hz is not None and s.p50_ms is not None:
-            times = f"; {s.rate_hz:.1f} Hz, {s.p50_ms:.1f} / {s.p95_ms:.1f} / {s.p99_ms:.1f} ms (p50/p95/p99)"
+        if s.p50_ms is not None:
+            rate = "" if s.rate_hz is None else f"{s.rate_hz:.1f} Hz, "
+            times = f"; {rate}{s.p50_ms:.1f} / {s.p95_ms:.1f} / {s.p99_ms:.1f} ms (p50/p95/p99)"
         kept = ""
         if self.recorder is not None:
             unkept = f" ({self.recorder.dropped} frames left out)" if self.recorder.dropped else ""
             kept = f"; recorded in {self.recorder.path}{unkept}"
         faults = "".join(f"; {fault}" for fault in loop.faults)
         return f"{loop.name}: {counts}{times}{kept}{faults}"
+
+    def is_over_and_empty(self) -> bool:
+        """Whether its source has ended by itself, and gave no frame."""
+        return self.live.loop.state.value == "ended" and not self.live.stats.frames
 
     def to_dict(self, reading: LiveReading) -> dict[str, Any]:
         """One object for a line of JSON."""
