@@ -133,7 +133,7 @@ def test_a_plug_in_that_ends_the_process_is_told_and_no_success(monkeypatch: pyt
 
 
 def test_a_path_that_is_not_there_is_told_as_one_for_runs_and_images(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="is not there; give an image, a folder of images or a run"):
+    with pytest.raises(ImageError, match="is not there; give an image, a folder of images, a run or a video"):
         open_source(tmp_path / "run")
 
 

@@ -87,6 +87,10 @@ def test_a_second_signal_does_not_cut_short_the_stop_that_the_first_began(name: 
             os.kill(os.getpid(), asked)
             ended.append(True)
 
+    kept = signal.signal(
+        asked, signal.default_int_handler
+    )  # nohup, under which tests may run, has one ignored
     with stopped_by_signals(), pytest.raises(KeyboardInterrupt):
         stop_twice()
+    signal.signal(asked, kept)
     assert ended

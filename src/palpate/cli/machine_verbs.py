@@ -18,7 +18,7 @@ def cameras(
     all_: Annotated[bool, Option("--all", help="Tell every size and rate, and a udev rule.")] = False,
     json_: Json = False,
 ) -> None:
-    """List this machine's cameras: name, serial number, path, sizes, rates, use.
+    """List the cameras of this machine: sizes, rates, and who uses them.
 
     Example: palpate cameras
     """
@@ -31,7 +31,7 @@ def cameras(
 
 
 def doctor(json_: Json = False) -> None:
-    """Look at what palpate needs and may use here, and say how each is mended.
+    """Look this machine over, and say how what is missing is mended.
 
     Ends with status 1 where something that is needed is broken.
 

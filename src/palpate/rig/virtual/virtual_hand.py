@@ -341,7 +341,7 @@ class VirtualHand:
         >>> hand = VirtualHand("tactip", clock=ManualClock())
         >>> time_ns, frame = hand.camera.grab()
         >>> frame.image.shape
-        (300, 300, 3)
+        (300, 300)
         >>> hand.close()
     """
 
