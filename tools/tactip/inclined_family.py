@@ -67,8 +67,9 @@ class InclinedFamily:
         return self._made(lift_n=FORCES_N, knots_rad=self._knots_rad, **columns)
 
     def _made(self, **columns: Any) -> Inclined:
-        # of the contact itself a press asks the tip's radius alone
-        contact: Any = SimpleNamespace(tip=SimpleNamespace(radius_m=self.spec.table.radius_m))
+        # of the contact itself a press asks the tip's radius and the friction alone
+        tip = SimpleNamespace(radius_m=self.spec.table.radius_m)
+        contact: Any = SimpleNamespace(tip=tip, friction=self.spec.friction)
         return Inclined(contact, self.spec.inner_radius_m, **columns)
 
     def _softness(self, kappa_n_m: float) -> float:
