@@ -170,3 +170,23 @@ def test_earlier_presses_are_told_while_others_add_to_them() -> None:
 def test_forces_beyond_the_skins_law_are_refused() -> None:
     with pytest.raises(InputError, match="known from 0 to"):
         VirtualHand("tactip", clock=ManualClock(), habits=HandHabits(force_n=(1.0, 50.0)))
+
+
+def test_a_hand_that_feels_a_body_presses_it_head_on_to_where_bodies_are_compared():
+    hand = VirtualHand("tactip", seed=3, clock=ManualClock(), indenter="S3=1.1")
+    assert hand.world.specimen is not None
+    hand.clock.sleep(8.0)
+    hand.force.drain()
+    press = hand.world.presses[0]
+    assert 4.5 < press.force_n <= 5.0
+    assert (press.x_m, press.y_m) == (0.0, 0.0)
+    rigid = VirtualHand("tactip", seed=3, clock=ManualClock(), indenter="rigid")
+    soft, hard = (
+        float(np.interp(4.7, one.world._skin.law.force_n, one.world._skin.law.depth_m))
+        for one in (hand, rigid)
+    )
+    assert soft - hard == pytest.approx(4.7 / 1.1e3, rel=0.02)  # by which a body of 1.1 N/mm gives way
+    for one in (hand, rigid):
+        one.close()
+    with pytest.raises(InputError):
+        VirtualHand("tactip", clock=ManualClock(), indenter="no such body")

@@ -1,7 +1,6 @@
 """Recordings, calibrations and trials in a browser: listed, opened by address, played, noted on, split."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -11,10 +10,8 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio import devtools
+from tests.studio.page_driving import opened, serving, weak_texts, wider_than
 from tests.studio.small_run import write_small_run
-from tests.studio.test_page_for_everybody import CONTRASTS
-from tests.studio.test_page_security import Served
 
 from palpate.recordings.run_notes import read_notes
 
@@ -49,29 +46,8 @@ def workspace(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def served(workspace):
-    os.environ["WORKSPACE"] = str(workspace)
-    served = Served()
-    del os.environ["WORKSPACE"]
-    yield served
-    served.close()
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
-
-
-def opened(browser, served, path, size=(1280, 900), scheme="light"):
-    tab = browser.open("about:blank", size=size)
-    tab.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-    tab.go(f"http://127.0.0.1:{served.port}{path}")
-    tab.wait("!!document.querySelector('main .card h2')", MAX_S)
-    tab.front()
-    return tab
+    with serving(workspace) as served:
+        yield served
 
 
 def seek(tab, index):
@@ -152,10 +128,8 @@ def test_text_stands_out_on_every_page_and_nothing_is_cut_off(browser, served, s
     for name, path in PAGES.items():
         tab = opened(browser, served, path, size, scheme)
         time.sleep(1.0)
-        texts = tab.run(CONTRASTS)
-        weak = [one for one in texts if one[1] < (3.0 if one[2] else 4.5)]
-        assert weak == [], name
-        assert tab.run("document.documentElement.scrollWidth") <= size[0], name
+        assert weak_texts(tab) == [], name
+        assert wider_than(tab) <= size[0], name
         cut = tab.run(
             "[...document.querySelectorAll('.card *')].filter((e) => e.scrollWidth > e.clientWidth + 1 && "
             "getComputedStyle(e).overflowX === 'hidden').map((e) => e.className)"
@@ -178,32 +152,17 @@ def test_the_theme_is_chosen_by_a_switch_and_kept(browser, served):
 
 
 def test_the_emergency_stop_works_from_every_page(browser, served):
-    for path in ("/", "/recordings", "/calibrations", "/trials", "/softness", "/rig"):
-        tab = browser.open(f"http://127.0.0.1:{served.port}{path}")
-        tab.wait("!!document.querySelector('#estop')", MAX_S)
-        tab.front()
+    for path in ("/", "/live", "/recordings", "/calibrations", "/trials", "/softness", "/rig"):
+        tab = opened(browser, served, path, until="!!document.querySelector('#estop')")
         tab.key("Escape", 27)
         assert served.process.stdout.readline().strip() == "estop", path
 
 
 def test_an_empty_workspace_says_what_to_do(browser, tmp_path):
-    os.environ["WORKSPACE"] = str(tmp_path)
-    served = Served()
-    del os.environ["WORKSPACE"]
-    try:
+    with serving(tmp_path) as served:
         empty = {"recordings": "runs", "calibrations": "calibrations", "trials": "experiments"}
         for path, what in empty.items():
-            words = f"No {what} yet"
-            opened(browser, served, f"/{path}").wait(
-                f"document.body.innerText.includes({json.dumps(words)})", MAX_S
-            )
-        tab = opened_any(browser, served, "/recordings?run=..%2F..%2Fetc")
-        tab.wait("document.body.innerText.includes('is nothing in the workspace')", MAX_S)
-    finally:
-        served.close()
-
-
-def opened_any(browser, served, path):
-    tab = browser.open(f"http://127.0.0.1:{served.port}{path}")
-    tab.front()
-    return tab
+            says = f"document.body.innerText.includes({json.dumps(f'No {what} yet')})"
+            opened(browser, served, f"/{path}", until=says)
+        nothing = "document.body.innerText.includes('is nothing in the workspace')"
+        opened(browser, served, "/recordings?run=..%2F..%2Fetc", until=nothing)

@@ -1,5 +1,6 @@
 """Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
+import math
 import re
 import sys
 import time
@@ -9,9 +10,16 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 from palpate.core import DeviceError, InputError
-from palpate.studio.live.live_desk import MAX_SENSORS, SPAN_S, LiveDesk, LiveSample, LiveSensor
-from palpate.studio.live.live_drawing import overlay_svg, place_svg, reading_svg
-from palpate.studio.live.live_page import facts_html, head_html, live_address, values_html
+from palpate.studio.live.live_desk import (
+    MAX_SENSORS,
+    SPAN_S,
+    LiveDesk,
+    LiveSample,
+    LiveSensor,
+    edge_readings,
+)
+from palpate.studio.live.live_drawing import lateral_motion, overlay_svg, place_svg, reading_svg, strain_svg
+from palpate.studio.live.live_page import facts_html, head_html, live_address, softness_html, values_html
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.live.start_page import collected_html, coverage_html, result_html, steps_html
 
@@ -200,6 +208,98 @@ def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert live_address([]) == "/live"
     assert overlay_svg({"centre_px": [10.0, 20.0]}, (400, 300)).count("<circle") == 2
     assert overlay_svg(None, (400, 300)) == ""
+
+
+def test_lengths_and_angles_are_shown_in_mm_and_degrees_with_all_that_surrounds_them():
+    found = edge_readings(
+        {
+            "x_m": reading(0.011, 0.001, unit="m", limits=(-0.02, 0.02)),
+            "edge_rad": reading(None, valid=False, unit="rad", limits=(0.0, 3.141592653589793)),
+            "force_N": reading(1.0),
+        }
+    )
+    assert list(found) == ["x_mm", "edge_degrees", "force_N"]
+    x = found["x_mm"]
+    assert [x["value"], x["low"], x["high"], *x["range"]] == pytest.approx([11.0, 10.0, 12.0, -20.0, 20.0])
+    assert found["edge_degrees"]["value"] is None
+    assert found["edge_degrees"]["range"] == pytest.approx([0.0, 180.0])
+    assert found["force_N"] == reading(1.0)
+
+
+def arrows(moves, times=2.0):
+    """An overlay of marks on a circle that moved so [px]."""
+    at = [(100.0 + 50 * math.cos(k), 100.0 + 50 * math.sin(k)) for k in range(len(moves))]
+    shapes = [
+        {"role": "mark", "start": list(p), "end": [p[0] + times * m[0], p[1] + times * m[1]]}
+        for p, m in zip(at, moves, strict=True)
+    ]
+    return {"lines": [], "dots": [], "arrows": shapes, "arrow_times": times}
+
+
+def test_marks_pushed_to_one_side_have_a_motion_and_marks_spread_apart_have_none():
+    _, moved = lateral_motion(arrows([(3.0, -1.0)] * 12))
+    assert moved == pytest.approx((3.0, -1.0))
+    turns = [2 * math.pi * k / 12 for k in range(12)]
+    _, spread = lateral_motion(arrows([(4 * math.cos(a), 4 * math.sin(a)) for a in turns]))
+    assert spread == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert lateral_motion(arrows([(3.0, 0.0)] * 3)) is None
+    assert lateral_motion(None) is None
+
+
+def test_a_contact_is_outlined_and_marks_have_arrows_over_the_picture():
+    outline = {"role": "region", "points": [[10, 10], [30, 10], [20, 30]]}
+    skin = {"role": "skin", "points": [[0, 0], [400, 0], [400, 300], [0, 300]]}
+    shapes = arrows([(3.0, 0.0)] * 5) | {
+        "lines": [skin, outline],
+        "dots": [{"role": "centre", "at": [20, 15]}],
+    }
+    svg = overlay_svg({"overlay": shapes, "centre_px": [20.0, 15.0]}, (400, 300))
+    assert svg.count('points="10.0,10.0 30.0,10.0 20.0,30.0"') == 2  # seen on dark pictures and bright ones
+    assert "400.0,0.0" not in svg
+    assert svg.count("<path") == 5 + 2 + 2  # arrows, the cross at the centre, the mean motion
+    assert "<circle" not in svg
+
+
+STRAIN = {"dots": [[10.0, 20.0, 0.4], [30.0, 20.0, 0.1]], "greatest": 0.4, "spacing_px": 20.0,
+          "contacts": [[10.0, 20.0]], "shift": None}  # fmt: skip
+
+
+def test_the_greater_the_shear_the_larger_its_dot_and_contacts_have_crosses():
+    svg = strain_svg(STRAIN, (400, 300))
+    large, small = (float(r) for r in re.findall(r'<circle [^>]*r="([\d.]+)"', svg))
+    assert large == pytest.approx(2 * small)  # by area, as 0.4 is to 0.1
+    assert "greatest shear 0.40, 1 contacts" in svg
+    assert svg.count("<path") == 1
+    moved = STRAIN | {"shift": {"start": [10, 20], "end": [40, 20], "times": 10.0, "mm": 0.2}}
+    assert strain_svg(moved, (400, 300)).count("<path") == 2
+    assert strain_svg(None, (400, 300)) == ""
+    unread = {"dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
+    assert "could not be read" in strain_svg(unread, (400, 300))
+
+
+def pressed(number, valid=True, why="", **changed):
+    kappa = {"quantity": "stiffness", "value": 7.9, "low": 5.4, "high": 13.4, "unit": "N_per_mm"}
+    kappa |= {"valid": valid, "why": "" if valid else "beyond the <range>"}
+    readings = [] if why else [kappa]
+    return {"press": number, "readings": readings, "why": why, "frames": 31, "force_N": 4.9, **changed}
+
+
+def test_softness_is_told_of_each_press_with_its_interval_its_lamp_and_its_reason():
+    told = softness_html({"calibration": "c", "presses": [pressed(2), pressed(1, valid=False)], "why": ""})
+    assert "press 2, to 4.90 N, 31 frames" in told
+    assert "N/mm" in told
+    assert "±" in told
+    assert "● </i> valid" in told or "●</i> valid" in told
+    assert "press 1 7.90 N/mm (not valid)" in told
+    doubtful = softness_html({"presses": [pressed(1, valid=False)]})
+    assert "✕</i> not valid" in doubtful
+    assert "beyond the &lt;range&gt;" in doubtful
+    unread = softness_html({"presses": [pressed(1, why="press <more> slowly")]})
+    assert "✕</i> not read" in unread
+    assert "press &lt;more&gt; slowly" in unread
+    assert "No press has ended yet" in softness_html({"presses": []})
+    assert "no force sensor" in softness_html({"presses": [], "why": "no force sensor"})
+    assert softness_html(None) == ""
 
 
 COVERAGE = {

@@ -1,6 +1,5 @@
 """Sensors read live in a browser: begun, found again by the address, alive without the pages' server."""
 
-import os
 import time
 
 import pytest
@@ -8,17 +7,18 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio import devtools
+from tests.studio.page_driving import DESK, PHONE, choose, opened, serving, weak_texts, wider_than
 from tests.studio.small_run import write_small_run
-from tests.studio.test_page_for_everybody import CONTRASTS
-from tests.studio.test_page_security import Served
+from tests.virtual_presses import KAPPA_N_M, references
 
-from palpate.devices.rpc import find
+from palpate.calibration.compliance.compliance_calibration import calibrate_compliance
 from palpate.sensing.live_client import LiveClient
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import specimens_at
 
-pytestmark = pytest.mark.slow
-MAX_S = 120.0
-PALM = "live virtual:palm"
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+MAX_S, LONG_S = 120.0, 300.0
+PALM, NUSENSE, TIP = "live virtual:palm", "live virtual:nusense", "live virtual:tactip/S1=7.6"
 
 
 @pytest.fixture(scope="module")
@@ -27,29 +27,18 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def served(folder):
+def workspace(folder):
     write_small_run(folder / "ws" / "runs" / "one")
-    kept = {name: os.environ.get(name) for name in ("WORKSPACE", "XDG_RUNTIME_DIR")}
-    os.environ |= {"WORKSPACE": str(folder / "ws"), "XDG_RUNTIME_DIR": str(folder)}
-    served = Served()
-    for name, value in kept.items():
-        os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
-    yield served
-    served.close()
-    for name in (PALM,):
-        if find(name, folder / "palpate") is not None:
-            with LiveClient(name, folder / "palpate") as client:
-                if client.reached(5.0):
-                    client.shutdown()
+    spec = tactip()
+    given = references(spec, specimens_at(spec, KAPPA_N_M), 2, 7000, rendered=False)
+    calibrate_compliance(given, note="virtual").save(folder / "ws" / "tip.npz")
+    return folder / "ws"
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
+@pytest.fixture
+def served(folder, workspace):
+    with serving(workspace, folder, (PALM, NUSENSE, TIP)) as served:
+        yield served
 
 
 def test_a_sensor_is_begun_found_again_by_its_address_and_outlives_the_server(browser, served, folder):
@@ -72,21 +61,47 @@ def test_a_sensor_is_begun_found_again_by_its_address_and_outlives_the_server(br
     assert tab.said == []
 
 
-def test_text_stands_out_on_the_page_of_live_sensors(browser, folder):
-    os.environ["WORKSPACE"] = str(folder / "ws")
-    served = Served()
-    del os.environ["WORKSPACE"]
-    try:
-        for size in ((390, 844), (1280, 900)):
-            for scheme in ("light", "dark"):
-                tab = browser.open("about:blank", size=size)
-                media = [{"name": "prefers-color-scheme", "value": scheme}]
-                tab.send("Emulation.setEmulatedMedia", features=media)
-                tab.go(f"http://127.0.0.1:{served.port}/live?sensor=live%20nobody")
-                tab.wait("document.body.innerText.includes('cannot be reached')", MAX_S)
-                tab.front()
-                weak = [one for one in tab.run(CONTRASTS) if one[1] < (3.0 if one[2] else 4.5)]
-                assert weak == []
-                assert tab.run("document.documentElement.scrollWidth") <= size[0]
-    finally:
-        served.close()
+def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
+    for size in (PHONE, DESK):
+        for scheme in ("light", "dark"):
+            tab = opened(browser, served, "/live?sensor=live%20nobody", size, scheme)
+            tab.wait("document.body.innerText.includes('cannot be reached')", MAX_S)
+            assert weak_texts(tab) == []
+            assert wider_than(tab) <= size[0]
+
+
+def test_a_nusense_shows_its_strain_its_contacts_and_what_is_not_valid_without_colour(browser, served):
+    tab = opened(browser, served, "/live")
+    choose(tab, "#live-source", "virtual NUSense")
+    tab.wait("document.querySelector('#live-calibration').value?.includes('marks of a NUSense')", MAX_S)
+    tab.press("#live-begin")
+    tab.wait("document.querySelector('.strain svg desc')?.textContent.includes('1 contacts')", LONG_S)
+    assert tab.run("document.querySelectorAll('.strain circle').length") > 10
+    assert tab.run("document.querySelectorAll('.strain svg path').length") >= 1  # the contact's cross
+    words = tab.run("document.querySelector('.values').innerText")
+    assert "● valid" in words
+    assert "gamma" in words
+    assert " mm" in words
+    tab.wait("document.querySelector('.values').innerText.includes('✕ not valid')", MAX_S)
+    for size in (PHONE, DESK):
+        tab.resize(*size)
+        time.sleep(1.0)
+        assert wider_than(tab) <= size[0]
+        assert weak_texts(tab) == []
+    assert tab.said == []
+
+
+def test_a_tactip_on_a_body_tells_its_softness_as_each_press_ends(browser, served):
+    tab = opened(browser, served, "/live")
+    choose(tab, "#live-source", "TacTip on a body of 7.6")
+    choose(tab, "#live-tip", "tip.npz")
+    tab.press("#live-begin")
+    tab.wait("document.querySelector('.softness')?.innerText.includes('No press has ended')", MAX_S)
+    found = "document.querySelector('.softness .value:not(.invalid)')?.innerText"
+    told = tab.wait(f"/κ/.test({found} ?? '') && {found}", LONG_S)
+    assert "N/mm" in told
+    assert "valid" in told
+    kappa = float(told.split("\n")[1].split()[0])
+    assert 5.3 < kappa < 12.0  # 7.6 N/mm, with an interval of 5.4 to 13.4 there
+    tab.wait("!!document.querySelector('.live .camera svg polygon')", MAX_S)  # the contact's outline
+    assert tab.said == []

@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio import devtools
 from tests.studio.test_page_security import Served
 
 from palpate.studio import page_style
@@ -100,15 +99,6 @@ def test_both_themes_name_the_same_colours_and_text_stands_out_in_both():
             (text, ground) for text, ground in pairs if contrast(colours[text], colours[ground]) < BODY_TEXT
         ]
         assert weak == []
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
 
 
 SIZES = ((390, 844), (1200, 900))

@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio import devtools
 from tests.studio.test_page_security import Served
 
 from palpate.rig.service import RigService, open_served_rig
@@ -95,15 +94,6 @@ def until(service, holds):
             return ages
         time.sleep(0.05)
     raise AssertionError(f"it did not come about: {ages}")
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Whole sessions in the studio: recorded, calibrated, read live; two operators; a client that hangs."""
 
 import ast
-import json
 import os
 import re
 import socket
@@ -13,6 +12,7 @@ pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
 from tests.studio import devtools
+from tests.studio.page_driving import choose
 from tests.studio.test_page_security import Served
 from tests.studio.test_rig_page import (
     MAX_S,
@@ -31,15 +31,6 @@ LONG_S = 300.0
 SENSOR = "live virtual:palm"
 MAX_FIRST_S = 3.0
 """From when the server is up until a page shows its first picture, on a machine that is free [s]."""
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
 
 
 @pytest.fixture
@@ -88,16 +79,6 @@ def test_a_session_from_the_plan_to_a_report_and_live_newtons(browser, studio, t
     assert tab.said == []
     elsewhere = [url for url in tab.requested if f"127.0.0.1:{studio.port}" not in url]
     assert [url for url in elsewhere if not url.startswith(("data:", "about:", "blob:"))] == []
-
-
-def choose(tab, selector, words):
-    """Choose from a list by the words of one of its lines."""
-    tab.press(selector)
-    holds = f"i.innerText.includes({json.dumps(words)})"
-    line = f"[...document.querySelectorAll('.q-menu .q-item')].find((i) => {holds})"
-    tab.wait(f"!!{line}", MAX_S)
-    tab.run(f"{line}.click()")
-    tab.wait("!document.querySelector('.q-menu')", MAX_S)
 
 
 def test_two_browsers_cannot_both_move_the_rig_and_both_can_stop_it(browser, studio, tmp_path):

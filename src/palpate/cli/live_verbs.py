@@ -271,6 +271,7 @@ def _sensor(
 def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[None]:
     """Tell the stiffness of each press as it ends."""
     from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
+    from palpate.calibration.compliance.press_cues import UNITS
     from palpate.core.errors import InputError
     from palpate.sensing.streaming.live_presses import LivePress, PressReader, compliance_of
 
@@ -282,7 +283,7 @@ def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[
         )
 
     def told(press: LivePress) -> None:
-        words = [str(one) for one in press.readings] or [press.why]
+        words = [str(one.in_unit(UNITS[one.quantity])) for one in press.readings] or [press.why]
         say(json.dumps(press.to_dict()) if as_json else f"press {press.number}: {'; '.join(words)}")
 
     with PressReader(compliance_of(ComplianceCalibration.load(calibration)), told) as presses:

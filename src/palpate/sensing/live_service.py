@@ -21,7 +21,16 @@ from typing import Any
 
 import cv2
 
-from palpate.core import InputError, PalpateError, Readings, SafetyError, Wrench, plain_name
+from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
+from palpate.core import (
+    InputError,
+    MonotonicClock,
+    PalpateError,
+    Readings,
+    SafetyError,
+    Wrench,
+    plain_name,
+)
 from palpate.devices.device_status import Log, jpeg_of
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import Request, RpcServer, request_field
@@ -29,11 +38,16 @@ from palpate.recordings.exchange.image_files import read_image
 from palpate.sensing.live_loop import LiveLoop, LiveState
 from palpate.sensing.live_sources import HandFrames, LiveFrame, LiveSource, open_live_source
 from palpate.sensing.streaming.live_image import ImageWatch
-from palpate.sensing.streaming.live_readers import CalibrationReader, open_reader
+from palpate.sensing.streaming.live_presses import PressReader, compliance_of
+from palpate.sensing.streaming.live_readers import CalibrationReader, FrameReader, open_reader
 from palpate.sensing.streaming.live_recorder import LiveRecorder
+from palpate.sensing.streaming.strain_view import strain_view
+from palpate.sensing.streaming.touch_readers import ShearFrameReader, open_shear_reader
+from palpate.sensing.view_overlay import rounded_overlay
 
 LOOK_S = 0.2
 TAIL = 60  # lines of the log that are told
+TOLD_PRESSES = 5  # whose softness is told
 PICTURE_S = 0.08  # between two pictures: a page shows no more than a dozen a second
 SWITCH_S = 0.001  # between threads, so that a frame does not wait for what others compute
 
@@ -47,6 +61,9 @@ class LiveOptions:
         calibration: folder; "" for none.
         runs: folder that recordings go into; "" where none may be made.
         reference: image file of the untouched sensor; "" for none.
+        shear: sensor or file of a patterned skin, as `live` takes it: touch is read from its marks, by
+            `calibration` in newtons where that is one of `palpate force fit`.
+        compliance: calibration of a tip, an .npz: softness of each press as it ends; "" for none.
         zero: take the first frames as those of the untouched sensor; None does so of cameras alone.
         size_px, rate_hz, exposure_s, white_balance_k: of a USB camera; None for the usual.
         paced, repeat, idle_s, seed: as `open_live_source` takes them.
@@ -57,6 +74,8 @@ class LiveOptions:
     calibration: str = ""
     runs: str = ""
     reference: str = ""
+    shear: str = ""
+    compliance: str = ""
     zero: bool | None = None
     size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
@@ -129,14 +148,21 @@ class LiveService:
         self.name, self.options = name, options
         self._log = Log()
         self._asking = threading.RLock()  # calibration, record, collect: one after the other
-        self._reader: CalibrationReader | None = None
+        self._reader: FrameReader | None = None
+        self._presses: PressReader | None = None
+        self._strain: tuple[object, dict[str, Any]] | None = None
         self._recorder: LiveRecorder | None = None
         self._collector: Any = None
-        if options.calibration:
+        if options.calibration or options.shear:
             self._reader = self._opened_reader(options.calibration)
         self.loop = LiveLoop(self._opened_source, self._reader)
         self._watch = ImageWatch(self.loop)
         self.loop.subscribe(self._watch)
+        self._compliance = ""
+        if options.compliance:
+            tip = ComplianceCalibration.load(Path(options.compliance))
+            self._compliance, self._presses = tip.id, PressReader(compliance_of(tip))
+            self.loop.subscribe(self._presses)
         self._pictured_s = 0.0
         self._told: LiveState | None = None
 
@@ -156,8 +182,8 @@ class LiveService:
         with self._asking:
             self._reader = self._opened_reader(calibration) if calibration else None
             source = self.loop.source
-            if self._reader is not None and source is not None:
-                self._reader.attach(source)
+            if source is not None:
+                self._attach(source)
             self.loop.use(self._reader)
             self._log.add("operator", f"calibration {calibration or 'none'}")
             return {"calibration": None if self._reader is None else self._reader.id}
@@ -188,7 +214,12 @@ class LiveService:
 
         Args:
             request: "run", and where wanted "scale" ("beside" for the force sensor beside the camera, "typed"
-                for weights that are typed), "asked", "session", "region", "force_range_n".
+                for weights that are typed, else the serial port of a scale), "unit" (of that scale's lines
+                where they carry none, "g" by default), "asked", "session", "region", "force_range_n".
+
+        Raises:
+            InputError: a scale or a unit that there is none of.
+            DeviceError: the port cannot be opened.
         """
         with self._asking:
             self._check_free()
@@ -230,7 +261,9 @@ class LiveService:
             **found,
             "name": self.name,
             "camera": self.options.camera,
-            "image": self._watch.status(),
+            "image": self._image_status(),
+            "strain": self._strain_status(),
+            "compliance": self._press_status(),
             "record": None if recorder is None else {"run": str(recorder.path), "dropped": recorder.dropped},
             "collect": None if collector is None else collector.status,
             "log": self._log.tail(TAIL),
@@ -254,39 +287,85 @@ class LiveService:
                 if kept is not None:
                     kept.close()
             self._recorder = self._collector = None
+            if self._presses is not None:
+                self._presses.close()
 
-    def _opened_reader(self, calibration: str) -> CalibrationReader:
+    def _image_status(self) -> dict[str, Any] | None:
+        found, overlay = self._watch.status(), self._watch.overlay
+        if found is None or overlay is None or self.options.shear:  # its strain is drawn instead
+            return found
+        return found | {"overlay": rounded_overlay(overlay)}
+
+    def _strain_status(self) -> dict[str, Any] | None:
+        seen = self._reader.seen if isinstance(self._reader, ShearFrameReader) else None
+        if seen is None:
+            return None
+        if self._strain is None or self._strain[0] is not seen:  # once a frame, however often it is told
+            self._strain = seen, strain_view(*seen)
+        return self._strain[1]
+
+    def _press_status(self) -> dict[str, Any] | None:
+        """The last presses, the newest first; why there can be none."""
+        presses, source = self._presses, self.loop.source
+        if presses is None:
+            return None
+        why = ""
+        if source is not None and source.force is None:
+            why = f"there is no force sensor beside {source.name}, and stiffness needs one"
+        last = [one.to_dict() for one in list(presses.presses)[-TOLD_PRESSES:]]
+        return {"calibration": self._compliance, "presses": last[::-1], "why": why}
+
+    def _opened_reader(self, calibration: str) -> FrameReader:
         reference = read_image(self.options.reference) if self.options.reference else None
+        if self.options.shear:
+            return open_shear_reader(self.options.shear, calibration or None, reference=reference)
         return open_reader(calibration, reference=reference, threads=self.options.threads)
 
     def _opened_source(self) -> LiveSource:
         source = self.options.open()
-        if self._reader is not None:
-            self._reader.attach(source)
+        self._attach(source)
         wanted = self.options.zero
         by_itself = not source.waits and not self.options.reference and self.loop.untouched is None
         if by_itself if wanted is None else wanted and self.loop.untouched is None:
             self.loop.zero()
         return source
 
+    def _attach(self, source: LiveSource) -> None:
+        if isinstance(self._reader, CalibrationReader):
+            self._reader.attach(source)
+
     def _opened_collector(self, request: Mapping[str, Any]) -> Any:
+        from palpate.rig.real.scale import ScaleSpec, SerialScale
         from palpate.sensing.collection.plateau_finder import Weighing
         from palpate.sensing.collection.press_collector import PressCollector
+        from palpate.sensing.collection.scale_collector import ScaleCollector
 
         path, source = self._path(request_field(request, "run", (str,))), self._source()
         kind = request.get("scale", "beside")
-        if kind not in ("beside", "typed"):
-            raise InputError(f"scale {kind!r}; give 'beside' or 'typed'")
+        if not isinstance(kind, str) or not kind:
+            raise InputError(f"scale {kind!r}; give 'beside', 'typed', or the serial port of a scale")
         if kind == "beside" and source.force is None:
-            raise InputError(f"there is no force sensor beside {source.name}; type weights: scale 'typed'")
+            raise InputError(
+                f"there is no force sensor beside {source.name}; type weights: scale 'typed', or give the "
+                "serial port of a scale"
+            )
         options = {k: request[k] for k in ("asked", "session", "region", "force_range_n") if k in request}
         options |= {k: tuple(options[k]) for k in ("region", "force_range_n") if options.get(k) is not None}
         if isinstance(source, HandFrames):
             truths = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
             options |= {"truth": source.hand.truth, "truths": truths, "licence": "CC0-1.0"}
             options |= {"origin": "pressed by a virtual hand; virtual, not measured"}
-        scale = Weighing.by(source.force) if kind == "beside" and source.force is not None else None
-        return PressCollector(path, source.name.replace("virtual:", "virtual "), scale, **options)
+        name = source.name.replace("virtual:", "virtual ")
+        if kind in ("beside", "typed"):
+            scale = Weighing.by(source.force) if kind == "beside" and source.force is not None else None
+            return PressCollector(path, name, scale, **options)
+        opened = SerialScale.open(ScaleSpec(kind, unit=request.get("unit") or "g"), MonotonicClock())
+        try:
+            by_scale = PressCollector(path, name, Weighing.by(opened, f"the scale at {kind}"), **options)
+        except BaseException:
+            opened.close()
+            raise
+        return ScaleCollector(by_scale, opened)
 
     def _source(self) -> LiveSource:
         source = self.loop.source

@@ -307,7 +307,9 @@ def open_live_source(
     Args:
         address: a camera's number, path (``/dev/video2``) or USB serial number; an image, a folder of images,
             a run or a video, a folder and a run also while they are written; ``-`` for images on standard
-            input; ``virtual:NAME`` for a virtual hand on a virtual sensor; ``picamera2`` for the camera of a
+            input; ``virtual:NAME`` for a virtual hand on a virtual
+            sensor, ``virtual:NAME/INDENTER`` for one on what the sensor names so, such as
+            ``virtual:tactip/S1=7.6``; ``picamera2`` for the camera of a
             Raspberry Pi.
         settings: of a camera, `palpate.rig.real.uvc_camera.UvcSettings`; by default 640 × 480 px at 30 Hz.
         paced: play a file at its own rate, and lose what is not taken in time, as a camera does.
@@ -374,4 +376,5 @@ def _pi_camera(settings: Any) -> LiveSource:
 def _virtual(address: str, seed: int) -> LiveSource:
     from palpate.rig.virtual.virtual_hand import VirtualHand
 
-    return HandFrames(VirtualHand(address.removeprefix(VIRTUAL), seed=seed), address)
+    name, _, indenter = address.removeprefix(VIRTUAL).partition("/")
+    return HandFrames(VirtualHand(name, seed=seed, indenter=indenter), address)

@@ -6,6 +6,7 @@ own colours by what each shape is of.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -111,6 +112,24 @@ def overlay_of(
         pairs = zip(_points(marks.at_px[far]), _points(ends), strict=True)
         arrows += [OverlayArrow("mark", start, end) for start, end in pairs]
     return FrameOverlay(tuple(lines), tuple(dots), tuple(arrows), tuple(texts), arrow_times)
+
+
+def rounded_overlay(overlay: FrameOverlay) -> dict[str, Any]:
+    """The shapes as plain values for a page, places to a tenth of a pixel."""
+    return {
+        "lines": [{"role": one.role, "points": _rounded(one.points)} for one in overlay.lines],
+        "dots": [{"role": one.role, "at": _rounded([one.at])[0]} for one in overlay.dots],
+        "arrows": [
+            {"role": one.role, "start": start, "end": end}
+            for one in overlay.arrows
+            for start, end in [_rounded([one.start, one.end])]
+        ],
+        "arrow_times": overlay.arrow_times,
+    }
+
+
+def _rounded(points: Sequence[Point]) -> list[list[float]]:
+    return [[round(x, 1), round(y, 1)] for x, y in points]
 
 
 def _points(xy: Float[ndarray, "p 2"]) -> tuple[Point, ...]:

@@ -82,6 +82,11 @@ class HandHabits:
 USUAL = HandHabits()
 TREMBLING = HandHabits(tremor=0.12, wander=0.05)
 """A hand that cannot hold still: its plateaus are no labels."""
+FEELING = HandHabits(
+    force_n=(4.7, 4.95), ramp_s=(1.0, 1.6), hold_s=(0.3, 0.5), slips=0.0, spot_m=(0.0, 0.0, 0.0)
+)
+"""A hand that feels how soft a body is: head-on, slowly, and beyond the 4.5 N up to which a press is compared
+with those of known bodies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,14 +190,23 @@ class HandWorld(World):
         habits: of the hand.
         seed: of the hand and of all that varies between presses.
         faults: what goes wrong, and when.
+        indenter: what touches, as the sensor names it; its own where empty.
     """
 
     def __init__(
-        self, sensor: Sensor, clock: Clock, habits: HandHabits, seed: int, faults: tuple[Fault, ...] = ()
+        self,
+        sensor: Sensor,
+        clock: Clock,
+        habits: HandHabits,
+        seed: int,
+        faults: tuple[Fault, ...] = (),
+        indenter: str = "",
     ) -> None:
         vary = replace(default_variation(sensor, sensor.name), backlash_m=0.0, relaxation=())
         travel = TRAVEL if sensor.moves == "probe" else CARRYING
         super().__init__(sensor, clock, travel, ORIGIN_M, vary, FORCE_HZ, seed, faults)
+        if indenter:
+            self.mount(indenter)
         self.habits = habits
         law = self._skin.law
         self.force_range_n = habits.force_n or _usual_range(float(law.force_n[-1]))
@@ -325,7 +339,10 @@ class VirtualHand:
         sensor: a name, whose sensor is filmed and drawn as it states for live frames; or a sensor as it is.
         seed: of the hand and of all that varies between presses.
         clock: time; the machine's own where left out, a `ManualClock` to go faster.
-        habits: of the hand.
+        habits: of the hand; by default `USUAL`, or `FEELING` where it carries the sensor onto a
+            body that is named.
+        indenter: what the skin is pressed onto, or by, as the sensor names it, such as "S1=7.6" of a TacTip;
+            its own where empty.
         pressing: whether it presses from the start; else it waits in the air for `press`.
         faults: what goes wrong, and when.
 
@@ -351,13 +368,16 @@ class VirtualHand:
         *,
         seed: int = 0,
         clock: Clock | None = None,
-        habits: HandHabits = USUAL,
+        habits: HandHabits | None = None,
+        indenter: str = "",
         pressing: bool = True,
         faults: tuple[Fault, ...] = (),
     ) -> None:
         self.design = for_live(sensor_of(sensor)) if isinstance(sensor, str) else sensor
         self.clock = clock or MonotonicClock()
-        self.world = HandWorld(self.design, self.clock, habits, seed, faults)
+        feels = bool(indenter) and self.design.moves == "sensor"
+        habits = habits or (FEELING if feels else USUAL)
+        self.world = HandWorld(self.design, self.clock, habits, seed, faults, indenter)
         if not pressing:
             self.world.rest()
         self.force = VirtualForce(self.world)

@@ -12,6 +12,7 @@ from palpate.sensing.image_health import image_health
 from palpate.sensing.live_loop import LiveLoop
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.untouched_view import UntouchedView
+from palpate.sensing.view_overlay import FrameOverlay, overlay_of
 
 LOOK_S = 0.2  # between two looks; the health of a picture does not change faster
 ASSUMED_HZ = 30.0  # where a rate is not known yet
@@ -26,10 +27,14 @@ class ImageWatch:
 
     Args:
         loop: that it is subscribed to.
+
+    Attributes:
+        overlay: shapes that show what was last seen, in the frame's pixels; None before a zero.
     """
 
     def __init__(self, loop: LiveLoop) -> None:
         self._loop = loop
+        self.overlay: FrameOverlay | None = None
         self._frames: tuple[Image, ...] = ()
         self._view: UntouchedView | None = None
         self._health: dict[str, Any] = {}
@@ -54,7 +59,7 @@ class ImageWatch:
         return {**self._health, **self._now} or None
 
     def _learn(self, frames: tuple[Image, ...]) -> None:
-        self._frames, self._view, self._health = frames, None, {}
+        self._frames, self._view, self._health, self.overlay = frames, None, {}, None
         if not frames:
             return
         rate_hz = self._loop.untouched_rate_hz or ASSUMED_HZ
@@ -72,6 +77,7 @@ class ImageWatch:
             touch = self._view.seen(image)
         except InputError as e:
             return found | {"verdict": "view changed", "why": str(e)}
+        self.overlay = overlay_of(touch, self._view.region)
         place = None if touch.region is None else [round(c, 1) for c in touch.region.centre_px]
         seen = {"verdict": touch.verdict, "change": plain_number(touch.change), "centre_px": place}
         return found | seen | {"why": touch.why}

@@ -8,7 +8,7 @@ from palpate.calibration.shear import ShearCalibration
 from palpate.core import Drift, Frame, Image, InputError, PathText, Readings
 from palpate.core.sensor import sensor as sensor_of
 from palpate.estimators.lattice import DottedSkin, read_skin
-from palpate.estimators.shear import ShearReader
+from palpate.estimators.shear import ShearReader, ShearTouch
 from palpate.estimators.shear.skin_marks import TiledSkin
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.shear_frames import ForceInTouch
@@ -28,6 +28,7 @@ class ShearFrameReader:
 
     Attributes:
         needs: what it waits for, or why the last frame could not be read; empty where it reads.
+        seen: reader and touch of the last frame that was read; None before one.
     """
 
     differential = True
@@ -40,6 +41,7 @@ class ShearFrameReader:
         self._reader: ShearReader | None = None
         self._force: ForceInTouch | None = None
         self.needs = NO_ZERO
+        self.seen: tuple[ShearReader, ShearTouch] | None = None
 
     @property
     def id(self) -> str:
@@ -54,7 +56,7 @@ class ShearFrameReader:
         """
         reader = ShearReader(self._skin, Frame(untouched))
         self._force = None if self._calibration is None else ForceInTouch(self._calibration, reader)
-        self._reader, self.needs = reader, ""
+        self._reader, self.needs, self.seen = reader, "", None
         return None
 
     def read(self, live: LiveFrame) -> Readings:
@@ -64,9 +66,9 @@ class ShearFrameReader:
         try:
             touch = self._reader.touch(live.frame)
         except InputError as refusal:
-            self.needs = str(refusal)
+            self.needs, self.seen = str(refusal), None
             return Readings({})
-        self.needs = ""
+        self.needs, self.seen = "", (self._reader, touch)
         return (touch if self._force is None else self._force.added(touch, live.frame)).readings
 
     def drift_of(self, image: Image) -> Drift | None:

@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile, ZipFile
 
 from palpate.core import InputError, PalpateError
 from palpate.estimators.certified import CARD_FILE, read_card
@@ -29,6 +30,8 @@ MAX_NAME = 1000
 MAX_OPEN_RUNS = 4
 WRITTEN_S = 5.0
 """A run whose last file has no index and changed within this time is said to be written [s]."""
+TIP_ARRAYS = {"layout_px.npy", "levels_n.npy", "touch.turning_n_m.npy"}
+"""In an archive that is a calibration of a tip's softness."""
 KINDS = {MANIFEST: "run", CARD_FILE: "calibration", EXPERIMENT: "experiment"}
 
 Stamp = tuple[tuple[str, int, int], ...]
@@ -98,7 +101,7 @@ class Workspace:
         """Names of what is there of a kind, the newest first.
 
         Args:
-            kind: "run", "calibration" or "experiment".
+            kind: "run", "calibration", "experiment", or "tip" for a file with a calibration of softness.
         """
         paths = [path for path, what in self._walk() if what == kind]
         paths.sort(key=lambda path: path.stat().st_mtime_ns if path.exists() else 0, reverse=True)
@@ -172,6 +175,19 @@ class Workspace:
             folders[:] = sorted(one for one in folders if not one.startswith("."))
             if at != str(self.folder):
                 yield from ((Path(at), kind) for kind in kinds)
+            if not whole:
+                yield from ((Path(at) / one, "tip") for one in files if _is_tip(Path(at) / one))
+
+
+def _is_tip(path: Path) -> bool:
+    """Whether a file is a calibration of a tip's softness, by the names in its archive alone."""
+    if path.suffix != ".npz" or path.is_symlink():
+        return False
+    try:
+        with ZipFile(path) as archive:
+            return set(archive.namelist()) >= TIP_ARRAYS
+    except (BadZipFile, OSError):
+        return False
 
 
 def _stamp(path: Path) -> Stamp:

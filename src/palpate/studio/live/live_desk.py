@@ -5,6 +5,7 @@ The sensors belong to processes of their own: this desk only listens, and passes
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -59,6 +60,30 @@ class LiveSample:
     force_n: float | None
 
 
+EDGES = {"m": ("mm", 1e3), "rad": ("degrees", 180 / math.pi)}
+"""Units in which lengths and angles are shown."""
+
+
+def edge_readings(readings: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """Readings with lengths in mm and angles in degrees, by columns of these units."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for name, one in readings.items():
+        unit = str(one.get("unit", ""))
+        if unit not in EDGES:
+            found[name] = one
+            continue
+        shown, times = EDGES[unit]
+        scaled = {k: _times(one.get(k), times) for k in ("value", "low", "high")}
+        limits = one.get("range")
+        scaled["range"] = None if limits is None else [_times(k, times) for k in limits]
+        found[f"{name.removesuffix(f'_{unit}')}_{shown}"] = {**one, **scaled, "unit": shown}
+    return found
+
+
+def _times(value: float | None, times: float) -> float | None:
+    return None if value is None else value * times
+
+
 class LiveSensor:
     """A sensor that is listened to.
 
@@ -84,7 +109,7 @@ class LiveSensor:
             read_anew = bool(reading) and (newest is None or frame_s != newest.frame_s)
             if read_anew or force_n is not None:
                 # A frame that was read before is not read again: its curve ends until the next one.
-                readings = reading["readings"] if reading and read_anew else {}
+                readings = edge_readings(reading["readings"]) if reading and read_anew else {}
                 self.samples.append(LiveSample(now_s, frame_s, readings, force_n))
         while self.samples and now_s - self.samples[0].at_s > SPAN_S:
             self.samples.popleft()

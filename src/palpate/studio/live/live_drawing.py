@@ -14,6 +14,9 @@ from palpate.studio.status_text import number
 from palpate.studio.svg_drawing import BOX, nice_step
 
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 180, 50, 10, 14, 26
+MIN_ARROWS = 4  # of marks, whose mean is a motion
+MOTION_TIMES = 3.0  # by which that mean is drawn longer
+FULL_SHEAR = 0.1  # that is drawn as large as a dot can be, where nothing is greater
 GAP_S = 1.0
 """Time without a reading over which no line is drawn [s]."""
 INK, SOFT, LINE, ACCENT, BAND, BAD, BESIDE = map(
@@ -166,16 +169,112 @@ def _arrow(
         return ""
     most = max(*(abs(v) for one in (along, across) for v in one.get("range") or (1.0,)), 1e-6)
     dx, dy = (longest * min(max(one["value"] / most, -1.0), 1.0) for one in (along, across))
-    return f'<path d="M{x:.3f} {y:.3f}l{dx:.3f} {dy:.3f}" stroke="{INK}" stroke-width="{thick:.3f}"/>'
+    shaft = f'<path d="M{x:.3f} {y:.3f}l{dx:.3f} {dy:.3f}" stroke="{INK}" stroke-width="{thick:.3f}"/>'
+    return shaft + _head((x, y), (x + dx, y + dy), 2.5 * thick, INK)
+
+
+def _head(start: Point, end: Point, size: float, colour: str) -> str:
+    """Head of an arrow, a triangle at its end; "" for one without a length."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length = math.hypot(dx, dy)
+    if length < 1e-9:
+        return ""
+    ux, uy = size * dx / length, size * dy / length
+    left, right = (end[0] - ux - uy / 2, end[1] - uy + ux / 2), (end[0] - ux + uy / 2, end[1] - uy - ux / 2)
+    points = " ".join(f"{x:.3f},{y:.3f}" for x, y in (end, left, right))
+    return f'<polygon points="{points}" fill="{colour}"/>'
+
+
+def lateral_motion(overlay: Mapping[str, Any] | None) -> tuple[Point, Point] | None:
+    """Mean of the arrows of a skin's marks: from where, and how far to the right and down [px].
+
+    What is pressed straight down moves marks apart to all sides, which cancels; a push along the skin does
+    not. None with fewer than four arrows.
+    """
+    arrows = (overlay or {}).get("arrows") or ()
+    if len(arrows) < MIN_ARROWS:
+        return None
+    times = float((overlay or {}).get("arrow_times") or 1.0)
+    x, y, to_x, to_y = (
+        sum(one[end][axis] for one in arrows) / len(arrows) for end in ("start", "end") for axis in (0, 1)
+    )
+    return (x, y), ((to_x - x) / times, (to_y - y) / times)
+
+
+def strain_svg(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
+    """The strain of a patterned skin as the camera sees it: the larger a dot, the greater the shear.
+
+    Crosses mark contacts, an arrow how one has shifted. "" without a patterned skin.
+    """
+    if not strain:
+        return ""
+    wide, high = size_px
+    unit, dots = wide / 400, strain.get("dots") or ()
+    greatest = strain.get("greatest")
+    full = max(float(greatest or 0.0), FULL_SHEAR)
+    reach = 0.55 * float(strain.get("spacing_px") or 0.0)
+    words = "the frame could not be read"
+    if greatest is not None:
+        words = f"greatest shear {number(float(greatest), 2)}, {len(strain.get('contacts') or ())} contacts"
+    begin = f'<svg viewBox="0 0 {wide} {high}" role="img"><title>Strain of the skin</title>'
+    inner = f'width="{wide - 2 * unit:.1f}" height="{high - 2 * unit:.1f}" fill="none"'
+    frame = f'<rect x="{unit}" y="{unit}" {inner} stroke="{SOFT}" stroke-width="{unit:.2f}"/>'
+    parts = [f"{begin}<desc>{words}</desc>{frame}"]
+    for x, y, shear in dots:
+        share = min(float(shear) / full, 1.0)
+        parts.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{reach * math.sqrt(share):.1f}" fill="{ACCENT}" '
+            f'fill-opacity="{0.35 + 0.6 * share:.2f}"/>'
+        )
+    for x, y in strain.get("contacts") or ():
+        parts.append(_cross(x, y, 9 * unit, 1.8 * unit, INK))
+    if shift := strain.get("shift"):
+        parts.append(_long_arrow(shift["start"], shift["end"], 2.4 * unit, INK))
+    return "".join([*parts, "</svg>"])
+
+
+def strain_words(strain: Mapping[str, Any] | None) -> str:
+    """What the drawing of strain shows, in words; "" without one."""
+    if not strain:
+        return ""
+    greatest = strain.get("greatest")
+    if greatest is None:
+        return "This frame's strain could not be read."
+    told = f"Greatest shear {number(float(greatest), 2)} (change of a right angle, in rad). "
+    full = max(float(greatest), FULL_SHEAR)
+    told += f"A dot is as large as its shear, the largest at {number(full, 2)}; crosses are contacts."
+    if shift := strain.get("shift"):
+        told += (
+            f" The contact has shifted by {number(float(shift['mm']), 2)} mm, drawn {shift['times']:g} times."
+        )
+    return told
+
+
+def _long_arrow(start: Sequence[float], end: Sequence[float], thick: float, colour: str) -> str:
+    (x, y), (to_x, to_y) = start, end
+    shaft = f'<path d="M{x:.1f} {y:.1f}L{to_x:.1f} {to_y:.1f}" stroke="{colour}" stroke-width="{thick:.2f}"/>'
+    return shaft + _head((x, y), (to_x, to_y), 4 * thick, colour)
 
 
 def overlay_svg(image: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
-    """What is drawn over a live picture without a calibration: where it differs from the untouched sensor."""
+    """What is drawn over a live picture: where it differs from the untouched sensor, how marks have moved.
+
+    The outline is of the contact; thin arrows are of marks, the thick one is their mean, three times as long.
+    """
     place = (image or {}).get("centre_px")
     shapes = (image or {}).get("overlay")
     unit = size_px[0] / 400
-    parts = [_shape(kind, one, unit) for kind, found in (shapes or {}).items() for one in found or ()]
-    if not parts and place:
+    parts = [
+        _shape(kind, one, unit)
+        for kind in ("lines", "dots", "arrows")
+        for one in (shapes or {}).get(kind) or ()
+        if one.get("role") != "skin"
+    ]
+    if (motion := lateral_motion(shapes)) is not None:
+        (x, y), (dx, dy) = motion
+        end = (x + MOTION_TIMES * dx, y + MOTION_TIMES * dy)
+        parts += [_long_arrow((x, y), end, width * unit, colour) for colour, width in (("#000", 5), (BOX, 3))]
+    if not any(one.get("role") == "region" for one in (shapes or {}).get("lines") or ()) and place:
         x, y = place
         ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{14 * unit:.1f}" fill="none"'
         for colour, width in (("#000", 4), (BOX, 2)):
@@ -188,11 +287,13 @@ def _shape(kind: str, one: Mapping[str, Any], unit: float) -> str:
     match kind:
         case "lines":
             points = " ".join(f"{x:.1f},{y:.1f}" for x, y in one["points"])
-            return f'<polygon points="{points}" {stroke}/>'
+            edge = f'fill="none" stroke="#000" stroke-width="{3.4 * unit:.2f}"'
+            return f'<polygon points="{points}" {edge}/><polygon points="{points}" {stroke}/>'
         case "dots":
             x, y = one["at"]
+            if one.get("role") == "centre":
+                return "".join(_cross(x, y, 8 * unit, w * unit, c) for c, w in (("#000", 3.2), (BOX, 1.6)))
             return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{2.2 * unit:.1f}" fill="{BOX}"/>'
         case "arrows":
-            (x, y), (to_x, to_y) = one["start"], one["end"]
-            return f'<path d="M{x:.1f} {y:.1f}L{to_x:.1f} {to_y:.1f}" {stroke}/>'
+            return _long_arrow(one["start"], one["end"], 1.1 * unit, BOX)
     return ""

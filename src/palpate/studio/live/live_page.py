@@ -7,6 +7,7 @@ this page is closed, and is begun, zeroed and ended here.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable, Mapping
 from html import escape
@@ -19,7 +20,7 @@ from palpate.core import PalpateError, half_width_text, rounded
 from palpate.studio.html_parts import state_word
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live import live_drawing
-from palpate.studio.live.live_desk import LiveDesk, LiveSensor
+from palpate.studio.live.live_desk import LiveDesk, LiveSensor, edge_readings
 from palpate.studio.page_shell import PageBeat, page_shell, page_title
 from palpate.studio.shown_ages import Ages, age_note
 from palpate.studio.status_text import number
@@ -30,8 +31,13 @@ VIRTUAL = {
     "virtual:palm": "virtual palm",
     "virtual:tactip": "virtual TacTip",
     "virtual:nusense": "virtual NUSense",
+    "virtual:tactip/S1=7.6": "virtual TacTip on a body of 7.6 N/mm",
 }
 NONE = {"": "none: the picture alone"}
+MARKS = "marks:"
+"""Before the name of a sensor whose patterned skin is read, in the list of calibrations."""
+BY_MARKS = {f"{MARKS}nusense": "marks of a NUSense: touch and strain"}
+NO_TIP = {"": "not read"}
 TYPED: dict[str, Any] = {"with_input": True, "new_value_mode": "add-unique"}
 """Of a list in which an address may be typed that is not in it."""
 ADDRESSES = (
@@ -103,6 +109,11 @@ class LivePage:
                 self._source.props(SELECT.format("live-source", "source"))
                 self._calibration = ui.select(dict(NONE), value="", label="calibration").classes("w-full")
                 self._calibration.props(SELECT.format("live-calibration", "calibration"))
+                self._source.on_value_change(self._suit_marks)
+                self._tip = ui.select(dict(NO_TIP), value="", label="softness of each press").classes(
+                    "w-full"
+                )
+                self._tip.props(SELECT.format("live-tip", "calibration of softness"))
             with ui.row().classes("items-center q-mt-sm"):
                 self._button = ui.button("Begin", on_click=self._begin).props(
                     'unelevated no-caps id="live-begin"'
@@ -110,21 +121,29 @@ class LivePage:
                 self._doing = ui.label("").classes("soft").props('role="status"')
 
     async def _list(self) -> None:
-        cameras, runs, calibrations = await asyncio.to_thread(self._found)
+        cameras, runs, calibrations, tips = await asyncio.to_thread(self._found)
         sources = {**VIRTUAL, **cameras, **{name: f"recording {name}, played" for name in runs}}
         self._source.set_options(sources, value=self._source.value)
-        known = NONE | {name: name for name in calibrations}
+        known = NONE | {name: name for name in calibrations} | BY_MARKS
         self._calibration.set_options(known, value=self._calibration.value)
+        self._tip.set_options(NO_TIP | {name: name for name in tips}, value=self._tip.value)
 
-    def _found(self) -> tuple[Mapping[str, str], list[str], list[str]]:
-        return self._cameras(), self._workspace.found("run"), self._workspace.found("calibration")
+    def _found(self) -> tuple[Mapping[str, str], list[str], list[str], list[str]]:
+        runs, calibrations, tips = (self._workspace.found(one) for one in ("run", "calibration", "tip"))
+        return self._cameras(), runs, calibrations, tips
+
+    def _suit_marks(self) -> None:
+        """A NUSense is read by its marks unless another calibration is chosen."""
+        marked, value = "nusense" in str(self._source.value), str(self._calibration.value or "")
+        if marked != value.startswith(MARKS) and (not value or value.startswith(MARKS)):
+            self._calibration.set_value(next(iter(BY_MARKS)) if marked else "")
 
     async def _begin(self) -> None:
         source, calibration = str(self._source.value), str(self._calibration.value or "")
         self._button.disable()
         self._doing.set_text(f"opening {source} …")
         try:
-            sensor = await asyncio.to_thread(self._launched, source, calibration)
+            sensor = await asyncio.to_thread(self._launched, source, calibration, str(self._tip.value or ""))
         except PalpateError as e:
             ui.notify(str(e), type="negative", position="top", timeout=15000, multi_line=True)
             return
@@ -136,12 +155,16 @@ class LivePage:
                 self._show(sensor.name)
         self._keep()
 
-    def _launched(self, source: str, calibration: str) -> LiveSensor:
+    def _launched(self, source: str, calibration: str, tip: str) -> LiveSensor:
         recorded = source in self._workspace.found("run")
         options: dict[str, Any] = {"camera": source, "runs": str(self._workspace.folder / "runs")}
         if recorded:  # as it was recorded, over and over
             options |= {"camera": str(self._workspace.resolve(source)), "paced": True, "repeat": True}
-        if calibration:
+        if tip:
+            options["compliance"] = str(self._workspace.resolve(tip))
+        if calibration.startswith(MARKS):
+            options["shear"] = calibration.removeprefix(MARKS)
+        elif calibration:
             options["calibration"] = str(self._workspace.resolve(calibration))
         return self._desk.begin(f"live {source}", options)
 
@@ -193,9 +216,14 @@ class SensorCard:
                     self._picture = (
                         ui.interactive_image("", sanitize=False).classes("w-full camera").props(old)
                     )
+                    self._moved = ui.html("", sanitize=False).classes("soft").props(old)
+                    self._strain = ui.html("", sanitize=False).classes("strain").props(old)
                     self._place = ui.html("", sanitize=False).classes("place").props(old)
                 with ui.element("div"):
                     self._values = ui.html("", sanitize=False).classes("values").props(old)
+                    self._softness = (
+                        ui.html("", sanitize=False).classes("softness").props(f'{old} role="status"')
+                    )
                     self._plots = ui.html("", sanitize=False).classes("plot").props(old)
             self._facts = ui.html("", sanitize=False).classes("facts").props(old)
             self._buttons(end)
@@ -225,9 +253,13 @@ class SensorCard:
         self._set(self._head, head_html(self.sensor.name, status))
         advice = str(status.get("advice") or "")
         self._set(self._advice, f'<p class="advice">{escape(advice)}</p>' if advice else "")
-        readings = (status.get("reading") or {}).get("readings", {})
+        readings = edge_readings((status.get("reading") or {}).get("readings", {}))
+        strain, size_px = status.get("strain"), (self.sensor.connection.picture or (0, b"", (640, 480)))[2]
         self._set(self._values, values_html(readings, status))
-        self._set(self._place, live_drawing.place_svg(readings))
+        self._set(self._softness, softness_html(status.get("compliance")))
+        self._set(self._strain, strain_html(strain, size_px))
+        self._set(self._moved, motion_html(status.get("image")))
+        self._set(self._place, "" if strain else live_drawing.place_svg(readings))
         self._set(self._plots, self._plots_html(readings, status))
         self._set(self._facts, facts_html(status))
         self._zero.set_enabled(status.get("state") == "live" and not status.get("zeroing"))
@@ -237,7 +269,12 @@ class SensorCard:
         columns = {name: str(one.get("unit", "")) for name, one in readings.items() if name not in PLACES}
         if not columns and status.get("force_N") is not None:
             columns = {"force_N": "N"}
-        chosen = sorted(columns, key=lambda name: columns[name] != "N")[:MAX_PLOTS]
+        numbers = [
+            name for name in columns if isinstance(readings.get(name, {}).get("value", 0.0), int | float)
+        ]
+        chosen = sorted(numbers, key=lambda name: (columns[name] != "N", not name.startswith("gamma")))[
+            :MAX_PLOTS
+        ]
         return "".join(live_drawing.reading_svg(samples, name, columns[name], now_s) for name in chosen)
 
     def _show_picture(self, status: Mapping[str, Any]) -> None:
@@ -298,6 +335,67 @@ def values_html(readings: Mapping[str, Mapping[str, Any]], status: Mapping[str, 
     return "".join(rows)
 
 
+SOFTNESS = {
+    "stiffness": "stiffness κ", "stiffness_both_cues": "κ with approach", "area_at_4_N": "area at 4 N",
+    "spread_rate": "spread rate", "modulus": "modulus E*", "radius": "radius",
+}  # fmt: skip
+UNIT_WORDS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N"}
+
+
+def softness_html(compliance: Mapping[str, Any] | None) -> str:
+    """Softness of the last press, each value with its interval and its lamp; "" where it is not read."""
+    if compliance is None:
+        return ""
+    begin = "<h3>Softness of each press</h3>"
+    if compliance.get("why"):
+        return f'{begin}<p class="trouble">{escape(str(compliance["why"]))}</p>'
+    presses = compliance.get("presses") or ()
+    if not presses:
+        return f'{begin}<p class="soft">No press has ended yet. Press slowly, to 4.5 N or more.</p>'
+    last = presses[0]
+    about = f"press {last['press']}, to {number(float(last['force_N']), 2)} N, {last['frames']} frames"
+    told = "".join(
+        _value_html(SOFTNESS.get(one["quantity"], one["quantity"]), one) for one in last["readings"]
+    )
+    if last.get("why"):
+        lamp = '<span class="verdict"><i class="lamp no">✕</i> not read</span>'
+        why = f'<span class="soft">{escape(str(last["why"]))}</span>'
+        told = f'<div class="value invalid"><span class="what">stiffness κ</span><b>–</b>{lamp}{why}</div>'
+    earlier = [_kappa_words(one) for one in presses[1:]]
+    before = f'<p class="soft">before: {"; ".join(earlier)}</p>' if earlier else ""
+    return f'{begin}<p class="soft">{about}</p>{told}{before}'
+
+
+def _kappa_words(press: Mapping[str, Any]) -> str:
+    """Stiffness of a press before the last, in a few words."""
+    kappa = next((one for one in press.get("readings") or () if one["quantity"] == "stiffness"), None)
+    if kappa is None or kappa.get("value") is None:
+        return f"press {press['press']} not read"
+    unit = UNIT_WORDS.get(kappa["unit"], kappa["unit"])
+    return (
+        f"press {press['press']} {number(kappa['value'], 2)} {unit}{'' if kappa['valid'] else ' (not valid)'}"
+    )
+
+
+def strain_html(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
+    """The strain of a patterned skin, drawn and in words; "" without one."""
+    if not strain:
+        return ""
+    words = live_drawing.strain_words(strain)
+    return f'<h3>Strain of the skin</h3>{live_drawing.strain_svg(strain, size_px)}<p class="soft">{words}</p>'
+
+
+def motion_html(image: Mapping[str, Any] | None) -> str:
+    """How far the skin's marks moved along it, in words; "" where none are followed."""
+    motion = live_drawing.lateral_motion((image or {}).get("overlay"))
+    if motion is None:
+        return ""
+    dx, dy = motion[1]
+    told = f"marks moved on average {number(math.hypot(dx, dy), 1)} px along the skin"
+    times = f"{live_drawing.MOTION_TIMES:g}"
+    return f"{told}: {number(dx, 1)} to the right, {number(dy, 1)} down (thick arrow, {times} times as long)"
+
+
 def _value_html(name: str, one: Mapping[str, Any]) -> str:
     unit = str(one.get("unit", ""))
     what = escape(name.removesuffix(f"_{unit}"))
@@ -309,7 +407,7 @@ def _value_html(name: str, one: Mapping[str, Any]) -> str:
         low, high = one.get("low"), one.get("high")
         half = (float(high) - float(low)) / 2 if low is not None and high is not None else None
         text = number(float(value), 2) if half is None else rounded(float(value), half)
-        text = text.replace("-", "−") + f" {escape(unit)}"
+        text = text.replace("-", "−") + f" {escape(UNIT_WORDS.get(unit, unit))}"
         if valid and half is not None:
             text += f' <span class="half">± {half_width_text(half)}</span>'
     elif value is not None:

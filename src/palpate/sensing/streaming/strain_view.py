@@ -1,0 +1,66 @@
+"""What is shown of a patterned skin: its strain in the picture, its contacts, and how each has shifted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from palpate.core import Float, ndarray
+from palpate.estimators.shear import ShearReader, ShearTouch
+
+DOTS = 24  # along the longer side of the skin
+LEAST = 0.01  # shear that is told; below it is noise
+ARROWS_MM = 0.05  # shift of a contact that is drawn an arrow for; the readings tell less
+
+
+def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
+    """A frame's strain as plain values for a page, in the frame's pixels, x along columns and y along rows.
+
+    Returns:
+        "dots": x, y and the greatest engineering shear there, for places where it is above `LEAST`;
+        "greatest": of the whole skin; "spacing_px": between dots; "contacts": x and y of each [px];
+        "shift": "start" and "end" of an arrow [px] along the shift of the only contact, "times" by which it
+        is drawn longer, and its length "mm"; None where there is none. No dots where the frame could not be
+        read.
+    """
+    fields = touch.fields
+    if fields is None:
+        return {"dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
+    every = max(1, -(-max(fields.at.shape[1:]) // DOTS))
+    at = fields.at[:, every // 2 :: every, every // 2 :: every].reshape(2, -1).T
+    shear = np.asarray(fields.greatest_shear)[every // 2 :: every, every // 2 :: every].ravel()
+    seen = np.isfinite(shear) & np.isfinite(at).all(axis=1)
+    spacing = np.hypot(*(fields.at[:, every, every] - fields.at[:, 0, 0])) / np.sqrt(2) if seen.any() else 0.0
+    shown = seen & (shear > LEAST)
+    dots = _in_image(reader, at[shown])
+    contacts = np.array([[one.x, one.y] for one in touch.places.contacts]).reshape(-1, 2)
+    greatest = np.asarray(fields.greatest_shear)
+    return {
+        "dots": [
+            [round(float(x), 1), round(float(y), 1), round(float(g), 4)]
+            for (x, y), g in zip(dots, shear[shown], strict=True)
+        ],
+        "greatest": round(float(np.nanmax(greatest)), 4) if np.isfinite(greatest).any() else None,
+        "spacing_px": round(float(spacing * reader.marks.px_per_unit), 1),
+        "contacts": _in_image(reader, contacts).round(1).tolist(),
+        "shift": _shift(reader, touch, contacts),
+    }
+
+
+def _shift(reader: ShearReader, touch: ShearTouch, contacts: Float[ndarray, "n 2"]) -> dict[str, Any] | None:
+    """Arrow from the only contact along its shift; None where it has none, or less than `ARROWS_MM`."""
+    found = [touch.readings.get(f"shift_{axis}_{reader.marks.unit}") for axis in "xy"]
+    if len(contacts) != 1 or any(one is None or not one.valid for one in found):
+        return None
+    moved = np.array([float(getattr(one, "value", 0.0)) for one in found])
+    length = float(np.hypot(*moved))
+    if reader.marks.unit != "m" or 1e3 * length < ARROWS_MM:
+        return None
+    times = 10.0
+    start, end = _in_image(reader, np.stack([contacts[0], contacts[0] + times * moved])).round(1).tolist()
+    return {"start": start, "end": end, "times": times, "mm": round(1e3 * length, 3)}
+
+
+def _in_image(reader: ShearReader, places: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+    return np.asarray(reader.marks.in_image(places)) if len(places) else np.zeros((0, 2))
