@@ -71,14 +71,20 @@ def opened(
 
 def choose(tab, selector, words):
     """Choose from a list by the words of one of its lines."""
-    field = f"document.querySelector('{selector}').closest('.q-field')"
-    tab.wait(f"!!document.querySelector('{selector}') && ({field}.dataset.chosen = '{selector[1:]}')", MAX_S)
-    tab.press(f"[data-chosen={selector[1:]}]")
+    found = f"document.querySelector({json.dumps(selector)})"
+    old = "for (const e of document.querySelectorAll('[data-chosen]')) delete e.dataset.chosen"
+    mark = f"{found}.closest('.q-field').dataset.chosen = 'yes'"
+    tab.wait(f"!!{found} && (() => {{ {old}; return {mark} }})()", MAX_S)
+    tab.press("[data-chosen]")
     holds = f"i.innerText.includes({json.dumps(words)})"
     line = f"[...document.querySelectorAll('.q-menu .q-item')].find((i) => {holds})"
     tab.wait(f"!!{line}", MAX_S)
     tab.run(f"{line}.click()")
     tab.wait("!document.querySelector('.q-menu')", MAX_S)
+
+
+SOURCE, SCALE = "input[aria-label=source]", "input[aria-label=scale]"
+"""Lists in which an address may be typed."""
 
 
 def weak_texts(tab):
@@ -89,3 +95,12 @@ def weak_texts(tab):
 def wider_than(tab):
     """Width of what a page holds [px], to be no more than the window's."""
     return tab.run("document.documentElement.scrollWidth")
+
+
+def type_into_list(tab, selector, text):
+    """Type what is not in a list into it."""
+    tab.wait(f"!!document.querySelector({json.dumps(selector)})", MAX_S)
+    tab.front()
+    tab.run(f"document.querySelector({json.dumps(selector)}).focus()")
+    tab.send("Input.insertText", text=text)
+    tab.key("Enter", 13)

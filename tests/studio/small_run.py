@@ -1,4 +1,4 @@
-"""A small run for the tests of the pages: presses with force, one frame a tenth of a second."""
+"""A small run for the tests of the pages: presses with force, ten frames a second."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from palpate.core import ManualClock
 from palpate.recordings import Manifest, RunWriter
 
 
-def write_small_run(path, frames=30, sensor="made up"):
+def write_small_run(path, frames=30, sensor="made up", step_s=0.1):
     """A run of three presses whose pictures grow brighter with the frame's number."""
     clock = ManualClock()
     labels = {"force_N": "number", "press": "text", "reference": "flag"}
@@ -19,5 +19,5 @@ def write_small_run(path, frames=30, sensor="made up"):
             about = {"force_N": force_n, "press": f"p{i // 10}", "reference": i % 10 == 0}
             writer.frame(image, labels=about)
             writer.force((0.0, 0.0, force_n, 0.0, 0.0, 0.0))
-            clock.sleep(0.1)
+            clock.sleep(step_s)
     return path

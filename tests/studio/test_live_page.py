@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio.page_driving import DESK, PHONE, choose, opened, serving, weak_texts, wider_than
+from tests.studio.page_driving import DESK, PHONE, SOURCE, choose, opened, serving, weak_texts, wider_than
 from tests.studio.small_run import write_small_run
 from tests.virtual_presses import KAPPA_N_M, references
 
@@ -18,6 +18,8 @@ from palpate.workflows.tactip_trials import specimens_at
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 MAX_S, LONG_S = 120.0, 300.0
+PLAYED = {"live runs/one": 10.0, "live runs/two": 25.0}
+"""Recordings by the names of their processes, and the rates that they were recorded at [Hz]."""
 PALM, NUSENSE, TIP = "live virtual:palm", "live virtual:nusense", "live virtual:tactip/S1=7.6"
 
 
@@ -29,6 +31,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def workspace(folder):
     write_small_run(folder / "ws" / "runs" / "one")
+    write_small_run(folder / "ws" / "runs" / "two", frames=80, step_s=0.04)
     spec = tactip()
     given = references(spec, specimens_at(spec, KAPPA_N_M), 2, 7000, rendered=False)
     calibrate_compliance(given, note="virtual").save(folder / "ws" / "tip.npz")
@@ -37,7 +40,7 @@ def workspace(folder):
 
 @pytest.fixture
 def served(folder, workspace):
-    with serving(workspace, folder, (PALM, NUSENSE, TIP)) as served:
+    with serving(workspace, folder, (PALM, NUSENSE, TIP, *PLAYED)) as served:
         yield served
 
 
@@ -72,8 +75,8 @@ def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
 
 def test_a_nusense_shows_its_strain_its_contacts_and_what_is_not_valid_without_colour(browser, served):
     tab = opened(browser, served, "/live")
-    choose(tab, "#live-source", "virtual NUSense")
-    tab.wait("document.querySelector('#live-calibration').value?.includes('marks of a NUSense')", MAX_S)
+    choose(tab, SOURCE, "virtual NUSense")
+    tab.wait("document.querySelector('#live-calibration').innerText.includes('marks of a NUSense')", MAX_S)
     tab.press("#live-begin")
     tab.wait("document.querySelector('.strain svg desc')?.textContent.includes('1 contacts')", LONG_S)
     assert tab.run("document.querySelectorAll('.strain circle').length") > 10
@@ -93,7 +96,7 @@ def test_a_nusense_shows_its_strain_its_contacts_and_what_is_not_valid_without_c
 
 def test_a_tactip_on_a_body_tells_its_softness_as_each_press_ends(browser, served):
     tab = opened(browser, served, "/live")
-    choose(tab, "#live-source", "TacTip on a body of 7.6")
+    choose(tab, SOURCE, "TacTip on a body of 7.6")
     choose(tab, "#live-tip", "tip.npz")
     tab.press("#live-begin")
     tab.wait("document.querySelector('.softness')?.innerText.includes('No press has ended')", MAX_S)
@@ -104,4 +107,43 @@ def test_a_tactip_on_a_body_tells_its_softness_as_each_press_ends(browser, serve
     kappa = float(told.split("\n")[1].split()[0])
     assert 5.3 < kappa < 12.0  # 7.6 N/mm, with an interval of 5.4 to 13.4 there
     tab.wait("!!document.querySelector('.live .camera svg polygon')", MAX_S)  # the contact's outline
+    assert tab.said == []
+
+
+def test_four_sensors_are_read_side_by_side_and_recordings_play_at_their_own_rate(browser, served, folder):
+    tab = opened(browser, served, "/live")
+    for words in ("virtual palm", "virtual NUSense", "recording runs/one", "recording runs/two"):
+        count = tab.run("document.querySelectorAll('.card.live').length")
+        choose(tab, SOURCE, words)
+        tab.press("#live-begin")
+        tab.wait(f"document.querySelectorAll('.card.live').length === {count + 1}", LONG_S)
+    shown = (
+        "[...document.querySelectorAll('.card.live .camera img')].filter((i) => i.naturalWidth > 0).length"
+    )
+    tab.wait(f"{shown} === 4", LONG_S)
+    tab.wait(
+        "[...document.querySelectorAll('.card.live h2')].every((h) => h.innerText.includes('live'))", MAX_S
+    )
+    for size in (PHONE, DESK):
+        tab.resize(*size)
+        time.sleep(1.0)
+        assert wider_than(tab) <= size[0]
+    rates = {}
+    for name in (PALM, NUSENSE, *PLAYED):
+        with LiveClient(name, folder / "palpate") as client:
+            before = client.wait_for(
+                lambda status: status["state"] == "live" and status["frames"] > 30, LONG_S
+            )
+            begun_s = time.monotonic()
+            time.sleep(8.0)
+            after, took_s = client.status, time.monotonic() - begun_s
+            given = sum(after[key] - before[key] for key in ("frames", "dropped", "lost"))
+            rates[name] = given / took_s
+    print("frames a second: " + ", ".join(f"{name} {rate:.1f}" for name, rate in rates.items()))
+    assert rates[PALM] == pytest.approx(30.0, rel=0.1)
+    assert rates[NUSENSE] == pytest.approx(12.0, rel=0.1)
+    for name, rate_hz in PLAYED.items():
+        assert rates[name] == pytest.approx(rate_hz, rel=0.05)
+    tab.press(".card.live .end-live")  # one of them ends, and the others go on
+    tab.wait("document.querySelectorAll('.card.live').length === 3", MAX_S)
     assert tab.said == []

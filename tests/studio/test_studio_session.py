@@ -19,6 +19,7 @@ from tests.studio.test_rig_page import (
     Studio,
     opened,
     state_is,
+    until_it_presses,
     use_small_plan,
 )
 from websockets.sync.client import connect
@@ -79,6 +80,31 @@ def test_a_session_from_the_plan_to_a_report_and_live_newtons(browser, studio, t
     assert tab.said == []
     elsewhere = [url for url in tab.requested if f"127.0.0.1:{studio.port}" not in url]
     assert [url for url in elsewhere if not url.startswith(("data:", "about:", "blob:"))] == []
+
+
+@pytest.mark.parametrize("way", ["#estop", "Escape"])
+def test_the_page_of_live_sensors_stops_a_rig_that_moves(browser, studio, way):
+    rig_tab = opened(browser, studio)
+    use_small_plan(rig_tab)
+    rig_tab.type(".field-cycles input", "20")
+    rig_tab.press("#plan-use")
+    rig_tab.wait("document.querySelector('#progress').innerText.includes('0 of 100 shots')", MAX_S)
+    rig_tab.type(".run-name input", "stopped")
+    tab = browser.open(f"{studio.url}live")
+    tab.wait("!!document.querySelector('#live-begin')", MAX_S)
+    rig_tab.press("#start")
+    studio.rig.wait_for(lambda status: status["recording"], MAX_S)
+    tab.front()
+    until_it_presses(studio)
+    if way == "Escape":
+        tab.key("Escape", 27)
+    else:
+        tab.press(way)
+    studio.rig.wait_for(lambda status: status["held"] and not status["recording"], MAX_S)
+    stood = studio.rig.status["position_mm"]
+    time.sleep(1.0)
+    assert studio.rig.status["position_mm"] == pytest.approx(stood, abs=1e-6)
+    assert studio.rig.status["held"]
 
 
 def test_two_browsers_cannot_both_move_the_rig_and_both_can_stop_it(browser, studio, tmp_path):
