@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def workspace(folder):
     write_small_run(folder / "ws" / "runs" / "one")
-    write_small_run(folder / "ws" / "runs" / "two", frames=80, step_s=0.04)
+    write_small_run(folder / "ws" / "runs" / "two", frames=50, step_s=0.04)
     spec = tactip()
     given = references(spec, specimens_at(spec, KAPPA_N_M), 2, 7000, rendered=False)
     calibrate_compliance(given, note="virtual").save(folder / "ws" / "tip.npz")

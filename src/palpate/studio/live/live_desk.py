@@ -73,7 +73,7 @@ def edge_readings(readings: Mapping[str, Mapping[str, Any]]) -> dict[str, Mappin
             found[name] = one
             continue
         shown, times = EDGES[unit]
-        scaled = {k: _times(one.get(k), times) for k in ("value", "low", "high")}
+        scaled: dict[str, Any] = {k: _times(one.get(k), times) for k in ("value", "low", "high")}
         limits = one.get("range")
         scaled["range"] = None if limits is None else [_times(k, times) for k in limits]
         found[f"{name.removesuffix(f'_{unit}')}_{shown}"] = {**one, **scaled, "unit": shown}
