@@ -24,6 +24,8 @@ from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_readers import open_reader
 from palpate.sensing.streaming.live_slots import NewestSlot
 from palpate.sensing.streaming.live_statistics import StatisticsKeeper
+from palpate.sensors.owned import sensor_preset
+from palpate.sensors.owned.sensor_preset import SkinInFrame
 
 
 class Kept:
@@ -260,6 +262,11 @@ def test_the_untouched_image_is_the_mean_of_frames_and_is_taken_off() -> None:
         assert not loop.zeroing
 
 
+def frame_of(image: np.ndarray, number: int) -> LiveFrame:
+    grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return LiveFrame(Frame(grey, number / 30), time.monotonic_ns(), number)
+
+
 def test_flicker_is_told_at_the_rate_of_the_frames_that_show_it_not_of_those_that_came() -> None:
     """Every second frame of 60 a second is read: lamps on 50 Hz mains are seen at 10 Hz, not at 20."""
     rng, source = np.random.default_rng(0), HandedFrames(waits=True)
@@ -276,6 +283,29 @@ def test_flicker_is_told_at_the_rate_of_the_frames_that_show_it_not_of_those_tha
         assert loop.untouched_rate_hz == pytest.approx(30.0)
         assert watch.status()["flicker"]["frequency_hz"] == pytest.approx(10.0, abs=0.3)
         assert watch.status()["flicker"]["mains_hz"] == 50.0
+
+
+def test_a_picture_without_a_calibration_is_watched_where_the_preset_says_that_the_skin_lies() -> None:
+    rng, source = np.random.default_rng(0), HandedFrames(waits=True)
+    part = SkinInFrame(region_share=(0.5, 0.0, 0.5, 1.0), region_mm=(6.0, 9.0), assumed=True)
+    half = sensor_preset("own").model_copy(update={"skin": part})
+    frames = [frame_of(rng.normal(100, 1, (96, 128)), i) for i in range(8)]
+    source.give(*frames, None)
+    with ran(source, zero_at_start=True, zero_frames=8) as loop:
+        whole, known = ImageWatch(loop), ImageWatch(loop, half)
+        assert loop.wait(5.0)
+        beside, within = rng.normal(100, 1, (2, 96, 128))
+        beside[20:50, 10:40] += 40
+        within[20:50, 90:120] += 40
+        for image, verdict in ((beside, "untouched"), (within, "touched")):
+            for watch in (whole, known):
+                watch._next_s = 0.0
+                watch.on_frame(frame_of(image, 9), None)
+            assert whole.status()["verdict"] == "touched"
+            assert known.status()["verdict"] == verdict
+        assert known.status()["centre_mm"] == pytest.approx([(104.5 - 95.5) * 6 / 64, -13 * 6 / 64], abs=0.1)
+        assert known.overlay.lines[0].points == ((64.0, 0.0), (128.0, 0.0), (128.0, 96.0), (64.0, 96.0))
+        assert [line.role for line in known.overlay.lines] == ["skin", "region"]
 
 
 def test_an_untouched_image_may_be_given_and_serves_the_next_calibration() -> None:

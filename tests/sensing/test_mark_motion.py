@@ -8,7 +8,7 @@ import pytest
 
 from palpate.core import ImageError, RangeError
 from palpate.estimators.lattice.dotted_skin import DottedSkin
-from palpate.sensing.uncalibrated import PinFollower, follow_marks
+from palpate.sensing.uncalibrated import MarkMotion, PinFollower, follow_marks
 from palpate.sensing.untouched_view import SeenTouch, UntouchedView
 from palpate.sensing.view_overlay import overlay_of
 
@@ -76,6 +76,46 @@ def test_a_described_skin_s_dots_are_found_in_each_frame() -> None:
     assert moved.largest_px == pytest.approx(np.hypot(*truth.T).max(), abs=0.3)
     covered = follower.moved(np.full(SHAPE, 90, np.uint8))
     assert (len(covered.at_px), covered.lost) == (0, len(PLACES))
+
+
+def turned(places: np.ndarray, degrees: float, shift: tuple[float, float]) -> np.ndarray:
+    """Places turned about the frame's middle, and shifted."""
+    angle = np.deg2rad(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (places - [160, 120]) @ turn.T + [160, 120] + np.array(shift)
+
+
+def test_what_marks_have_in_common_is_a_shift_and_a_turn_and_nothing_more() -> None:
+    def motion(now: np.ndarray) -> MarkMotion:
+        return MarkMotion(PLACES, now - PLACES, 0)
+
+    shift, apart = motion(turned(PLACES, 3.0, (2.0, -1.0))).apart()
+    assert shift == pytest.approx(turned(PLACES, 3.0, (2.0, -1.0)).mean(axis=0) - PLACES.mean(axis=0))
+    assert np.abs(apart).max() < 1e-9
+    spread = 0.05 * (PLACES - PLACES.mean(axis=0))
+    assert motion(PLACES + spread).apart()[1] == pytest.approx(spread, abs=1e-9)
+
+
+def test_pins_that_move_together_are_no_touch_and_pins_that_move_apart_are_one() -> None:
+    by_picture = UntouchedView([skin(PLACES, False, i) for i in range(8)])
+    view = UntouchedView([skin(PLACES, False, i) for i in range(8)], marks="bright", by_marks=True)
+    together = PLACES + np.array([2.0, -1.0])
+    assert by_picture.seen(skin(together, False, 40)).verdict == "touched"
+    seen = view.seen(skin(together, False, 40))
+    assert (seen.verdict, "together by 2.0, -1.0 px" in seen.why) == ("untouched", True)
+    seen = view.seen(skin(together + bulge(PLACES, (172.0, 120.0), 3.0), False, 41))
+    assert seen.verdict == "touched"
+    assert seen.region is not None
+    assert np.hypot(*(np.array(seen.region.centre_px) - [172, 120])) < PITCH / 2
+    assert seen.region.area_px < 0.6 * SHAPE[0] * SHAPE[1]  # and not all that the shift has changed
+
+
+def test_pins_that_jumped_too_far_to_be_followed_are_themselves_again_once_released() -> None:
+    """Between two looks a press may end: each pin is then nearer to where its neighbour was."""
+    view = UntouchedView([skin(PLACES, False, i) for i in range(8)], marks="bright", by_marks=True)
+    for step in (0.4, 0.8, 1.0):
+        view.seen(skin(PLACES + step * bulge(PLACES, (160.0, 120.0), 18.0), False, 42))
+    assert view.seen(skin(PLACES, False, 43)).verdict == "untouched"
 
 
 def press(seed: int) -> tuple[UntouchedView, SeenTouch]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.core import Wrench
+from palpate.sensing.collection.image_plateau import contact_place
 from palpate.sensing.collection.plateau_finder import Plateau, PlateauFinder, Refused, Weighing
 
 ZERO_N = 1.7
@@ -150,3 +151,19 @@ def test_a_zero_taken_under_a_weight_is_told_when_the_weight_goes() -> None:
     assert found
     assert {one.kind for one in found} == {"zero moved"}
     assert "5 N less than untouched" in found[0].why
+
+
+def test_a_contact_s_place_is_where_the_image_differs_and_none_is_given_where_nothing_does() -> None:
+    rng = np.random.default_rng(21)
+    rows, columns = np.mgrid[:120, :160]
+
+    def image(level: float) -> np.ndarray:
+        made = 100 + level * (np.hypot(columns - 100, rows - 50) < 12) + rng.normal(0, 1.5, (120, 160))
+        return np.clip(np.rint(made), 0, 255).astype(np.uint8)
+
+    rests = [image(0) for _ in range(3)]
+    assert contact_place(image(25), rests, (20, 10, 130, 100)) == pytest.approx((100, 50), abs=1.0)
+    assert contact_place(image(0), rests, (20, 10, 130, 100)) is None
+    assert contact_place(image(25), rests, (0, 0, 60, 60)) is None
+    assert contact_place(image(25)[:80], rests, (0, 0, 160, 120)) is None
+    assert contact_place(image(25), [], (0, 0, 160, 120)) is None

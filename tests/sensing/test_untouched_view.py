@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.core import ImageError, InputError, RangeError
+from palpate.core import ImageError, InputError, Pose, RangeError
+from palpate.core.sensor import dark_field_of, for_live, sensor
 from palpate.sensing.uncalibrated import edge_share, tail_weights, upper_quantile
 from palpate.sensing.untouched_view import UntouchedView
 
@@ -187,3 +188,74 @@ def test_a_camera_without_noise_does_not_see_a_tenth_of_a_level_as_touch() -> No
     steady = UntouchedView([flat] * 6)
     assert steady.seen(flat).verdict == "untouched"
     assert steady.seen(cv2.circle(flat.copy(), (100, 90), 20, 104, -1)).verdict == "touched"
+
+
+def test_a_small_part_that_changes_much_is_a_touch_however_much_around_it_changes_a_little() -> None:
+    rng = np.random.default_rng(14)
+    steady = UntouchedView([taken(LIT, rng, 0.5) for _ in range(8)])
+    little = 0.9 * disc(320, 240, 180)
+    assert steady.seen(taken(LIT + little, rng, 0.5)).verdict == "untouched"
+    seen = steady.seen(taken(LIT + little + 25 * disc(380, 200, 14), rng, 0.5))
+    assert seen.verdict == "touched"
+    assert seen.region is not None
+    assert np.hypot(seen.region.centre_px[0] - 380, seen.region.centre_px[1] - 200) < 2
+    assert seen.region.strength == pytest.approx(25, rel=0.2)
+
+
+def test_a_skin_that_the_camera_sees_through_shows_something_in_view_and_no_touch() -> None:
+    rng = np.random.default_rng(15)
+    clear = UntouchedView([taken(LIT, rng) for _ in range(8)], see_through=True)
+    assert clear.seen(taken(LIT, rng)).verdict == "untouched"
+    assert clear.seen(taken(LIT + 20 * disc(300, 200, 30), rng)).verdict == "something in view"
+
+
+DARK = np.where(COLUMNS < 320, 20.0, 90.0)  # crossed polarisers on the left, a mirror's picture on the right
+SKIN = (0, 160, 320, 320)
+
+
+@pytest.fixture(scope="module")
+def dark() -> UntouchedView:
+    rng = np.random.default_rng(16)
+    return UntouchedView([taken(DARK, rng) for _ in range(8)], region=SKIN, dark_field=True)
+
+
+def test_in_a_dark_field_light_in_the_skin_is_a_touch_and_what_else_is_seen_is_in_view(
+    dark: UntouchedView,
+) -> None:
+    rng = np.random.default_rng(17)
+    near = DARK + 40 * disc(480, 200, 40)
+    assert {dark.seen(taken(DARK, rng)).verdict for _ in range(10)} == {"untouched"}
+    seen = dark.seen(taken(near, rng))
+    assert (seen.verdict, "beside it" in seen.why) == ("something in view", True)
+    assert seen.region is not None
+    assert np.hypot(seen.region.centre_px[0] - 480, seen.region.centre_px[1] - 200) < 1
+    for light in (6 * disc(100, 300, 20), 120 * (ROWS > 160) * (COLUMNS < 320)):  # a little; all of the skin
+        assert dark.seen(taken(near + light, rng)).verdict == "touched"
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.15])
+def test_in_a_dark_field_brightness_is_told_by_what_lies_beside_the_skin(
+    dark: UntouchedView, gain: float
+) -> None:
+    rng = np.random.default_rng(18)
+    seen = dark.seen(taken(gain * DARK, rng))
+    assert (seen.verdict, seen.gain) == ("untouched", pytest.approx((gain,), rel=5e-3))
+    all_lit = DARK + 30 * (ROWS > 160) * (COLUMNS < 320)
+    assert dark.seen(taken(gain * all_lit, rng)).gain == pytest.approx((gain,), rel=5e-3)
+
+
+def test_a_ball_over_the_virtual_palm_is_in_view_and_one_that_presses_half_a_newton_touches() -> None:
+    palm, rng = for_live(sensor("palm")), np.random.default_rng(19)
+    ball = palm.probe(palm.default_probe)
+
+    def taken_at(x_mm: float, depth_mm: float) -> np.ndarray:
+        pose = Pose(1e-3 * x_mm, -5e-3, 1e-3 * depth_mm)
+        return np.asarray(palm.render(palm.press(ball, pose), rng).image)
+
+    law = palm.force_law(ball)
+    half_mm = 1e3 * float(np.interp(0.5, law.force_n, law.depth_m))
+    still = [taken_at(0, -3) for _ in range(6)]
+    told = UntouchedView(still, region=dark_field_of(palm), dark_field=True)
+    assert told.seen(taken_at(0, -3)).verdict == "untouched"
+    assert told.seen(taken_at(9, -3)).verdict == "something in view"
+    assert told.seen(taken_at(9, half_mm)).verdict == "touched"

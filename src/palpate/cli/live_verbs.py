@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from palpate.sensing.live_loop import LiveReading
     from palpate.sensing.streaming.live_image import ImageWatch
     from palpate.sensing.streaming.live_recorder import LiveRecorder
+    from palpate.sensors.owned import SensorPreset
 
 TAKE_S = 0.02  # for a reading of one of several sensors
 SHOWN_S = 0.1  # between two drawings
@@ -54,6 +55,10 @@ def live(
         Path | None,
         Option(help="Calibration (.npz) of a tip with a force sensor beside: stiffness of each press."),
     ] = None,
+    preset: Annotated[
+        str,
+        Option(help="Preset of the sensor, or its TOML file, where there is no CAL; else by its camera."),
+    ] = "",
     seconds: Annotated[float | None, Option(help="End after so long [s]; by default by Ctrl-C.")] = None,
     frames: Annotated[int | None, Option(help="End after so many frames of each camera.")] = None,
     record: Annotated[
@@ -77,7 +82,8 @@ def live(
     """Read a sensor live: value, interval and verdict as frames come.
 
     Without a calibration it shows rate, noise, focus and the difference to the untouched sensor. With --json,
-    one object a line. Ctrl-C ends it; what is recorded is whole then.
+    one object a line, at times with shapes to draw over the picture in "overlay". Ctrl-C ends it; what is
+    recorded is whole then.
 
     Example: palpate live cal --camera 4B2D --record run
     Example: palpate live --camera virtual:palm --seconds 5
@@ -86,6 +92,7 @@ def live(
     _check_ends(seconds, frames, wait)
     settings = _settings(size, fps, exposure_ms)
     options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
+    known = _preset(preset)
     addresses = camera or ["0"]
     folders = _each(calibrations or [], len(addresses))
     with stopped_by_signals(), ExitStack() as stack:
@@ -93,7 +100,7 @@ def live(
         sensors = []
         for i, (address, folder) in enumerate(zip(addresses, folders, strict=True)):
             path = record if record is None or len(addresses) == 1 else Path(f"{record}-{i + 1}")
-            one = stack.enter_context(_sensor(address, folder, path, reference, zero, options))
+            one = stack.enter_context(_sensor(address, folder, path, reference, zero, options, known))
             sensors.append(one)
             if compliance is not None:
                 stack.enter_context(_presses(one, compliance, json_))
@@ -121,6 +128,7 @@ class ShownSensor:
         self.live, self.watch, self.recorder = live, watch, recorder
         self.count = 0
         self._lost = False
+        self._looks = 0
 
     def tell_state(self) -> None:
         """Say on stderr that the camera was lost, or came back."""
@@ -174,8 +182,13 @@ class ShownSensor:
 
     def to_dict(self, reading: LiveReading) -> dict[str, Any]:
         """One object for a line of JSON."""
-        image = None if self.watch is None else self.watch.status()
-        return {**reading.to_dict(), "advice": self.live.advice, "image": image}
+        told = {**reading.to_dict(), "advice": self.live.advice, "image": None}
+        if (watch := self.watch) is not None:
+            told["image"] = watch.status()
+            if watch.looks != self._looks and watch.overlay is not None:
+                told["overlay"] = watch.overlay.to_dict()
+            self._looks = watch.looks
+        return told
 
     def _picture(self) -> str:
         seen = (None if self.watch is None else self.watch.status()) or {}
@@ -185,7 +198,10 @@ class ShownSensor:
         if seen.get("blur_px") is not None:
             parts.append(f"blur {seen['blur_px']:.1f} px")
         if seen.get("verdict"):
-            parts.append(str(seen["verdict"]))
+            place = seen.get("centre_px")
+            parts.append(
+                f"{seen['verdict']}" + (f" at x {place[0]:.0f}, y {place[1]:.0f} px" if place else "")
+            )
         return ", ".join(parts)
 
 
@@ -226,6 +242,14 @@ def _each(folders: list[Path], count: int) -> list[Path | None]:
     return [*(folders if len(folders) == count else folders * count)] if folders else [None] * count
 
 
+def _preset(name: str) -> SensorPreset | None:
+    if not name:
+        return None
+    from palpate.sensors.owned import read_preset
+
+    return read_preset(name)
+
+
 @contextmanager
 def _reading_log(path: Path) -> Iterator[Any]:
     from palpate.recordings.exchange.reading_log import ReadingLog
@@ -242,11 +266,13 @@ def _sensor(
     reference: Path | None,
     zero: bool | None,
     options: dict[str, Any],
+    preset: SensorPreset | None,
 ) -> Iterator[ShownSensor]:
     from palpate.core.files import refuse_existing
     from palpate.sensing.live_iteration import live
     from palpate.sensing.streaming.live_image import ImageWatch
     from palpate.sensing.streaming.live_recorder import LiveRecorder
+    from palpate.sensing.streaming.source_views import preset_of_camera
 
     if record is not None:
         refuse_existing(record)
@@ -254,7 +280,7 @@ def _sensor(
     watch = recorder = None
     try:
         if folder is None:
-            watch = ImageWatch(opened.loop)
+            watch = ImageWatch(opened.loop, preset or preset_of_camera(address))
             opened.loop.subscribe(watch)
         if record is not None:
             assert opened.loop.source is not None

@@ -256,6 +256,15 @@ def for_live(sensor: Sensor) -> Sensor:
     return (getattr(sensor, "for_live", None) or (lambda: for_rig(sensor)))()
 
 
+def dark_field_of(sensor: Sensor) -> Box | None:
+    """Part of the frame that stays dark until the skin is stressed, by its own `dark_field()`; None for none.
+
+    Of skins between crossed polarisers. What hangs before the skin is seen beside it, and never in it.
+    """
+    found: Box | None = (getattr(sensor, "dark_field", None) or (lambda: None))()
+    return found
+
+
 def untouched(sensor: Sensor) -> Contact:
     """The skin at rest, with no probe in sight."""
     return sensor.press(sensor.probe(sensor.default_probe), Pose(0.0, 0.0, 0.0))

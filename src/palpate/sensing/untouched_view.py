@@ -7,6 +7,10 @@ which is bright on one side and dark on the other is one. Without a touch the re
 known variance, which gives the threshold for a stated rate of false alarms. A touch that changes more than
 half of the skin by one and the same factor is taken for a change of brightness.
 
+Not all that a camera sees touches the skin. A skin between crossed polarisers is dark without stress, and
+only a touch lights it; where pins stand in the skin, only a touch moves them apart. What else differs, or
+differs where the camera sees through the skin, is "something in view".
+
 The contact's region ends where the smoothed difference is half of what it is in its strong part: there lies
 the edge of an evenly changed area, whatever its strength. It is what the image shows, and not the area of
 contact, which needs a calibration. Where a press bends the gel so far that its lights shine elsewhere, the
@@ -17,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -26,17 +30,25 @@ import numpy as np
 from palpate.core import Bool, Float, Float32, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
 from palpate.estimators.lattice.dotted_skin import DottedSkin
 from palpate.sensing.uncalibrated import (
+    BrightnessGain,
     MarkKind,
     MarkMotion,
+    MarksApart,
     StillSurround,
+    box_of,
+    disc,
     edge_share,
     follow_marks,
+    large_parts,
+    outlines_of,
+    strongest_part,
     tail_weights,
     upper_quantile,
 )
+from palpate.sensing.uncalibrated.changed_parts import MIN_PX
 from palpate.sensors.owned import SensorPreset
 
-TouchVerdict = Literal["untouched", "touched", "view changed"]
+TouchVerdict = Literal["untouched", "touched", "something in view", "view changed"]
 Box = tuple[int, int, int, int]
 Grid = Float32[ndarray, "h w c"]
 
@@ -47,16 +59,14 @@ SIGMA = 1.5  # px of the grid: by which a difference is smoothed
 SPREAD = 2.0  # px of the grid: over which its square is averaged
 NOISE_OVER = 8.0  # px of the grid over which variances are averaged: few frames tell little of one pixel's
 MIN_NOISE = 0.1  # grey levels, after smoothing: an image without noise is not taken to be known better
-MIN_LIT = 8.0  # grey levels: darker pixels tell nothing of a change of brightness
 SATURATED = 250.0  # grey levels
-EVERY = 4  # pixel along each axis that tells the change of brightness
 GAINS = 0.6, 1.6  # brightness over the reference's, beyond which the view has changed
 MAX_SHARE = 0.6  # of the region, beyond which what lies still beside it tells a touch from another view
 MAX_STILL_SHARE = 0.5  # of what lies still that a touch may change
-MIN_PX = 12  # of the grid: a smaller region is a speck
 HARDLY = 0.05  # probability of what untouched frames reach, below which their noise is not as supposed
 STRONG = 75  # percentile of the strength in a region that is its strong part
-SECOND = 0.25  # of the largest part: smaller ones are not of the contact
+SURELY = 2.0  # times the least change: a small part that changes by more is a touch, whatever is around it
+MOVED_PX = 0.3  # by which marks have moved together, before it is said
 ROUNDS = 3  # of telling the strong part by the region, and the region by the strong part
 
 
@@ -86,14 +96,15 @@ class SeenTouch:
     """A frame beside the untouched sensor.
 
     Attributes:
-        verdict: "untouched", "touched", or "view changed" where light, camera or skin are not those of the
-            reference, so that no contact can be told.
+        verdict: "untouched", "touched", "something in view" where something is seen that may not touch, or
+            "view changed" where light, camera or skin are not those of the reference, so that no contact can
+            be told.
         why: of the verdict, in words.
         gain: brightness over the reference's, of each channel.
         change: largest value of the statistic, over that which a touch needs; a touch is above 1 in an area,
             and single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
         changed_share: of the region in which a difference is seen.
-        region: the largest connected change; None but for "touched".
+        region: the connected change that is strongest; None but for "touched" and "something in view".
         marks: of the skin and how far they moved; None where none are followed, or the view has changed.
     """
 
@@ -140,6 +151,10 @@ class UntouchedView:
         mm_per_px: of the skin in the frame [mm]; without it lengths are in px alone.
         marks: pins or dots in the skin that are followed: "bright" or "dark" ones, a description of dots, or
             "any" that stand on a lattice. A region is then one over several marks.
+        by_marks: whether only marks that have moved apart tell a touch, as of pins in an opaque skin.
+        dark_field: whether the region is dark without stress, as between crossed polarisers. Then brightness
+            is told by what lies beside the region, and what differs there alone is in view.
+        see_through: whether the camera sees through the skin, so that what differs may hang in the air.
 
     Raises:
         InputError: too few frames, or of several kinds.
@@ -162,6 +177,9 @@ class UntouchedView:
         least_change: float = 1.5,
         mm_per_px: float | None = None,
         marks: MarkKind | DottedSkin | Literal["any"] | None = None,
+        by_marks: bool = False,
+        dark_field: bool = False,
+        see_through: bool = False,
     ) -> None:
         if len(frames) < MIN_FRAMES:
             raise InputError(
@@ -180,9 +198,16 @@ class UntouchedView:
         self._marks = None if marks is None else follow_marks(_mean_frame(frames), marks)
         pitch = 0.0 if self._marks is None else self._marks.pitch_px
         self._spread = max(SPREAD, 0.5 * pitch / self._step)
-        grids = np.stack([self._grid(frame) for frame in frames])
+        self._see_through, self._dark_field = see_through, dark_field
         self._still = StillSurround(frames, self.region)
-        self._learn(grids, false_alarm_rate)
+        self._learn(frames, false_alarm_rate)
+        self._apart = None
+        if by_marks and self._marks is not None:
+            self._apart = MarksApart([self._marks.moved(frame) for frame in frames], false_alarm_rate)
+        self._beside: UntouchedView | None = None
+        if dark_field and self.region[2:] != (self._shape[1], self._shape[0]):
+            options = {"false_alarm_rate": false_alarm_rate, "least_change": least_change}
+            self._beside = _ViewBeside(frames, self.region, **options)
 
     @classmethod
     def of_preset(
@@ -214,6 +239,9 @@ class UntouchedView:
             false_alarm_rate=false_alarm_rate,
             mm_per_px=preset.mm_per_px(size),
             marks=None if kind == "none" or (kind == "any" and not look_for_marks) else kind,
+            by_marks=preset.kind == "pins",
+            dark_field=preset.skin.dark_field,
+            see_through=preset.skin.see_through,
         )
 
     @property
@@ -221,14 +249,16 @@ class UntouchedView:
         """Median noise of the smoothed difference [grey levels]."""
         return float(np.sqrt(np.median(self._variance)))
 
-    def _learn(self, grids: Float32[ndarray, "n h w c"], rate: float) -> None:
+    def _learn(self, frames: Sequence[Shaped[ndarray, ...]], rate: float) -> None:
+        grids = np.stack([self._grid(frame) for frame in frames])
         n = len(grids)
-        mean = grids.mean(axis=0)
-        some = mean[::EVERY, ::EVERY]
-        lit = (some > MIN_LIT) & (some < SATURATED)
-        self._lit = [np.nonzero(lit[..., c]) for c in range(mean.shape[2])]
-        self._levels = [some[..., c][which] for c, which in enumerate(self._lit)]
-        even = np.stack([grid / self._gain(grid).astype(np.float32) for grid in grids])
+        if self._dark_field:
+            mean = np.mean(np.stack(frames), axis=0).reshape(*self._shape[:2], -1)
+            self._bright = BrightnessGain(mean, self.region)
+        else:
+            self._bright = BrightnessGain(grids.mean(axis=0))
+        gains = [self._gain(*pair) for pair in zip(frames, grids, strict=True)]
+        even = np.stack([grid / g.astype(np.float32) for grid, g in zip(grids, gains, strict=True)])
         self._mean = even.mean(axis=0)
         self._brightest = self._mean.max(axis=(0, 1))
         # Each is compared with the mean of the others, as a new frame is with that of all.
@@ -238,7 +268,7 @@ class UntouchedView:
         self._inverse = 1 / self._variance
         channels = self._mean.shape[2]
         weights = tail_weights(SIGMA, self._spread)
-        places = max(mean[..., 0].size / (math.pi * (SIGMA**2 + 2 * self._spread**2)), 1.0)
+        places = max(self._mean[..., 0].size / (math.pi * (SIGMA**2 + 2 * self._spread**2)), 1.0)
         reached = max(float(self._statistic(one, np.ones(channels)).max()) for one in apart)
         # Untouched frames that reach what they hardly should have other noise than supposed.
         hardly = upper_quantile(HARDLY / n / places, weights, channels)
@@ -261,15 +291,40 @@ class UntouchedView:
         if why:
             return SeenTouch("view changed", why, gain, change, share)
         marks = None if self._marks is None else self._marks.moved(image)
+        if marks is not None and self._apart is not None and (told := self._apart.told(marks)) is not None:
+            shift, apart = told
+            return self._by_marks(image, SeenTouch("untouched", "", gain, apart, share, None, marks), shift)
         region = self._region(difference, over) if change > 1 else None
         if region is None or region.strength < self.least_change:
+            if self._beside is not None and (seen := self._beside.seen(image)).verdict == "touched":
+                why = f"no light of stress in the skin, and beside it {seen.why}"
+                return SeenTouch("something in view", why, gain, seen.change, share, seen.region, marks)
             why = "no difference beyond the noise"
             if region is not None:
                 why = f"a change of {region.strength:.1f} grey levels; a touch has {self.least_change:.1f}"
             return SeenTouch("untouched", why, gain, change, share, None, marks)
-        x, y = region.centre_px
-        why = f"a change of {region.strength:.1f} grey levels around x {x:.0f}, y {y:.0f} px"
+        why = _where(region)
+        if self._see_through:
+            why += "; the camera sees through this skin, and what it sees may not touch"
+            return SeenTouch("something in view", why, gain, change, share, region, marks)
         return SeenTouch("touched", why, gain, change, share, region, marks)
+
+    def _by_marks(self, image: Shaped[ndarray, ...], seen: SeenTouch, shift: Float[ndarray, 2]) -> SeenTouch:
+        """Verdict by marks that have moved apart; where, by the picture, their common shift undone."""
+        x, y = float(shift[0]), float(shift[1])
+        if seen.change <= 1:
+            why = "no mark has moved against the others beyond the noise"
+            if math.hypot(x, y) > MOVED_PX:
+                why += f"; all have moved together by {x:.1f}, {y:.1f} px, as where the camera or mount moved"
+            return replace(seen, why=why)
+        height, width = self._shape[:2]
+        back = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])  # from a place in the picture wanted to that it is at
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        level = cv2.warpAffine(image, back, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        difference = self.difference(np.asarray(level))
+        region = self._region(difference, difference.statistic > self.threshold)
+        why = "marks have moved apart" + ("" if region is None else f": {_where(region)}")
+        return replace(seen, verdict="touched", why=why, region=region)
 
     def difference(self, image: Shaped[ndarray, ...]) -> Difference:
         """Difference of a frame to the reference on the grid, brightness divided out."""
@@ -279,7 +334,7 @@ class UntouchedView:
                 "give frames of that camera, or take the untouched reference anew"
             )
         grid = self._grid(image)
-        gain = self._gain(grid)
+        gain = self._gain(image, grid)
         apart = grid / gain.astype(np.float32) - self._mean
         smoothed = _smooth(apart, SIGMA)
         return Difference(smoothed, self._statistic(smoothed, gain), gain)
@@ -329,12 +384,9 @@ class UntouchedView:
         small = cv2.resize(part.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
         return small.reshape(high, wide, -1)
 
-    def _gain(self, grid: Grid) -> Float[ndarray, " c"]:
+    def _gain(self, image: Shaped[ndarray, ...], grid: Grid) -> Float[ndarray, " c"]:
         """Brightness over the reference's, each channel: the median, which a touch hardly moves."""
-        some = grid[::EVERY, ::EVERY]
-        pairs = ((some[..., c][which], self._levels[c]) for c, which in enumerate(self._lit))
-        gains = [float(np.median(now / then)) if len(then) > MIN_PX else 1.0 for now, then in pairs]
-        return np.clip(np.array(gains), 0.05, 20.0)
+        return self._bright.of(image.reshape(*self._shape[:2], -1) if self._dark_field else grid)
 
     def _statistic(self, smoothed: Grid, gain: Float[ndarray, " c"]) -> Float32[ndarray, "h w"]:
         """Mean square over the noise, of all channels and around each pixel."""
@@ -351,19 +403,36 @@ class UntouchedView:
         return _smooth(mean.reshape(*square.shape[:2], 1), self._spread)[..., 0]
 
     def _region(self, difference: Difference, over: Bool[ndarray, "h w"]) -> TouchedRegion | None:
-        found = _largest(over)
-        if found is None:
+        """The largest part that differs; a smaller one where that differs too little, and this much."""
+        if not over.any():
             return None
-        seed, box = found
-        rows, columns = _around(box, math.ceil(3 * math.hypot(SIGMA, self._spread)), over.shape)
-        smoothed, seed = difference.smoothed[rows, columns], seed[rows, columns]
+        rows, columns = box_of(over, math.ceil(3 * math.hypot(SIGMA, self._spread)))
+        smoothed, over = difference.smoothed[rows, columns], np.ascontiguousarray(over[rows, columns])
         square = (smoothed * smoothed - self._variance[rows, columns]).sum(axis=2, keepdims=True)
-        energy = _smooth(square, self._spread)[..., 0]
-        share, mask, strong = edge_share(SIGMA, self._spread), seed, 0.0
+        energy = _smooth(square, self._spread)[..., 0] / smoothed.shape[2]
+        corner = (columns.start, rows.start)
+        largest = strongest_part(over, np.zeros_like(over), energy)
+        region = None if largest is None else self._outlined(energy, largest, largest, corner)
+        surely = over & (energy > (SURELY * self.least_change) ** 2)
+        if (region is None or region.strength < self.least_change) and surely.any():
+            seed = strongest_part(over, surely, energy)
+            if seed is not None and np.count_nonzero(seed & surely) >= MIN_PX:
+                return self._outlined(energy, seed, seed & surely, corner) or region
+        return region
+
+    def _outlined(
+        self,
+        energy: Float32[ndarray, "h w"],
+        seed: Bool[ndarray, "h w"],
+        core: Bool[ndarray, "h w"],
+        corner_px: tuple[int, int],
+    ) -> TouchedRegion | None:
+        """Region of a part of the grid, whose strong part is told by its core."""
+        share, mask, strong = edge_share(SIGMA, self._spread), core, 0.0
         for _ in range(ROUNDS):
-            strong = max(float(np.percentile(energy[mask & seed], STRONG)), 0.0)
+            strong = max(float(np.percentile(energy[mask & core], STRONG)), 0.0)
             mask = energy > share * strong
-        parts = _parts(mask & seed)
+        parts = large_parts(mask & seed)
         if not parts:
             return None
         filled = np.zeros(mask.shape, np.uint8)
@@ -371,17 +440,17 @@ class UntouchedView:
             outline = cv2.convexHull(np.concatenate(parts))
         else:
             cv2.drawContours(filled, parts, -1, 1, cv2.FILLED)
-            filled = cv2.morphologyEx(filled, cv2.MORPH_CLOSE, _disc(round(2 * self._spread)))
-            outline = max(_outlines(filled), key=len)
+            filled = cv2.morphologyEx(filled, cv2.MORPH_CLOSE, disc(round(2 * self._spread)))
+            outline = max(outlines_of(filled), key=len)
         cv2.drawContours(filled, [outline], -1, 1, cv2.FILLED)
         # Pixels at a ragged edge count by how strongly they are changed.
         weight = np.minimum(np.maximum(energy, 0), strong) * filled
         moments = cv2.moments(weight)
-        corner = np.array([columns.start, rows.start])
+        corner = np.array(corner_px)
         at = corner + np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         # Smoothing draws a closed edge inwards: its area shrinks by pi sigma squared, whatever its shape.
         area = cv2.countNonZero(filled) + math.pi * (SIGMA**2 + self._spread**2)
-        return self._in_frame(at, area, corner + outline[:, 0], math.sqrt(strong / smoothed.shape[2]))
+        return self._in_frame(at, area, corner + outline[:, 0], math.sqrt(strong))
 
     def _in_frame(
         self, at: Float[ndarray, 2], area: float, outline: Int[ndarray, "p 2"], strength: float
@@ -399,6 +468,27 @@ class UntouchedView:
         )
 
 
+class _ViewBeside(UntouchedView):
+    """All of a frame but the skin, in which something may be seen that does not touch."""
+
+    def __init__(self, frames: Sequence[Shaped[ndarray, ...]], skin: Box, **options: float) -> None:
+        self._skin = skin
+        super().__init__(frames, **options)  # type: ignore[arg-type]
+
+    def _statistic(self, smoothed: Grid, gain: Float[ndarray, " c"]) -> Float32[ndarray, "h w"]:
+        statistic = super()._statistic(smoothed, gain)
+        reach = math.ceil(3 * math.hypot(SIGMA, self._spread))
+        x, y, wide, high = (value // self._step for value in self._skin)
+        rows = slice(max(y - reach, 0), y + high + 1 + reach)
+        statistic[rows, max(x - reach, 0) : x + wide + 1 + reach] = 0.0
+        return statistic
+
+
+def _where(region: TouchedRegion) -> str:
+    x, y = region.centre_px
+    return f"a change of {region.strength:.1f} grey levels around x {x:.0f}, y {y:.0f} px"
+
+
 def _pair(values: Float[ndarray, 2]) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
@@ -409,44 +499,6 @@ def _mean_frame(frames: Sequence[Shaped[ndarray, ...]]) -> UInt8[ndarray, "h w *
 
 def _smooth(grid: Grid, sigma: float) -> Grid:
     return cv2.GaussianBlur(grid, (0, 0), sigma, borderType=cv2.BORDER_REFLECT).reshape(grid.shape)
-
-
-def _largest(mask: Bool[ndarray, "h w"]) -> tuple[Bool[ndarray, "h w"], Box] | None:
-    """Largest connected part of a mask and its box; None where that is a speck."""
-    # The algorithm is named, since the usual one takes longer.
-    _, label, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
-        mask.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_BBDT
-    )
-    size = boxes[:, cv2.CC_STAT_AREA].copy()
-    size[0] = 0
-    best = int(size.argmax())
-    if size[best] < MIN_PX:
-        return None
-    x, y, width, height = (int(v) for v in boxes[best, :4])
-    return label == best, (x, y, width, height)
-
-
-def _parts(mask: Bool[ndarray, "h w"]) -> list[Int[ndarray, "p 1 2"]]:
-    """Outlines of the large connected parts of a mask."""
-    outlines = _outlines(mask.view(np.uint8))
-    areas = np.array([cv2.contourArea(one) for one in outlines])
-    large = areas >= SECOND * areas.max(initial=0.0)
-    return [one for one, is_large in zip(outlines, large, strict=True) if is_large]
-
-
-def _outlines(mask: UInt8[ndarray, "h w"]) -> Sequence[Int[ndarray, "p 1 2"]]:
-    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-
-
-def _disc(radius: int) -> UInt8[ndarray, "h w"]:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-
-
-def _around(box: Box, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of a box with a margin."""
-    x, y, width, height = box
-    rows = slice(max(y - margin, 0), min(y + height + margin, shape[0]))
-    return rows, slice(max(x - margin, 0), min(x + width + margin, shape[1]))
 
 
 def _kind_of(image: Shaped[ndarray, ...]) -> tuple[int, ...]:

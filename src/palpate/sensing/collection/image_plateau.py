@@ -8,13 +8,15 @@ small change that stays, as of a camera that has settled by a pixel, is taken in
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
 
-from palpate.core import NS_PER_S, Float32, UInt8, ndarray
+from palpate.core import NS_PER_S, Float32, InputError, UInt8, ndarray
+from palpate.sensing.untouched_view import MIN_FRAMES, UntouchedView
 
 GRID_PX = 32  # along the longer side
 FIRST_FRAMES = 8  # of the untouched sensor
@@ -112,26 +114,26 @@ def coarse(image: UInt8[ndarray, ...]) -> Coarse:
 
 
 def contact_place(
-    image: UInt8[ndarray, ...], rest: UInt8[ndarray, ...], region: tuple[int, int, int, int]
+    image: UInt8[ndarray, ...], rests: Sequence[UInt8[ndarray, ...]], region: tuple[int, int, int, int]
 ) -> tuple[float, float] | None:
     """Centroid of what differs from the untouched sensor within a region, column and row [px].
 
+    Args:
+        image: of the contact.
+        rests: images of the untouched sensor shortly before, five or more where there are.
+        region: x, y, width and height [px].
+
     Returns:
-        None where nothing differs by more than noise does.
+        None where nothing differs by more than noise does, or the images are not of one kind.
     """
-    x, y, width, height = region
-    now, still = (one[y : y + height, x : x + width].astype(np.float32) for one in (image, rest))
-    apart = np.abs(now - still)
-    apart = apart if apart.ndim == 2 else apart.mean(axis=2)
-    apart = cv2.GaussianBlur(apart, (0, 0), max(1.0, max(width, height) / 64))
-    floor = float(np.median(apart))
-    noise = 1.4826 * float(np.median(np.abs(apart - floor)))
-    weight = np.where(apart > floor + max(8 * noise, 1.0, 0.4 * (apart.max() - floor)), apart - floor, 0.0)
-    if weight.sum() <= 0:
+    if not rests:
         return None
-    columns, rows = np.arange(width), np.arange(height)
-    total = float(weight.sum())
-    return x + float((weight.sum(axis=0) @ columns) / total), y + float((weight.sum(axis=1) @ rows) / total)
+    enough = [*rests, *[rests[-1]] * (MIN_FRAMES - len(rests))]
+    try:
+        seen = UntouchedView(enough, region=region).seen(image)
+    except InputError:
+        return None
+    return None if seen.region is None else seen.region.centre_px
 
 
 def _rms(one: Coarse, other: Coarse) -> float:

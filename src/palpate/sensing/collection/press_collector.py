@@ -20,6 +20,7 @@ from palpate.core import (
     NS_PER_S,
     Clock,
     Frame,
+    Image,
     InputError,
     MonotonicClock,
     PathText,
@@ -60,6 +61,7 @@ FRAMES_HZ = 12.0  # that are kept of a press, at most
 KEPT_S = 3.0  # of frames while nothing is touched
 KEPT_BYTES = 192_000_000
 CLEAR_S = 0.2  # before a press, that its frame of the untouched sensor is taken
+RESTS = 5  # last images of the untouched sensor, beside which a contact is seen
 REST_S = 0.5  # before that, in which the sensor is taken to be at rest
 FAST_DELAY_S = 0.02  # of a scale whose samples are those of a frame's own exposure
 SAMPLES_A_FRAME = 2.0
@@ -141,6 +143,7 @@ class PressCollector:
         self._image = ImagePlateau()
         self._typed_n: float | None = None
         self._frames: deque[tuple[int, Frame]] = deque()
+        self._rest_images: deque[Image] = deque(maxlen=RESTS)
         self._bytes = 0
         self._closed = False
         self.session = session or datetime.now(UTC).strftime("%Y-%m-%d")
@@ -354,7 +357,8 @@ class PressCollector:
         during = [during[k] for k in chosen]
         name = f"{len(self.presses) + 1}"
         middle = during[len(during) // 2][1]
-        place = contact_place(middle.image, rests[-1][1].image, self._whole(middle)) if rests else None
+        self._rest_images.extend(one.image for _, one in rests)
+        place = contact_place(middle.image, self._rest_images, self._whole(middle)) if rests else None
         if len(rests) > 1 and len(self.presses) % REST_EVERY == 0:
             self._write(*rests[0], REST, False, 0.0, 0.0, None)
         if rests:

@@ -11,8 +11,10 @@ from palpate.core.reading import plain_number
 from palpate.sensing.image_health import image_health
 from palpate.sensing.live_loop import LiveLoop
 from palpate.sensing.live_sources import LiveFrame
+from palpate.sensing.streaming.source_views import view_of_source
 from palpate.sensing.untouched_view import UntouchedView
 from palpate.sensing.view_overlay import FrameOverlay, overlay_of
+from palpate.sensors.owned import SensorPreset
 
 LOOK_S = 0.2  # between two looks; the health of a picture does not change faster
 ASSUMED_HZ = 30.0  # where a rate is not known yet
@@ -27,14 +29,18 @@ class ImageWatch:
 
     Args:
         loop: that it is subscribed to.
+        preset: of the sensor, where it is known: where its skin lies, its marks, its scale. Without one a
+            virtual sensor tells the same of itself, and of any other all of the frame is looked at.
 
     Attributes:
         overlay: shapes that show what was last seen, in the frame's pixels; None before a zero.
+        looks: how often was looked.
     """
 
-    def __init__(self, loop: LiveLoop) -> None:
-        self._loop = loop
+    def __init__(self, loop: LiveLoop, preset: SensorPreset | None = None) -> None:
+        self._loop, self._preset = loop, preset
         self.overlay: FrameOverlay | None = None
+        self.looks = 0
         self._frames: tuple[Image, ...] = ()
         self._view: UntouchedView | None = None
         self._health: dict[str, Any] = {}
@@ -50,12 +56,17 @@ class ImageWatch:
         if self._loop.untouched_frames is not self._frames:
             self._learn(self._loop.untouched_frames)
         self._now = self._seen(frame.frame.image)
+        self.looks += 1
 
     def on_force(self, samples: Sequence[Wrench]) -> None:
         """Nothing is seen of a force."""
 
     def status(self) -> dict[str, Any] | None:
-        """Plain values: "level", "clipped", after a zero "noise", "blur_px", "verdict", "change", "why"."""
+        """Plain values: "level", "clipped", after a zero "noise", "blur_px", "verdict", "change", "why".
+
+        "centre_px" is of the changed region, "centre_mm" from the middle of the skin where its scale is
+        known.
+        """
         return {**self._health, **self._now} or None
 
     def _learn(self, frames: tuple[Image, ...]) -> None:
@@ -64,7 +75,8 @@ class ImageWatch:
             return
         rate_hz = self._loop.untouched_rate_hz or ASSUMED_HZ
         try:
-            self._view = UntouchedView(frames)
+            design = getattr(getattr(self._loop.source, "hand", None), "design", None)
+            self._view = view_of_source(frames, self._preset, design)
             self._health = image_health(frames, rate_hz).to_dict()
         except InputError as e:
             self._health = {"advice": [str(e)]}
@@ -78,6 +90,9 @@ class ImageWatch:
         except InputError as e:
             return found | {"verdict": "view changed", "why": str(e)}
         self.overlay = overlay_of(touch, self._view.region)
-        place = None if touch.region is None else [round(c, 1) for c in touch.region.centre_px]
+        region = touch.region
+        place = None if region is None else [round(c, 1) for c in region.centre_px]
         seen = {"verdict": touch.verdict, "change": plain_number(touch.change), "centre_px": place}
+        if region is not None and region.centre_mm is not None:
+            seen["centre_mm"] = [round(c, 2) for c in region.centre_mm]
         return found | seen | {"why": touch.why}

@@ -1,5 +1,13 @@
-"""Parts of the view without a calibration: the tail of noise, what lies still, marks that move."""
+"""Parts of the view without a calibration: noise and brightness, what changed, what lies still, marks."""
 
+from palpate.sensing.uncalibrated.brightness_gain import BrightnessGain
+from palpate.sensing.uncalibrated.changed_parts import (
+    box_of,
+    disc,
+    large_parts,
+    outlines_of,
+    strongest_part,
+)
 from palpate.sensing.uncalibrated.mark_motion import (
     DotFollower,
     MarkKind,
@@ -7,10 +15,12 @@ from palpate.sensing.uncalibrated.mark_motion import (
     PinFollower,
     follow_marks,
 )
+from palpate.sensing.uncalibrated.marks_apart import MarksApart
 from palpate.sensing.uncalibrated.noise_tail import edge_share, tail_weights, upper_quantile
 from palpate.sensing.uncalibrated.still_surround import StillSurround
 
 __all__ = [
-    "DotFollower", "MarkKind", "MarkMotion", "PinFollower", "StillSurround", "edge_share", "follow_marks",
+    "BrightnessGain", "DotFollower", "MarkKind", "MarkMotion", "MarksApart", "PinFollower", "StillSurround",
+    "box_of", "disc", "edge_share", "follow_marks", "large_parts", "outlines_of", "strongest_part",
     "tail_weights", "upper_quantile",
 ]  # fmt: skip

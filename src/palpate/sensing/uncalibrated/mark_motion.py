@@ -7,7 +7,9 @@ frame is searched whole and marks are named by their cell of the lattice.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import cv2
@@ -23,6 +25,7 @@ Places = Float[ndarray, "m 2"]
 MIN_MARKS = 9
 AROUND = 16.0  # of the frame's longer side: over which the ground around a mark is seen
 MIN_FOUND = 0.6  # of the marks: with fewer the whole frame is searched
+ALIKE = 0.02  # of the distance of marks: by which those that moved together differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,22 @@ class MarkMotion:
         """Largest motion [px]; 0 without marks."""
         return float(np.hypot(*self.moved_px.T).max(initial=0.0))
 
+    def apart(self) -> tuple[Float[ndarray, 2], Places]:
+        """Shift that all have in common, and what each has moved beyond that and a common turn [px].
+
+        Reference:
+            Kabsch 1976, doi:10.1107/S0567739476001873.
+        """
+        if not len(self.at_px):
+            return np.zeros(2), self.moved_px
+        shift = self.moved_px.mean(axis=0)
+        before = self.at_px - self.at_px.mean(axis=0)
+        now = before + self.moved_px - shift
+        across = float((before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0]).sum())
+        turn = math.atan2(across, float((before * now).sum()))
+        back = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        return shift, now - before @ back
+
 
 class PinFollower:
     """Pins, bright or dark, followed from the untouched frame.
@@ -61,7 +80,7 @@ class PinFollower:
         self._first = find_pins(self._bright(untouched), MIN_MARKS)
         self._now = self._first
 
-    @property
+    @cached_property
     def pitch_px(self) -> float:
         """Median distance of neighbouring marks [px]."""
         away = self._first.xy_px[:, None] - self._first.xy_px[None]
@@ -70,14 +89,27 @@ class PinFollower:
         return float(np.median(far.min(axis=1)))
 
     def moved(self, frame: Shaped[ndarray, ...]) -> MarkMotion:
-        """Motion of the marks in the next frame."""
+        """Motion of the marks in the next frame.
+
+        Between two frames a mark may have moved too far to be followed, and is then taken for its neighbour.
+        Where all lie as they lay untouched, but for a common motion, each is where it was looked for first.
+        """
         grey = self._bright(frame)
         self._now = next(iter(follow([grey], self._from_here())))
         if self._now.found.mean() < MIN_FOUND:
             self._now = self._anew(grey)
-        found = self._now.found
+        motion = self._motion(self._now)
+        if _spread(motion) > ALIKE * self.pitch_px:
+            back = next(iter(follow([grey], self._first)))
+            released = self._motion(back)
+            if back.found.mean() >= MIN_FOUND and _spread(released) <= ALIKE * self.pitch_px:
+                self._now, motion = back, released
+        return motion
+
+    def _motion(self, now: PinTracks) -> MarkMotion:
+        found = now.found
         at = self._first.xy_px[found]
-        return MarkMotion(at, self._now.xy_px[found] - at, int((~found).sum()))
+        return MarkMotion(at, now.xy_px[found] - at, int((~found).sum()))
 
     def _from_here(self) -> PinTracks:
         """Where to look: a mark that was lost is looked for where the others have gone to."""
@@ -108,6 +140,13 @@ class PinFollower:
                 f"marks are followed in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}"
             )
         return grey if self.kind == "bright" else np.subtract(255, grey, dtype=np.uint8)
+
+
+def _spread(motion: MarkMotion) -> float:
+    """Root mean square motion of marks apart [px]."""
+    return (
+        float(np.sqrt(np.mean(np.square(motion.apart()[1]).sum(axis=1)))) if len(motion.at_px) else math.inf
+    )
 
 
 class DotFollower:

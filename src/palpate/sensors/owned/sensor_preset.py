@@ -115,11 +115,16 @@ class SkinInFrame(SourcedPart):
         region_share: left, top, width and height, as shares of the frame's width and height.
         region_mm: width and height of what that region shows [mm]; needed for millimetres.
         size_mm: width and height of the skin or gel itself [mm].
+        dark_field: whether that region is dark without stress, as between crossed polarisers, and what lies
+            beside it shows what comes near.
+        see_through: whether the camera sees through the skin what hangs before it.
     """
 
     region_share: tuple[Share, Share, Share, Share] | None = None
     region_mm: tuple[Positive, Positive] | None = None
     size_mm: tuple[Positive, Positive] | None = None
+    dark_field: bool = False
+    see_through: bool = False
 
     @model_validator(mode="after")
     def _lies_in_the_frame(self) -> SkinInFrame:

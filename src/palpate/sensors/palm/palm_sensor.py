@@ -123,6 +123,14 @@ class Palm:
         """Both views."""
         return {"fringes": self.spec.fringes.box_px, "mirror": self.spec.mirror.box_px}
 
+    def dark_field(self) -> Box:
+        """Fringes below the membrane's surface: lit by its stress alone, and clear of a ball above it."""
+        view = self.spec.fringes
+        x, y, wide, high = view.box_px
+        lowered = view.middle_px[1] + view.shift_px[1] + wide / 2 * abs(math.sin(view.turn_rad))
+        top = math.ceil(lowered) + 1
+        return x, y + top, wide, high - top
+
     def probe(self, words: str) -> Probe:
         """See `parse_probe`."""
         return parse_probe(words)
