@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import signal
@@ -22,6 +23,7 @@ from palpate.cli import app
 from palpate.cli.live_verbs import ShownSensor
 from palpate.recordings import Run, export_folder
 from palpate.recordings.exchange.image_files import encode
+from palpate.recordings.segments import scan
 from palpate.sensing.live_loop import LiveState
 
 SENSED = ("frame", "time_s", "readings", "drift", "calibration")
@@ -48,6 +50,54 @@ def spots(calibrate_spots, record_spots, tmp_path):
 
 def readings_of(output: str) -> list[dict]:
     return [json.loads(line) for line in output.splitlines()]
+
+
+def cut(run: Path) -> Path:
+    """The same run as a writer leaves it that is killed: without the index at the end of its files."""
+    for file in run.glob("*.mcap"):
+        whole = file.read_bytes()
+        file.write_bytes(whole[: scan(file).data_end or None])
+    return run
+
+
+def test_a_run_that_its_writer_did_not_close_is_read_named_and_ends_with_status_1(spots) -> None:
+    calibration, run, _ = spots
+    for words in (
+        ("sense", calibration, cut(run.path)),
+        ("live", calibration, "--camera", run.path, "--wait", 0.2),
+    ):
+        found = typed(*words, "--json", status=1)
+        *readings, last = readings_of(found.stdout)
+        assert len(readings) == 12
+        assert (last["state"], "not closed by its writer" in last["why"]) == ("ended", True)
+        assert found.stderr.count("not closed by its writer") == 1
+    with (run.path / "manifest.json").open("r+b") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as a writer that is at work does: it has only not gone on
+        typed("live", calibration, "--camera", run.path, "--wait", 0.2, "--json")
+
+
+@pytest.mark.parametrize("changes", [False, True])
+def test_frames_of_another_size_than_the_calibration_s_end_it_by_a_message_with_both(
+    spots, tmp_path, changes
+) -> None:
+    calibration, run, _ = spots
+    small = tmp_path / "small"
+    small.mkdir()
+    for i, frame in enumerate(run.frames()):
+        (small / f"{i:02}.png").write_bytes(encode(frame.image[:24, :32].copy()).tobytes())
+    found = typed(
+        "live",
+        calibration,
+        "--camera",
+        small if changes else small / "00.png",
+        "--wait",
+        0.2,
+        "--json",
+        status=2,
+    )
+    assert "32x24 px and the calibration reads 64x48 px" in found.stderr
+    assert "calibrate at this one" in found.stderr
+    assert len(readings_of(found.stdout)) == (12 if changes else 1)
 
 
 def test_a_video_is_read_live_as_by_sense_frame_by_frame(spots) -> None:

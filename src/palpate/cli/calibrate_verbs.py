@@ -240,13 +240,17 @@ def sense(
 ) -> None:
     """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
 
+    A run that its writer did not close is read, named, and ends with status 1.
+
     Example: palpate sense cal images --json
     """
+    from palpate.sensing.streaming.replayed_frames import unfinished
+
     estimator = palpate.Estimator.open(calibration, threads=threads)
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
-    latencies = []
-    for sensed in palpate.sense(estimator, palpate.open_source(source), zero):
+    latencies, frames = [], palpate.open_source(source)
+    for sensed in palpate.sense(estimator, frames, zero):
         latencies.append(sensed.latency_s)
         if json_:
             typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
@@ -256,6 +260,11 @@ def sense(
         from palpate.reports import latency_line
 
         typer.echo(latency_line(latencies), err=True)
+    if hasattr(frames, "run") and (why := unfinished(frames.run.path)):
+        typer.echo(why, err=True)
+        if json_:
+            typer.echo(json.dumps({"source": str(source), "state": "ended", "why": why}))
+        raise typer.Exit(1)
 
 
 def report(

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
 
@@ -83,7 +83,7 @@ def live(
 
     Without a calibration it shows rate, noise, focus and the difference to the untouched sensor. With --json,
     one object a line, at times with shapes to draw over the picture in "overlay". Ctrl-C ends it; what is
-    recorded is whole then.
+    recorded is whole then. A run that its writer did not close is read, named, and ends with status 1.
 
     Example: palpate live cal --camera 4B2D --record run
     Example: palpate live --camera virtual:palm --seconds 5
@@ -110,15 +110,25 @@ def live(
                 if log is not None:
                     log.write(reading.source, reading.to_dict())
                 shown(sensor, reading)
+                sensor.refuse_size(reading)
         for sensor in sensors:
             _close(sensor)
     for sensor in sensors:
         say(sensor.summary(), err=True)
+    for sensor in sensors:
+        sensor.refuse_all_sizes()
+    cut = {sensor.live.loop.name: why for sensor in sensors if (why := sensor.cut_short())}
+    for name, why in cut.items():
+        say(why, err=True)
+        if json_:
+            say(json.dumps({"source": name, "state": "ended", "why": why}))
     if all(sensor.is_over_and_empty() for sensor in sensors):
         from palpate.core.errors import InputError
 
         names = ", ".join(sensor.live.loop.name for sensor in sensors)
         raise InputError(f"{names} ended without a frame; nothing was read")
+    if cut:
+        raise Exit(1)
 
 
 class ShownSensor:
@@ -129,6 +139,7 @@ class ShownSensor:
         self.count = 0
         self._lost = False
         self._looks = 0
+        self._fitting, self._other_size = 0, ""
 
     def tell_state(self) -> None:
         """Say on stderr that the camera was lost, or came back."""
@@ -175,6 +186,41 @@ class ShownSensor:
             kept = f"; recorded in {self.recorder.path}{unkept}"
         faults = "".join(f"; {fault}" for fault in loop.faults)
         return f"{loop.name}: {counts}{times}{kept}{faults}"
+
+    def refuse_size(self, reading: LiveReading) -> None:
+        """End where a camera, or a file that does not change, gives frames of another size than the CAL's.
+
+        Raises:
+            InputError: it does, with both sizes and what to do.
+        """
+        loop, (height, width) = self.live.loop, reading.image.shape[:2]
+        wanted = loop.frame_px
+        if wanted is None or reading.why or (height, width) == wanted:
+            self._fitting += not reading.why
+            return
+        right = f"{wanted[1]}x{wanted[0]}"
+        self._other_size = (
+            f"{loop.name} gives frames of {width}x{height} px and the calibration reads {right} px: film at "
+            f"that size (--size {right} of a USB camera), or calibrate at this one"
+        )
+        if not getattr(loop.source, "may_change", False):
+            self.refuse_all_sizes()
+
+    def refuse_all_sizes(self) -> None:
+        """End by an error where no frame had the calibration's size.
+
+        Raises:
+            InputError: none had.
+        """
+        if self._other_size and not self._fitting:
+            from palpate.core.errors import InputError
+
+            raise InputError(self._other_size)
+
+    def cut_short(self) -> str:
+        """Why its source ended before it was whole, as a run whose writer was killed; empty else."""
+        loop = self.live.loop
+        return loop.why if loop.state.value == "ended" else ""
 
     def is_over_and_empty(self) -> bool:
         """Whether its source has ended by itself, and gave no frame."""

@@ -233,6 +233,12 @@ class LiveLoop(Closing):
         return self._source
 
     @property
+    def frame_px(self) -> tuple[int, int] | None:
+        """Height and width of the frames that its calibration reads [px]; None where that is any, or none."""
+        found: tuple[int, int] | None = getattr(self._reader, "frame_px", None)
+        return found
+
+    @property
     def state(self) -> LiveState:
         """State that it is in now."""
         return self._state
@@ -344,7 +350,7 @@ class LiveLoop(Closing):
                 self._lose(f"{type(e).__name__}: {e}")
                 continue
             if frame is None:
-                self._end(LiveState.ENDED, "")
+                self._end(LiveState.ENDED, str(getattr(source, "unfinished", "")))
                 return
             self._arrive(frame, source)
 

@@ -78,6 +78,11 @@ class CalibrationReader:
         """Whether it reads the difference to the untouched sensor."""
         return bool(self.estimator.card.input.delta)
 
+    @property
+    def frame_px(self) -> tuple[int, int]:
+        """Height and width of the frames that it reads [px]."""
+        return self.estimator.card.input.frame_px
+
     def read(self, live: LiveFrame) -> Readings:
         """Readings of a frame, those of `Estimator.read`."""
         frame = live.frame

@@ -10,13 +10,23 @@ from collections import deque
 from pathlib import Path
 from typing import BinaryIO
 
-from palpate.core import NS_PER_S, Closing, ForceSensor, Frame, ImageError, PalpateError, RecordingError
+from palpate.core import (
+    NS_PER_S,
+    Closing,
+    ForceSensor,
+    Frame,
+    ImageError,
+    PalpateError,
+    RecordingError,
+    StorageError,
+    lock,
+)
 from palpate.recordings.exchange.image_files import image_from_bytes, read_image
 from palpate.recordings.exchange.image_stream import ImageCutter
 from palpate.recordings.manifest import MANIFEST, StoredManifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments import file_name, frames_in, scan, scan_growing, segment_numbers
-from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, Unreadable, open_source
+from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, ImageFiles, Unreadable, open_source
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError, live_frame
 
 GROWS_LOOK_S = 0.02  # between two looks at what is being written
@@ -32,6 +42,8 @@ class FileFrames(Closing):
         waits: True.
         force: None.
         run: the run, where it is one.
+        unfinished: why a run is not whole, in words; empty where it is.
+        may_change: whether its frames may be of several sizes, as those of a folder.
     """
 
     waits = True
@@ -42,6 +54,8 @@ class FileFrames(Closing):
         self.run: Run | None = getattr(stream, "run", None)
         self._frames = iter(stream)
         self._number = 0
+        self.may_change = isinstance(stream, ImageFiles)
+        self.unfinished = "" if self.run is None else unfinished(self.run.path)
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
         """The next frame; None at the end. A frame is read in less time than any time-out is worth."""
@@ -67,7 +81,10 @@ class GrowingFrames(Closing):
         name: its path.
         waits: True.
         force: None.
+        unfinished: why it is not whole though it has ended, in words; empty where it is.
     """
+
+    unfinished = ""
 
     waits = True
     force: ForceSensor | None = None
@@ -117,6 +134,8 @@ class GrowingFrames(Closing):
 
 class FillingFolder(GrowingFrames):
     """Images of a folder in the order in which they appear, those of one look by their names."""
+
+    may_change = True
 
     def __init__(self, path: Path, idle_s: float) -> None:
         super().__init__(path, idle_s)
@@ -195,6 +214,11 @@ class GrowingRun(GrowingFrames):
         last = max(segment_numbers(self._path), default=-1)
         return self._segment == last >= 0 and self._closed(last)
 
+    @property
+    def unfinished(self) -> str:  # type: ignore[override]
+        """Why the run is not whole though its writer is gone, in words; empty where it is."""
+        return unfinished(self._path)
+
 
 def open_file_frames(path: Path, idle_s: float) -> LiveSource:
     """Open an image, a folder, a run or a video, whole or still being written.
@@ -224,6 +248,23 @@ def _being_written(run: Path) -> bool:
     return path.is_file() and scan(path).data_end is None
 
 
+def unfinished(run: Path) -> str:
+    """Why a run is not whole though nobody records into it, in words; empty where it is."""
+    files = [run / file_name(number, "frames") for number in segment_numbers(run)]
+    if all(file.is_file() and scan(file).data_end is not None for file in files) and files:
+        return ""
+    try:
+        lock(run / MANIFEST).close()
+    except RecordingError:  # its writer is at work
+        return ""
+    except StorageError:  # where nothing can be written nobody records
+        pass
+    return (
+        f"{run} was not closed by its writer, which was killed or lost its disk: what can be read of it was "
+        f"read, and `palpate check {run}` tells what is missing"
+    )
+
+
 class PipedFrames(Closing):
     """Images that come on standard input: JPEG or PNG files one after the other, or MJPEG.
 
@@ -237,6 +278,7 @@ class PipedFrames(Closing):
     """
 
     waits = True
+    may_change = True
     force: ForceSensor | None = None
 
     def __init__(self, stream: BinaryIO | None = None, name: str = "standard input") -> None:
