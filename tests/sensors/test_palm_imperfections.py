@@ -81,7 +81,7 @@ def test_retardance_at_45_degrees_gives_sin2_of_its_half_and_along_the_polariser
 
 def test_residual_and_stress_together_are_a_product_of_jones_matrices() -> None:
     """A pressed ray with residual retardance against matrix exponentials of its slices, band by band."""
-    field = fringe_view.field_of(fringe_view.pressed(BARE, 3e-3), BARE)
+    field = fringe_view.field_at(BARE, 3e-3)
     s, z, reach, slices = 2e-3, 4e-3, 28e-3, 400
     frozen = np.array([900.0, -500.0])
     edges = np.linspace(np.arctan(-reach / 5e-3), np.arctan(reach / 5e-3), slices + 1)

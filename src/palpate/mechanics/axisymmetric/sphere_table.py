@@ -146,6 +146,10 @@ class SphereTable:
             float(depth), force, radius, pressure, *fields, self.thickness, self.disc_radius
         )
 
+    def contact_radius_at(self, depth: float) -> float:
+        """The contact's radius at a depth of the table, as `at` gives it [R]."""
+        return float(depth**0.5 * self._ratios[1](depth))
+
     def force_at(self, depth: Knots) -> Knots:
         """Forces at many depths [R], as `at` gives them one by one [E R^2]."""
         if not np.all((depth >= 0.0) & (depth <= self.greatest_depth * (1.0 + SAME))):
@@ -325,6 +329,15 @@ def _solved_near(ratio: float, friction: float, poisson_ratio: float) -> list[Sp
     return near if len(near) == NEAREST and above <= MAX_APART * below else []
 
 
+@lru_cache(maxsize=6)
+def _stress_at_shares_of(
+    own: float, other: float, friction: float, poisson_ratio: float
+) -> Float[ndarray, "d 4 m n"]:
+    """Stress of one solved thickness at another's shares of the way down; of all that is drawn from both."""
+    table, at = (table_for(h, friction, poisson_ratio) for h in (own, other))
+    return np.asarray(PchipInterpolator(table.zeta, table.stress.astype(float), axis=2)(at.zeta))
+
+
 @lru_cache(maxsize=16)
 def _between(
     thicknesses: tuple[float, ...], ratio: float, friction: float, poisson_ratio: float
@@ -344,8 +357,8 @@ def _between(
         return np.asarray(sum(w * getattr(t, part)[:n] for w, t in zip(weights, tables, strict=True)))
 
     stress = sum(
-        w * PchipInterpolator(t.zeta, t.stress[:n].astype(float), axis=2)(first.zeta)
-        for w, t in zip(weights, tables, strict=True)
+        w * _stress_at_shares_of(h, first.thickness, friction, poisson_ratio)[:n]
+        for w, h in zip(weights, thicknesses, strict=True)
     )
     return SphereTable(
         thickness=ratio,
@@ -376,7 +389,7 @@ def _fits(table: SphereTable, pose: Pose, R: float, disc_radius_m: float) -> Non
             f"{table.disc_radius * R * 1e3:g} mm ({table.disc_radius:g} R); press a wider disc"
         )
     centre = math.hypot(pose.x_m, pose.y_m)
-    reach = table.at(min(pose.depth_m / R, table.greatest_depth)).contact_radius * R
+    reach = table.contact_radius_at(min(pose.depth_m / R, table.greatest_depth)) * R
     if centre + reach > disc_radius_m:
         raise RangeError(
             f"a contact of radius {reach * 1e3:.3g} mm, {centre * 1e3:.4g} mm from the centre, reaches over "

@@ -28,7 +28,7 @@ from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.wall_refraction import ColumnRays, round_rim
-from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_press import field_at
 from palpate.sensors.palm.palm_rim import applied_rim
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
@@ -265,20 +265,30 @@ def _marched(
     frozen_pa: tuple[Numbers, Numbers],
     slices: int = SLICES,
 ) -> Light:
-    seen = spectrum(spec.bands)
+    seen, field = spectrum(spec.bands), field_at(spec, depth_m)
+    light = np.full((len(z), len(offset_m), 3), spec.extinction, np.float32)
+    skin = (z >= field.surface_m.min()) & (z <= field.thickness_m)  # no other row meets any
+    z = z[skin]
     rows = z[:, None]
     scale = np.sqrt(offset_m**2 + np.maximum(rows, 0) ** 2 + (0.2 * spec.indenter_radius_m) ** 2)
     made = march_axisymmetric(
-        field_of(pressed(spec, depth_m), spec),
+        field,
         Rays(offset_m[None], rows, start_m[None], end_m[None], scale),
         spec.stress_optic.half_phase(seen.wavelength_m),
         seen.weight,
         plane_amplitude(spec.polariser_rad, spec.bands),
         slices,
-        frozen_pa,
+        _of_rows(frozen_pa, skin, len(offset_m)),
     )
-    light = with_leak(made.light, spec.extinction)
+    lit = with_leak(made.light, spec.extinction)
     grazed = (made.skin_m > 0) & (made.skin_m < (1 - GRAZED) * (end_m - start_m))
     ball = silhouette(Probe("sphere", spec.indenter_radius_m), depth_m, offset_m, z)
-    light[grazed | ((ball > 0) & (rows > 0))] = 0
+    lit[grazed | ((ball > 0) & (rows > 0))] = 0
+    light[skin] = lit
     return light
+
+
+def _of_rows(parts: tuple[Numbers, Numbers], rows: ndarray, columns: int) -> tuple[Numbers, Numbers]:
+    """Both numbers of some rows of a picture."""
+    along, aside = (np.broadcast_to(part, (len(rows), columns))[rows] for part in parts)
+    return along, aside

@@ -101,6 +101,22 @@ def _pressed(proportions: tuple[float, float, float, float], depth: float) -> Ta
     return None if table is None else table.at(depth)
 
 
+def field_at(spec: PalmSpec, depth_m: float) -> AxisymmetricField:
+    """Stress at one depth of the table, as `field_of` gives it, kept: many pictures are of one depth."""
+    R = spec.indenter_radius_m
+    proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
+    kept = _field_at(proportions, depth_m, R, spec.youngs_modulus_pa)
+    return field_of(pressed(spec, depth_m), spec) if kept is None else kept
+
+
+@lru_cache(maxsize=16)
+def _field_at(
+    proportions: tuple[float, float, float, float], depth_m: float, radius_m: float, modulus_pa: float
+) -> AxisymmetricField | None:
+    press = _pressed(proportions, depth_m / radius_m)
+    return None if press is None else _field(press, radius_m, modulus_pa, FINER)
+
+
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:
     """Depth of the spec's ball under a force, at a place where the spec applies the rim [m].
 
@@ -130,7 +146,10 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
 
 def field_of(press: TabulatedPress, spec: PalmSpec, finer: int = FINER) -> AxisymmetricField:
     """The same in SI, on finer knots, without the rim's own stress."""
-    R, E = spec.indenter_radius_m, spec.youngs_modulus_pa
+    return _field(press, spec.indenter_radius_m, spec.youngs_modulus_pa, finer)
+
+
+def _field(press: TabulatedPress, R: float, E: float, finer: int) -> AxisymmetricField:
     r, zeta = between(press.r, finer), between(press.zeta, finer)
     stress = PchipInterpolator(press.zeta, np.asarray(press.stress, dtype=float), axis=1)(zeta)
     stress = PchipInterpolator(press.r, stress, axis=2)(r)
@@ -233,6 +252,13 @@ def press(
         )
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
+
+
+def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:
+    """The spec's ball as far as a picture asks for it: probe, place and depth, no pressure."""
+    none, grid = np.zeros(0), np.zeros((0, 0))
+    probe = Probe("sphere", spec.indenter_radius_m)
+    return Contact(none, none, grid, grid, grid > 0, math.nan, math.nan, probe, pose, "a ball, drawn alone")
 
 
 def _near_rim(spec: PalmSpec, centred: Contact) -> Contact:
