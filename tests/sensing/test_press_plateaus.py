@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.core import Wrench
+from palpate.core import InputError, Wrench
 from palpate.sensing.collection.image_plateau import contact_place
 from palpate.sensing.collection.plateau_finder import Plateau, PlateauFinder, Refused, Weighing
 
@@ -167,3 +167,46 @@ def test_a_contact_s_place_is_where_the_image_differs_and_none_is_given_where_no
     assert contact_place(image(25), rests, (0, 0, 60, 60)) is None
     assert contact_place(image(25)[:80], rests, (0, 0, 160, 120)) is None
     assert contact_place(image(25), [], (0, 0, 160, 120)) is None
+
+
+def slowly_weighed(
+    hold_s: float, lag_s: float | None, seed: int = 4
+) -> tuple[list[Plateau], list[Refused], float]:
+    """Presses on a scale whose filter is of first order, 0.4 s; and the worst label of a first instant."""
+    rng, step_s, filter_s = np.random.default_rng(seed), 0.005, 0.4
+    pressed: list[np.ndarray] = [np.zeros(600)]
+    for force in rng.uniform(0.5, 4.0, 12):
+        up, down = (np.linspace(0, 1, round(s / step_s)) for s in rng.uniform(0.3, 0.8, 2))
+        held = np.ones(round(hold_s / step_s))
+        pressed.append(np.concatenate([force * up, force * held, force * down[::-1], np.zeros(500)]))
+    true = np.concatenate(pressed)
+    read = np.zeros_like(true)
+    for i in range(1, len(true)):
+        read[i] = read[i - 1] + (1 - np.exp(-step_s / filter_s)) * (true[i] - read[i - 1])
+    told = np.round((read + rng.normal(0, 0.002, len(read))) / 0.01) * 0.01
+    finder = PlateauFinder(Weighing(10.0, 0.4, lag_s=lag_s))
+    samples = [  # stamped by the delay before they come
+        Wrench(round((i * step_s + 9.6) * 1e9), (0.0, 0.0, float(told[i]))) for i in range(0, len(told), 20)
+    ]
+    found = finder.take(samples)
+    plateaus = [one for one in found if isinstance(one, Plateau)]
+    first = [true[round((one.begins_ns / 1e9 - 10) / step_s)] for one in plateaus]
+    off = [abs(one.force_n / f - 1) if f > 0 else 1.0 for one, f in zip(plateaus, first, strict=True)]
+    return plateaus, [one for one in found if isinstance(one, Refused)], max(off, default=0.0)
+
+
+@pytest.mark.parametrize("lag_s", [None, 0.4])
+def test_a_plateau_of_a_slow_scale_begins_once_force_and_its_rate_stand_still(lag_s: float | None) -> None:
+    plateaus, _, off = slowly_weighed(2.6, lag_s)
+    assert len(plateaus) >= 10
+    assert off < 0.04
+    plateaus, refused, _ = slowly_weighed(1.4, lag_s)
+    assert plateaus == []
+    assert sum("had not caught up; hold still for 2.0 s" in one.why for one in refused) >= 10
+    assert slowly_weighed(1.4, 0.0)[2] > 0.06  # taken for a scale without a filter
+
+
+@pytest.mark.parametrize("lag_s", [-0.1, float("nan")])
+def test_a_lag_that_is_none_is_refused(lag_s: float) -> None:
+    with pytest.raises(InputError, match="0 s or more"):
+        PlateauFinder(Weighing(10.0, 0.4, lag_s=lag_s))

@@ -6,7 +6,10 @@ it, allow. The untouched sensor before and after gives the scale's zero, its noi
 nothing has to be tared, and a zero that wanders is seen.
 
 A scale that answers late has filtered what it says: its samples may be of any time within its delay. The
-plateau must outlast that, and half of the delay is cut from its ends.
+plateau must outlast that, and half of the delay is cut from its ends. Where it follows slowly, as a filter of
+first order with a lag, the force is what it says plus the lag times the rate of that; a plateau is then where
+both the reading and this force stand still, and frames count from when the filter has caught up. The lag is
+stated, or told by how readings die away after presses.
 """
 
 from __future__ import annotations
@@ -27,9 +30,17 @@ MAX_PRESS_S = 120.0  # of samples kept; a load that stays longer is judged by it
 GRAVE_GAP_S = 0.5  # without a sample, or five periods
 MIN_ZERO_SAMPLES = 3
 AIR_S = 0.25  # untouched, after which the zero behind a press is known
-SETTLE_S = 0.15  # after release, before the zero is read
+SETTLE_S = 0.15  # after release, before the zero is read; or so many lags of a slow scale
+SETTLE_LAGS = 3.0
 NOISES = 6.0  # over the zero: a touch
 KEPT_ZEROS_S = 2.0
+DYING = 0.25, 0.03  # of a press's force, between which its end tells the scale's lag
+CAUGHT_UP_S = 0.2  # of a plateau that is left once a slow scale has caught up
+RATE_NOISES = 3.0  # by which a rate may differ from 0 where nothing moves
+CAUGHT_UP_LAGS = 3.5  # after which it is within 3 % of the force
+MIN_DYING = 4  # samples between them: a quick scale has fewer
+MIN_LAG_S = 0.15  # shorter ones cannot be told from how a hand lets go
+LAGS = 5  # presses whose lags are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +52,20 @@ class Weighing:
         delay_s: from a change of force until it is told in full [s].
         range_n: greatest force that it measures [N].
         name: of it, for messages.
+        lag_s: time constant of its filter, 0 for none; None where presses shall tell it [s].
     """
 
     rate_hz: float
     delay_s: float = 0.0
     range_n: float = math.inf
     name: str = "the scale"
+    lag_s: float | None = None
 
     @classmethod
-    def by(cls, sensor: ForceSensor, name: str = "the scale") -> Weighing:
+    def by(cls, sensor: ForceSensor, name: str = "the scale", lag_s: float | None = None) -> Weighing:
         """What a force sensor says of itself."""
-        return cls(sensor.rate_hz, float(getattr(sensor, "delay_s", 0.0)), sensor.range_n[2], name)
+        delay_s = float(getattr(sensor, "delay_s", 0.0))
+        return cls(sensor.rate_hz, delay_s, sensor.range_n[2], name, lag_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +143,10 @@ class PlateauFinder:
     def __init__(self, scale: Weighing, rule: PlateauRule | None = None) -> None:
         if not (math.isfinite(scale.rate_hz) and scale.rate_hz > 0):
             raise InputError(f"{scale.name} gives {scale.rate_hz} samples a second; it must be above 0")
+        if scale.lag_s is not None and not (math.isfinite(scale.lag_s) and scale.lag_s >= 0):
+            raise InputError(f"{scale.name} has a lag of {scale.lag_s} s; give 0 s or more")
         self.scale, self.rule = scale, rule or PlateauRule()
+        self._lags: deque[float] = deque(maxlen=LAGS)
         self.zero_n: float | None = None
         self.noise_n = self.step_n = 0.0
         self._air: deque[tuple[int, float]] = deque()
@@ -139,6 +156,18 @@ class PlateauFinder:
         self._late_s = 0.0
         self._last: tuple[int, float] | None = None
         self._first_zero: tuple[int, float] | None = None
+
+    @property
+    def lag_s(self) -> float:
+        """Time constant of the scale's filter: as stated, or as presses told; 0 for none [s]."""
+        if self.scale.lag_s is not None:
+            return self.scale.lag_s
+        told_s = float(np.median(self._lags)) if self._lags else 0.0
+        return told_s if told_s >= MIN_LAG_S else 0.0
+
+    @property
+    def _settle_s(self) -> float:
+        return max(SETTLE_S, SETTLE_LAGS * self.lag_s)
 
     @property
     def newest_ns(self) -> int | None:
@@ -266,7 +295,7 @@ class PlateauFinder:
             self._read_zero()
             return []
         self._behind.append((at, force))
-        settled = [p for p in self._behind if p[0] >= self._behind[0][0] + SETTLE_S * NS_PER_S]
+        settled = [p for p in self._behind if p[0] >= self._behind[0][0] + self._settle_s * NS_PER_S]
         if len(settled) < MIN_ZERO_SAMPLES or settled[-1][0] - settled[0][0] < AIR_S * NS_PER_S:
             return []
         return [self._judged()]
@@ -292,7 +321,7 @@ class PlateauFinder:
         press, behind, before = self._press, self._behind, float(self.zero_n or 0.0)
         fault, late_s = self._fault, self._late_s
         self._press, self._behind, self._fault, self._late_s = [], [], "", 0.0
-        settled = [p for p in behind if p[0] >= behind[0][0] + SETTLE_S * NS_PER_S]
+        settled = [p for p in behind if p[0] >= behind[0][0] + self._settle_s * NS_PER_S]
         after = float(np.median([f for _, f in settled])) if len(settled) >= MIN_ZERO_SAMPLES else before
         if len(settled) >= MIN_ZERO_SAMPLES:
             self._air = deque(settled)
@@ -309,9 +338,28 @@ class PlateauFinder:
                 f"{self.scale.name} gave no sample for {late_s:.2g} s of it, where {gap_s:.2g} s are allowed"
             )
             return Refused("late", f"{why}; check its cable, and that nothing else reads it", ended_ns)
-        return self._plateau_of(press, before, after)
+        return self._plateau_of(press, behind, before, after)
 
-    def _plateau_of(self, press: list[tuple[int, float]], before: float, after: float) -> Plateau | Refused:
+    def _tell_lag(self, samples: list[tuple[int, float]], zero: float) -> None:
+        """The lag by which readings die away once the force is gone: their logarithm falls by 1 in it."""
+        t, f = _arrays(samples)
+        f = f - zero
+        top = int(np.argmax(f))
+        share = f[top:] / max(float(f[top]), 1e-9)
+        last = np.flatnonzero(share > DYING[0])
+        begin = top + (int(last[-1]) + 1 if len(last) else 0)
+        floor = max(DYING[1] * float(f[top]), 4 * self.noise_n, 2 * self.step_n)
+        low = np.flatnonzero(f[begin:] <= floor)
+        end = begin + (int(low[0]) if len(low) else len(f) - begin)
+        if end - begin < MIN_DYING:
+            self._lags.append(0.0)
+            return
+        fall = -float(np.polyfit(t[begin:end], np.log(f[begin:end]), 1)[0])
+        self._lags.append(1 / fall if fall > 0 else 0.0)
+
+    def _plateau_of(
+        self, press: list[tuple[int, float]], behind: list[tuple[int, float]], before: float, after: float
+    ) -> Plateau | Refused:
         t, f = _arrays(press)
         zero = (before + after) / 2
         ended_ns = press[-1][0]
@@ -320,6 +368,7 @@ class PlateauFinder:
                 f"{float(np.abs(f).max()):.3g} N, and {self.scale.name} measures to {self.scale.range_n:g} N"
             )
             return Refused("beyond range", f"{why}; press less hard", ended_ns)
+        self._tell_lag(press + behind, zero)
         found = self._longest(t, f - zero)
         if isinstance(found, Refused):
             return found
@@ -329,16 +378,34 @@ class PlateauFinder:
         if moved_n > max(self.rule.moved * abs(level), 3 * self.step_n, 4 * self.noise_n):
             why = f"the zero of {self.scale.name} moved by {moved_n:.3g} N over a press of {level:.3g} N"
             return Refused("zero moved", f"{why}; let it warm up, and set nothing else on it", ended_ns)
-        cut_ns = round(self.scale.delay_s / 2 * NS_PER_S)
+        delay_s, lag_s = self.scale.delay_s, self.lag_s
+        # Behind a filter of first order the frames of a delay's beginning are older than what it shows.
+        before_s, after_s = (min(lag_s, delay_s), 0.0) if lag_s else (delay_s / 2, delay_s / 2)
         times = np.array([at for at, _ in press[first : last + 1]], dtype=np.int64)
         held = f[first : last + 1] - zero
-        _, swing = _line(t[first : last + 1], held)
-        begins, ends = int(times[0]) + cut_ns, int(times[-1]) - cut_ns
+        moved, swing = _line(t[first : last + 1], held)
+        level += lag_s * moved / max(float(t[last] - t[first]), 1e-9)  # what the filter is still behind
+        begins = int(times[0]) + round(before_s * NS_PER_S)
+        ends = int(times[-1]) - round(after_s * NS_PER_S)
         return Plateau(begins, ends, level, swing, zero, press[0][0], times, held)
+
+    def _behind_n(self, t: Series, f: Series, edges: np.ndarray, lag_s: float) -> tuple[np.ndarray, float]:
+        """By how much the filter is behind at most from each bin to each later one, and by noise alone."""
+        count = len(edges) - 1
+        if not lag_s:
+            return np.zeros((count, count)), 0.0
+        wide = max(3, math.ceil(lag_s * self.scale.rate_hz) + 1)
+        behind = lag_s * np.maximum.reduceat(np.abs(_rates(t, f, wide)), edges[:-1])
+        greatest = np.maximum.accumulate(np.triu(np.broadcast_to(behind, (count, count))), axis=1)
+        noise_n = max(self.noise_n, self.step_n / math.sqrt(12))
+        return greatest, RATE_NOISES * lag_s * noise_n * self.scale.rate_hz * math.sqrt(12 / wide**3)
 
     def _longest(self, t: Series, f: Series) -> tuple[int, int] | Refused:
         """First and last sample of the longest steady stretch; or what is wrong with the calmest."""
-        shortest = self.rule.shortest_s(self.scale)
+        lag_s = self.lag_s
+        shortest = max(
+            self.rule.shortest_s(self.scale), min(lag_s, self.scale.delay_s) + CAUGHT_UP_S * (lag_s > 0)
+        )
         edges = _bins(t)
         starts, ends = edges[:-1], edges[1:]
         n = (ends - starts).astype(float)
@@ -359,7 +426,10 @@ class PlateauFinder:
         may_move = np.maximum(self.rule.moved * np.abs(level), max(1.5 * self.step_n, 2 * self.noise_n))
         may_swing = np.maximum(self.rule.swing * np.abs(level), max(self.step_n, 2 * self.noise_n))
         held = long & (level > self.touch_n)
+        behind_n, unsure_n = self._behind_n(t, f, edges, lag_s)
+        behind_n = behind_n[i, j]
         good = held & (moved <= may_move) & (swing <= may_swing)
+        good &= behind_n <= np.maximum(may_move, unsure_n)
         if good.any():
             best = np.flatnonzero(good)[np.argmax(lasts[good])]
             return int(starts[i[best]]), int(ends[j[best]] - 1)
@@ -372,6 +442,10 @@ class PlateauFinder:
             return Refused(
                 "too short", f"no force was held for {shortest:.2g} s; hold still longer", ended_ns
             )
+        if lag_s and (held & (moved <= may_move) & (swing <= may_swing)).any():
+            why = f"{self.scale.name} follows with a lag of {lag_s:.2g} s and had not caught up; hold "
+            why += f"still for {CAUGHT_UP_LAGS * lag_s + shortest:.1f} s or longer"
+            return Refused("still moving", why, ended_ns)
         calm = np.flatnonzero(held)[np.argmin(np.maximum(moved / may_move, swing / may_swing)[held])]
         if swing[calm] / may_swing[calm] >= moved[calm] / may_move[calm]:
             why = f"the force swings by {swing[calm]:.2g} N about {level[calm]:.3g} N, where "
@@ -380,6 +454,17 @@ class PlateauFinder:
         why = f"the force moves by {moved[calm]:.2g} N within {lasts[calm]:.2g} s, where "
         why += f"{may_move[calm]:.2g} N are allowed; hold still for {shortest:.2g} s"
         return Refused("still moving", why, ended_ns)
+
+
+def _rates(t: Series, f: Series, wide: int) -> Series:
+    """Rate at each sample: slope of a line through so many around it, at the ends through the outermost."""
+    wide = min(wide, len(t))
+    if wide < 3:
+        return np.zeros(len(t))
+    t_in, f_in = (np.lib.stride_tricks.sliding_window_view(x, wide) for x in (t, f))
+    away = t_in - t_in.mean(axis=1, keepdims=True)
+    slope = (away * f_in).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1e-12)
+    return np.pad(slope, (wide // 2, wide - 1 - wide // 2), mode="edge")
 
 
 def _arrays(samples: Sequence[tuple[int, float]]) -> tuple[Series, Series]:
