@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.cli.start_verbs import force_of
 from palpate.core.errors import InputError
+from palpate.recordings import Run
 
 
 @pytest.mark.parametrize("words", [["collect", "--out"], ["start", "--terminal", "--folder"]])
@@ -32,3 +33,23 @@ def test_what_may_mean_two_weights_is_not_guessed(words: str) -> None:
 @pytest.mark.parametrize(("words", "force_n"), [("0,5 kg", 4.903325), ("2.5N", 2.5), ("1000", 9.80665)])
 def test_a_decimal_comma_is_read(words: str, force_n: float) -> None:
     assert force_of(words) == pytest.approx(force_n)
+
+
+def test_a_unit_that_is_not_known_is_refused_with_those_that_are(tmp_path) -> None:
+    words = ["collect", "--camera", "virtual:tactip", "--scale", "/dev/none", "--unit", "stone"]
+    done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "run")])
+    assert (done.exit_code, "--unit stone: it is not known; give one of N, mN" in done.output) == (2, True)
+
+
+def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(tmp_path) -> None:
+    out = tmp_path / "run"
+    words = ["collect", "--camera", "virtual:palm", "--scale", "typed", "--presses", "2", "--out", str(out)]
+    done = CliRunner().invoke(app, words, input="9kg\n500\n3N\n")
+    assert done.exit_code == 0, done.output
+    assert "whose skin is known to" in done.output  # 9 kg are refused
+    table = Run.open(out).labels
+    touched = table[~table["reference"].astype(bool) & (table["press"] != "rest")]
+    forces = touched.groupby("press")["force_N"].mean()
+    assert sorted(forces) == pytest.approx([3.0, 0.5 * 9.80665])
+    # A virtual hand lays a weight on by depth, and so is off by what places and seating do to the force.
+    assert touched["true_force_N"].to_numpy() == pytest.approx(touched["force_N"].to_numpy(), rel=0.1)

@@ -164,6 +164,16 @@ class TestStream:
         _, (one,) = self.samples(b"\nUS,+1.0 g\n", settled_only=True)
         assert one.fault == "not stable"
 
+    def test_a_bare_number_weighs_nothing_until_its_unit_is_known_or_stated(self) -> None:
+        stream, samples = self.samples(b"\n100\n+ 200.0 g\n100\n", unit="")
+        assert ["'100' carries no unit" in one.fault for one in samples] == [True, False, False]
+        assert [one.force_n[2] for one in samples[1:]] == pytest.approx([0.2 * 9.80665, 0.1 * 9.80665])
+        assert stream.failure is None
+        stream, _ = self.samples(b"\n" + MAX_GARBLED * b"7.5\n", unit="")
+        assert "'7.5' carries no unit; say which it means: --unit g, kg, N, oz or lb" in str(stream.failure)
+        _, (bare, own) = self.samples(b"\n16.0\n1 lb\n", unit="oz")  # a line with a unit wins
+        assert bare.force_n[2] == pytest.approx(own.force_n[2]) == pytest.approx(0.45359237 * 9.80665)
+
     @given(st.binary(max_size=500))
     def test_any_bytes_are_taken(self, data: bytes) -> None:
         self.samples(data)

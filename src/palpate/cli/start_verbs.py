@@ -28,6 +28,12 @@ ScaleOption = Annotated[
 ]
 PressesOption = Annotated[int, Option(help="Presses to collect.", min=1)]
 SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
+UnitOption = Annotated[
+    str, Option(help="Unit of the scale's lines that carry none: g, kg, N, oz or lb; a unit in a line wins.")
+]
+LagOption = Annotated[
+    float | None, Option(help="Time constant of the scale's filter [s]; by default as presses tell.", min=0)
+]
 _GROUPED = re.compile(r"[1-9]\d*,\d{3}(?!\d)|_")  # a thousand to some, 1 to others
 ADVICE_S = 5.0  # after which advice that nobody has heeded is told again
 RealTime = Annotated[bool, Option("--real-time", help="Let a virtual second take one.")]
@@ -41,6 +47,8 @@ def collect(
     sensor: Annotated[str, Option(help="What the sensor is called; by default by its camera.")] = "",
     session: Annotated[str, Option(help="What this sitting is called; by default the day.")] = "",
     seed: SeedOption = 0,
+    unit: UnitOption = "",
+    scale_lag_s: LagOption = None,
     real_time: RealTime = False,
     json_: Json = False,
     quiet: Quiet = False,
@@ -57,13 +65,13 @@ def collect(
     from palpate.workflows.press_feeds import open_feed
 
     with stopped_by_signals(), progress_bar(quiet) as progress:
-        feed = open_feed(camera, scale, seed=seed, real_time=real_time)
+        feed = open_feed(camera, scale, seed=seed, real_time=real_time, unit=_unit(unit), lag_s=scale_lag_s)
         try:
             with PressCollector(
                 out, sensor or feed.sensor, feed.weighing, asked=presses, session=session, region=feed.region,
                 force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
                 frame_late_s=feed.frame_late_s, truth=feed.truth, truths=feed.truths, origin=feed.origin,
-                regions=feed.regions, clock=feed.clock,
+                regions=feed.regions, dark_field=getattr(feed, "dark_field", None), clock=feed.clock,
             ) as collector:  # fmt: skip
                 _pressed(feed, collector, progress, quiet or json_)
                 status = collector.status
@@ -91,7 +99,11 @@ def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: b
 
 def _beside(feed: PressFeed, quiet: bool) -> Callable[[PressCollector], None]:
     """What is done after each frame: typed weights are stated, and it is told how the presses stand."""
-    typed = _typed_weights() if feed.force is None else None
+    typed = (
+        None
+        if feed.force is not None
+        else _typed_weights(getattr(feed, "lay", None), getattr(feed, "lifted", None))
+    )
     tell = _teller()
 
     def do(collector: PressCollector) -> None:
@@ -124,8 +136,13 @@ def _teller() -> Callable[[PressCollector], None]:
     return tell
 
 
-def _typed_weights() -> Callable[[PressCollector], None]:
-    """Read weights from the keyboard in a thread; what is returned states those that have come."""
+def _typed_weights(
+    lay: Callable[[float], None] | None, lifted: Callable[[], None] | None
+) -> Callable[[PressCollector], None]:
+    """Read weights from the keyboard in a thread; what is returned states those that have come.
+
+    A virtual hand is told what to lay on, and each weight is stated once it lies still.
+    """
     import queue
     import sys
     import threading
@@ -143,18 +160,38 @@ def _typed_weights() -> Callable[[PressCollector], None]:
 
     threading.Thread(target=read, name="typed weights", daemon=True).start()
     ended = False
+    laid: list[float] = []
+    judged = -1  # presses that were judged as the last weight was laid on
+
+    def laid_on(collector: PressCollector) -> bool:
+        """Whether a virtual hand is busy with a weight, which is stated as it lies still."""
+        nonlocal judged
+        if not laid:
+            return False
+        if collector.status["holding"] and not collector.weight_stated:
+            collector.label(laid[0])
+            if lifted is not None:
+                lifted()
+        if len(collector.presses) + collector.refusals > judged:
+            laid.clear()
+        return bool(laid)
 
     def state(collector: PressCollector) -> None:
-        nonlocal ended
-        while not lines.empty():
+        nonlocal ended, judged
+        while not laid_on(collector) and not lines.empty():
             words = lines.get()
             ended = ended or words is None
             try:
-                if words:
+                if words and lay is None:
                     collector.label(force_of(words))
+                elif words and lay is not None:
+                    lay(force_of(words))
+                    laid.append(force_of(words))
+                    judged = len(collector.presses) + collector.refusals
             except PalpateError as e:
                 say(str(e), err=True)
-        if ended and not collector.weight_stated:
+        short = len(collector.presses) < collector.asked
+        if ended and short and not collector.weight_stated and not laid and lines.empty():
             raise InputError(
                 f"nothing more can be typed: the standard input has ended; {collector.coverage.text}. "
                 "The same command goes on"
@@ -196,7 +233,11 @@ def start(
     camera: CameraOption = "virtual:palm",
     scale: ScaleOption = "virtual",
     presses: PressesOption = 40,
+    more: Annotated[
+        int, Option(help="Presses to collect beside those that are there, and learn from all anew.", min=0)
+    ] = 0,
     seed: SeedOption = 0,
+    unit: UnitOption = "",
     real_time: RealTime = False,
     port: Annotated[int, Option(min=1, max=65535, help="Of the pages, on 127.0.0.1.")] = 8080,
     json_: Json = False,
@@ -209,6 +250,7 @@ def start(
 
     Example: palpate start
     Example: palpate start --terminal --camera 0 --scale /dev/ttyUSB0
+    Example: palpate start --terminal --more 20
     """
     if not terminal:
         _open_page(folder, port)
@@ -217,7 +259,9 @@ def start(
 
     session = StartSession(folder)
     with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
-        _choose(session, camera, scale, presses, seed)
+        _choose(session, camera, scale, presses, seed, _unit(unit))
+        if more:
+            session.ask_more(more)
         if session.step in ("settings", "untouched", "collect"):
             feed = session.feed(real_time=real_time)
             try:
@@ -236,22 +280,35 @@ def start(
         session.state.collected.get("text", ""),
         simulated,
         session.sentence,
+        session.state.trained.get("left_out", ""),
         curve,
         "The same by commands:",
     ]
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
 
-def _choose(session: StartSession, camera: str, scale: str, presses: int, seed: int) -> None:
+def _choose(session: StartSession, camera: str, scale: str, presses: int, seed: int, unit: str) -> None:
     """Choose camera and scale, where that was not done yet or they are others."""
     if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
-        session.choose(camera, scale, asked=presses, seed=seed)
+        session.choose(camera, scale, asked=presses, seed=seed, unit=unit)
     elif presses != session.state.asked:
         say(
-            f"{session.folder} was begun for {session.state.asked} presses, which stays; begin {presses} in "
-            "another folder",
+            f"{session.folder} was begun for {session.state.asked} presses, which stays; --more N asks for N "
+            "beside them",
             err=True,
         )
+
+
+def _unit(name: str) -> str:
+    """A unit as it is known, or none."""
+    if not name:
+        return ""
+    from palpate.core import InputError
+    from palpate.rig.real.scale.weight_line import NEWTONS
+
+    if name not in NEWTONS:
+        raise InputError(f"--unit {name}: it is not known; give one of {', '.join(NEWTONS)}")
+    return name
 
 
 def _open_page(folder: Path, port: int) -> None:

@@ -7,6 +7,7 @@ import warnings
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -130,6 +131,17 @@ class Run:
     def times_s(self) -> np.ndarray:
         """Capture time of each frame ``[n]``, from the run's first instant [s]."""
         return np.array([self._seconds(frame.time_ns) for frame in self._frames], np.float64)
+
+    def labelled(self) -> Run:
+        """The same without frames that have no label at all, as a writer that was killed leaves its last."""
+        some = {id(frame) for frame, about in zip(self._frames, self._abouts, strict=True) if about[1]}
+        if len(some) == len(self._frames):
+            return self
+        segments = tuple(
+            replace(segment, frames=tuple(frame for frame in segment.frames if id(frame) in some))
+            for segment in self.segments
+        )
+        return Run(self.path, self.stored_manifest, segments, self._manifest_damage)
 
     def frame(self, index: int) -> Frame:
         """Frame by index; its name is its `NAME_COLUMN` label where the run has it, else its index.

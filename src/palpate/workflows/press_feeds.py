@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 from palpate.core import (
@@ -15,7 +15,9 @@ from palpate.core import (
     InputError,
     ManualClock,
     MonotonicClock,
+    RangeError,
 )
+from palpate.core.sensor import dark_field_of
 from palpate.sensing.collection import Weighing
 from palpate.sensing.collection.press_coverage import Box
 from palpate.sensing.live_sources import NoFrameYetError, open_live_source
@@ -26,6 +28,8 @@ TRUTH_LABELS = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
 FAST_HZ = 12.0  # frames a second of a virtual sensor that does not wait for the clock
 TRANSPORT_S = 0.008  # of a virtual camera
 WAIT_S = 2.0  # for a frame
+LAID_S = (2.0, 2.5)  # that a virtual hand leaves a weight where it is [s]
+GRAM_N = 9.80665e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +78,23 @@ class VirtualFeed(Closing):
         seed: of the hand.
         real_time: whether a second takes one.
         scale: serial port of a scale that stands in for the virtual one; time is real then.
+        unit, lag_s: of the scale; see `serial_scale`.
     """
 
     truths: tuple[str, ...] = TRUTH_LABELS
     origin = "pressed by palpate's virtual hand; virtual, not measured"
     frame_late_s = TRANSPORT_S
 
-    def __init__(self, name: str, *, seed: int = 0, real_time: bool = False, scale: str = VIRTUAL) -> None:
+    def __init__(
+        self,
+        name: str,
+        *,
+        seed: int = 0,
+        real_time: bool = False,
+        scale: str = VIRTUAL,
+        unit: str = "",
+        lag_s: float | None = None,
+    ) -> None:
         from palpate.rig.virtual.virtual_hand import VirtualHand
 
         self._fast = not real_time and scale in (VIRTUAL, TYPED)
@@ -92,7 +106,8 @@ class VirtualFeed(Closing):
         if scale == VIRTUAL:
             self.force, self.weighing = self.hand.force, Weighing.by(self.hand.force, "the virtual scale")
         elif scale != TYPED:
-            self.force, self.weighing = serial_scale(scale, self.clock)
+            self.force, self.weighing = serial_scale(scale, self.clock, unit, lag_s)
+        self.dark_field = dark_field_of(self.hand.design)
         self.regions: dict[str, Box] = dict(self.hand.design.regions())
         self.region: Box | None = self.regions[self.hand.design.axes.region]
         self.force_range_n: tuple[float, float] | None = self.hand.force_range_n
@@ -105,8 +120,31 @@ class VirtualFeed(Closing):
         at_ns, frame = self.hand.camera.grab()
         return FedFrame(frame, at_ns)
 
+    def lay(self, force_n: float) -> None:
+        """Let the hand lay one weight on, hold it still, and take it off [N].
+
+        Raises:
+            RangeError: more than the skin is known to.
+        """
+        most = float(self.hand.world.known_n)
+        if not 0 < force_n <= most:
+            raise RangeError(
+                f"a weight of {force_n:.3g} N on the virtual {self.sensor}, whose skin is known to "
+                f"{most:.3g} N; type one from 1 to {most / GRAM_N:.0f} g"
+            )
+        world = self.hand.world
+        world.rest()
+        world.habits = replace(world.habits, weights_n=(force_n,), hold_s=LAID_S)
+        world.press()
+
+    def lifted(self) -> None:
+        """Let the hand take off what it has laid on, and wait in the air."""
+        self.hand.rest()
+
     def press(self, go_on: bool) -> None:
-        """Let the hand press, or rest."""
+        """Let the hand press, or rest; where weights are typed it rests until one is."""
+        if self.weighing is None:
+            go_on = False
         (self.hand.press if go_on else self.hand.rest)()
 
     def close(self) -> None:
@@ -122,6 +160,7 @@ class CameraFeed(Closing):
     Args:
         camera: address, see `palpate.sensing.live_sources.open_live_source`.
         scale: serial port of a scale, or "typed".
+        unit, lag_s: of the scale; see `serial_scale`.
     """
 
     truth: Callable[[int], dict[str, float]] | None = None
@@ -131,14 +170,14 @@ class CameraFeed(Closing):
     region: Box | None = None
     force_range_n: tuple[float, float] | None = None
 
-    def __init__(self, camera: str, scale: str) -> None:
+    def __init__(self, camera: str, scale: str, unit: str = "", lag_s: float | None = None) -> None:
         self.clock: Clock = MonotonicClock()
         self.sensor = camera
         self.regions: dict[str, Box] = {}
         self.force: ForceSensor | None = None
         self.weighing: Weighing | None = None
         if scale != TYPED:
-            self.force, self.weighing = serial_scale(scale, self.clock)
+            self.force, self.weighing = serial_scale(scale, self.clock, unit, lag_s)
         try:
             self._source = open_live_source(camera)
         except BaseException:
@@ -170,15 +209,35 @@ class CameraFeed(Closing):
             source.close()
 
 
-def serial_scale(port: str, clock: Clock) -> tuple[ForceSensor, Weighing]:
-    """Open a scale on a serial port: by default as a kitchen scale, 10 lines a second and 0.4 s late."""
+def serial_scale(
+    port: str, clock: Clock, unit: str = "", lag_s: float | None = None
+) -> tuple[ForceSensor, Weighing]:
+    """Open a scale on a serial port: by default as a kitchen scale, 10 lines a second and 0.4 s late.
+
+    Args:
+        port: a path, or the USB serial number of its adapter.
+        clock: stamps its samples.
+        unit: of lines that carry none, such as "g"; "" refuses them. A unit in a line wins.
+        lag_s: time constant of its filter; None where presses shall tell it [s].
+
+    Raises:
+        DeviceError: no line came that can be read, or lines without a unit where none was stated.
+    """
     from palpate.rig.real.scale import ScaleSpec, SerialScale
 
-    opened = SerialScale.open(ScaleSpec(port), clock)
-    return opened, Weighing.by(opened, f"the scale at {port}")
+    opened = SerialScale.open(ScaleSpec(port, unit=unit), clock)
+    return opened, Weighing.by(opened, f"the scale at {port}", lag_s)
 
 
-def open_feed(camera: str, scale: str, *, seed: int = 0, real_time: bool = False) -> PressFeed:
+def open_feed(
+    camera: str,
+    scale: str,
+    *,
+    seed: int = 0,
+    real_time: bool = False,
+    unit: str = "",
+    lag_s: float | None = None,
+) -> PressFeed:
     """Open a camera and what labels its presses.
 
     Args:
@@ -186,6 +245,8 @@ def open_feed(camera: str, scale: str, *, seed: int = 0, real_time: bool = False
         scale: serial port of a scale, ``typed`` for known weights, ``virtual`` beneath a virtual sensor.
         seed: of a virtual hand.
         real_time: whether a virtual second takes one.
+        unit: of the scale's lines that carry none; "" refuses those.
+        lag_s: time constant of the scale's filter; None where presses shall tell it [s].
 
     Raises:
         InputError: a real camera on a virtual scale.
@@ -198,5 +259,7 @@ def open_feed(camera: str, scale: str, *, seed: int = 0, real_time: bool = False
             "serial port of a scale, such as /dev/ttyUSB0, or 'typed' for known weights"
         )
     if kind == VIRTUAL:
-        return VirtualFeed(name or "palm", seed=seed, real_time=real_time, scale=scale)
-    return CameraFeed(camera, scale)
+        return VirtualFeed(
+            name or "palm", seed=seed, real_time=real_time, scale=scale, unit=unit, lag_s=lag_s
+        )
+    return CameraFeed(camera, scale, unit, lag_s)

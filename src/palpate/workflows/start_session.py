@@ -65,6 +65,7 @@ class StartState:
         sensor: name of the sensor, which its run has.
         asked: presses that shall be collected.
         seed: of a virtual hand, and of all that is random in training.
+        unit: of the scale's lines that carry none.
         done: steps that are done.
         settings, collected, trained: what these steps found.
     """
@@ -74,6 +75,7 @@ class StartState:
     sensor: str = ""
     asked: int = PRESSES
     seed: int = 0
+    unit: str = ""
     done: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     collected: dict[str, Any] = field(default_factory=dict)
@@ -88,6 +90,7 @@ class StartSession:
 
     Raises:
         RecordingError: its file is not a session's.
+        InputError: a file has the folder's name.
 
     Example:
         session = StartSession("my-sensor")
@@ -102,6 +105,11 @@ class StartSession:
 
     def __init__(self, folder: PathText) -> None:
         self.folder = Path(folder)
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(
+                f"{self.folder} is a file, and a session is a folder: give the name of one, such as "
+                f"{self.folder.with_suffix('') if self.folder.suffix else 'my-sensor'}"
+            )
         self.state = self._read()
 
     @property
@@ -141,7 +149,14 @@ class StartSession:
             yield
 
     def choose(
-        self, camera: str, scale: str, *, sensor: str = "", asked: int = PRESSES, seed: int = 0
+        self,
+        camera: str,
+        scale: str,
+        *,
+        sensor: str = "",
+        asked: int = PRESSES,
+        seed: int = 0,
+        unit: str = "",
     ) -> None:
         """Choose camera and scale. Another camera than before leaves all later steps to be done anew.
 
@@ -165,6 +180,7 @@ class StartSession:
             sensor,
             asked,
             seed,
+            unit,
             [*kept],
             self.state.settings,
             self.state.collected,
@@ -172,10 +188,25 @@ class StartSession:
         )
         self._done("camera")
 
+    def ask_more(self, more: int) -> None:
+        """Ask for more presses beside those that are there, which stay; a calibration of all follows.
+
+        Raises:
+            InputError: fewer than one, or nothing was chosen yet.
+        """
+        self._needs("camera")
+        if more < 1:
+            raise InputError(f"{more} more presses; ask for 1 or more")
+        have = int(self.state.collected.get("presses", 0)) if "collect" in self.state.done else 0
+        self.state.asked = (have or self.state.asked) + more
+        self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
+        self._write()
+
     def feed(self, *, real_time: bool = False) -> PressFeed:
         """Open the camera and the scale that were chosen."""
         self._needs("camera")
-        return open_feed(self.state.camera, self.state.scale, seed=self.state.seed, real_time=real_time)
+        s = self.state
+        return open_feed(s.camera, s.scale, seed=self._hand_seed(), real_time=real_time, unit=s.unit)
 
     def check_settings(self, feed: PressFeed) -> dict[str, Any]:
         """Look at a still picture: focus, noise, flicker, exposure, and what to do about them."""
@@ -220,6 +251,7 @@ class StartSession:
             truths=feed.truths,
             origin=feed.origin,
             regions=feed.regions,
+            dark_field=getattr(feed, "dark_field", None),
             clock=feed.clock,
         )
 
@@ -300,7 +332,8 @@ class StartSession:
         from palpate.workflows.certification import certify
 
         self._needs("untouched")
-        run = Run.open(self.run)
+        whole = Run.open(self.run)
+        run = whole.labelled()
         count = len(presses_in(run)) if len(run) else 0
         if count < MIN_TO_LEARN:
             raise InputError(
@@ -316,6 +349,7 @@ class StartSession:
             "id": card.id,
             "presses": count,
             "sentence": honest_sentence(card, read_predictions(out, card), count),
+            "left_out": left_out_text(len(whole) - len(run)),
             "curve": told,
         }
         self._done("train")
@@ -334,6 +368,7 @@ class StartSession:
             args = ["palpate", "collect", "--camera", s.camera, "--scale", s.scale, "--presses", str(s.asked)]
             args += ["--sensor", s.sensor] if s.sensor else []
             args += ["--seed", str(s.seed)] if s.seed else []
+            args += ["--unit", s.unit] if s.unit else []
             found.append(shlex.join([*args, "--out", str(self.run)]))
         if "train" in done:
             args = ["palpate", "calibrate", str(self.run), "--targets", TARGET, "--model", MODEL]
@@ -357,8 +392,19 @@ class StartSession:
     def _folds(self) -> int:
         from palpate.recordings import Run
 
-        table = Run.open(self.run).labels
+        table = Run.open(self.run).labelled().labels
         return max(2, min(FOLDS, len(table[["session", "press"]].drop_duplicates())))
+
+    def _hand_seed(self) -> int:
+        """Seed of a virtual hand: another one where it goes on, so that it does not press the same again."""
+        from palpate.recordings import Run
+
+        have = len(Run.open(self.run)) if (self.run / "manifest.json").is_file() else 0
+        return (
+            self.state.seed
+            if not have
+            else int(np.random.default_rng([self.state.seed, have]).integers(2**31))
+        )
 
     def _in_colour(self) -> bool:
         from palpate.recordings import Run
@@ -425,6 +471,14 @@ def checked_state(state: StartState) -> StartState:
     if not isinstance(state.trained.get("curve") or {}, dict):
         raise TypeError(f"curve is {state.trained['curve']!r}")
     return state
+
+
+def left_out_text(frames: int) -> str:
+    """What is said of frames whose labels a kill has lost; empty where there are none."""
+    if not frames:
+        return ""
+    lost = "1 frame has" if frames == 1 else f"{frames} frames have"
+    return f"{lost} no label, as a writer that was killed leaves them, and nothing was learnt from that."
 
 
 def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:

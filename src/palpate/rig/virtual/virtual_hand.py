@@ -209,6 +209,7 @@ class HandWorld(World):
             self.mount(indenter)
         self.habits = habits
         law = self._skin.law
+        self.known_n = float(law.force_n[-1])
         self.force_range_n = habits.force_n or _usual_range(float(law.force_n[-1]))
         if not 0 < self.force_range_n[0] <= self.force_range_n[1] <= law.force_n[-1]:
             raise InputError(

@@ -47,13 +47,20 @@ class ImagePlateau:
 
     Args:
         hold_s: shortest plateau [s].
+        region: x, y, width and height of the part that is looked at, such as one between crossed polarisers,
+            which nothing in the air lights; all of the image without [px].
 
     Attributes:
         touched: whether something lies on it.
         still: the stretch under way; None while it moves, is untouched, or is not long enough yet.
     """
 
-    def __init__(self, hold_s: float = 0.8) -> None:
+    def __init__(self, hold_s: float = 0.8, region: tuple[int, int, int, int] | None = None) -> None:
+        self._part = (
+            np.s_[:, :]
+            if region is None
+            else np.s_[region[1] : region[1] + region[3], region[0] : region[0] + region[2]]
+        )
         self.hold_s = hold_s
         self.touched = False
         self.still: StillImage | None = None
@@ -71,7 +78,7 @@ class ImagePlateau:
 
     def take(self, time_ns: int, image: UInt8[ndarray, ...]) -> StillImage | None:
         """Look at the next frame; the plateau that has just ended, where one has."""
-        now = coarse(image)
+        now = coarse(image[self._part])
         if self._rest is None:
             self._learn(now)
             return None

@@ -105,6 +105,8 @@ class PressCollector:
         truth: labels known beside, of a virtual sensor, at a time on the host's clock [ns].
         truths: their names.
         origin, licence, regions: of a new run's manifest.
+        dark_field: part of the image that nothing but stress in the skin lights; there alone it is seen
+            whether a typed weight lies still [px].
         clock: the host's.
 
     Raises:
@@ -129,6 +131,7 @@ class PressCollector:
         origin: str = "pressed by hand",
         licence: str = "",
         regions: dict[str, Box] | None = None,
+        dark_field: Box | None = None,
         clock: Clock | None = None,
     ) -> None:
         if asked < 1 or frames_a_press < 1:
@@ -140,7 +143,8 @@ class PressCollector:
         self._truth = truth
         self._lock = threading.RLock()
         self._finder = PlateauFinder(scale, rule) if scale else None
-        self._image = ImagePlateau()
+        self._dark_field = dark_field
+        self._image = ImagePlateau(region=dark_field)
         self._typed_n: float | None = None
         self._frames: deque[tuple[int, Frame]] = deque()
         self._rest_images: deque[Image] = deque(maxlen=RESTS)
@@ -201,7 +205,7 @@ class PressCollector:
             for verdict in self._finder.rezero() if self._finder else []:
                 self._judge(verdict)
             if self._finder is None:
-                self._image = ImagePlateau()
+                self._image = ImagePlateau(region=self._dark_field)
 
     @property
     def refusals(self) -> int:

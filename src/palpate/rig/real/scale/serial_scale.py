@@ -48,8 +48,9 @@ class ScaleSpec:
         range_n: greatest force, to either side; a sample beyond it is faulty [N].
         delay_s: from a change of force until it is printed in full [s]. An HX711 settles within 0.4 s at 10
             samples a second and 0.05 s at 80; a balance's filter takes longer: measure it with a weight.
-        unit: of lines that carry none: "counts", or one of `NEWTONS`. A unit in a line holds for that
-            line, and a later line in another is a faulty sample.
+        unit: of lines that carry none: "counts", or one of `NEWTONS`; or "" where none is known, and lines
+            without a unit are faulty until one has come with it. A unit in a line holds for that line, and a
+            later line in another is a faulty sample.
         count_n: force of one count, negative where it is mounted the other way round [N]; for counts alone.
         ask: what to send for each line, such as "SI" (MT-SICS) or "Q" (A&D); empty where it sends by itself.
         baud, frame: of the port; data bits, parity and stop bits, such as "7E1".
@@ -88,7 +89,7 @@ class ScaleSpec:
                 raise RangeError(f"{name} is {value}; it must be positive and finite")
         if not (self.delay_s >= 0 and math.isfinite(self.delay_s)):
             raise RangeError(f"delay_s is {self.delay_s} s; it must be 0 s or more")
-        if self.unit not in (COUNTS, *NEWTONS):
+        if self.unit not in ("", COUNTS, *NEWTONS):
             raise InputError(f"unit is {self.unit!r}; give {COUNTS!r} or one of {', '.join(NEWTONS)}")
         if (self.unit == COUNTS) != (self.count_n is not None):
             raise InputError("give count_n, the force of one count [N], with unit = 'counts' and only then")
@@ -146,6 +147,7 @@ class WeightStream:
         self._garbled = self._same = 0
         self._last: float | None = None
         self._unit = ""
+        self._bare = 0
 
     def take(self, data: bytes, time_ns: int) -> list[Wrench]:
         """The samples that end in these bytes, which arrived at `time_ns` [ns]."""
@@ -179,7 +181,9 @@ class WeightStream:
         self._garbled = 0
         self.counts.received += 1
         self.counts.unstable += weight.stable is False
-        fault = weight.fault or self._other_unit(weight) or self._fault(weight)
+        if not weight.unit and not self._spec.unit:
+            weight = replace(weight, unit=self._unit)  # some leave it out while they are not stable
+        fault = weight.fault or self._no_unit(weight, line) or self._other_unit(weight) or self._fault(weight)
         self.counts.faulty += bool(fault)
         measured_ns = time_ns - round(self._spec.delay_s * NS_PER_S)
         force = math.nan if fault else self._spec.force_n(weight)
@@ -193,6 +197,17 @@ class WeightStream:
         if weight.unit and self._spec.unit == COUNTS:
             raise ProtocolError(f"{line!r} has a unit where counts were to come")
         return weight
+
+    def _no_unit(self, weight: Weight, line: bytes) -> str:
+        """Fault of a line without a unit where none was stated: 100 may be grams, ounces or newtons."""
+        if weight.unit or self._spec.unit:
+            self._bare = 0
+            return ""
+        self._bare += 1
+        why = f"the line {line.decode('ascii', 'replace')!r} carries no unit"
+        if self._bare >= MAX_GARBLED:
+            self.failure = DeviceError(f"{why}; say which it means: --unit g, kg, N, oz or lb")
+        return why
 
     def _other_unit(self, weight: Weight) -> str:
         """Fault of a line in another unit than the first that had one: somebody has set the scale otherwise.

@@ -1,0 +1,62 @@
+"""Laws of a session that goes on: more presses beside those that are there, frames that a kill left bare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError
+from palpate.recordings import Run, RunWriter
+from palpate.sensing.collection.press_collector import presses_in
+from palpate.workflows.start_session import StartSession, left_out_text
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> StartSession:
+    made = StartSession(tmp_path_factory.mktemp("session") / "s")
+    made.choose("virtual:tactip", "virtual", asked=10)
+    with made.feed() as feed:
+        made.check_settings(feed)
+        made.take_untouched(feed)
+        made.collect(feed)
+    made.train(curve=False)
+    return made
+
+
+def test_more_presses_are_collected_beside_the_old_ones_and_all_are_learnt_from(
+    session: StartSession,
+) -> None:
+    before, first = presses_in(Run.open(session.run)), session.calibration
+    session.ask_more(3)
+    assert (session.step, session.state.asked) == ("collect", 13)
+    with session.feed() as feed:
+        session.collect(feed)
+    after = presses_in(Run.open(session.run))
+    assert after[:10] == before
+    assert len(after) == 13
+    assert not set(after[10:]) & set(before)  # the hand does not press the same again
+    session.train(curve=False)
+    assert session.state.trained["presses"] == 13
+    assert session.calibration != first
+    with pytest.raises(InputError, match="1 or more"):
+        session.ask_more(0)
+
+
+def test_frames_that_a_kill_left_without_labels_are_left_out_and_counted(session: StartSession) -> None:
+    run = Run.open(session.run)
+    with RunWriter.resume(session.run) as writer:
+        for _ in range(2):
+            writer.frame(np.asarray(run.frame(0).image))
+    assert (len(Run.open(session.run)), len(Run.open(session.run).labelled())) == (len(run) + 2, len(run))
+    session.train(curve=False)
+    assert "2 frames have no label" in session.state.trained["left_out"]
+    assert left_out_text(0) == ""
+    assert run.labelled() is run
+
+
+def test_a_file_in_place_of_the_folder_is_named_with_what_to_give(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("x")
+    with pytest.raises(InputError, match="is a file, and a session is a folder: give the name of one"):
+        StartSession(tmp_path / "mine.txt")
