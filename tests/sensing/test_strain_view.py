@@ -59,3 +59,7 @@ def test_dots_are_of_strain_that_is_seen_and_none_is_larger_than_the_greatest(sh
     assert max(shears) <= held["greatest"]
     assert held["greatest"] > 10 * rest["greatest"]
     assert len(held["dots"]) > 10 * len(rest["dots"])
+    left, top, width, height = held["box"]
+    assert all(left < x < left + width and top < y < top + height for x, y, _ in held["dots"])
+    assert 0 < left < left + width < 640
+    assert 0 < top < top + height < 480

@@ -83,7 +83,7 @@ def choose(tab, selector, words):
     tab.wait("!document.querySelector('.q-menu')", MAX_S)
 
 
-SOURCE, SCALE = "input[aria-label=source]", "input[aria-label=scale]"
+SOURCE, SCALE = "input[aria-label=source]", "input[aria-label^=scale]"
 """Lists in which an address may be typed."""
 
 

@@ -18,15 +18,17 @@ def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
     """A frame's strain as plain values for a page, in the frame's pixels, x along columns and y along rows.
 
     Returns:
-        "dots": x, y and the greatest engineering shear there, for places where it is above `LEAST`;
+        "box": x, y, width and height of the skin; "dots": x, y and the greatest engineering shear there, for
+        places where it is above `LEAST`;
         "greatest": of the whole skin; "spacing_px": between dots; "contacts": x and y of each [px];
         "shift": "start" and "end" of an arrow [px] along the shift of the only contact, "times" by which it
         is drawn longer, and its length "mm"; None where there is none. No dots where the frame could not be
         read.
     """
     fields = touch.fields
+    box = _box(reader)
     if fields is None:
-        return {"dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
+        return {"box": box, "dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
     every = max(1, -(-max(fields.at.shape[1:]) // DOTS))
     at = fields.at[:, every // 2 :: every, every // 2 :: every].reshape(2, -1).T
     shear = np.asarray(fields.greatest_shear)[every // 2 :: every, every // 2 :: every].ravel()
@@ -37,6 +39,7 @@ def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
     contacts = np.array([[one.x, one.y] for one in touch.places.contacts]).reshape(-1, 2)
     greatest = np.asarray(fields.greatest_shear)
     return {
+        "box": box,
         "dots": [
             [round(float(x), 1), round(float(y), 1), round(float(g), 4)]
             for (x, y), g in zip(dots, shear[shown], strict=True)
@@ -60,6 +63,14 @@ def _shift(reader: ShearReader, touch: ShearTouch, contacts: Float[ndarray, "n 2
     times = 10.0
     start, end = _in_image(reader, np.stack([contacts[0], contacts[0] + times * moved])).round(1).tolist()
     return {"start": start, "end": end, "times": times, "mm": round(1e3 * length, 3)}
+
+
+def _box(reader: ShearReader) -> list[float]:
+    """x, y, width and height of the untouched skin's marks, with half a pitch around them [px]."""
+    at = reader.marks.in_image(reader.marks.reference.places)
+    edge = reader.marks.pitch * reader.marks.px_per_unit / 2
+    (left, top), (right, bottom) = at.min(axis=0) - edge, at.max(axis=0) + edge
+    return [round(float(one), 1) for one in (left, top, right - left, bottom - top)]
 
 
 def _in_image(reader: ShearReader, places: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:

@@ -208,7 +208,7 @@ def strain_svg(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> st
     """
     if not strain:
         return ""
-    wide, high = size_px
+    left, top, wide, high = strain.get("box") or (0.0, 0.0, *size_px)
     unit, dots = wide / 400, strain.get("dots") or ()
     greatest = strain.get("greatest")
     full = max(float(greatest or 0.0), FULL_SHEAR)
@@ -216,10 +216,12 @@ def strain_svg(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> st
     words = "the frame could not be read"
     if greatest is not None:
         words = f"greatest shear {number(float(greatest), 2)}, {len(strain.get('contacts') or ())} contacts"
-    begin = f'<svg viewBox="0 0 {wide} {high}" role="img"><title>Strain of the skin</title>'
-    inner = f'width="{wide - 2 * unit:.1f}" height="{high - 2 * unit:.1f}" fill="none"'
-    frame = f'<rect x="{unit}" y="{unit}" {inner} stroke="{SOFT}" stroke-width="{unit:.2f}"/>'
-    parts = [f"{begin}<desc>{words}</desc>{frame}"]
+    begin = (
+        f'<svg viewBox="{left - unit:.1f} {top - unit:.1f} {wide + 2 * unit:.1f} {high + 2 * unit:.1f}" '
+        f'role="img"><title>Strain of the skin</title><desc>{words}</desc>'
+    )
+    inner = f'x="{left:.1f}" y="{top:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none"'
+    parts = [f'{begin}<rect {inner} stroke="{SOFT}" stroke-width="{unit:.2f}"/>']
     for x, y, shear in dots:
         share = min(float(shear) / full, 1.0)
         parts.append(

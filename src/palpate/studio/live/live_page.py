@@ -107,7 +107,7 @@ class LivePage:
                 self._source = ui.select(dict(VIRTUAL), value="virtual:palm", label="source", **TYPED)
                 self._source.classes("w-full")
                 self._source.props(SELECT.format("live-source", "source"))
-                self._calibration = ui.select(dict(NONE), value="", label="calibration").classes("w-full")
+                self._calibration = ui.select(NONE | BY_MARKS, value="", label="calibration").classes("w-full")
                 self._calibration.props(SELECT.format("live-calibration", "calibration"))
                 self._source.on_value_change(self._suit_marks)
                 self._tip = ui.select(dict(NO_TIP), value="", label="softness of each press").classes(
@@ -339,7 +339,7 @@ SOFTNESS = {
     "stiffness": "stiffness κ", "stiffness_both_cues": "κ with approach", "area_at_4_N": "area at 4 N",
     "spread_rate": "spread rate", "modulus": "modulus E*", "radius": "radius",
 }  # fmt: skip
-UNIT_WORDS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N"}
+UNIT_WORDS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N", "degrees": "°", "ratio": ""}
 
 
 def softness_html(compliance: Mapping[str, Any] | None) -> str:
