@@ -104,3 +104,5 @@ def type_into_list(tab, selector, text):
     tab.run(f"document.querySelector({json.dumps(selector)}).focus()")
     tab.send("Input.insertText", text=text)
     tab.key("Enter", 13)
+    tab.run("document.activeElement.blur()")
+    tab.wait("!document.querySelector('.q-menu')", MAX_S)

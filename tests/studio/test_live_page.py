@@ -76,10 +76,8 @@ def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
 def test_a_nusense_shows_its_strain_its_contacts_and_what_is_not_valid_without_colour(browser, served):
     tab = opened(browser, served, "/live")
     choose(tab, SOURCE, "virtual NUSense")
-    tab.wait(
-        "document.querySelector('#live-calibration').closest('.q-field').innerText.includes('marks of a NUSense')",
-        MAX_S,
-    )
+    chosen = "document.querySelector('#live-calibration').closest('.q-field').innerText"
+    tab.wait(f"{chosen}.includes('marks of a NUSense')", MAX_S)
     tab.press("#live-begin")
     tab.wait("document.querySelector('.strain svg desc')?.textContent.includes('1 contacts')", LONG_S)
     assert tab.run("document.querySelectorAll('.strain circle').length") > 10

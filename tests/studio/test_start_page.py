@@ -123,7 +123,7 @@ def test_from_palpate_start_to_live_newtons_by_a_scale_on_a_serial_port(browser,
             tab = browser.open(f"{studio.url}?folder=weighed", size=DESK)
             tab.wait("!!document.querySelector('#start-begin')", MAX_S)
             type_into_list(tab, SCALE, terminal.path)
-            tab.type("#presses", str(WEIGHED))
+            tab.type("input[aria-label^='presses to collect']", str(WEIGHED))
             tab.press("#start-begin")
             tab.wait(f"/presses\\s+0 of {WEIGHED}/.test({STEPS})", LONG_S)
             presses_s = time.monotonic()
