@@ -107,7 +107,9 @@ class LivePage:
                 self._source = ui.select(dict(VIRTUAL), value="virtual:palm", label="source", **TYPED)
                 self._source.classes("w-full")
                 self._source.props(SELECT.format("live-source", "source"))
-                self._calibration = ui.select(NONE | BY_MARKS, value="", label="calibration").classes("w-full")
+                self._calibration = ui.select(NONE | BY_MARKS, value="", label="calibration").classes(
+                    "w-full"
+                )
                 self._calibration.props(SELECT.format("live-calibration", "calibration"))
                 self._source.on_value_change(self._suit_marks)
                 self._tip = ui.select(dict(NO_TIP), value="", label="softness of each press").classes(
@@ -339,6 +341,7 @@ SOFTNESS = {
     "stiffness": "stiffness κ", "stiffness_both_cues": "κ with approach", "area_at_4_N": "area at 4 N",
     "spread_rate": "spread rate", "modulus": "modulus E*", "radius": "radius",
 }  # fmt: skip
+LOPSIDED = 0.1  # of an interval, by which its middle may lie beside twice the value
 UNIT_WORDS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N", "degrees": "°", "ratio": ""}
 
 
@@ -396,6 +399,14 @@ def motion_html(image: Mapping[str, Any] | None) -> str:
     return f"{told}: {number(dx, 1)} to the right, {number(dy, 1)} down (thick arrow, {times} times as long)"
 
 
+def _interval_words(value: float, one: Mapping[str, Any], half: float) -> str:
+    """An interval as half its width, or by both ends where the value does not lie in its middle."""
+    low, high = float(one["low"]), float(one["high"])
+    if abs(low + high - 2 * value) <= LOPSIDED * (high - low):
+        return f"± {half_width_text(half)}"
+    return f"({rounded(low, half)} to {rounded(high, half)})".replace("-", "−")
+
+
 def _value_html(name: str, one: Mapping[str, Any]) -> str:
     unit = str(one.get("unit", ""))
     what = escape(name.removesuffix(f"_{unit}"))
@@ -409,7 +420,7 @@ def _value_html(name: str, one: Mapping[str, Any]) -> str:
         text = number(float(value), 2) if half is None else rounded(float(value), half)
         text = text.replace("-", "−") + f" {escape(UNIT_WORDS.get(unit, unit))}"
         if valid and half is not None:
-            text += f' <span class="half">± {half_width_text(half)}</span>'
+            text += f' <span class="half">{_interval_words(float(value), one, half)}</span>'
     elif value is not None:
         text = escape(str(value))
     reason = f'<span class="soft">{escape(why)}</span>' if not valid else ""
