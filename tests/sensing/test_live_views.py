@@ -1,4 +1,4 @@
-"""What a live sensor's process tells beyond readings: the strain of a marked skin, the softness of a press."""
+"""What a live sensor's process tells beyond readings: strain of a marked skin, softness of a press."""
 
 from __future__ import annotations
 
