@@ -6,6 +6,7 @@
     python tools/palm_copies.py --law imperfect --copies 6 --new 8 --fitted  # by six known forces alone
     python tools/palm_copies.py --law imperfect --copies 6 --new 8 --fitted --control  # holds less
     python tools/palm_copies.py --law each --copies 3  # one fault at a time, E and C known
+    python tools/palm_copies.py --law weigh --copies 4 --presses 4 --smaller 20  # checks by known weights
 
 Copies are those of `palm_variation.drawn_palm`; presses are drawn by the exact way with the camera's noise.
 No reader knows which faults a copy has: what they cost, and whether intervals hold, is what is asked. The
@@ -16,6 +17,7 @@ Numbers stand in docs/how-to/find-a-palms-constants.md.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -24,8 +26,10 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.core import ImageError, Pose
+from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.sensors.palm.copies.palm_copy import AS_SAID, LOCAL, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
+from palpate.sensors.palm.copies.palm_weight import check_weight
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
@@ -56,11 +60,13 @@ ONE_BY_ONE: dict[str, tuple[str, ...]] = {
 Errors = dict[str, list[tuple[float, bool]]]
 
 
-def pressed(spec: PalmSpec, rng: np.random.Generator) -> tuple[PicturedPress, Pose, float]:
+def pressed(
+    spec: PalmSpec, rng: np.random.Generator, force_n: tuple[float, float] = FORCE_N
+) -> tuple[PicturedPress, Pose, float]:
     """A picture, the place and depth it is of, and the true force."""
     away, turn = WITHIN * spec.radius_m * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
     x_m, y_m = float(away * np.cos(turn)), float(away * np.sin(turn))
-    contact = press_to_force(spec, float(rng.uniform(*FORCE_N)), x_m, y_m)
+    contact = press_to_force(spec, float(rng.uniform(*force_n)), x_m, y_m)
     untouched = press(spec, Pose(x_m, y_m, -1e-3))
     image, reference = (render(one, spec, rng, exact=True).image for one in (contact, untouched))
     told = contact.force_n * float(np.exp(FORCE_SHARE * rng.standard_normal()))
@@ -162,14 +168,44 @@ def study(design: PalmSpec, asked: argparse.Namespace, spread: CopySpread) -> It
         yield errors
 
 
-def told(every: dict[str, Errors]) -> Iterator[str]:
+CHANGED = math.log(1.15)
+CHANGES = {"E + 15 %": (1, 0), "E - 15 %": (-1, 0), "C + 15 %": (0, 1), "C - 15 %": (0, -1)}
+WEIGHT_N = (1.5, 5.0)
+
+
+def changed(copy: PalmSpec, modulus: int, coefficient: int) -> PalmSpec:
+    """The same copy, its E and C so many times 15 % more."""
+    law, E = copy.stress_optic, copy.youngs_modulus_pa * math.exp(CHANGED * modulus)
+    C = law.coefficient_per_pa * math.exp(CHANGED * coefficient)
+    return replace(copy, youngs_modulus_pa=E, stress_optic=replace(law, coefficient_per_pa=C))
+
+
+def weighed(design: PalmSpec, asked: argparse.Namespace) -> Iterator[dict[str, Errors]]:
+    """What known weights say of copies with every fault: by how much E and C are off, and what is named."""
+    for k in range(asked.copies):
+        rng = np.random.default_rng([asked.seed, k])
+        copy = replace(drawn_palm(design, rng, IMPERFECT), rim=design.rim)
+        fitted = fit_copy(designed_copy(design), [pressed(copy, rng)[0] for _ in range(asked.presses)]).copy
+        errors: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
+        for name, by in [("nothing changed", (0, 0))] * asked.new + list(CHANGES.items()):
+            one, _, force_n = pressed(changed(copy, *by), rng, WEIGHT_N)
+            check, _ = check_weight(fitted, one.image, one.reference, force_n / GRAVITY_M_S2)
+            for of, found, true in zip(
+                ("modulus", "coefficient"), (check.modulus_change, check.coefficient_change), by, strict=True
+            ):
+                off = 100 * (math.log1p(found) - CHANGED * true)
+                errors[name][f"{of}, per cent"].append((off, (of in check.drifted) == bool(true)))
+        yield errors
+
+
+def told(every: dict[str, Errors], holding: str) -> Iterator[str]:
     """A line for each quantity."""
     for case, quantities in every.items():
         for name, results in quantities.items():
             off = np.abs([error for error, _ in results])
             held = np.mean([inside for _, inside in results])
             yield (
-                f"{case}; {name}: mean {off.mean():.3g}, greatest {off.max():.3g}, 90 % intervals hold "
+                f"{case}; {name}: mean {off.mean():.3g}, greatest {off.max():.3g}, {holding} "
                 f"{100 * held:.0f} % of {len(results)}"
             )
 
@@ -186,24 +222,24 @@ def main() -> None:
     parser.add_argument("--control", action="store_true", help="by a model that is taken for exact")
     parser.add_argument("--smaller", type=int, default=14, help="times smaller than the full frame")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--law", choices=("plain", "imperfect", "each"), default="plain")
+    parser.add_argument("--law", choices=("plain", "imperfect", "each", "weigh"), default="plain")
     asked = parser.parse_args()
     design = scaled_down(palm(), asked.smaller, f"a {asked.smaller}th")
     every: dict[str, Errors] = defaultdict(lambda: defaultdict(list))
     start = time.monotonic()
     spread = IMPERFECT if asked.law == "imperfect" else CopySpread()
-    found = (
-        each_fault(design, asked.copies, asked.new, asked.seed)
-        if asked.law == "each"
-        else study(design, asked, spread)
-    )
+    if asked.law == "each":
+        found = each_fault(design, asked.copies, asked.new, asked.seed)
+    else:
+        found = weighed(design, asked) if asked.law == "weigh" else study(design, asked, spread)
+    holding = "rightly named or not" if asked.law == "weigh" else "90 % intervals hold"
     for k, errors in enumerate(found):
         for case, quantities in errors.items():
             for name, results in quantities.items():
                 every[case][name] += results
         print(
             f"\n{k + 1} {'faults' if asked.law == 'each' else 'copies'}, {time.monotonic() - start:.0f} s",
-            *told(every),
+            *told(every, holding),
             sep="\n",
             flush=True,
         )

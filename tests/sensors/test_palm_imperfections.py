@@ -66,6 +66,25 @@ def test_a_membrane_with_a_residual_map_is_at_rest_a_field_of_plates(exact, off)
     assert light.max() > 2e-3
 
 
+def test_a_residual_map_of_the_weights_that_a_seed_draws_is_that_seed_s() -> None:
+    drawn = ResidualMap(2e-7, seed=3)
+    given = ResidualMap(2e-7, modes=(drawn.weights(0), drawn.weights(1)))
+    impact, z = np.linspace(-0.02, 0.02, 7), np.linspace(0, 0.01, 5)[:, None]
+    for own, other in zip(
+        *(frozen_at(replace(BARE, residual=one), impact, z) for one in (drawn, given)), strict=True
+    ):
+        assert_allclose(own, other, atol=1e-20)
+        assert np.ptp(own) > 1e-8
+    tilted = ResidualMap(1e-7, modes=((1.0,), (0.0,)))  # a first mode alone is straight in the depth
+    along, aside = frozen_at(replace(BARE, residual=tilted), impact, z)
+    assert_allclose(
+        along, np.broadcast_to(1e-7 * np.sqrt(3) * (2 * z / BARE.thickness_m - 1), along.shape), atol=1e-15
+    )
+    assert not aside.any()
+    with pytest.raises(InputError, match="weights"):
+        ResidualMap(1e-7, modes=((1.0,) * 12, ()))
+
+
 def test_retardance_at_45_degrees_gives_sin2_of_its_half_and_along_the_polariser_nothing() -> None:
     order = 0.05
     flat = replace(BARE, frozen_birefringence=order * 550e-9 / 57e-3)

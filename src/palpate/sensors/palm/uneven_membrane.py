@@ -61,10 +61,13 @@ class ResidualMap:
         birefringence: root mean square of each of the two components, along the axes and along their
             diagonals, of the mean along a ray: a difference of indices, 0 to 1e-5.
         seed: which map.
+        modes: weights of `side_modes` of the first orders, of each component, in place of those that the seed
+            draws; the root mean square is then that of weights of 1 in all.
     """
 
     birefringence: float = 0.0
     seed: int = 0
+    modes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.birefringence <= MAX_BIREFRINGENCE:
@@ -72,7 +75,18 @@ class ResidualMap:
                 f"a residual birefringence of {self.birefringence}; 0 to {MAX_BIREFRINGENCE:g}, a difference "
                 "of indices"
             )
+        for one in self.modes or ():
+            if not (len(one) <= len(SIDE_MODES) and all(map(math.isfinite, one))):
+                raise InputError(
+                    f"weights {one}; give up to {len(SIDE_MODES)} finite numbers of each component"
+                )
         _check_seed(self.seed)
+
+    def weights(self, component: int) -> tuple[float, ...]:
+        """Of the first modes, of the component along the axes (0) or along their diagonals (1)."""
+        if self.modes is None:
+            return _weights(self.seed, component, len(SIDE_MODES))
+        return self.modes[component]
 
 
 def _check_seed(seed: int) -> None:
@@ -161,8 +175,11 @@ def frozen_at(spec: PalmSpec, impact_m: Field, z_m: Field) -> tuple[Field, Field
     across, down = np.broadcast_arrays(impact_m / spec.radius_m, 2 * z_m / spec.thickness_m - 1)
     if not size:
         return np.full(across.shape, uniform[0]), np.full(across.shape, uniform[1])
-    modes = side_modes(across, np.clip(down, -1.0, 1.0))
-    parts = [np.tensordot(_weights(spec.residual.seed, k, len(modes)), modes, axes=1) for k in range(2)]
+    modes, weights = (
+        side_modes(across, np.clip(down, -1.0, 1.0)),
+        [spec.residual.weights(k) for k in range(2)],
+    )
+    parts = [np.tensordot(one, modes[: len(one)], axes=1) for one in weights]
     return uniform[0] + size * parts[0], uniform[1] + size * parts[1]
 
 

@@ -7,6 +7,7 @@ from the slopes of the picture that the copy itself would show, before anyone ha
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, PIXEL_SD
 from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
 from palpate.sensors.palm.copies.palm_copy import LOCAL, TERMS, PalmCopy
-from palpate.sensors.palm.copies.press_picture import BLOCK_PX
+from palpate.sensors.palm.copies.press_picture import BLOCK_PX, away_from_edges
 
 ALLOWED = {"modulus": 0.05, "coefficient": 0.03}  # half of a 90 % interval, as a share, from which it is said
 COVERED = 1.645
@@ -71,7 +72,8 @@ def unsure_constants(copy: PalmCopy, progress: Progress = silent) -> tuple[Unsur
 def told_by(copy: PalmCopy, local: Float[ndarray, " 8"]) -> Float[ndarray, "t t"]:
     """Covariance of a copy's terms, were one more press of known force and place seen."""
     n = len(TERMS)
-    J = picture_slopes(copy, local, None)
+    few = replace(copy, spec=replace(copy.spec, rays_per_pixel=(1, 1)))  # rays, which do for advice
+    J = picture_slopes(few, local, None, away_from_edges(copy, local))
     _, slopes = log_force(copy, local)
     H = J.T @ J / (PIXEL_SD * BLOCK_PX) ** 2 + np.outer(slopes, slopes) / FORCE_SHARE**2
     H[:n, :n] += np.linalg.inv(copy.covariance)

@@ -26,6 +26,7 @@ from palpate.sensors.palm.copies.held_out import KnownRow, standardised, widenin
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
     LOCAL,
+    RESIDUAL_MODES,
     TERMS,
     CopyFit,
     Local,
@@ -33,9 +34,9 @@ from palpate.sensors.palm.copies.palm_copy import (
     PressFound,
     Terms,
 )
-from palpate.sensors.palm.copies.press_picture import BLOCK_PX, Backdrop, Pixels, SeenPress, shown
+from palpate.sensors.palm.copies.press_picture import BLOCK_PX, Backdrop, Kept, Pixels, SeenPress, shown
 
-PIXEL_SD = 0.012  # of a pixel, of white: twice what is left of it, since what is left is fitted to
+PIXEL_SD = 0.007  # of a pixel, of white: a little more than what is left of it
 STIFFEST = 20.0  # damping from which no step is tried: what is left is the roughness of sampled pixels
 ROBUST = 3.0  # standard deviations of a pixel from which it begins to weigh less
 ROUNDS, SETTLED = 25, 0.02  # of the cost, in which 1 is a standard deviation
@@ -57,16 +58,18 @@ class CopyEstimate:
 
     def __init__(
         self, known: PalmCopy, seen: Sequence[SeenPress], backdrop: Backdrop | None = None,
-        before: CopyEstimate | None = None,
+        kept: Sequence[Kept] | None = None,
     ) -> None:  # fmt: skip
         self._known, self._seen, self._backdrop = known, seen, backdrop
+        self._masks = [None] * len(seen) if kept is None else kept
+        self._pixels = [one.kept(mask) for one, mask in zip(seen, self._masks, strict=True)]
         self._prior = np.linalg.inv(known.covariance)
         self._middle = np.array([[0.0, 0.0, 0.0, one.exposure, 0.0, 0.0, 0.0, 0.0] for one in seen])
         self._own = np.array([0.0, 0.0, 0.0, *(1 / one**2 for one in known.local_spreads)])
         self._size = len(TERMS) + len(LOCAL) * len(seen)
         self._weight = (PIXEL_SD * BLOCK_PX) ** 2  # of squared pixels: those of a block tell as much as one
         self._kink = ROBUST * PIXEL_SD
-        self._kept: dict[int, tuple[tuple[Terms, Local], ndarray]] = {} if before is None else before._kept
+        self._slopes_at: dict[int, tuple[tuple[Terms, Local], ndarray]] = {}
         self._left: dict[int, list[tuple[bytes, Pixels]]] = {}
 
     def settled(self, state: CopyState, progress: Progress, rounds: int = ROUNDS) -> CopyState:
@@ -98,7 +101,7 @@ class CopyEstimate:
             scores = [np.bincount(block, J[:, k] * weight * residual) for k in range(len(at))]
             summed = np.stack(scores) / self._weight
             meat[np.ix_(at, at)] += summed @ summed.T
-            off.append(math.sqrt(float(residual @ residual) / len(residual)))
+            off.append(math.sqrt(float(residual @ residual) / max(int(np.count_nonzero(residual)), 1)))
         self._add_own(H)
         rows = list(self._sure_rows(state))
         for one in rows:
@@ -112,7 +115,9 @@ class CopyEstimate:
         widening = widening_of(errors, len(held)) if held else self._known.widening
         copy = replace(self._known, terms=state.terms, covariance=covariance[:n, :n], widening=widening)
         presses = tuple(self._found(state, i, covariance, off[i]) for i in range(len(self._seen)))
-        return CopyFit(copy, presses, untold_terms(TERMS, self._known.covariance, copy.covariance))
+        untold = untold_terms(TERMS, self._known.covariance, copy.covariance)
+        maps = {one for names in RESIDUAL_MODES.values() for one in names}  # many, each of little account
+        return CopyFit(copy, presses, tuple(one for one in untold if one not in maps))
 
     def _found(self, state: CopyState, i: int, covariance: ndarray, off: float) -> PressFound:
         at, local, wider = len(TERMS) + len(LOCAL) * i, state.local[i], self._known.widening
@@ -169,7 +174,8 @@ class CopyEstimate:
         for at, left in kept:
             if at == key:
                 return left
-        left = self._seen[i].pixels - shown(self._copy(state), state.local[i], self._backdrop)
+        seen = shown(self._copy(state), state.local[i], self._backdrop, kept=self._masks[i])
+        left = self._pixels[i] - seen
         self._left[i] = [*kept[-1:], (key, left)]
         return left
 
@@ -187,9 +193,10 @@ class CopyEstimate:
 
     def _slopes(self, state: CopyState, i: int) -> Float[ndarray, "n u"]:
         here = state.terms, state.local[i]
-        if i not in self._kept or not still_near(self._kept[i][0], here):
-            self._kept[i] = here, picture_slopes(self._copy(state), state.local[i], self._backdrop)
-        return self._kept[i][1]
+        if i not in self._slopes_at or not still_near(self._slopes_at[i][0], here):
+            slopes = picture_slopes(self._copy(state), state.local[i], self._backdrop, self._masks[i])
+            self._slopes_at[i] = here, slopes
+        return self._slopes_at[i][1]
 
     def _sure_rows(self, state: CopyState) -> Iterator[KnownRow]:
         """Rows of each known force and place."""

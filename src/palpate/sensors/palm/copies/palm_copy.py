@@ -25,18 +25,27 @@ from palpate.core import Float, Pose, RangeError, UInt8, ndarray
 from palpate.estimators.known_terms import term_rows
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.palm_spec import PalmSpec, View
+from palpate.sensors.palm.uneven_membrane import SIDE_MODES, ResidualMap
+
+PARTS = ("along", "aside")
+MODES = 8  # of the residual birefringence: those of the side view that no third order is in
 
 TERMS = (
     "modulus", "product", "lamp", "polariser_rad", "elevation_rad", "mirror_across_px", "mirror_down_px",
     "fringes_across_px", "fringes_down_px", "ambient", "corner_loss", "mired", "blur_px",
     "thickness", "mirror_turn_rad", "fringes_turn_rad", "mirror_scale", "fringes_scale",
     "residual_along", "residual_aside", "harder_across", "harder_along",
+    *(f"residual_{part}_{i}{j}" for part in PARTS for i, j in SIDE_MODES[:MODES]),
 )  # fmt: skip
 """Logarithms of E, of E C and of the lamp's light over the design's; turns of polariser and of the mirror's
 line of sight; shifts of both regions in the frame; room light and corner loss beyond the design's; the lamp's
 colour; the lens's blur; the thickness's logarithm; both regions' turns, and logarithms of size; residual
-birefringence along the axes and along their diagonals, in wavelengths over the diameter; and by how much the
-logarithm of E grows from the middle to the rim, along x and along y."""
+birefringence along the axes and along their diagonals, in wavelengths over the diameter; by how much the
+logarithm of E grows from the middle to the rim, along x and along y; and by how much both parts of the
+residual birefringence vary over the side view, as weights of `side_modes` of order up to 2 each way, in the
+same unit."""
+RESIDUAL_MODES = {part: tuple(one for one in TERMS if one.startswith(f"residual_{part}_")) for part in PARTS}
+"""Names of these, of each part."""
 
 LOCAL = (
     "x_m", "y_m", "log_depth", "exposure", "harder", "thicker", "residual_along", "residual_aside",
@@ -141,7 +150,17 @@ class PalmCopy:
             thickness_m=spec.thickness_m * math.exp(at["thickness"]),
             frozen_birefringence=size,
             frozen_axis_rad=axis,
+            residual=self._residual,
         )
+
+    @property
+    def _residual(self) -> ResidualMap:
+        """What is frozen in unevenly, beyond the design's, which is taken to have none."""
+        along, aside = (
+            tuple(self.terms[[AT[one] for one in RESIDUAL_MODES[part]]].tolist()) for part in PARTS
+        )
+        unit = self.spec.stress_optic.reference_wavelength_m / self.spec.diameter_m
+        return ResidualMap(unit, modes=(along, aside)) if any(along + aside) else self.spec.residual
 
     def under(self, local: Local) -> PalmCopy:
         """The copy as one press finds it: even, with what the membrane is there; see `LOCAL`."""
@@ -195,6 +214,7 @@ SPREADS = {
     "thickness": 0.02, "mirror_turn_rad": math.radians(0.4), "fringes_turn_rad": math.radians(0.4),
     "mirror_scale": 0.003, "fringes_scale": 0.003, "residual_along": 0.012, "residual_aside": 0.012,
     "harder_across": 0.015, "harder_along": 0.015,
+    **dict.fromkeys((*RESIDUAL_MODES["along"], *RESIDUAL_MODES["aside"]), 0.003),
 }  # fmt: skip
 """By how much copies differ from their design, as standard deviations. Assumed."""
 BLUR_PX = 0.5  # of a lens, where nothing is known of it. Assumed.
@@ -259,7 +279,7 @@ class PressFound(NamedTuple):
         x_m, y_m, depth_m, force_n: place, depth and force.
         x_sd_m, y_sd_m, depth_sd_m: standard deviations.
         force_share: standard deviation of the force's logarithm.
-        off: root mean square of what the picture differs from the copy's, over white.
+        off: root mean square of what the picture differs from the copy's, over white, away from edges.
     """
 
     x_m: float
@@ -285,7 +305,8 @@ class CopyFit:
     Attributes:
         copy: as known now.
         presses: what each picture told.
-        untold: terms of which the presses told less than a fifth of what was known before.
+        untold: terms of which the presses told less than a fifth of what was known before; the residual
+            birefringence's variation is not listed.
     """
 
     copy: PalmCopy

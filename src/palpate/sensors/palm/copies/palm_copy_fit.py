@@ -1,7 +1,8 @@
 """A copy of the palm from pictures of its presses: where to begin, and the estimate from there.
 
-The estimate is made twice: at first by the copy's terms alone, then behind what the untouched frames show
-beyond them (see `press_picture`).
+The estimate is made roughly at first, with few rays and every pixel; then with all rays, behind what the
+untouched frames show beyond the copy and away from edges (see `press_picture`), as the rough one has both;
+and once more where edges have turned out to lie elsewhere.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from palpate.sensors.palm.copies.press_picture import (
     BLOCK_PX,
     Pixels,
     SeenPress,
+    away_from_edges,
     backdrop_of,
     lamp_of,
     pictured,
@@ -47,6 +49,9 @@ Place = Float[ndarray, " 3"]
 ASIDE_M = ((0.0, 0.0), (0.0, 2e-3), (0.0, -2e-3))  # y is seen foreshortened, under a dimple that leans
 STARTS = 3  # of a press alone, each with another product
 TRIED = 2  # rounds after which the likelier of two starts is kept
+ROUGH = 4  # more of them, with few rays
+PASSES = 3  # with all rays, at most
+MOVED = 0.3  # of a row, by which the deepest point has to be elsewhere for another pass
 DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
 MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
@@ -56,13 +61,17 @@ LIT = 0.03  # spread of the lamp below which the untouched frame is compared wit
 WEIGHT = (PIXEL_SD * BLOCK_PX) ** 2
 
 
-def fit_copy(known: PalmCopy, presses: Sequence[PicturedPress], progress: Progress = silent) -> CopyFit:
+def fit_copy(
+    known: PalmCopy, presses: Sequence[PicturedPress], progress: Progress = silent,
+    near: CopyFit | None = None,
+) -> CopyFit:  # fmt: skip
     """Estimate a copy's terms, and place, depth and force of each press.
 
     Args:
         known: of the copy beforehand.
         presses: pictures, with or without forces; one is a reading, five to ten of known force calibrate.
         progress: called with rounds of the estimate.
+        near: another fit of the same presses, from which the estimate begins as well; the likelier is kept.
 
     Raises:
         InputError: no press.
@@ -72,21 +81,15 @@ def fit_copy(known: PalmCopy, presses: Sequence[PicturedPress], progress: Progre
     if not presses:
         raise InputError("no press; a copy is found from one picture at least")
     seen = [seen_press(known.spec, one) for one in presses]
-    rests = [one.rest for one in seen]
-    sure = math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]) <= LIT
-    lit = 0.0 if sure else lamp_of(known, rests)
-    first = _first_states(replace(known, terms=known.terms + lit * _unit("lamp")), seen, progress)
-    rough = None
-    if not sure:
-        few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # rays, which do for a start
-        rough = CopyEstimate(few, seen)
-        best = min((rough.settled(state, progress, TRIED) for state in first), key=rough.cost)
-        first = [rough.settled(best, progress)]
-    at = replace(known, terms=first[0].terms)
-    places = [(float(x), float(y)) for x, y in first[0].local[:, :2]]
-    backdrop = backdrop_of(at, rests, places)
-    estimate = CopyEstimate(known, seen, backdrop, before=rough)
-    found = estimate.fit(min((estimate.settled(one, progress) for one in first), key=estimate.cost))
+    states, row_m = [_rough_state(known, seen, progress)], known.spec.fringes.pitches_m[1]
+    if near is not None:
+        states.append(_state_of(near, seen))
+    for _ in range(PASSES):
+        edges, estimate = states[0].local, _estimate_at(known, seen, states[0])
+        states = [min((estimate.settled(one, progress) for one in states), key=estimate.cost)]
+        if np.abs(np.exp(states[0].local[:, 2]) - np.exp(edges[:, 2])).max() < MOVED * row_m:
+            break
+    found = estimate.fit(states[0])
     worst = max(one.off for one in found.presses)
     if worst > MAX_OFF:
         raise ImageError(
@@ -102,6 +105,37 @@ def read_press(
 ) -> PressFound:
     """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`."""
     return fit_copy(known, [PicturedPress(image, reference)]).presses[0]
+
+
+def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> CopyState:
+    """The likeliest by few rays and every pixel."""
+    sure, rests = math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]) <= LIT, [one.rest for one in seen]
+    lit = 0.0 if sure else lamp_of(known, rests)
+    first = _first_states(replace(known, terms=known.terms + lit * _unit("lamp")), seen, progress)
+    few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # which do for a start
+    backdrop = backdrop_of(few, rests, _places(first[0])) if sure else None
+    rough = CopyEstimate(few, seen, backdrop)
+    best = min((rough.settled(state, progress, TRIED) for state in first), key=rough.cost)
+    return rough.settled(best, progress, ROUGH)
+
+
+def _estimate_at(known: PalmCopy, seen: Sequence[SeenPress], state: CopyState) -> CopyEstimate:
+    """The rows of all rays, with backdrop and edges as a state has them."""
+    at = replace(known, terms=state.terms)
+    backdrop = backdrop_of(at, [one.rest for one in seen], _places(state))
+    return CopyEstimate(known, seen, backdrop, [away_from_edges(at, own) for own in state.local])
+
+
+def _places(state: CopyState) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in state.local[:, :2]]
+
+
+def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> CopyState:
+    """Where another fit of the same presses ended, each press as its copy's terms say."""
+    local = np.zeros((len(seen), len(LOCAL)))
+    for own, one, found in zip(local, seen, fit.presses, strict=True):
+        own[:4] = found.x_m, found.y_m, math.log(found.depth_m), one.exposure
+    return CopyState(fit.copy.terms, local)
 
 
 def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[CopyState]:

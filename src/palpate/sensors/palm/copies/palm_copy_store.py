@@ -24,7 +24,7 @@ from palpate.sensors.palm.copies.palm_copy import (
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
-FORMAT = "palpate palm copy 2"
+FORMAT = "palpate palm copy 3"
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
 MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 

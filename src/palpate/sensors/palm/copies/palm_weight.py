@@ -67,7 +67,9 @@ def check_weight(
     """
     force_n = weight_n(mass_kg)
     known = forgotten(calibrated)
-    found = fit_copy(known, [PicturedPress(image, reference, force_n, WEIGHT_SHARE)], progress)
+    unchanged = fit_copy(calibrated, [PicturedPress(image, reference)], progress)
+    weighed = [PicturedPress(image, reference, force_n, WEIGHT_SHARE)]
+    found = fit_copy(known, weighed, progress, near=unchanged)
     before, now = calibrated.terms[:2], found.copy.terms[:2]
     towards = np.array([[1.0, 0.0], [-1.0, 1.0]])  # ln E, ln C
     change = towards @ (now - before)

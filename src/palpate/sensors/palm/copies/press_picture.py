@@ -4,6 +4,10 @@ An untouched frame shows, where nothing moves, what the copy's terms do not know
 view, which dims, and reflections, which add. Both are taken from it once, and drawn over every picture of a
 press. A camera that exposes by itself changes all of the frame: the housing beside both regions tells by how
 much, since no press changes it.
+
+A pixel whose light jumps, as an edge passes the middle of one of its rays, tells nothing by slopes. Once it
+is known where edges lie (of ball and dimple, of the skin, of the mirror's opening) pixels near them, and what
+is seen of the ball over the skin, are left out.
 """
 
 from __future__ import annotations
@@ -18,8 +22,9 @@ import numpy as np
 
 from palpate.core import Bool, Float, ImageError, Int, Pose, RangeError, UInt8, ndarray
 from palpate.sensors.palm.copies.palm_copy import Local, PalmCopy, PicturedPress
+from palpate.sensors.palm.fringe_view import columns_kept
 from palpate.sensors.palm.mirror_view import contact_px
-from palpate.sensors.palm.palm_press import press
+from palpate.sensors.palm.palm_press import drawn_ball, pressed
 from palpate.sensors.palm.palm_render import housed, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 
@@ -32,9 +37,15 @@ SAME_EXPOSURE = 0.03  # change of it that is taken for none
 HANGS_WITHIN = 1.6  # ball radii of where it presses, in which the mirror may show it over the untouched skin
 ENOUGH = 100  # pixels of the housing that tell it
 
+EDGE_PX = 1.0  # from an edge, within which pixels are left out
+
 Pixels = Float[ndarray, " n"]
 Lights = tuple[ndarray, ndarray]
 """Linear light of both regions, fringes and mirror."""
+
+
+Kept = tuple[ndarray, ndarray]
+"""Pixels of both regions that are compared: 1, and 0 for those that are not."""
 
 
 class Backdrop(NamedTuple):
@@ -60,7 +71,7 @@ class SeenPress:
         change: of them since the skin was untouched, had that been exposed as long.
         exposure: logarithm of the exposure over the untouched frame's, as the housing shows it.
         block: to which each belongs.
-        rest: light of the untouched regions.
+        light, rest: of both regions, and of the untouched ones.
         press: as it was given.
     """
 
@@ -68,8 +79,13 @@ class SeenPress:
     change: Pixels
     exposure: float
     block: Int[ndarray, " n"]
+    light: Lights
     rest: Lights
     press: PicturedPress
+
+    def kept(self, kept: Kept | None) -> Pixels:
+        """Its pixels, those that are left out as 0."""
+        return self.pixels if kept is None else _as_pixels(self.light, kept)
 
 
 def pictured(known: PalmCopy, pose: Pose, *, exact: bool = False) -> Pixels:
@@ -77,13 +93,29 @@ def pictured(known: PalmCopy, pose: Pose, *, exact: bool = False) -> Pixels:
     return _as_pixels(_light(known, pose, exact))
 
 
-def shown(known: PalmCopy, local: Local, backdrop: Backdrop | None, *, exact: bool = True) -> Pixels:
+def shown(
+    known: PalmCopy, local: Local, backdrop: Backdrop | None, *, exact: bool = True, kept: Kept | None = None
+) -> Pixels:
     """The same of a press with its own unknowns, behind what the untouched frame shows."""
     seen = _light(known.under(local), pose_of(local), exact)
     if backdrop is not None:
         seen = backdrop.over(seen)
     gain = math.exp(local[3])
-    return _as_pixels((gain * seen[0], gain * seen[1]))
+    return _as_pixels((gain * seen[0], gain * seen[1]), kept)
+
+
+def away_from_edges(known: PalmCopy, local: Local) -> Kept:
+    """Pixels of a press that lie in the skin or in the mirror's opening, and not near an edge of them."""
+    spec, pose = known.under(local).looks, pose_of(local)
+    rows, rays = spec.fringes.pitches_m[1], columns_kept(spec.unlit)
+    here, R = pressed(spec, pose.depth_m), spec.indenter_radius_m
+    offset = np.where(rays.visible, np.abs(rays.about(pose.x_m, pose.y_m)[0]), np.inf)
+    top = np.interp(offset, here.r * R, np.asarray(here.surface) * R, right=0.0)
+    z = spec.fringes.down_m[:, None]
+    skin = (z > top + EDGE_PX * rows) & (z < spec.thickness_m - EDGE_PX * rows) & rays.visible
+    x, y = np.meshgrid(spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad))
+    opening = np.hypot(x, y) < spec.radius_m - EDGE_PX * max(spec.mirror.pitches_m)
+    return skin.astype(float), opening.astype(float)
 
 
 def pose_of(local: Local) -> Pose:
@@ -144,9 +176,10 @@ def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
     if not (math.isfinite(one.force_share) and one.force_share > 0):
         raise RangeError(f"a force known to a share of {one.force_share}; it has to be above 0")
     longer = exposure_change(spec, one.image, one.reference)
-    pixels, rest = _as_pixels(_regions(spec, _linear(one.image))), _regions(spec, _linear(one.reference))
+    light, rest = (_regions(spec, _linear(image)) for image in (one.image, one.reference))
+    pixels = _as_pixels(light)
     change = pixels - _as_pixels((longer * rest[0], longer * rest[1]))
-    return SeenPress(pixels, change, math.log(longer), _blocks(spec), rest, one)
+    return SeenPress(pixels, change, math.log(longer), _blocks(spec), light, rest, one)
 
 
 def lamp_of(known: PalmCopy, rests: Sequence[Lights]) -> float:
@@ -178,7 +211,7 @@ def exposure_change(
 
 def _light(known: PalmCopy, pose: Pose, exact: bool) -> Lights:
     spec = known.looks
-    frame = housed(render_clean(press(spec, pose), spec, exact=exact), spec)
+    frame = housed(render_clean(drawn_ball(spec, pose), spec, exact=exact), spec)
     return _regions(spec, frame)
 
 
@@ -186,8 +219,15 @@ def _regions(spec: PalmSpec, frame: ndarray) -> Lights:
     return frame[spec.fringes.window], frame[spec.mirror.window]
 
 
-def _as_pixels(seen: Lights) -> Pixels:
-    return np.concatenate([_blurred(_encoded(light), BLUR_PX) for light in seen])
+def _as_pixels(seen: Lights, kept: Kept | None = None) -> Pixels:
+    if kept is None:
+        return np.concatenate([_blurred(_encoded(light), BLUR_PX) for light in seen])
+    parts = []
+    for light, one in zip(seen, kept, strict=True):
+        whole = np.repeat(one.ravel(), 3)
+        share = np.repeat(_blurred(one, BLUR_PX), 3)
+        parts.append(whole * _blurred(_encoded(light) * one[..., None], BLUR_PX) / np.maximum(share, 1e-3))
+    return np.concatenate(parts)
 
 
 def _blurred(image: ndarray, sigma_px: float) -> Pixels:
