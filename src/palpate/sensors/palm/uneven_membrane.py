@@ -83,7 +83,7 @@ class ResidualMap:
         _check_seed(self.seed)
 
     def weights(self, component: int) -> tuple[float, ...]:
-        """Of the first modes, of the component along the axes (0) or along their diagonals (1)."""
+        """Weights of the first modes, of the component along the axes (0) or along their diagonals (1)."""
         if self.modes is None:
             return _weights(self.seed, component, len(SIDE_MODES))
         return self.modes[component]
