@@ -8,7 +8,7 @@ import pytest
 from palpate.core import ManualClock
 from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
 from palpate.sensing.live_sources import LiveFrame
-from palpate.sensing.streaming.strain_view import LEAST, strain_view
+from palpate.sensing.streaming.strain_view import MIN_TOLD, strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader
 
 PLACE_M = (0.008, 0.004)
@@ -55,7 +55,7 @@ def test_the_contact_is_shown_where_the_picture_changed_and_shear_lies_around_it
 def test_dots_are_of_strain_that_is_seen_and_none_is_larger_than_the_greatest(shown) -> None:
     held, rest = shown["held"][0], shown["rest"][0]
     shears = [shear for _, _, shear in held["dots"]]
-    assert min(shears) > LEAST
+    assert min(shears) > MIN_TOLD
     assert max(shears) <= held["greatest"]
     assert held["greatest"] > 10 * rest["greatest"]
     assert len(held["dots"]) > 10 * len(rest["dots"])

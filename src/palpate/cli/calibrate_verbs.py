@@ -244,7 +244,6 @@ def sense(
 
     Example: palpate sense cal images --json
     """
-    from palpate.sensing.streaming.replayed_frames import unfinished
 
     estimator = palpate.Estimator.open(calibration, threads=threads)
     _check_lens(estimator.card, lens)
@@ -260,11 +259,14 @@ def sense(
         from palpate.reports import latency_line
 
         typer.echo(latency_line(latencies), err=True)
-    if hasattr(frames, "run") and (why := unfinished(frames.run.path)):
-        typer.echo(why, err=True)
-        if json_:
-            typer.echo(json.dumps({"source": str(source), "state": "ended", "why": why}))
-        raise typer.Exit(1)
+    if hasattr(frames, "run"):
+        from palpate.sensing.streaming.replayed_frames import unfinished
+
+        if why := unfinished(frames.run.path):
+            typer.echo(why, err=True)
+            if json_:
+                typer.echo(json.dumps({"source": str(source), "state": "ended", "why": why}))
+            raise typer.Exit(1)
 
 
 def report(

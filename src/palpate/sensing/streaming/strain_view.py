@@ -10,7 +10,7 @@ from palpate.core import Float, ndarray
 from palpate.estimators.shear import ShearReader, ShearTouch
 
 DOTS = 24  # along the longer side of the skin
-LEAST = 0.01  # shear that is told; below it is noise
+MIN_TOLD = 0.01  # shear that is told; below it is noise
 ARROWS_MM = 0.05  # shift of a contact that is drawn an arrow for; the readings tell less
 
 
@@ -19,7 +19,7 @@ def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
 
     Returns:
         "box": x, y, width and height of the skin; "dots": x, y and the greatest engineering shear there, for
-        places where it is above `LEAST`;
+        places where it is above `MIN_TOLD`;
         "greatest": of the whole skin; "spacing_px": between dots; "contacts": x and y of each [px];
         "shift": "start" and "end" of an arrow [px] along the shift of the only contact, "times" by which it
         is drawn longer, and its length "mm"; None where there is none. No dots where the frame could not be
@@ -34,7 +34,7 @@ def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
     shear = np.asarray(fields.greatest_shear)[every // 2 :: every, every // 2 :: every].ravel()
     seen = np.isfinite(shear) & np.isfinite(at).all(axis=1)
     spacing = np.hypot(*(fields.at[:, every, every] - fields.at[:, 0, 0])) / np.sqrt(2) if seen.any() else 0.0
-    shown = seen & (shear > LEAST)
+    shown = seen & (shear > MIN_TOLD)
     dots = _in_image(reader, at[shown])
     contacts = np.array([[one.x, one.y] for one in touch.places.contacts]).reshape(-1, 2)
     greatest = np.asarray(fields.greatest_shear)

@@ -12,7 +12,7 @@ MIN_LIT = 8.0  # grey levels: darker pixels tell nothing of a change of brightne
 SATURATED = 250.0  # grey levels
 EVERY = 4  # pixel along each axis that tells it
 MIN_PX = 12
-LEAST, MOST = 0.05, 20.0  # that is told
+MIN_GAIN, MAX_GAIN = 0.05, 20.0  # that is told
 
 
 class BrightnessGain:
@@ -38,4 +38,4 @@ class BrightnessGain:
         some = picture[::EVERY, ::EVERY]
         pairs = ((some[..., c][which], self._levels[c]) for c, which in enumerate(self._lit))
         gains = [float(np.median(now / then)) if len(then) > MIN_PX else 1.0 for now, then in pairs]
-        return np.clip(np.array(gains), LEAST, MOST)
+        return np.clip(np.array(gains), MIN_GAIN, MAX_GAIN)
