@@ -244,7 +244,6 @@ def sense(
 
     Example: palpate sense cal images --json
     """
-
     estimator = palpate.Estimator.open(calibration, threads=threads)
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
