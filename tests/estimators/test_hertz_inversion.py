@@ -80,6 +80,19 @@ def test_intervals_hold_as_often_as_they_say(rng) -> None:
     assert_allclose(held / 150, 0.9, atol=0.07)
 
 
+@pytest.mark.parametrize("presses", [2, 3])
+def test_intervals_of_few_presses_hold_as_often_as_they_say(rng, presses: int) -> None:
+    """Their own scatter tells the spread badly: by normal draws intervals of two would hold 75 %."""
+    held = np.zeros(2)
+    for _ in range(200):
+        found = invert_hertz([press(D, rng) for _ in range(presses)], Finger(FINGER), rng)
+        held += [
+            found.modulus_pa[1] <= D.modulus_pa <= found.modulus_pa[2],
+            found.radius_m[1] <= D.radius_m <= found.radius_m[2],
+        ]
+    assert held.min() / 200 > 0.83
+
+
 def test_what_is_no_press_is_refused(rng) -> None:
     good = press(C)
     with pytest.raises(InputError, match="no press"):
@@ -115,6 +128,20 @@ def test_a_hertz_finger_is_found_from_its_presses_on_a_rigid_plate(rng) -> None:
     noisy = fit_finger([rigid(FINGER, rng) for _ in range(5)])
     assert_allclose(noisy.body.modulus_pa, FINGER.modulus_pa, rtol=0.01)
     assert noisy.modulus_spread > 0
+
+
+def test_a_finger_s_spread_is_that_of_the_fingers_of_its_single_presses() -> None:
+    """E goes with c / sqrt(k), R with c k: approaches and areas stretched by what a trial's seat may do."""
+    stretched = [
+        PressCurves(FORCE, along * FINGER.approach_m(FORCE), across * FINGER.area_m2(FORCE))
+        for along, across in ((0.98, 0.99), (0.98, 1.01), (1.02, 0.99), (1.02, 1.01))
+    ]
+    found, single = fit_finger(stretched), [fit_finger([one]).body for one in stretched]
+    for spread, values in (
+        (found.modulus_spread, [one.modulus_pa for one in single]),
+        (found.radius_spread, [one.radius_m for one in single]),
+    ):
+        assert_allclose(spread, np.std(values, ddof=1) / np.mean(values) / 2, rtol=0.1)
 
 
 def test_a_finger_that_stiffens_says_by_how_much(rng) -> None:

@@ -23,6 +23,7 @@ from palpate.mechanics.half_space.hertz_pairs import Body
 MIN_SHARE = 0.2
 DRAWS = 4000
 MIN_SAMPLES = 5
+FARTHEST = 20.0  # e-folds that a drawn slope is off at most: Student's tails of two presses have no end
 OF_MODULUS, OF_RADIUS = 0.13, 0.25  # of a finger's misfit: standard deviations, as shares
 TOO_STIFF = (
     "the object yields {:.0%} of the approach; below {:.0%} its own part cannot be told from the finger's"
@@ -96,7 +97,7 @@ def fit_finger(rigid: Sequence[PressCurves]) -> Finger:
     misfit = float(np.mean([_misfit(press) for press in rigid]))
     return Finger(
         Body(float(E), float(R)),
-        float(np.hypot(np.hypot(1.5 * of_c, 0.5 * of_k), OF_MODULUS * misfit)),
+        float(np.hypot(np.hypot(of_c, 0.5 * of_k), OF_MODULUS * misfit)),  # E goes with c / sqrt(k)
         float(np.hypot(np.hypot(of_c, of_k), OF_RADIUS * misfit)),
         misfit,
     )
@@ -120,7 +121,8 @@ def invert_hertz(
     """Invert Hertz's contact for the object of one press or several.
 
     Intervals are of draws of the two lines' slopes and of the finger. With several presses the slopes' spread
-    is that between presses; with one it is that of its samples, as if these were independent.
+    is that between presses, which few of them tell badly: their draws are Student's. With one it is that of
+    its samples, as if these were independent.
 
     Raises:
         InputError: no press, or one with too few samples, with no rise of force, or with area or force that
@@ -130,7 +132,10 @@ def invert_hertz(
         raise InputError("no press; give one or more")
     c, k = np.array([_slopes(press) for press in presses]).T
     spread = _spread(presses, c, k)
-    draws = np.exp(np.log([c.mean(), k.mean()])[:, None] + spread[:, None] * rng.standard_normal((2, DRAWS)))
+    several, shape = len(presses) > 1, (2, DRAWS)
+    drawn = rng.standard_t(len(presses) - 1, shape) if several else rng.standard_normal(shape)
+    off = np.clip(spread[:, None] * drawn, -FARTHEST, FARTHEST)
+    draws = np.exp(np.log([c.mean(), k.mean()])[:, None] + off)
     E_f = finger.body.modulus_pa * np.exp(finger.modulus_spread * rng.standard_normal(DRAWS))
     R_f = finger.body.radius_m * np.exp(finger.radius_spread * rng.standard_normal(DRAWS))
     E, R = _both(c.mean(), k.mean())
