@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
@@ -19,6 +21,7 @@ from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.skin_and_markers import lattice
 from palpate.sensors.tactip.taps import load_reader, register_taps, tip_fit, tip_reader
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials
+from palpate.sensors.tactip.taps.tap_folder import fit_folder
 from palpate.sensors.tactip.taps.tap_pins import named_taps, spots
 from palpate.sensors.tactip.taps.tip_fit import fit_tip, judge_tip
 from palpate.sensors.tactip.taps.twin_error import TwinError
@@ -195,6 +198,33 @@ def test_too_few_taps_and_poses_that_do_not_differ_are_refused() -> None:
     same[:, 5] = 2.0
     with pytest.raises(InputError, match="the same twist"):
         fit_tip(TIP, same, places)
+
+
+def test_tables_that_tell_no_tip_are_refused_before_any_image_is_read(tmp_path) -> None:
+    """No image lies in these folders; naming the pins of 2,000 takes minutes."""
+    at = poses(12)
+    table = pd.DataFrame(at, columns=POSE).assign(image_file=[f"{i}.png" for i in range(12)])
+    for refused, words, bad in (
+        (InputError, "the same depth, twist", {"depth_mm": 3.0, "twist_deg": 2.0}),
+        (LabelError, r"12 of 12 taps have no finite pose, the first in row 2 \(the header", {"depth_mm": ""}),
+        (
+            LabelError,
+            "1 of 12 taps have no finite pose, the first in row 5",
+            {"depth_mm": [*"123", "", *at[4:, 0]]},
+        ),
+    ):
+        table.assign(**bad).to_csv(tmp_path / "labels.csv", index=False)
+        with pytest.raises(refused, match=words):
+            fit_folder(tmp_path, tmp_path)
+
+
+def test_poses_that_do_not_differ_are_refused_in_words_alone() -> None:
+    at, places = tapped(30)
+    at[:, 5] = 2.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match="the same twist"):
+            tip_reader.fit_pins(at, places)
 
 
 def shuffled(places: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:

@@ -25,7 +25,7 @@ from palpate.core import (
 from palpate.sensors.tactip.posed_tip import POSE, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import NamedPins, named_taps, read_image, spots
-from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, judge_tip
+from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, judge_tip, refuse_alike
 from palpate.sensors.tactip.taps.tip_reader import MIN_LEARNT, PoseReadings, TipReader, fit_pins
 
 TABLE, IMAGES = "labels.csv", "images"
@@ -146,6 +146,8 @@ def fit_folder(
     Raises:
         LabelError, ImageError, InputError: as `register_taps` and `fit_tip`.
     """
+    if len(asked := _table(folder)[1]):
+        refuse_alike(asked)  # before minutes of naming pins
     known, new = register_taps([folder, judged_by], pins, progress)
     some = np.random.default_rng(seed).permutation(len(known.poses))[:taps]
     poses, places = known.poses[some], known.places_px[some]
@@ -235,7 +237,10 @@ def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
     poses = table[list(POSE)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
     bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
     if len(bad):
-        raise LabelError(f"{path}: row {bad[0] + 1} has no finite pose, as {len(bad)} rows; leave them out")
+        raise LabelError(
+            f"{path}: {len(bad)} of {len(poses)} taps have no finite pose, the first in row {bad[0] + 2} "
+            f"(the header is row 1); give {', '.join(POSE)} in each, or leave these rows out"
+        )
     return [str(name) for name in table[file]], poses
 
 

@@ -88,7 +88,7 @@ class TipJudgement:
 
     Attributes:
         residual_px: of the tip.
-        floor_px: of the best smooth regression on the pose, fitted to the same taps as the tip.
+        floor_px: of the best smooth regression on the pose, fitted to all known taps.
         floor_degree: its degree.
         motion_px: of the pins from rest.
         shift_px: of the tip's residual, what all pins of a tap share.
@@ -124,9 +124,7 @@ def fit_tip(
             f"{len(poses)} poses and places of shape {list(places.shape)} for {len(tip.rest_px)} pins; give "
             f"one pose a tap, {MIN_TAPS} taps or more"
         )
-    still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
-    if still:
-        raise InputError(f"all taps have the same {', '.join(still)}; what it moves cannot be told: vary it")
+    refuse_alike(poses)
     weight = np.sqrt(TELLS / (2 * places.shape[1])) / ERR_PX
     prior, spread = np.array(TipTerms()), np.array(SPREAD)
     rounds = 0
@@ -165,6 +163,17 @@ def fit_tip(
     return TipFit(tip, TipTerms(*found.x.tolist()), bread @ meat @ bread, len(poses))
 
 
+def refuse_alike(poses: Poses) -> None:
+    """Refuse taps whose poses do not differ in something.
+
+    Raises:
+        InputError: a coordinate of the pose that all taps share.
+    """
+    still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
+    if still:
+        raise InputError(f"all taps have the same {', '.join(still)}; what it moves cannot be told: vary it")
+
+
 def upright_course(poses: Poses, places: Places) -> Course | None:
     """Upright poses over the taps' depths, and the pins there by smooth regression on all taps [px].
 
@@ -182,7 +191,7 @@ def judge_tip(
     known: tuple[Poses, Places],
     new: tuple[Float[ndarray, "n 6"], Float[ndarray, "n p 2"]],
 ) -> TipJudgement:
-    """Compare a tip with a smooth regression on the pose, both fitted to `known`, on new taps."""
+    """Compare a tip with a smooth regression on the pose, fitted to all of `known`, on new taps."""
     poses, places = new
     off = fit.tip.places_px(fit.terms, poses) - places
     floors = {}

@@ -18,7 +18,7 @@ import numpy as np
 from palpate.core import Bool, Float, InputError, Int, Progress, ndarray, silent
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
-from palpate.sensors.tactip.taps.tip_fit import TipFit, fit_tip, upright_course
+from palpate.sensors.tactip.taps.tip_fit import TipFit, fit_tip, refuse_alike, upright_course
 from palpate.sensors.tactip.taps.twin_error import FieldModes, TwinError
 
 COVERAGE = 0.9
@@ -207,6 +207,7 @@ def fit_pins(
     Raises:
         InputError: as `fit_tip`.
     """
+    refuse_alike(poses)
     shallow = float(poses[:, 0].min())
     rest_pose = np.array([[shallow, 0, 0, 0, 0, 0]])
     rest = PosePolynomial.fitted(poses, places, told_by(poses, REST_DEGREE)).at(rest_pose)[0]
