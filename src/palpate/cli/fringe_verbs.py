@@ -52,7 +52,11 @@ def fringe_order(
         bool, Option("--plane", help="Plane polariscope: light also falls with the axis; slower.")
     ] = False,
     reference_px: Annotated[
-        str | None, Option(help="X,Y,ORDER of a place, for phases, e.g. 200,140,0.3 [px].")
+        str | None,
+        Option(
+            help="X,Y,ORDER of a place, for phases, e.g. 200,140,0.3 [px of the map, which is half as wide "
+            "and high as a polarisation camera's raw frame]."
+        ),
     ] = None,
     channel: Annotated[str, Option(help="Of colour frames taken for phases: red, green or blue.")] = "green",
     tone: Tone = None,

@@ -35,8 +35,8 @@ from palpate.estimators.fringe_map.phase_kernels import unwrap
 from palpate.optics.colour import Tone, linear_light
 
 SIX_STEPS = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
-"""Analysers of the six steps: circular, alike and opposite to the light, and linear at 0, 45, 90, 135 "
-"degrees."""
+"""Analysers of the six steps: circular, alike and opposite to the light, and linear at 0, 45, 90, 135
+degrees."""
 CAMERA = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
 """Analysers of a polarisation camera: linear at 0, 45, 90 and 135 degrees."""
 

@@ -167,7 +167,7 @@ def tactip(pins: int = 127) -> TacTipSpec:
 
 
 def fitted_tactip() -> TacTipSpec:
-    """The TacTip with 331 pins, its lever and camera as fitted to upright taps of a real one.
+    """The TacTip with 331 pins, its lever and camera as fitted to taps of a real one, closest to upright.
 
     Fitted by `palpate tip fit` to another laboratory's recordings, a stand-in: a lever of 0.29 mm (0.26 to
     0.33) and a pinhole 34.2 mm above the apex (33.5 to 34.8). The barrel distortion of that lens, 0.105 at
