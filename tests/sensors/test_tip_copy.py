@@ -163,6 +163,9 @@ def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
     one = pressed(tip, 2.0, rng)
     with pytest.raises(ImageError, match="rolls or rocks"):
         check_tip_weight(fitted.copy, [one, pressed(tip, 2.2, rng)], 0.2)
+    to_and_fro = [pressed(tip, 2.0, rng, lean_rad=(math.radians(lean), 0.0)) for lean in (1.4, -1.4)]
+    with pytest.raises(ImageError, match="degrees of lean"):
+        check_tip_weight(fitted.copy, to_and_fro, 0.2)
     pushed = replace(one, moved_px=one.moved_px + np.array([4.0, 0.0]))
     with pytest.raises(ImageError, match=r"slides|leans|differ"):
         check_tip_weight(fitted.copy, [pushed], 0.2)

@@ -27,6 +27,7 @@ DAILY = 0.1  # of the spread from copy to copy, by which pins, camera and seat m
 MAX_LEAN_RAD = math.radians(2.0)  # beside the copy's usual seat
 MAX_SLIDE_PX = 1.0  # of the whole field
 STILL_MM = 0.05  # that frames of one weight may differ in depth
+STILL_RAD = math.radians(1.0)  # that they may differ in lean
 CHANGED = ("stiffness", "ratio")
 
 
@@ -112,6 +113,13 @@ def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
         raise ImageError(
             f"the weight's frames differ by {max(depths) - min(depths):.2f} mm of depth, and {STILL_MM:g} mm "
             "are allowed: it rolls or rocks; wait until it rests"
+        )
+    turns = np.array([one.turn_rad for one in read])
+    rocks = float(np.hypot(*np.ptp(turns, axis=0)))
+    if rocks > STILL_RAD:
+        raise ImageError(
+            f"the weight's frames differ by {math.degrees(rocks):.1f} degrees of lean, and "
+            f"{math.degrees(STILL_RAD):g} are allowed: it rolls or rocks; wait until it rests"
         )
     usual = calibrated.terms[8:10]
     for one in read:
