@@ -1,10 +1,13 @@
 """Orders against load, recovered from light that the optics made."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from palpate.core.errors import InputError, RangeError
+from palpate.estimators import fringe_order
 from palpate.estimators.fringe_light import Polariscope, one_line, tungsten, white_led
 from palpate.estimators.fringe_order import fit_orders
 from palpate.optics import single_retarder
@@ -247,3 +250,19 @@ def test_the_deciding_load_decides() -> None:
         found = fit_orders(more, made(light, more, truth, jitter=0.005), light, greatest_order=7.0)
         assert found.slope_per_n == pytest.approx(truth, abs=0.01)
         assert not found.ambiguous
+
+
+def test_no_rival_lies_below_the_least_order_that_can_be_told(monkeypatch) -> None:
+    near = {0.30: 1.0, 0.20: 1.1, 0.001: 1.2}  # slope: cost; the last has run to next to no fringe
+
+    def at(traces, slope, offset, noise):
+        return SimpleNamespace(slope=slope, cost=near[slope], whole=True)
+
+    monkeypatch.setattr(fringe_order, "_fit_near", at)
+    monkeypatch.setattr(fringe_order, "profiled", lambda *asked: np.ones((1, 1)))
+    traces = SimpleNamespace(y=np.zeros((11, 1, 3)), load_n=EVEN, least_order=0.1)
+    found = fringe_order.refined(traces, [(slope, 0.0) for slope in near])
+    assert [fit.slope for fit in found] == [0.30, 0.20]
+    near[0.001] = 0.5  # as the best of all it says that there is too little
+    with pytest.raises(RangeError):
+        fringe_order.refined(traces, [(slope, 0.0) for slope in near])

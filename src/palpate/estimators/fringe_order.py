@@ -243,7 +243,10 @@ def _valley(misfit: ndarray, spare: float) -> tuple[int, int, int]:
 
 
 def refined(traces: Traces, starts: list[tuple[float, float]]) -> list[Fit]:
-    """The candidates, each refined, best first; those that ran into one another are one."""
+    """The candidates, each refined, best first; those that ran into one another are one.
+
+    A rival that ran below the least order that can be told is none: the scan does not begin there.
+    """
     noise = np.sqrt(profiled(traces, np.array([starts[0][0]]), starts[0][1])[0])
     noise = max(float(noise) / np.sqrt(traces.y.shape[2] * max(len(traces.y) - UNKNOWNS, 1)), 1e-3)
     attempts = [_fit_near(traces, k, n0, noise) for k, n0 in starts]
@@ -253,9 +256,10 @@ def refined(traces: Traces, starts: list[tuple[float, float]]) -> list[Fit]:
     for fit in fits:
         if all(abs(fit.slope - other.slope) > apart for other in distinct):
             distinct.append(fit)
-    if distinct[0].slope * traces.load_n.max() < traces.least_order:
+    told = [fit for fit in distinct if fit.slope * traces.load_n.max() >= traces.least_order]
+    if not told or told[0] is not distinct[0]:
         raise RangeError(TOO_LITTLE)
-    return distinct
+    return told
 
 
 def _fit_near(traces: Traces, slope: float, offset: float, noise: float) -> Fit:
