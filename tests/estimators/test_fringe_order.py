@@ -259,8 +259,9 @@ def test_no_rival_lies_below_the_least_order_that_can_be_told(monkeypatch) -> No
         return SimpleNamespace(slope=slope, cost=near[slope], whole=True)
 
     monkeypatch.setattr(fringe_order, "_fit_near", at)
-    monkeypatch.setattr(fringe_order, "profiled", lambda *asked: np.ones((1, 1)))
-    traces = SimpleNamespace(y=np.zeros((11, 1, 3)), load_n=EVEN, least_order=0.1)
+    light = made(one_line(589e-9), EVEN, 0.3, patches=1, jitter=0.01)
+    traces = fringe_order.Traces.of(EVEN, light, None, None, one_line(589e-9), 0.0)
+    assert 0.001 * EVEN.max() < traces.least_order < 0.2 * EVEN.max()
     found = fringe_order.refined(traces, [(slope, 0.0) for slope in near])
     assert [fit.slope for fit in found] == [0.30, 0.20]
     near[0.001] = 0.5  # as the best of all it says that there is too little
