@@ -1,7 +1,5 @@
 """Orders against load, recovered from light that the optics made."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -256,7 +254,8 @@ def test_no_rival_lies_below_the_least_order_that_can_be_told(monkeypatch) -> No
     near = {0.30: 1.0, 0.20: 1.1, 0.001: 1.2}  # slope: cost; the last has run to next to no fringe
 
     def at(traces, slope, offset, noise):
-        return SimpleNamespace(slope=slope, cost=near[slope], whole=True)
+        off = np.full_like(traces.y, near[slope])
+        return fringe_order.Fit(traces, np.array([[slope, 0.0]]), off, np.zeros((1, 1)), 0.0, True)
 
     monkeypatch.setattr(fringe_order, "_fit_near", at)
     light = made(one_line(589e-9), EVEN, 0.3, patches=1, jitter=0.01)
