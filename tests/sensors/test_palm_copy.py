@@ -214,10 +214,24 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         {"terms": {}},
         {"preset": "none"},
         {"widening": {"place": -1.0}},
+        {"widening": {"place": 0.5}},  # held-out presses make no interval narrower
+        {"widening": {"place": None}},
+        {"widening": {"place": "wide"}},
+        {"frame_px": [math.inf, 108]},
+        {"terms": record["terms"] | {"lamp": 1e4}},
     ):
         (tmp_path / "other.json").write_text(json.dumps(record | changed))
         with pytest.raises(InputError):
             read_copy(tmp_path / "other.json")
+    (tmp_path / "other.json").write_text("[" * 100_000)
+    with pytest.raises(InputError):
+        read_copy(tmp_path / "other.json")
+    few = dict(list(record["terms"].items())[:22])  # as an earlier format had them
+    (tmp_path / "other.json").write_text(
+        json.dumps(record | {"format": "palpate palm copy 2", "terms": few})
+    )
+    with pytest.raises(InputError, match="its format is 'palpate palm copy 2'.*fit the copy anew"):
+        read_copy(tmp_path / "other.json")
     with pytest.raises(ImageError, match="192 x 108"):
         design_for("debug", (100, 100))
 

@@ -25,6 +25,7 @@ from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 FORMAT = "palpate palm copy 3"
+LARGEST_TERM = 100.0  # of a copy's file, in its own unit: no logarithm, angle, pixel or mired comes near
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
 MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 
@@ -52,7 +53,7 @@ def read_copy(path: Path) -> PalmCopy:
     """A copy as `write_copy` wrote it.
 
     Raises:
-        InputError: no copy's file, or one whose numbers make none.
+        InputError: no copy's file, one of another format, or one whose numbers make none.
         StorageError: it cannot be read.
     """
     if not path.is_file():
@@ -61,17 +62,23 @@ def read_copy(path: Path) -> PalmCopy:
         text = path.read_bytes()
     try:
         record = json.loads(text)
+        if record["format"] != FORMAT:
+            raise InputError(f"its format is {record['format']!r}, not {FORMAT!r}; fit the copy anew")
         terms = np.array([float(record["terms"][name]) for name in TERMS])
         covariance = np.array(record["covariance"], dtype=np.float64)
-        fits = record["format"] == FORMAT and covariance.shape == (len(TERMS),) * 2
+        fits = covariance.shape == (len(TERMS),) * 2
         width, height = (int(one) for one in record["frame_px"])
-        widening = Widening(**record["widening"])
+        wider = Widening(**record["widening"])
+        widening = Widening(*(float(one) for one in wider[:3]), int(wider.presses))
         own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
         spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
-    except (ValueError, KeyError, TypeError) as e:
+    except InputError as e:
+        raise InputError(f"{path} is no palm's copy that can be used: {e}") from e
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
         raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
-    sound = fits and np.isfinite(terms).all() and np.isfinite(covariance).all()
-    sound = sound and all(math.isfinite(one) and one > 0 for one in (*widening[:3], *own))
+    sound = fits and bool((np.abs(terms) < LARGEST_TERM).all()) and np.isfinite(covariance).all()
+    sound = sound and all(math.isfinite(one) and one > 0 for one in own)
+    sound = sound and all(math.isfinite(one) and one >= 1 for one in widening[:3])
     if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
         raise InputError(f"{path} is no palm's copy: its terms and covariance are not those of {FORMAT}")
     return PalmCopy(spec, terms, covariance, widening, own)
