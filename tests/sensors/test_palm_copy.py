@@ -227,10 +227,8 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
     with pytest.raises(InputError):
         read_copy(tmp_path / "other.json")
     few = dict(list(record["terms"].items())[:22])  # as an earlier format had them
-    (tmp_path / "other.json").write_text(
-        json.dumps(record | {"format": "palpate palm copy 2", "terms": few})
-    )
-    with pytest.raises(InputError, match="its format is 'palpate palm copy 2'.*fit the copy anew"):
+    (tmp_path / "other.json").write_text(json.dumps(record | {"format": "palpate palm copy 2", "terms": few}))
+    with pytest.raises(InputError, match=r"its format is 'palpate palm copy 2'.*fit the copy anew"):
         read_copy(tmp_path / "other.json")
     with pytest.raises(ImageError, match="192 x 108"):
         design_for("debug", (100, 100))
@@ -262,3 +260,35 @@ def test_presses_of_a_run_are_spread_over_force_and_near_enough_to_the_middle(tm
     assert len(pictured_presses(tmp_path / "run", 11, 0.01)) == 11
     with pytest.raises(InputError, match=r"7 presses of 6 frames .* within 15 mm of the middle"):
         pictured_presses(tmp_path / "run", 7, 0.01, within_m=15e-3)
+
+
+def test_presses_by_another_probe_sideways_or_of_another_sign_are_no_copy_s(tmp_path: Path) -> None:
+    kinds = {
+        "press": "text", "reference": "flag", "force_N": "number", "x_mm": "number", "y_mm": "number",
+        "indenter": "text", "phase": "text",
+    }  # fmt: skip
+
+    shots = [("sphere:10", "down"), ("sphere:10", "lateral"), ("sphere:8", "down"), ("punch:8", "down")]
+
+    def run_of(name: str, sign: float) -> Path:
+        clock, path = ManualClock(), tmp_path / name
+        manifest = Manifest.new(sensor="palm", labels=kinds)
+        with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
+            for force_n, (indenter, phase) in zip((1.0, 2.0, 3.0, 40.0), shots, strict=True):
+                for is_rest in (True, False):
+                    clock.sleep(0.1)
+                    held = {
+                        "press": f"{force_n}", "reference": is_rest, "x_mm": 0.0, "y_mm": 0.0,
+                        "force_N": 0.0 if is_rest else sign * force_n,
+                        "indenter": indenter, "phase": "reference" if is_rest else phase,
+                    }  # fmt: skip
+                    writer.frame(np.zeros((8, 16, 3), np.uint8), labels=held)
+        return path
+
+    pressed = run_of("pressed", 1.0)
+    (own_,) = pictured_presses(pressed, 1, 0.01, ball="sphere:10")  # 1 N, though another's press had 40 N
+    assert own_.force_n == 1.0
+    with pytest.raises(InputError, match=r"pressed by punch:8, sphere:10, sphere:8; .* own ball, sphere:12"):
+        pictured_presses(pressed, 1, 0.01, ball="sphere:12")
+    with pytest.raises(InputError, match="positive in compression"):
+        pictured_presses(run_of("pulled", -1.0), 1, 0.01, ball="sphere:10")

@@ -44,13 +44,15 @@ def fit(
         MAX_REACH,
         design_for,
         pictured_presses,
+        preset_ball,
         preset_radius_m,
         write_copy,
     )
 
     refuse_existing(out)
     with progress_bar(quiet) as tell:
-        pictured = pictured_presses(run, presses, force_share, MAX_REACH * preset_radius_m(preset))
+        within_m, ball = MAX_REACH * preset_radius_m(preset), preset_ball(preset)
+        pictured = pictured_presses(run, presses, force_share, within_m, ball)
         known = design_for(preset, pictured[0].image.shape[:2], friction)
         found = fit_copy(known, pictured, tell)
         unsure = unsure_constants(found.copy, tell)

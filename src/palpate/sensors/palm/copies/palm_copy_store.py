@@ -10,8 +10,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from pandas import DataFrame
 
-from palpate.core import ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
+from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
 from palpate.recordings.run_reader import Run
 from palpate.sensors.palm.copies.palm_copy import (
     LOCAL,
@@ -61,9 +62,7 @@ def read_copy(path: Path) -> PalmCopy:
     with storage_errors(path):
         text = path.read_bytes()
     try:
-        record = json.loads(text)
-        if record["format"] != FORMAT:
-            raise InputError(f"its format is {record['format']!r}, not {FORMAT!r}; fit the copy anew")
+        record = _record_of(text)
         terms = np.array([float(record["terms"][name]) for name in TERMS])
         covariance = np.array(record["covariance"], dtype=np.float64)
         fits = covariance.shape == (len(TERMS),) * 2
@@ -82,6 +81,13 @@ def read_copy(path: Path) -> PalmCopy:
     if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
         raise InputError(f"{path} is no palm's copy: its terms and covariance are not those of {FORMAT}")
     return PalmCopy(spec, terms, covariance, widening, own)
+
+
+def _record_of(text: bytes) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(text)
+    if record["format"] != FORMAT:
+        raise InputError(f"its format is {record['format']!r}, not {FORMAT!r}; fit the copy anew")
+    return record
 
 
 def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:
@@ -111,6 +117,15 @@ def preset_radius_m(name: str) -> float:
     return preset(name).radius_m
 
 
+def preset_ball(name: str) -> str:
+    """A preset's own ball, as runs name indenters.
+
+    Raises:
+        InputError: no such preset.
+    """
+    return Palm(preset(name)).default_probe
+
+
 def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
     if friction not in (0.0, 0.5):
         raise RangeError(f"friction {friction:g}; presses were solved for 0 and for 0.5")
@@ -118,18 +133,21 @@ def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
 
 
 def pictured_presses(
-    path: Path, count: int, force_share: float, within_m: float = math.inf
+    path: Path, count: int, force_share: float, within_m: float = math.inf, ball: str = ""
 ) -> list[PicturedPress]:
     """Frames of a run, spread over force from a tenth of the greatest, each with its press's reference.
+
+    Frames of lateral loads are left out, where the run names them: a copy is pressed straight.
 
     Args:
         path: of the run.
         count: of frames.
         force_share: standard deviation of a known force, as a share.
         within_m: of the membrane's middle [m].
+        ball: indenter whose frames alone are taken, where the run names indenters; any where it is empty.
 
     Raises:
-        InputError: no force, press or reference among its labels, or too few frames.
+        InputError: no force, press or reference among its labels, no frame of the ball, or too few frames.
     """
     run = Run.open(path)
     table = run.labels
@@ -140,7 +158,11 @@ def pictured_presses(
     rests = {press: int(i) for i, press in zip(np.flatnonzero(is_rest), table["press"][is_rest], strict=True)}
     force = table["force_N"].to_numpy(float)
     places = 1e-3 * table[["x_mm", "y_mm"]].to_numpy(float)
-    able = ~is_rest & (force > MIN_SHARE * np.nanmax(np.where(is_rest, np.nan, force)))
+    straight = ~is_rest & _is_of(table, ball, path)
+    most_n = np.max(force, initial=0.0, where=straight & np.isfinite(force))
+    if straight.any() and not most_n > 0:
+        raise InputError(f"no force of {path} is above 0 N; force_N is positive in compression")
+    able = straight & (force > MIN_SHARE * most_n)
     able &= np.hypot(*places.T) <= within_m
     rows = [int(i) for i in np.flatnonzero(able) if table["press"][i] in rests]
     if not 1 <= count <= len(rows):
@@ -157,6 +179,17 @@ def pictured_presses(
         )
         for i in chosen
     ]  # fmt: skip
+
+
+def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
+    """Frames of straight presses by the ball."""
+    own = np.ones(len(table), bool)
+    if ball and "indenter" in table:
+        own = (table["indenter"].astype(str) == ball).to_numpy()
+        if not own.any():
+            others = ", ".join(sorted(set(table["indenter"].astype(str))))
+            raise InputError(f"{path} was pressed by {others}; a copy needs the palm's own ball, {ball}")
+    return own & (table["phase"] != "lateral").to_numpy() if "phase" in table else own
 
 
 def read_picture(path: Path) -> Image:
