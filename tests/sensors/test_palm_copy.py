@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from palpate.sensors.palm.copies.palm_copy import (
     Widening,
     designed_copy,
 )
-from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press
+from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press, refuse_far
 from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
 from palpate.sensors.palm.copies.palm_weight import check_weight
 from palpate.sensors.palm.palm_press import press, press_to_force
@@ -189,6 +190,37 @@ def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
         check_weight(fitted, press_.image, press_.reference, math.nan)
     with pytest.raises(RangeError, match="above 0"):
         designed_copy(DESIGN, modulus_share=0.0)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1 / 9.80665, 1 / 4.44822, 101.97])  # mN, kgf, lbf, gf
+def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: float) -> None:
+    known = designed_copy(DESIGN)
+
+    def by(modulus: float) -> PalmCopy:
+        terms = known.terms.copy()
+        terms[0] = math.log(modulus)  # the product, which pictures tell, stays
+        return replace(known, terms=terms)
+
+    with pytest.raises(RangeError, match=re.escape(f"E is {unit:.3g} and C {1 / unit:.3g} times")):
+        refuse_far(known, by(unit))
+    refuse_far(known, by(1.8))
+    refuse_far(known, by(1 / 1.8))
+
+
+def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_counted(
+    monkeypatch, tmp_path: Path, capsys
+) -> None:
+    from palpate.cli import palm_verbs
+    from palpate.sensors.palm.copies import palm_copy_fit, palm_copy_store
+
+    found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
+    monkeypatch.setattr(palm_copy_fit, "read_press", lambda *_: found)
+    monkeypatch.setattr(palm_copy_store, "read_copy", lambda _: None)
+    monkeypatch.setattr(palm_copy_store, "read_picture", lambda _: None)
+    palm_verbs.read(tmp_path, tmp_path, tmp_path, json_=True, quiet=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["force_low_N"] == pytest.approx(3.0 * math.exp(-1.645 * 0.7))  # above 0, as a force is
+    assert told["force_high_N"] == pytest.approx(3.0 * math.exp(1.645 * 0.7))
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -75,7 +76,7 @@ def read(
     known = read_copy(copy)
     with progress_bar(quiet):
         found = read_press(known, read_picture(image), read_picture(reference))
-    force = [found.force_n * (1 + side * COVERED * found.force_share) for side in (-1, 1)]
+    force = [found.force_n * math.exp(side * COVERED * found.force_share) for side in (-1, 1)]
     answer: dict[str, Any] = {
         "force_N": found.force_n, "force_low_N": force[0], "force_high_N": force[1],
         "x_mm": 1e3 * found.x_m, "y_mm": 1e3 * found.y_m, "depth_mm": 1e3 * found.depth_m,

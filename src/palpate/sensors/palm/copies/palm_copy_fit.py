@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core import Float, ImageError, InputError, Pose, Progress, UInt8, ndarray, silent
+from palpate.core import Float, ImageError, InputError, Pose, Progress, RangeError, UInt8, ndarray, silent
 from palpate.sensors.palm.copies.copy_estimate import (
     MIN_DEPTH_M,
     PIXEL_SD,
@@ -55,6 +55,7 @@ MOVED = 0.3  # of a row, by which the deepest point has to be elsewhere for anot
 DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
 MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
+FARTHEST = 5.0  # standard deviations of what was known of E and C beforehand: more is no copy of the design
 SEEN = 0.03  # of white, by which the mirror's picture has to change
 SURE = 0.03  # spread of the product below which only its mean is looked at
 LIT = 0.03  # spread of the lamp below which the untouched frame is compared with what is known beforehand
@@ -76,7 +77,7 @@ def fit_copy(
     Raises:
         InputError: no press.
         ImageError: a picture of another size, in which no press is seen, or that is no such palm's.
-        RangeError: a force that is not above 0.
+        RangeError: a force that is not above 0, or forces by which E or C is far from what was known.
     """
     if not presses:
         raise InputError("no press; a copy is found from one picture at least")
@@ -97,7 +98,30 @@ def fit_copy(
             f"{100 * MAX_OFF:g} % are allowed: another palm, another probe, or regions that are not where "
             "the preset has them"
         )
+    if any(one.force_n is not None for one in presses):
+        refuse_far(known, found.copy)
     return found
+
+
+def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
+    """Refuse a copy that known forces have put far from what was known of E and C beforehand.
+
+    A picture holds their product alone, so that forces in another unit hardly spoil one: in mN, E comes
+    out some hundreds of times too great, and C a thousand times too small.
+
+    Raises:
+        RangeError: either is further off than `FARTHEST` standard deviations.
+    """
+    E = found.modulus_pa / known.modulus_pa
+    C = found.coefficient_per_pa / known.coefficient_per_pa
+    allowed = [math.exp(FARTHEST * one) for one in (known.modulus_share, known.coefficient_share)]
+    if all(abs(math.log(ratio)) <= math.log(most) for ratio, most in zip((E, C), allowed, strict=True)):
+        return
+    raise RangeError(
+        f"by these forces E is {E:.3g} and C {C:.3g} times what was known of this palm, where a factor of "
+        f"{allowed[0]:.2g} and {allowed[1]:.2g} is allowed: is every force in N, every mass in g, and the "
+        "preset of this palm's material?"
+    )
 
 
 def read_press(
