@@ -86,7 +86,7 @@ def read(
     text = (
         f"{found.force_n:.3f} N ({force[0]:.3f} to {force[1]:.3f}) at ({answer['x_mm']:.2f}, "
         f"{answer['y_mm']:.2f}) mm, {answer['depth_mm']:.3f} mm deep; 90 % intervals, as far as this "
-        "model of the palm is right"
+        f"model of the palm is right: the picture differs from its own by {found.off:.1%} of white"
     )
     print_found(answer, text, json_)
 
@@ -118,7 +118,9 @@ def weigh(
         "coefficient_change": check.coefficient_change,
         "coefficient_deviations": check.coefficient_deviations, "drifted": list(check.drifted),
     }  # fmt: skip
-    said = f"changed: {', '.join(check.drifted)}; fit the copy anew" if check.drifted else "as calibrated"
+    said = "as calibrated"
+    if check.drifted:
+        said = f"changed: {', '.join(check.drifted)}; if all of it rests on the ball, fit the copy anew"
     text = (
         f"weight {check.force_n:.3f} N, read {check.read_n:.3f} N\n"
         f"  modulus {check.modulus_change:+.1%} ({check.modulus_deviations:+.1f} standard deviations), "
