@@ -68,14 +68,14 @@ def read_copy(path: Path) -> PalmCopy:
         fits = covariance.shape == (len(TERMS),) * 2
         width, height = (int(one) for one in record["frame_px"])
         wider = Widening(**record["widening"])
-        widening = Widening(*(float(one) for one in wider[:3]), int(wider.presses))
+        widening = Widening(float(wider.place), float(wider.depth), float(wider.force), int(wider.presses))
         own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
         spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
     except InputError as e:
         raise InputError(f"{path} is no palm's copy that can be used: {e}") from e
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
         raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
-    sound = fits and bool((np.abs(terms) < LARGEST_TERM).all()) and np.isfinite(covariance).all()
+    sound = fits and bool((np.abs(terms) < LARGEST_TERM).all() and np.isfinite(covariance).all())
     sound = sound and all(math.isfinite(one) and one > 0 for one in own)
     sound = sound and all(math.isfinite(one) and one >= 1 for one in widening[:3])
     if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
