@@ -68,6 +68,20 @@ def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) 
         left.train()
 
 
+def test_a_units_absence_is_mended_by_the_next_try_and_presses_keep_theirs(tmp_path: Path) -> None:
+    session = begun(tmp_path / "weighed")  # whose scale turned out to print bare numbers
+    done = list(session.state.done)
+    session.take_unit("g")
+    session.take_unit("")  # says nothing, and changes nothing
+    assert StartSession(session.folder).state.unit == "g"
+    assert session.state.done == done
+    session.run.mkdir()
+    (session.run / "manifest.json").touch()
+    session.take_unit("g")
+    with pytest.raises(InputError, match="taken for g, and kg"):
+        session.take_unit("kg")
+
+
 def test_commands_say_what_was_done(whole: StartSession) -> None:
     verbs = [shlex.split(one)[1] for one in whole.commands()]
     assert verbs == ["collect", "calibrate", "live"]

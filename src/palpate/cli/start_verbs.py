@@ -297,6 +297,7 @@ def _choose(session: StartSession, camera: str, scale: str, presses: int, seed: 
             "beside them",
             err=True,
         )
+    session.take_unit(unit)
 
 
 def _unit(name: str) -> str:

@@ -188,6 +188,23 @@ class StartSession:
         )
         self._done("camera")
 
+    def take_unit(self, unit: str) -> None:
+        """Take the scale's numbers that carry no unit for numbers of this one; "" leaves it as it was.
+
+        Raises:
+            InputError: presses were collected by another.
+        """
+        before = self.state.unit
+        if not unit or unit == before:
+            return
+        if before and (self.run / "manifest.json").is_file():
+            raise InputError(
+                f"{self.folder} holds presses whose scale's numbers were taken for {before}, and {unit} is "
+                "asked; begin a session in another folder"
+            )
+        self.state.unit = unit
+        self._write()
+
     def ask_more(self, more: int) -> None:
         """Ask for more presses beside those that are there, which stay; a calibration of all follows.
 

@@ -144,10 +144,12 @@ class LivePage:
         source, calibration = str(self._source.value), str(self._calibration.value or "")
         self._button.disable()
         self._doing.set_text(f"opening {source} …")
+        self._keep(live_name(source))  # from now on, whatever becomes of this page meanwhile
         try:
             sensor = await asyncio.to_thread(self._launched, source, calibration, str(self._tip.value or ""))
         except PalpateError as e:
             ui.notify(str(e), type="negative", position="top", timeout=15000, multi_line=True)
+            self._keep()
             return
         finally:
             self._button.enable()
@@ -168,7 +170,7 @@ class LivePage:
             options["shear"] = calibration.removeprefix(MARKS)
         elif calibration:
             options["calibration"] = str(self._workspace.resolve(calibration))
-        return self._desk.begin(f"live {source}", options)
+        return self._desk.begin(live_name(source), options)
 
     async def _end(self, card: SensorCard) -> None:
         await asyncio.to_thread(self._desk.end, card.sensor.name)
@@ -176,8 +178,9 @@ class LivePage:
         card.delete()
         self._keep()
 
-    def _keep(self) -> None:
-        address = live_address([card.sensor.name for card in self._cards])
+    def _keep(self, *begun: str) -> None:
+        names = [card.sensor.name for card in self._cards]
+        address = live_address(list(dict.fromkeys([*names, *begun])))
         ui.run_javascript(f"history.replaceState(null, '', '{address}')")
 
     def _ages(self) -> Ages:
@@ -299,6 +302,11 @@ class SensorCard:
     def _set(element: ui.html, text: str) -> None:
         if element.content != text:
             element.set_content(text)
+
+
+def live_name(source: str) -> str:
+    """Name of the process that reads a source."""
+    return f"live {source}"
 
 
 def live_address(names: list[str]) -> str:

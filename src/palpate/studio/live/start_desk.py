@@ -127,8 +127,9 @@ class StartDesk(Closing):
         return self._runs.get(folder)
 
     def begin(
-        self, folder: Path, camera: str, scale: str, presses: int, seed: int = 0, *, real_time: bool = False
-    ) -> StartRun:
+        self, folder: Path, camera: str, scale: str, presses: int, seed: int = 0, *,
+        unit: str = "", real_time: bool = False,
+    ) -> StartRun:  # fmt: skip
         """Begin a session, or go on with it.
 
         Raises:
@@ -142,7 +143,8 @@ class StartDesk(Closing):
             if len(going) >= MAX_SESSIONS:
                 raise InputError(f"{MAX_SESSIONS} sessions go on; stop one first")
             words = [str(folder), "--camera", camera, "--scale", scale, "--presses", str(presses)]
-            words += ["--seed", str(seed), *(["--real-time"] if real_time else [])]
+            words += ["--seed", str(seed), *(["--unit", unit] if unit else [])]
+            words += [*(["--real-time"] if real_time else [])]
             self._runs[folder] = StartRun([*self._command, *words])
             return self._runs[folder]
 

@@ -19,7 +19,14 @@ from palpate.core import InputError, PalpateError
 from palpate.studio.html_parts import commands_html, progress_html, state_word, trouble_html
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
-from palpate.studio.live.live_page import TYPED, VIRTUAL, Cameras, live_address, plugged_in
+from palpate.studio.live.live_page import (
+    TYPED,
+    VIRTUAL,
+    Cameras,
+    live_address,
+    live_name,
+    plugged_in,
+)
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration
@@ -39,6 +46,8 @@ SCALES = {
     "virtual": "virtual scale",
     "typed": "weights that are typed",
 }
+UNITS = {"": "as it prints, with its unit", "g": "g", "kg": "kg", "N": "N", "oz": "oz", "lb": "lb"}
+"""Of numbers that a scale prints without one; they weigh nothing until it is known."""
 SELECT = 'dense outlined options-dense stack-label id="{}" aria-label="{}"'
 OUTLINED = 'dense outlined stack-label id="{}" aria-label="{}"'
 
@@ -89,6 +98,10 @@ class StartPage:
                 self._camera.props(SELECT.format("camera", "camera")).on_value_change(self._suit_scale)
                 self._scale = ui.select(dict(SCALES), value="virtual", label="scale", **TYPED)
                 self._scale.props(SELECT.format("scale", "scale that labels presses"))
+                self._scale.on_value_change(self._suit_unit)
+                self._unit = ui.select(UNITS, value="", label="unit of the scale's numbers")
+                self._unit.props(SELECT.format("unit", "unit of the scale's numbers that carry none"))
+                self._suit_unit()
                 self._presses = ui.number("presses", value=40, min=10, max=400, format="%d")
                 self._presses.props(OUTLINED.format("presses", "presses to collect"))
                 self._folder = ui.input("folder in the workspace", value=name)
@@ -131,6 +144,7 @@ class StartPage:
             for element, known, key in ((self._camera, VIRTUAL, "camera"), (self._scale, SCALES, "scale")):
                 value = str(self._kept[key])
                 element.set_options({value: value} | known, value=value)
+            self._unit.set_value(self._kept["unit"])
             self._presses.set_value(self._kept["asked"])
 
     def _path(self) -> Any:
@@ -142,17 +156,24 @@ class StartPage:
         if virtual != (self._scale.value == "virtual"):
             self._scale.set_value("virtual" if virtual else "typed")
 
+    def _suit_unit(self) -> None:
+        """Only a scale on a port has one to state."""
+        self._unit.set_visibility(str(self._scale.value) not in SCALES)
+
     async def _begin(self) -> None:
         self._trouble.set_content("")
         try:
             presses = self._presses.value
             if presses is None or presses != int(presses):
                 raise InputError(f"{presses} presses; give a whole number, 40 is a good one")
-            work = (str(self._camera.value), str(self._scale.value), int(presses))
-            await asyncio.to_thread(self._starts.begin, self._path(), *work)
+            scale = str(self._scale.value)
+            work = (self._path(), str(self._camera.value), scale, int(presses))
+            unit = "" if scale in SCALES else str(self._unit.value or "")
+            await asyncio.to_thread(self._starts.begin, *work, unit=unit)
         except PalpateError as e:
             self._trouble.set_content(trouble_html(str(e)))
             return
+        self._trouble.set_content("")  # of the process before, if it was shown again meanwhile
         self._chosen = True
         keep_in_address(folder=self._folder.value)
 
@@ -173,7 +194,7 @@ class StartPage:
         try:
             sensor = await asyncio.to_thread(
                 self._lives.begin,
-                f"live {camera}",
+                live_name(camera),
                 {
                     "camera": camera,
                     "calibration": calibration,

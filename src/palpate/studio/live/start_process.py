@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpate.core import PalpateError
+from palpate.rig.real.scale.weight_line import NEWTONS
 from palpate.studio.library.file_routes import jpeg_bytes
 from palpate.studio.library.job_process import JobVoice
 
@@ -129,7 +130,8 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
 def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
     chosen = (session.state.camera, session.state.scale)
     if session.step == "camera" or chosen != (words.camera, words.scale):
-        session.choose(words.camera, words.scale, asked=words.presses, seed=words.seed)
+        session.choose(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=words.unit)
+    session.take_unit(words.unit)
     voice.say({"session": session.to_dict()})
     if session.step in RESTS:
         voice.progress("opening camera and scale", 0, 1)
@@ -155,6 +157,7 @@ def main() -> int:
     parser.add_argument("--camera", required=True)
     parser.add_argument("--scale", required=True)
     parser.add_argument("--presses", type=int, default=40)
+    parser.add_argument("--unit", default="", choices=["", *NEWTONS], help="of the scale's bare numbers")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true")
     for number in (signal.SIGTERM, signal.SIGINT):
