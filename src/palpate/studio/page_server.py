@@ -56,7 +56,9 @@ KEPT = 30  # messages for a tab that loses its connection for a moment
 ENDS_S = 2
 ALIVE_S = 300  # a connection, so that an emergency stop need not open one
 SWITCH_S = 0.001  # between threads, for the same reason
-RECONNECT_S = 5.0  # within which a tab that was cut off finds what it had
+RECONNECT_S = 20.0
+"""Time within which a tab that was cut off finds what it had. A browser is asked for a sign of life every
+0.8 of it and cut off after another 0.4 without one, and a busy computer keeps one silent for some seconds."""
 
 
 @dataclass
