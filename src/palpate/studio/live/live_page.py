@@ -103,7 +103,7 @@ class LivePage:
         with ui.element("section").classes("card").props('aria-label="Begin a sensor"'):
             ui.html("<h2>Begin a sensor</h2>", sanitize=False)
             ui.label(ADDRESSES).classes("soft")
-            with ui.element("div").classes("pair"):
+            with ui.element("div").classes("fields begun q-mt-sm"):
                 self._source = ui.select(dict(VIRTUAL), value="virtual:palm", label="source", **TYPED)
                 self._source.classes("w-full")
                 self._source.props(SELECT.format("live-source", "source"))

@@ -29,7 +29,7 @@ from palpate.studio.live.live_page import (
 )
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
-from palpate.studio.status_text import duration
+from palpate.studio.status_text import duration, number
 
 REFRESH_S = 0.25
 FIRST = "my-sensor"
@@ -260,7 +260,7 @@ def steps_html(session: Mapping[str, Any], run: StartRun | None) -> str:
     done, running = list(session.get("done") or ()), run is not None and run.running
     now = str(session.get("step") or "camera")
     parts = []
-    for number, (step, title) in enumerate(STEPS.items(), 1):
+    for place, (step, title) in enumerate(STEPS.items(), 1):
         state, look = "to come", "warn"
         if step in done or (step == "live" and now == "live"):
             state, look = ("ready" if step == "live" else "done"), ""
@@ -269,7 +269,7 @@ def steps_html(session: Mapping[str, Any], run: StartRun | None) -> str:
         found = _found(step, session)
         if step == now != "live" and run is not None and running:
             found += progress_html(run.step, run.done, run.total, title)
-        heading = f"<h3>{number}. {title} {state_word(state, look)}</h3>"
+        heading = f"<h3>{place}. {title} {state_word(state, look)}</h3>"
         parts.append(f'<section class="card step" data-state="{state}">{heading}{found}</section>')
     return "".join(parts)
 
@@ -296,7 +296,7 @@ def collected_html(collect: Mapping[str, Any]) -> str:
     force = collect.get("force_N")
     now = "hold still …" if collect.get("touched") else "untouched"
     now = "held still" if collect.get("holding") else now
-    shown = f", {force:.2f} N".replace("-", "−") if isinstance(force, int | float) else ""
+    shown = f", {number(force, 2)} N" if isinstance(force, int | float) else ""
     told = f"<p><b>{escape(str(collect.get('text', '')))}</b></p>"
     told += f'<p class="soft">now: {now}{shown}</p>' if "touched" in collect else ""
     refused = collect.get("last_refused")
