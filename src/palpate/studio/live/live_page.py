@@ -76,6 +76,7 @@ class LivePage:
         self, workspace: Workspace, desk: LiveDesk, names: list[str], cameras: Cameras = plugged_in
     ) -> None:
         self._workspace, self._desk, self._cameras = workspace, desk, cameras
+        self._client = ui.context.client  # a card that ends is no place to ask it from any more
         page_shell("live")
         self._cards: list[SensorCard] = []
         PageBeat(self._ages)
@@ -181,7 +182,7 @@ class LivePage:
     def _keep(self, *begun: str) -> None:
         names = [card.sensor.name for card in self._cards]
         address = live_address(list(dict.fromkeys([*names, *begun])))
-        ui.run_javascript(f"history.replaceState(null, '', '{address}')")
+        self._client.run_javascript(f"history.replaceState(null, '', '{address}')")
 
     def _ages(self) -> Ages:
         now_s = time.monotonic()
