@@ -17,6 +17,7 @@ from palpate.recordings import Run
 from palpate.sensing.live_client import LiveClient, launch_live
 from palpate.sensing.live_loop import LiveState
 from palpate.sensing.live_service import LiveOptions, LiveServer, LiveService
+from palpate.sensors.owned import sensor_preset
 
 
 @pytest.fixture
@@ -93,6 +94,37 @@ def test_a_zero_is_taken_from_the_next_frames_and_the_picture_is_judged(served) 
     before = service.loop.untouched
     client.zero()
     until(lambda: service.loop.untouched is not before)
+
+
+def skin_of(status: dict) -> set[tuple[float, float]] | None:
+    """Corners of the skin's region, as they are drawn over the picture."""
+    overlay = (status["image"] or {}).get("overlay")
+    if overlay is None:
+        return None
+    return {tuple(at) for one in overlay["lines"] if one["role"] == "skin" for at in one["points"]}
+
+
+@pytest.mark.parametrize("named", ["by its option", "by its camera"])
+def test_the_picture_is_looked_at_where_the_sensors_preset_says_its_skin_is(
+    video, tmp_path, monkeypatch, named
+) -> None:
+    x, y, wide, high = sensor_preset("gelsight-mini").region_px((32, 24))
+    assert (wide, high) != (32, 24)
+    if named == "by its camera":
+        known = {str(video): sensor_preset("gelsight-mini")}
+        monkeypatch.setattr("palpate.sensing.live_service.preset_of_camera", known.get)
+    preset = "gelsight-mini" if named == "by its option" else ""
+    options = LiveOptions(camera=str(video), paced=True, repeat=True, preset=preset)
+    service = LiveService("live gel", options)
+    service.start()
+    try:
+        until(lambda: skin_of(service.status()) is not None)
+        seen = skin_of(service.status())
+    finally:
+        service.close()
+    assert seen == {(x, y), (x + wide, y), (x + wide, y + high), (x, y + high)}
+    with pytest.raises(InputError, match="nonesuch"):
+        LiveService("live gel", LiveOptions(camera=str(video), preset="nonesuch"))
 
 
 def test_presses_are_collected_beside_and_their_run_is_whole(served) -> None:

@@ -41,9 +41,11 @@ from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_presses import PressReader, compliance_of
 from palpate.sensing.streaming.live_readers import CalibrationReader, FrameReader, open_reader
 from palpate.sensing.streaming.live_recorder import LiveRecorder
+from palpate.sensing.streaming.source_views import preset_of_camera
 from palpate.sensing.streaming.strain_view import strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader, open_shear_reader
 from palpate.sensing.view_overlay import rounded_overlay
+from palpate.sensors.owned import read_preset
 
 LOOK_S = 0.2
 TAIL = 60  # lines of the log that are told
@@ -64,6 +66,7 @@ class LiveOptions:
         shear: sensor or file of a patterned skin, as `live` takes it: touch is read from its marks, by
             `calibration` in newtons where that is one of `palpate force fit`.
         compliance: calibration of a tip, an .npz: softness of each press as it ends; "" for none.
+        preset: of the sensor, or its TOML file, by which its picture is looked at; "" for that of its camera.
         zero: take the first frames as those of the untouched sensor; None does so of cameras alone.
         size_px, rate_hz, exposure_s, white_balance_k: of a USB camera; None for the usual.
         paced, repeat, idle_s, seed: as `open_live_source` takes them.
@@ -76,6 +79,7 @@ class LiveOptions:
     reference: str = ""
     shear: str = ""
     compliance: str = ""
+    preset: str = ""
     zero: bool | None = None
     size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
@@ -140,7 +144,8 @@ class LiveService:
         options: what it is and how it is read.
 
     Raises:
-        CertificateError: the calibration is none, or damaged. A camera that is not there raises nothing: it
+        CertificateError: the calibration is none, or damaged.
+        InputError: no such preset. A camera that is not there raises nothing: it
             is a state.
     """
 
@@ -156,7 +161,7 @@ class LiveService:
         if options.calibration or options.shear:
             self._reader = self._opened_reader(options.calibration)
         self.loop = LiveLoop(self._opened_source, self._reader)
-        self._watch = ImageWatch(self.loop)
+        self._watch = ImageWatch(self.loop, read_preset(options.preset) if options.preset else None)
         self.loop.subscribe(self._watch)
         self._compliance = ""
         if options.compliance:
@@ -324,6 +329,8 @@ class LiveService:
     def _opened_source(self) -> LiveSource:
         source = self.options.open()
         self._attach(source)
+        if not self.options.preset:
+            self._watch.preset = preset_of_camera(self.options.camera)
         wanted = self.options.zero
         by_itself = not source.waits and not self.options.reference and self.loop.untouched is None
         if by_itself if wanted is None else wanted and self.loop.untouched is None:

@@ -33,12 +33,13 @@ class ImageWatch:
             virtual sensor tells the same of itself, and of any other all of the frame is looked at.
 
     Attributes:
+        preset: as above; another holds from the next zero on.
         overlay: shapes that show what was last seen, in the frame's pixels; None before a zero.
         looks: how often was looked.
     """
 
     def __init__(self, loop: LiveLoop, preset: SensorPreset | None = None) -> None:
-        self._loop, self._preset = loop, preset
+        self._loop, self.preset = loop, preset
         self.overlay: FrameOverlay | None = None
         self.looks = 0
         self._frames: tuple[Image, ...] = ()
@@ -76,7 +77,7 @@ class ImageWatch:
         rate_hz = self._loop.untouched_rate_hz or ASSUMED_HZ
         try:
             design = getattr(getattr(self._loop.source, "hand", None), "design", None)
-            self._view = view_of_source(frames, self._preset, design)
+            self._view = view_of_source(frames, self.preset, design)
             self._health = image_health(frames, rate_hz).to_dict()
         except InputError as e:
             self._health = {"advice": [str(e)]}
