@@ -1,15 +1,20 @@
 """Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
+import io
 import math
 import re
 import sys
 import time
+from argparse import Namespace
 
 import pytest
+from tests.rig.hand_scale import HandScale
+from tests.rig.serial_terminal import FakeTerminal
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 from palpate.core import DeviceError, InputError
+from palpate.studio.library.job_process import JobVoice
 from palpate.studio.live.live_desk import (
     MAX_SENSORS,
     SPAN_S,
@@ -20,8 +25,10 @@ from palpate.studio.live.live_desk import (
 )
 from palpate.studio.live.live_drawing import lateral_motion, overlay_svg, place_svg, reading_svg, strain_svg
 from palpate.studio.live.live_page import facts_html, head_html, live_address, softness_html, values_html
-from palpate.studio.live.start_desk import StartDesk
-from palpate.studio.live.start_page import collected_html, coverage_html, result_html, steps_html
+from palpate.studio.live.start_desk import StartDesk, kept_session
+from palpate.studio.live.start_page import UNITS, collected_html, coverage_html, result_html, steps_html
+from palpate.studio.live.start_process import run_session
+from palpate.workflows import start_session
 
 
 def reading(value=3.2, half=0.4, valid=True, why="", unit="N", limits=(0.0, 20.0)):
@@ -394,6 +401,41 @@ def test_a_session_is_heard_weighed_stopped_and_gone_on_with(starts, tmp_path):
     assert again.why == "too heavy"
     assert starts.run(folder) is again
     assert starts.run(tmp_path) is None
+
+
+def test_the_unit_of_a_scales_bare_numbers_goes_to_the_session(starts, tmp_path):
+    run = starts.begin(tmp_path / "mine", "0", "/dev/ttyUSB0", 12, unit="kg")
+    assert until(lambda: run.session)
+    assert run.session["args"][-2:] == ["--unit", "kg"]
+
+
+class WeighedError(Exception):
+    """The scale was read, which is all that a test wants."""
+
+
+class VoiceUntilWeighed(JobVoice):
+    """A session's voice that stops it once its scale has weighed."""
+
+    def say(self, line):
+        if line.get("collect", {}).get("force_N") is not None:
+            raise WeighedError
+
+
+def test_a_scale_that_prints_bare_numbers_weighs_by_the_unit_that_the_page_asks_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setattr(start_session, "STILL_FRAMES", 4)
+    with FakeTerminal(HandScale(lambda _: 1.0)) as terminal:
+        words = Namespace(
+            folder=tmp_path / "mine", camera="virtual:tactip", scale=terminal.path,
+            presses=12, seed=0, real_time=False, unit="",
+        )  # fmt: skip
+        with pytest.raises(DeviceError, match="carries no unit; say which it means"):
+            run_session(words, VoiceUntilWeighed())
+        assert set(UNITS) == {"", "g", "kg", "N", "oz", "lb"}
+        words.unit = "g"
+        with pytest.raises(WeighedError):
+            run_session(words, VoiceUntilWeighed())
+    assert kept_session(tmp_path / "mine")["unit"] == "g"
 
 
 def test_no_more_sessions_go_on_than_are_allowed_and_none_outlives_the_server(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import time
 from pathlib import Path
 
@@ -66,20 +67,6 @@ def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) 
     assert left.step == "settings"
     with pytest.raises(InputError, match="'untouched'"):
         left.train()
-
-
-def test_a_units_absence_is_mended_by_the_next_try_and_presses_keep_theirs(tmp_path: Path) -> None:
-    session = begun(tmp_path / "weighed")  # whose scale turned out to print bare numbers
-    done = list(session.state.done)
-    session.take_unit("g")
-    session.take_unit("")  # says nothing, and changes nothing
-    assert StartSession(session.folder).state.unit == "g"
-    assert session.state.done == done
-    session.run.mkdir()
-    (session.run / "manifest.json").touch()
-    session.take_unit("g")
-    with pytest.raises(InputError, match="taken for g, and kg"):
-        session.take_unit("kg")
 
 
 def test_commands_say_what_was_done(whole: StartSession) -> None:
@@ -269,6 +256,9 @@ def test_feeds_keep_their_contract() -> None:
         {"asked": "40"},
         {"asked": True},
         {"seed": -1},
+        {"scale_lag_s": -0.1},
+        {"scale_lag_s": "slow"},
+        {"scale_lag_s": True},
         {"settings": 7},
         {"trained": []},
         {"trained": {"folder": 3}},
@@ -282,6 +272,49 @@ def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dic
     (tmp_path / STATE).write_text(json.dumps({"camera": "virtual:palm", "scale": "virtual"} | kept))
     with pytest.raises(RecordingError, match="no session's file"):
         StartSession(tmp_path)
+
+
+def test_unit_and_lag_of_a_scale_stay_until_others_are_stated(tmp_path: Path) -> None:
+    session = StartSession(tmp_path / "session")
+    session.choose_if_other("0", "/dev/ttyUSB0", asked=12, unit="kg", scale_lag_s=0.3)
+    session.choose_if_other("0", "/dev/ttyUSB0", asked=99)
+    kept = StartSession(tmp_path / "session").state
+    assert (kept.unit, kept.scale_lag_s, kept.asked) == ("kg", 0.3, 12)
+    session.choose_if_other("0", "/dev/ttyUSB0", unit="g")
+    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("g", 0.3, 12)
+    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.0)
+    assert (session.state.unit, session.state.scale_lag_s) == ("g", 0.0)
+    session.choose_if_other("0", "/dev/ttyUSB1", asked=20)  # another scale has its own
+    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("", None, 20)
+
+
+def test_presses_that_were_weighed_in_one_unit_are_not_gone_on_with_in_another(
+    whole: StartSession, tmp_path: Path
+) -> None:
+    folder = tmp_path / "session"
+    shutil.copytree(whole.folder, folder)
+    session = StartSession(folder)
+    session.state.unit = "g"
+    with pytest.raises(InputError, match=r"was read in g; in kg, begin a session in another folder"):
+        session.choose_if_other(session.state.camera, session.state.scale, unit="kg")
+
+
+def test_a_stated_lag_goes_to_the_scale_and_into_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, asked = StartSession(tmp_path / "session"), {}
+
+    def opened(*_: object, **words: object) -> None:
+        asked.update(words)
+        raise DeviceError("none is there")
+
+    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.35)
+    session.run.mkdir()
+    monkeypatch.setattr("palpate.workflows.start_session.open_feed", opened)
+    with pytest.raises(DeviceError, match="none is there"):
+        session.feed()
+    assert asked["lag_s"] == 0.35
+    assert "--scale-lag-s 0.35" in session.commands()[0]
 
 
 def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:

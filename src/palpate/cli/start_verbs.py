@@ -238,6 +238,7 @@ def start(
     ] = 0,
     seed: SeedOption = 0,
     unit: UnitOption = "",
+    scale_lag_s: LagOption = None,
     real_time: RealTime = False,
     port: Annotated[int, Option(min=1, max=65535, help="Of the pages, on 127.0.0.1.")] = 8080,
     json_: Json = False,
@@ -259,7 +260,7 @@ def start(
 
     session = StartSession(folder)
     with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
-        _choose(session, camera, scale, presses, seed, _unit(unit))
+        _choose(session, camera, scale, presses, seed, _unit(unit) or None, scale_lag_s)
         if more:
             session.ask_more(more)
         if session.step in ("settings", "untouched", "collect"):
@@ -287,17 +288,23 @@ def start(
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
 
-def _choose(session: StartSession, camera: str, scale: str, presses: int, seed: int, unit: str) -> None:
+def _choose(
+    session: StartSession,
+    camera: str,
+    scale: str,
+    presses: int,
+    seed: int,
+    unit: str | None,
+    scale_lag_s: float | None,
+) -> None:
     """Choose camera and scale, where that was not done yet or they are others."""
-    if session.step == "camera" or (session.state.camera, session.state.scale) != (camera, scale):
-        session.choose(camera, scale, asked=presses, seed=seed, unit=unit)
-    elif presses != session.state.asked:
+    session.choose_if_other(camera, scale, asked=presses, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
+    if presses != session.state.asked:
         say(
             f"{session.folder} was begun for {session.state.asked} presses, which stays; --more N asks for N "
             "beside them",
             err=True,
         )
-    session.take_unit(unit)
 
 
 def _unit(name: str) -> str:

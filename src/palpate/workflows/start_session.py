@@ -8,6 +8,7 @@ be done by commands, which the session lists.
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -66,6 +67,7 @@ class StartState:
         asked: presses that shall be collected.
         seed: of a virtual hand, and of all that is random in training.
         unit: of the scale's lines that carry none.
+        scale_lag_s: time constant of the scale's filter; None where presses shall tell it [s].
         done: steps that are done.
         settings, collected, trained: what these steps found.
     """
@@ -76,6 +78,7 @@ class StartState:
     asked: int = PRESSES
     seed: int = 0
     unit: str = ""
+    scale_lag_s: float | None = None
     done: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     collected: dict[str, Any] = field(default_factory=dict)
@@ -156,13 +159,22 @@ class StartSession:
         sensor: str = "",
         asked: int = PRESSES,
         seed: int = 0,
-        unit: str = "",
+        unit: str | None = None,
+        scale_lag_s: float | None = None,
     ) -> None:
         """Choose camera and scale. Another camera than before leaves all later steps to be done anew.
 
+        Args:
+            camera, scale: as `open_feed` takes them.
+            sensor: what it is called; by default by its camera.
+            asked: presses that shall be collected.
+            seed: of a virtual hand, and of all that is random in training.
+            unit: of the scale's lines that carry none, "" for none; None leaves that of the same scale.
+            scale_lag_s: time constant of the scale's filter; None leaves that of the same scale [s].
+
         Raises:
-            InputError: presses of another sensor were collected here, or fewer presses than can be
-                learnt from.
+            InputError: presses of another sensor were collected here, or weighed in another unit, or fewer
+                presses than can be learnt from.
         """
         if asked < MIN_TO_LEARN:
             raise InputError(
@@ -173,14 +185,20 @@ class StartSession:
                 f"{self.folder} holds presses of {self.state.camera}; begin a session of {camera} in another "
                 "folder"
             )
-        kept = self.state.done if camera == self.state.camera and scale == self.state.scale else []
+        same = (camera, scale) == (self.state.camera, self.state.scale)
+        kept = self.state.done if same else []
+        if same:
+            unit = self.state.unit if unit is None else unit
+            scale_lag_s = self.state.scale_lag_s if scale_lag_s is None else scale_lag_s
+            self._refuse_other_unit(unit)
         self.state = StartState(
             camera,
             scale,
             sensor,
             asked,
             seed,
-            unit,
+            unit or "",
+            scale_lag_s,
             [*kept],
             self.state.settings,
             self.state.collected,
@@ -188,22 +206,29 @@ class StartSession:
         )
         self._done("camera")
 
-    def take_unit(self, unit: str) -> None:
-        """Take the scale's numbers that carry no unit for numbers of this one; "" leaves it as it was.
+    def choose_if_other(
+        self,
+        camera: str,
+        scale: str,
+        *,
+        asked: int = PRESSES,
+        seed: int = 0,
+        unit: str | None = None,
+        scale_lag_s: float | None = None,
+    ) -> None:
+        """Choose as `choose` does, but keep the presses asked for where camera and scale are chosen already.
 
         Raises:
-            InputError: presses were collected by another.
+            InputError: as `choose`.
         """
-        before = self.state.unit
-        if not unit or unit == before:
+        s = self.state
+        same = self.step != "camera" and (camera, scale) == (s.camera, s.scale)
+        if same and unit in (None, s.unit) and scale_lag_s in (None, s.scale_lag_s):
             return
-        if before and (self.run / "manifest.json").is_file():
-            raise InputError(
-                f"{self.folder} holds presses whose scale's numbers were taken for {before}, and {unit} is "
-                "asked; begin a session in another folder"
-            )
-        self.state.unit = unit
-        self._write()
+        if same:
+            asked, seed = s.asked, s.seed
+        sensor = s.sensor if same else ""
+        self.choose(camera, scale, sensor=sensor, asked=asked, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
 
     def ask_more(self, more: int) -> None:
         """Ask for more presses beside those that are there, which stay; a calibration of all follows.
@@ -223,7 +248,14 @@ class StartSession:
         """Open the camera and the scale that were chosen."""
         self._needs("camera")
         s = self.state
-        return open_feed(s.camera, s.scale, seed=self._hand_seed(), real_time=real_time, unit=s.unit)
+        return open_feed(
+            s.camera,
+            s.scale,
+            seed=self._hand_seed(),
+            real_time=real_time,
+            unit=s.unit,
+            lag_s=s.scale_lag_s,
+        )
 
     def check_settings(self, feed: PressFeed) -> dict[str, Any]:
         """Look at a still picture: focus, noise, flicker, exposure, and what to do about them."""
@@ -386,6 +418,7 @@ class StartSession:
             args += ["--sensor", s.sensor] if s.sensor else []
             args += ["--seed", str(s.seed)] if s.seed else []
             args += ["--unit", s.unit] if s.unit else []
+            args += ["--scale-lag-s", f"{s.scale_lag_s:g}"] if s.scale_lag_s is not None else []
             found.append(shlex.join([*args, "--out", str(self.run)]))
         if "train" in done:
             args = ["palpate", "calibrate", str(self.run), "--targets", TARGET, "--model", MODEL]
@@ -412,11 +445,23 @@ class StartSession:
         table = Run.open(self.run).labelled().labels
         return max(2, min(FOLDS, len(table[["session", "press"]].drop_duplicates())))
 
-    def _hand_seed(self) -> int:
-        """Seed of a virtual hand: another one where it goes on, so that it does not press the same again."""
+    def _refuse_other_unit(self, unit: str) -> None:
+        """Refuse to call bare numbers by another unit than those that presses were weighed in."""
+        if self.state.unit not in ("", unit) and self._frames():
+            raise InputError(
+                f"{self.folder} holds presses whose scale was read in {self.state.unit}; in "
+                f"{unit or 'what it prints'}, begin a session in another folder"
+            )
+
+    def _frames(self) -> int:
+        """Frames that its run holds."""
         from palpate.recordings import Run
 
-        have = len(Run.open(self.run)) if (self.run / "manifest.json").is_file() else 0
+        return len(Run.open(self.run)) if (self.run / "manifest.json").is_file() else 0
+
+    def _hand_seed(self) -> int:
+        """Seed of a virtual hand: another one where it goes on, so that it does not press the same again."""
+        have = self._frames()
         return (
             self.state.seed
             if not have
@@ -477,6 +522,10 @@ def checked_state(state: StartState) -> StartState:
     """
     for one in fields(StartState):
         value, usual = getattr(state, one.name), getattr(StartState(), one.name)
+        if one.name == "scale_lag_s":
+            if not (value is None or (type(value) in (int, float) and 0 <= value < math.inf)):
+                raise ValueError(f"{one.name} is {value!r}")
+            continue
         if type(value) is not type(usual):
             raise ValueError(f"{one.name} is {value!r}")
     if not set(state.done) <= set(STEPS) or state.asked < 1 or state.seed < 0:

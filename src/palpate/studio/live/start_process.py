@@ -128,10 +128,8 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
 
 
 def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
-    chosen = (session.state.camera, session.state.scale)
-    if session.step == "camera" or chosen != (words.camera, words.scale):
-        session.choose(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=words.unit)
-    session.take_unit(words.unit)
+    unit = words.unit or None
+    session.choose_if_other(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=unit)
     voice.say({"session": session.to_dict()})
     if session.step in RESTS:
         voice.progress("opening camera and scale", 0, 1)
