@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from palpate.core import InputError, ManualClock, Pose
 from palpate.core.sensor import for_live, sensor
 from palpate.rig.virtual.virtual_hand import TREMBLING, HandHabits, VirtualHand
 from palpate.rig.virtual.virtual_world import Dent
+from palpate.sensors.palm import fringe_view, palm_spec
 from palpate.sensors.palm.palm_render import render_clean
+from palpate.sensors.palm.palm_sensor import Palm
 
 SENSORS = ("palm", "tactip", "nusense")
 
@@ -190,3 +193,39 @@ def test_a_hand_that_feels_a_body_presses_it_head_on_to_where_bodies_are_compare
         one.close()
     with pytest.raises(InputError):
         VirtualHand("tactip", clock=ManualClock(), indenter="no such body")
+
+
+def test_a_hand_that_drew_ahead_waits_for_no_picture_while_it_presses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    marched: list[float] = []
+    march = fringe_view._marched
+
+    def counted(spec, depth_m, *others):
+        marched.append(depth_m)
+        return march(spec, depth_m, *others)
+
+    monkeypatch.setattr(fringe_view, "_marched", counted)
+    small = palm_spec.cropped(palm_spec.preset("palm"), 16, "palm-of-this-test")
+    palm = Palm(replace(small, rays_per_pixel=(1, 1)), level_m=0.4e-3)
+    hand = VirtualHand(palm, seed=4, clock=ManualClock(), pressing=False)
+    fringe_view.picture_of.cache_clear()
+    hand.draw_ahead()
+    drawn = len(marched)
+    assert max(marched) >= hand.world.deepest_m > 2e-3
+    hand.world.press(1.0)
+    depths = []
+    for _ in range(60):
+        hand.clock.sleep(0.2)
+        depths.append(hand.truth(hand.camera.grab()[0])["true_depth_mm"])
+    assert len(marched) == drawn
+    assert (np.array(depths) > 0.5).sum() > 10
+    assert max(depths[:4]) == 0.0  # untouched for the second that was asked for
+    fringe_view.picture_of.cache_clear()  # and without any of it every depth is waited for
+    hand.camera.grab()
+    hand.clock.sleep(1.0)
+    for _ in range(20):
+        hand.clock.sleep(0.2)
+        hand.camera.grab()
+    assert len(marched) > drawn
+    hand.close()

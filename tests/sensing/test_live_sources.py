@@ -260,6 +260,9 @@ class SlowHand:
     def drain(self):
         return [self._frame(number) for number in range(self.drawn + 1, int(self.now_s * 10) + 1)]
 
+    def draw_ahead(self) -> None:
+        self.clock.sleep(5.0)  # which no frame is lost by
+
     def rest(self) -> None:
         self.rested.append(True)
 
@@ -273,18 +276,20 @@ class SlowHand:
 def test_what_a_virtual_hand_could_not_draw_in_time_is_lost_and_counted() -> None:
     hand = SlowHand()
     with HandFrames(hand, "virtual:slow") as source:
-        begun = hand.drawn
+        hand.clock.sleep(3.0)  # until somebody asks for frames
+        first = source.grab(0.1)
         hand.clock.sleep(0.2)
         found = [source.grab(0.1), source.grab(0.1)]
         hand.clock.sleep(1.0)  # drawing fell behind
         late = source.grab(0.1)
         source.let_rest(True)
         source.let_rest(False)
-    assert [round(10 * one.frame.time_s) - begun for one in found] == [1, 2]
-    assert [one.lost for one in found] == [0, 0]
+    assert first.frame.time_s > 8.0
+    assert [round(10 * (one.frame.time_s - first.frame.time_s)) for one in found] == [1, 2]
+    assert [one.lost for one in (first, *found)] == [0, 0, 0]
     assert late.frame.time_s == pytest.approx(hand.now_s, abs=0.1)
     assert late.lost == round(10 * (late.frame.time_s - found[-1].frame.time_s)) - 1 == 10
-    assert [one.number for one in (*found, late)] == [0, 1, 2]
+    assert [one.number for one in (first, *found, late)] == [0, 1, 2, 3]
     assert hand.rested == [True, False, None]
 
 

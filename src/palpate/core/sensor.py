@@ -256,6 +256,17 @@ def for_live(sensor: Sensor) -> Sensor:
     return (getattr(sensor, "for_live", None) or (lambda: for_rig(sensor)))()
 
 
+def draw_ahead(sensor: Sensor, highest_m: float, deepest_m: float) -> None:
+    """Let it draw, and keep, what its live frames are made of, by its own `draw_ahead()`, if it has one.
+
+    Args:
+        sensor: as `for_live` gives it.
+        highest_m: of the probe over the skin [m].
+        deepest_m: of the probe in the skin [m].
+    """
+    (getattr(sensor, "draw_ahead", None) or (lambda highest_m, deepest_m: None))(highest_m, deepest_m)
+
+
 def dark_field_of(sensor: Sensor) -> Box | None:
     """Part of the frame that stays dark until the skin is stressed, by its own `dark_field()`; None for none.
 

@@ -183,23 +183,27 @@ class HandFrames(CameraFrames):
     def __init__(self, hand: Any, name: str) -> None:
         super().__init__(hand.camera, name, force=hand.force, let_go=hand.close)
         self.hand = hand
+        hand.draw_ahead()
         hand.camera.grab(FIRST_S)  # the first picture of all may take seconds to draw
         self._last_s = self._skipped_to_now().time_s
 
     def grab(self, timeout_s: float) -> LiveFrame:
         """The next frame; where drawing has fallen behind, those in between are lost, as in a camera.
 
+        The first is one from now on: none is lost before anybody asks for any.
+
         Raises:
             NoFrameYetError: none came in time.
         """
         late_s = self.hand.world.now_s - self._last_s
-        if self._waiting or late_s < max(BEHIND_S, 2 / self.hand.camera.rate_hz):
+        if self._waiting or (self._number and late_s < max(BEHIND_S, 2 / self.hand.camera.rate_hz)):
             live = super().grab(timeout_s)
             self._last_s = live.frame.time_s
             return live
         self._waiting.clear()
         frame = self._skipped_to_now()
-        lost = max(round((frame.time_s - self._last_s) * self.hand.camera.rate_hz) - 1, 0)
+        between = round((frame.time_s - self._last_s) * self.hand.camera.rate_hz) - 1
+        lost = max(between, 0) if self._number else 0
         number, self._number, self._last_s = self._number, self._number + 1, frame.time_s
         return LiveFrame(frame, time.monotonic_ns(), number, lost)
 
@@ -374,7 +378,9 @@ def _pi_camera(settings: Any) -> LiveSource:
 
 
 def _virtual(address: str, seed: int) -> LiveSource:
-    from palpate.rig.virtual.virtual_hand import VirtualHand
+    from palpate.rig.virtual.virtual_hand import FIRST_S as REST_S, VirtualHand
 
     name, _, indenter = address.removeprefix(VIRTUAL).partition("/")
-    return HandFrames(VirtualHand(name, seed=seed, indenter=indenter), address)
+    frames = HandFrames(VirtualHand(name, seed=seed, indenter=indenter, pressing=False), address)
+    frames.hand.press(REST_S)
+    return frames

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, Float, InputError, MonotonicClock, Sensor, ndarray
-from palpate.core.sensor import for_live, sensor as sensor_of
+from palpate.core.sensor import draw_ahead, for_live, sensor as sensor_of
 from palpate.rig.virtual.disturbances import Fault
 from palpate.rig.virtual.virtual_bench import (
     CARRYING,
@@ -242,12 +242,21 @@ class HandWorld(World):
                 self._decisions -= 1
             self._next_s = None
 
-    def press(self) -> None:
-        """Go on with one press after another."""
+    def press(self, after_s: float = 0.0) -> None:
+        """Go on with one press after another, the next after so long [s]."""
         with self.lock:
             self.advance()
             if self._next_s is None:
-                self._next_s = max([self.now_s, *(one.ends_s for one in self._given)]) + 1 / self.rate_hz
+                free_s = max([self.now_s, *(one.ends_s for one in self._given)])
+                self._next_s = free_s + max(after_s, 1 / self.rate_hz)
+
+    @property
+    def deepest_m(self) -> float:
+        """Depth that its presses stay above, but for a skin that lies much higher than usual [m]."""
+        law, habits = self._skin.law, self.habits
+        most_n = self.force_range_n[1] * (1 + math.sqrt(2) * (habits.tremor + habits.wander))
+        depth = float(np.interp(most_n, law.force_n, law.depth_m))
+        return min(depth + SEATINGS * self.variation.seating_m, law.greatest_m)
 
     def _targets(self, times: Series) -> Float[ndarray, "n 3"]:
         self._give_until(float(times[-1]))
@@ -393,9 +402,14 @@ class VirtualHand:
         """End the press under way, and wait in the air, so that the sensor is untouched."""
         self.world.rest()
 
-    def press(self) -> None:
-        """Go on pressing."""
-        self.world.press()
+    def press(self, after_s: float = 0.0) -> None:
+        """Go on pressing, after so long [s]."""
+        self.world.press(after_s)
+
+    def draw_ahead(self) -> None:
+        """Let the sensor draw beforehand what its frames are made of, so that none is late for that."""
+        height_m = AIR_M + SEATINGS * self.world.variation.seating_m
+        draw_ahead(self.design, height_m, self.world.deepest_m)
 
     def truth(self, time_ns: int) -> dict[str, float]:
         """Truth at the middle of the exposure of a frame that arrived at a time [ns].

@@ -237,6 +237,21 @@ class Palm:
         """Both regions as on a rig, the ball's pictures mixed between depths that are drawn once and kept."""
         return replace(self.for_rig(), level_m=LEVEL_M, _slow=OrderedDict())
 
+    def draw_ahead(self, highest_m: float, deepest_m: float) -> None:
+        """Draw and keep the ball's pictures from a height over the skin to a depth, which live ones mix [m].
+
+        A hundred of them take seconds, and else would when a probe first comes to each. Those of another
+        place differ only where the membrane is uneven, or the rim applied, and are then drawn as they come.
+        """
+        if self.level_m <= 0:
+            return
+        contact = self.press(self._ball, Pose(0.0, 0.0, 0.0))
+        most = math.floor(self.force_law(self._ball).greatest_m / self.level_m)
+        last = min(math.ceil(deepest_m / self.level_m), most)
+        for level in range(math.floor(-highest_m / self.level_m), last + 1):
+            pose = Pose(0.0, 0.0, level * self.level_m or NO_DEPTH_M)
+            render_clean(replace(contact, pose=pose), self.spec)
+
     def _mixed(self, contact: Contact, spec: PalmSpec) -> Picture:
         """Both regions of the ball's press, between those at the depths beside it."""
         pose = contact.pose
