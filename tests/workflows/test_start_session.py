@@ -19,6 +19,7 @@ from palpate.core import DeviceError, InputError, RecordingError
 from palpate.estimators.certified import Estimator, read_card
 from palpate.recordings import Run
 from palpate.rig.fakes.printing_scale import PrintingScale
+from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.workflows.press_feeds import CameraFeed, FedFrame, VirtualFeed, open_feed
 from palpate.workflows.start_session import (
@@ -232,6 +233,22 @@ def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
     assert curve.ratio[0] == pytest.approx(40 / 50, rel=0.03)
     assert curve.ratio[1] < 40 / 50 < curve.ratio[2]
     assert curve.text.startswith("10 more presses would change the error by -")
+
+
+def test_intervals_of_a_learning_curve_hold_what_more_presses_bring_at_their_rate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Refits scatter by what they learnt from, which drawing the scored presses anew does not tell."""
+    monkeypatch.setattr(learning_curve, "DRAWS", 100)
+    presses, held = np.repeat([10, 20, 32], 2), []
+    for seed in range(80):
+        rng = np.random.default_rng(seed)
+        refits, scored = 0.2 * rng.standard_normal((6, 1)), 0.3 * rng.standard_normal((6, 40))
+        errors = 4 * presses[:, None] ** -0.5 * np.exp(refits + scored)
+        errors[rng.permuted(np.tile(np.arange(40), (6, 1)), axis=1) < presses[:, None]] = np.nan
+        low, high = curve_of(presses, errors, 40, seed=seed).ratio[1:]
+        held.append(low < (40 / 50) ** 0.5 < high)
+    assert 0.84 <= np.mean(held) < 1.0  # of 90 %: from 80
 
 
 def test_learning_curve_that_does_not_fall_says_so() -> None:

@@ -1,9 +1,12 @@
 """Learning curve of presses: error against how many were learnt from, and what ten more would bring.
 
 Models learn from some of the presses and are scored on all others, so that no press is on both sides. Errors
-of learning fall about as a power of the number learnt from, E(n) = a n^-b, and this is fitted; how far it can
-be trusted is told by drawing the scored presses anew. That does not hold which presses were learnt from, nor
-that errors may stop to fall: on simulated presses such intervals of 90 % hold the truth in about 75 %.
+of learning fall about as a power of the number learnt from, E(n) = a n^-b, and this is fitted. How far it can
+be trusted is told by two spreads, added as variances: of refits about the law, which is that of which presses
+were learnt from, and of the law as the scored presses are drawn anew. Six refits tell their spread badly, and
+so the interval is Student's. Of 300 simulated sessions of 12 to 40 presses the interval of 90 % held what ten
+more presses brought in 93 %, and in 90 to 97 % of 60 by their number and noise; by presses drawn anew alone,
+in 67 %. That errors may stop to fall is in none of it.
 
 Reference: C. Cortes et al., Learning curves: asymptotic values and rate of convergence, NIPS 6 (1994).
 """
@@ -17,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.fitting import preparation_of
@@ -33,7 +37,7 @@ REPEATS = 2
 DRAWS = 500
 MORE = 10
 MIN_PRESSES = 8
-BAND = (5.0, 95.0)
+RATE = 0.9  # of intervals
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +49,9 @@ class LearningCurve:
         mae: mean absolute error on presses not learnt from, in the target's unit.
         a, b: of E(n) = a n^-b.
         have: presses that there are.
-        expected: error with all of them, and its 5th and 95th percentile.
+        expected: error with all of them, and its interval of 90 %.
         with_more: the same with `more` presses more.
-        ratio: of the two errors, the later over the present one, and its 5th and 95th percentile.
+        ratio: of the two errors, the later over the present one, and its interval of 90 %.
         unit: of the errors.
         more: presses more.
     """
@@ -122,14 +126,23 @@ def curve_of(presses: np.ndarray, errors: np.ndarray, have: int, *, seed: int = 
         if np.isfinite(each).all():
             drawn.append(power_law(numbers, each))
     laws = np.array(drawn)
+    off = np.log(np.nanmean(errors, axis=1)) - np.log(a * presses**-b)
+    free = max(len(off) - 2, 1)
+    refits = float(off @ off) / free
+    tried = np.log(presses)
+    far = float(((tried - tried.mean()) ** 2).sum())
+    wide = float(student.ppf((1 + RATE) / 2, free))
+
+    def interval(value: float, of_refits: float, of_presses: np.ndarray) -> tuple[float, float, float]:
+        half = wide * math.sqrt(refits * of_refits + float(of_presses.var()))
+        return value, value * math.exp(-half), value * math.exp(half)
 
     def at(n: int) -> tuple[float, float, float]:
-        low, high = np.percentile(laws[:, 0] * float(n) ** -laws[:, 1], BAND)
-        return a * n**-b, float(low), float(high)
+        beyond = 1 / len(off) + (math.log(n) - tried.mean()) ** 2 / far
+        return interval(a * n**-b, beyond, np.log(laws[:, 0]) - laws[:, 1] * math.log(n))
 
-    fewer = have / (have + MORE)
-    low, high = np.percentile(fewer ** laws[:, 1], BAND).tolist()
-    ratio = (fewer**b, low, high)
+    fewer = math.log(have / (have + MORE))
+    ratio = interval(math.exp(fewer * b), fewer**2 / far, fewer * laws[:, 1])
     return LearningCurve(
         tuple(sizes.tolist()), tuple(mae.tolist()), a, b, have, at(have), at(have + MORE), ratio
     )
