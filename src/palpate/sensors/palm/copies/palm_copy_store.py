@@ -26,7 +26,7 @@ from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 FORMAT = "palpate palm copy 3"
-LARGEST_TERM = 100.0  # of a copy's file, in its own unit: no logarithm, angle, pixel or mired comes near
+MAX_TERM = 100.0  # of a copy's file, in its own unit: no logarithm, angle, pixel or mired comes near
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
 MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 
@@ -75,7 +75,7 @@ def read_copy(path: Path) -> PalmCopy:
         raise InputError(f"{path} is no palm's copy that can be used: {e}") from e
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
         raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
-    sound = fits and bool((np.abs(terms) < LARGEST_TERM).all() and np.isfinite(covariance).all())
+    sound = fits and bool((np.abs(terms) < MAX_TERM).all() and np.isfinite(covariance).all())
     sound = sound and all(math.isfinite(one) and one > 0 for one in own)
     sound = sound and all(math.isfinite(one) and one >= 1 for one in widening[:3])
     if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
