@@ -36,7 +36,7 @@ from palpate.reproductions.palm.palm_conditions import (
     SEVERAL,
 )
 from palpate.reproductions.palm.palm_published import MAE, R2
-from palpate.reproductions.palm.palm_setup import MODELS, pressed_rows
+from palpate.reproductions.palm.palm_setup import MODELS, NETWORKS, pressed_rows
 
 EXPLANATIONS = Path(__file__).resolve().parents[1] / "docs" / "explanations"
 PAGE, DATA = EXPLANATIONS / "palm-study.md", EXPLANATIONS / "palm-study.json"
@@ -145,9 +145,19 @@ def headline(data: Data) -> str:
     return table(head, rows)
 
 
-def networks(data: Data) -> str:
-    """The rows of an earlier run of the headline, as they were written down."""
-    return table(data["earlier"]["head"], data["earlier"]["rows"])
+def common(data: Data) -> str:
+    """Errors off the grid of the networks that were given one number of steps, beside their own ends."""
+    rows = []
+    for model in NETWORKS:
+        one, own = data["found"].get(f"setup-{model}-common"), data["found"].get(f"headline-{model}")
+        if one is not None and own is not None:
+            steps = [str(each["training"]["steps"]) for each in (one, own)]
+            cells = [error(each["new"], target) for target in TARGETS for each in (one, own)]
+            rows.append([SHORT[model], *steps, *cells])
+    head = ["model", "steps in common", "own steps"]
+    for target in TARGETS:
+        head += [f"{SAID[target]} in common", "at its own end"]
+    return table(head, rows)
 
 
 def coverage(data: Data) -> str:
@@ -273,6 +283,19 @@ def learnt(data: Data) -> str:
     return table(["contact", "quantity", "unit", "mean error", "R²", "always the mean"], rows)
 
 
+def latency(data: Data) -> str:
+    """Time of one frame on one thread: of the model alone, and of a whole reading."""
+    rows = [
+        [
+            SHORT[model],
+            *(number(one[part][f"{at}_ms"]) for part in ("network", "reading") for at in ("median", "p95")),
+        ]
+        for model, one in data["found"].get("latency", {}).items()
+    ]
+    head = ["model", "model alone, median [ms]", "95 % below", "whole reading, median [ms]", "95 % below"]
+    return table(head, rows)
+
+
 def told(data: Data) -> str:
     """Lateral forces of the recording, and how much of them depth and place tell."""
     rows = []
@@ -290,8 +313,12 @@ def told(data: Data) -> str:
 
 
 STAGES = {
-    "recordings, and the models without a network": r"recorded|headline-.*",
-    "leakage, without the network": r"setup-(palm-moments|kernel-ridge).*",
+    "recordings": r"recorded",
+    "the models without a network": r"headline-(palm-moments|kernel-ridge|mean)",
+    "the report's four networks, to their ends": r"headline-palm-(joint|force|mlp|two).*",
+    "palm-compact to its end, with 16,000 presses drawn": r"headline-palm-compact",
+    "the same number of steps": r"setup-.*-common",
+    "leakage, without the network": r"setup-(palm-moments|kernel-ridge)(-by-.*)?",
     "mirror, two sights of four": r"mirror-.*",
     "noise": r"condition-noise-.*",
     "conditions": r"condition-(?!noise-|pressed-|lamp-|room-bright|no-membrane).*",
@@ -299,6 +326,7 @@ STAGES = {
     "frames to refuse, read again": r"validity-.*",
     "another copy": r"copy-.*",
     "other contacts": r"loads-.*",
+    "a press that is held, and the time of a frame": r"sustained|latency",
 }
 """Parts of the study, and the results whose time is theirs."""
 
@@ -323,7 +351,7 @@ def time(data: Data) -> str:
 
 TABLES: Mapping[str, Callable[[Data], str]] = {
     "headline": headline,
-    "networks": networks,
+    "common": common,
     "coverage": coverage,
     "leakage": leakage,
     "mirror": mirror,
@@ -336,6 +364,7 @@ TABLES: Mapping[str, Callable[[Data], str]] = {
     "time": time,
     "loads": loads,
     "learnt": learnt,
+    "latency": latency,
 }
 
 
