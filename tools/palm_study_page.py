@@ -319,7 +319,7 @@ STAGES = {
     "palm-compact to its end, with 16,000 presses drawn": r"headline-palm-compact",
     "the same number of steps": r"setup-.*-common",
     "leakage, without the network": r"setup-(palm-moments|kernel-ridge)(-by-.*)?",
-    "mirror, two sights of four": r"mirror-.*",
+    "mirror": r"mirror-.*",
     "noise": r"condition-noise-.*",
     "conditions": r"condition-(?!noise-|pressed-|lamp-|room-bright|no-membrane).*",
     "wear": r"condition-pressed-.*",
