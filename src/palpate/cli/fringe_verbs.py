@@ -54,8 +54,8 @@ def fringe_order(
     reference_px: Annotated[
         str | None,
         Option(
-            help="X,Y,ORDER of a place in the map, for phases, e.g. 200,140,0.3 [px]. A polarisation camera's "
-            "map is half as wide and high as its raw frame."
+            help="X,Y,ORDER of a place in the map, for phases, e.g. 200,140,0.3 [px]. A polarisation "
+            "camera's map is half as wide and high as its raw frame."
         ),
     ] = None,
     channel: Annotated[str, Option(help="Of colour frames taken for phases: red, green or blue.")] = "green",

@@ -21,6 +21,7 @@ from scipy import stats
 from scipy.signal import detrend
 
 from palpate.core import Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
+from palpate.estimators.brightest_channel import brightest_channel
 
 MIN_FRAMES = 4
 MIN_FLICKER_FRAMES = 12  # with fewer a frequency is not told
@@ -132,7 +133,7 @@ def image_health(
                 "earlier frame of the same camera"
             )
         sharpness = _sharpness(mean, _grey(apart), noise / math.sqrt(len(grey)), noise)
-    brightest = np.stack([one if one.ndim == 2 else one.max(axis=2) for one in stack])
+    brightest = np.stack([brightest_channel(one) for one in stack])
     found = ImageHealth(
         edge_blur_px(mean, noise / math.sqrt(len(grey))),
         sharpness,

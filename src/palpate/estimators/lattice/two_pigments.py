@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, ImageError, Shaped, UInt8, ndarray
+from palpate.estimators.brightest_channel import brightest_channel
 
 Axis = UInt8[ndarray, "h w"]
 
@@ -87,7 +88,7 @@ def find_axis(frame: Shaped[ndarray, ...], pitch_px: float) -> PigmentAxis:
 
 
 def _refuse_ends(frame: Shaped[ndarray, ...]) -> None:
-    grey = frame if frame.ndim == 2 else frame.max(axis=2)
+    grey = brightest_channel(frame)
     if np.percentile(grey, 99) < DARK:
         raise ImageError(f"the frame is dark: 99 % of it lies below {DARK} of 255; look at the light")
     if (grey > BRIGHT).mean() > MAX_CLIPPED:

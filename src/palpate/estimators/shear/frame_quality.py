@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, Shaped, ndarray
+from palpate.estimators.brightest_channel import brightest_channel
 
 MIN_CONTRAST = 0.4  # of the reference's
 MIN_SHARPNESS = 0.7  # of the reference's
@@ -46,7 +47,7 @@ def look_at(image: Shaped[ndarray, ...], box: tuple[slice, slice]) -> FrameLook:
     """Look of an 8-bit frame within a box."""
     part = image[box]
     grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_RGB2GRAY)
-    brightest = part if part.ndim == 2 else part.max(axis=2)
+    brightest = brightest_channel(part)
     some = grey[::STEP, ::STEP]
     low, high = np.percentile(some, [10, 90])
     contrast = max(float(high - low), 1.0)

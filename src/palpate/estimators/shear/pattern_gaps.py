@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Bool, Float, Int, Shaped, ndarray
+from palpate.estimators.brightest_channel import brightest_channel
 from palpate.estimators.lattice import ControlPoints
 
 BARE = 0.3  # of the tiles' median level: what a tile that has come off is darker than
@@ -51,7 +52,7 @@ class TileCentres:
 
     def bare(self, image: Shaped[ndarray, ...]) -> Bool[ndarray, " n"]:
         """Which tiles have come off."""
-        brightest = _brightest(image)
+        brightest = brightest_channel(image)
         x, y = self._places.T
         level = np.mean([brightest[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
         return np.asarray(level < BARE * np.median(level))
@@ -63,7 +64,7 @@ class TileCentres:
 
     def longest_gap(self, image: Shaped[ndarray, ...], bare: Bool[ndarray, " n"]) -> float:
         """Length of the longest dark line across tiles [pitches]; 0 below two."""
-        bright = cv2.GaussianBlur(_brightest(image), (0, 0), SMOOTH_PX)
+        bright = cv2.GaussianBlur(brightest_channel(image), (0, 0), SMOOTH_PX)
         side = 2 * round(AROUND * self._pitch) + 1
         around = cv2.dilate(bright, np.ones((side, side), np.uint8))
         dark = np.uint8(bright < DARK * around) & self._within
@@ -86,7 +87,3 @@ def without(points: ControlPoints, corners: Cells) -> ControlPoints:
         return points
     kept = np.array([cell not in corners for cell in map(tuple, points.cells.tolist())], bool)
     return ControlPoints(points.cells[kept], points.places[kept], points.sigma[kept], points.unit)
-
-
-def _brightest(image: Shaped[ndarray, ...]) -> Shaped[ndarray, "h w"]:
-    return np.ascontiguousarray(image if image.ndim == 2 else image.max(axis=2))
