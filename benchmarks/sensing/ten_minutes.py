@@ -1,6 +1,6 @@
 """The studio over minutes: a palm at 30 Hz, a NUSense at 12 Hz, two recordings at their own rate, a browser.
 
-Run ``OMP_NUM_THREADS=1 python benchmarks/sensing/ten_minutes.py [--minutes 10] [--warm-up 60]`` on a
+Run ``OMP_NUM_THREADS=1 python benchmarks/sensing/ten_minutes.py [--minutes 10] [--rendered palm]`` on a
 machine that does nothing else. Each sensor is read by a process of its own, as the studio begins them: the
 palm by a calibration of force and depth that is made here of what a virtual hand presses, the NUSense by
 its marks, the recordings without a calibration, over and over. The studio is served by a process of its
@@ -180,7 +180,7 @@ def line(name: str, before: Moment, after: Moment, alone_ms: float | None) -> st
     )
 
 
-def measured(minutes: float, warm_up_s: float, folder: Path) -> None:
+def measured(minutes: float, warm_up_s: float, folder: Path, rendered: str = "both") -> None:
     """Make what is read, begin everything, wait, and print a row a sensor."""
     runtime, workspace = folder / "run", folder / "ws"
     runtime.mkdir()
@@ -200,6 +200,10 @@ def measured(minutes: float, warm_up_s: float, folder: Path) -> None:
         "live recorded-palm": (LiveOptions(str(workspace / "recorded-palm"), **played), None),
         "live recorded-nusense": (LiveOptions(str(workspace / "recorded-nusense"), **played), None),
     }
+    sensors = {
+        name: one for name, one in sensors.items()
+        if rendered == "both" or not name.startswith("live virtual:") or name.endswith(rendered)
+    }  # fmt: skip
     with ExitStack() as stack:
         port = stack.enter_context(studio(workspace, runtime))
         clients = {
@@ -231,12 +235,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--warm-up", type=float, default=60.0, help="[s]")
+    parser.add_argument(
+        "--rendered", choices=["palm", "nusense", "both"], default="both", help="virtual sensors drawn live"
+    )
     words = parser.parse_args()
     import cv2
 
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
-        measured(words.minutes, words.warm_up, Path(folder))
+        measured(words.minutes, words.warm_up, Path(folder), words.rendered)
 
 
 if __name__ == "__main__":
