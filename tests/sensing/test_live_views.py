@@ -16,12 +16,13 @@ LONG_S = 200.0
 
 def told(name, options, folder, holds):
     """The first status of a sensor's process for which something holds; the process is ended."""
-    launch_live(name, options, folder=folder)
+    process, _ = launch_live(name, options, folder=folder)
     with LiveClient(name, folder) as client:
         try:
             return client.wait_for(holds, LONG_S)
         finally:
             client.shutdown()
+            process.wait(60)
 
 
 def test_a_nusense_tells_where_its_skin_is_strained(tmp_path) -> None:
