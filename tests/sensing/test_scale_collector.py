@@ -65,6 +65,24 @@ def test_the_scale_is_heard_before_each_frame_and_the_sensor_beside_never() -> N
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
+def test_bare_numbers_are_not_taken_for_grams_and_the_reason_is_told(tmp_path) -> None:
+    from tests.rig.serial_terminal import FakeTerminal
+
+    service = LiveService("live bare", LiveOptions(camera="virtual:tactip", runs=str(tmp_path)))
+    service.start()
+    try:
+        until(lambda: not service.loop.zeroing and service.loop.untouched is not None, 60.0)
+        with FakeTerminal(HandScale(lambda _: 1.0)) as terminal:
+            service.collect({"run": "bare", "scale": terminal.path})
+            until(lambda: any("carries no unit" in one for one in service.status()["faults"]), 60.0)
+            assert service.status()["collect"]["force_N"] is None
+            assert service.status()["collect"]["presses"] == 0
+    finally:
+        service.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 def test_presses_of_a_live_sensor_are_labelled_by_a_scale_in_the_unit_that_was_said(tmp_path) -> None:
     from tests.rig.serial_terminal import FakeTerminal
 

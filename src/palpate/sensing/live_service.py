@@ -220,7 +220,8 @@ class LiveService:
         Args:
             request: "run", and where wanted "scale" ("beside" for the force sensor beside the camera, "typed"
                 for weights that are typed, else the serial port of a scale), "unit" (of that scale's lines
-                where they carry none, "g" by default), "asked", "session", "region", "force_range_n".
+                where they carry none, which weigh nothing without), "asked", "session", "region",
+                "force_range_n".
 
         Raises:
             InputError: a scale or a unit that there is none of.
@@ -366,7 +367,7 @@ class LiveService:
         if kind in ("beside", "typed"):
             scale = Weighing.by(source.force) if kind == "beside" and source.force is not None else None
             return PressCollector(path, name, scale, **options)
-        opened = SerialScale.open(ScaleSpec(kind, unit=request.get("unit") or "g"), MonotonicClock())
+        opened = SerialScale.open(ScaleSpec(kind, unit=request.get("unit") or ""), MonotonicClock())
         try:
             by_scale = PressCollector(path, name, Weighing.by(opened, f"the scale at {kind}"), **options)
         except BaseException:

@@ -104,7 +104,8 @@ class SeenTouch:
         change: largest value of the statistic, over that which a touch needs; a touch is above 1 in an area,
             and single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
         changed_share: of the region in which a difference is seen.
-        region: the connected change that is strongest; None but for "touched" and "something in view".
+        region: the largest connected change, or a smaller one where that is weak and this is not; None but
+            for "touched" and "something in view".
         marks: of the skin and how far they moved; None where none are followed, or the view has changed.
     """
 

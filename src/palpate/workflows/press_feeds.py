@@ -18,6 +18,7 @@ from palpate.core import (
     RangeError,
 )
 from palpate.core.sensor import dark_field_of
+from palpate.rig.real.scale.weight_line import NEWTONS
 from palpate.sensing.collection import Weighing
 from palpate.sensing.collection.press_coverage import Box
 from palpate.sensing.live_sources import NoFrameYetError, open_live_source
@@ -29,7 +30,6 @@ FAST_HZ = 12.0  # frames a second of a virtual sensor that does not wait for the
 TRANSPORT_S = 0.008  # of a virtual camera
 WAIT_S = 2.0  # for a frame
 LAID_S = (2.0, 2.5)  # that a virtual hand leaves a weight where it is [s]
-GRAM_N = 9.80665e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class VirtualFeed(Closing):
         if not 0 < force_n <= most:
             raise RangeError(
                 f"a weight of {force_n:.3g} N on the virtual {self.sensor}, whose skin is known to "
-                f"{most:.3g} N; type one from 1 to {most / GRAM_N:.0f} g"
+                f"{most:.3g} N; type one from 1 to {most / NEWTONS['g']:.0f} g"
             )
         world = self.hand.world
         world.rest()

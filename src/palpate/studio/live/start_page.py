@@ -16,6 +16,7 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from palpate.core import InputError, PalpateError
+from palpate.rig.real.scale.weight_line import NEWTONS
 from palpate.studio.html_parts import commands_html, progress_html, state_word, trouble_html
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
@@ -33,7 +34,6 @@ from palpate.studio.status_text import duration, number
 
 REFRESH_S = 0.25
 FIRST = "my-sensor"
-GRAM_N = 9.80665e-3
 STEPS = {
     "camera": "Camera and scale",
     "settings": "Picture",
@@ -185,7 +185,7 @@ class StartPage:
     def _weigh(self) -> None:
         run = self._run()
         if run is not None and self._weight.value:
-            run.weigh(float(self._weight.value) * GRAM_N)
+            run.weigh(float(self._weight.value) * NEWTONS["g"])
 
     async def _go_live(self) -> None:
         session = self._session()
