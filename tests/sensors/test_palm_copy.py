@@ -8,6 +8,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from palpate.sensors.palm.copies.palm_copy import (
     PressFound,
     Widening,
     designed_copy,
+    measured_copy,
 )
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press, refuse_far
 from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
@@ -83,6 +85,28 @@ def test_a_design_s_spread_of_the_coefficient_is_the_one_that_was_stated() -> No
     assert known.coefficient_share == pytest.approx(0.03)
     assert known.modulus_pa == pytest.approx(E)
     assert known.coefficient_per_pa == pytest.approx(C)
+
+
+def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_s() -> None:
+    known = measured_copy(DESIGN, 1.2 * C, 0.03, 0.2)
+    assert known.coefficient_per_pa == pytest.approx(1.2 * C)
+    assert known.modulus_pa == pytest.approx(E)
+    assert (known.modulus_share, known.coefficient_share) == pytest.approx((0.2, 0.03))
+    for wrong in (1e12 * C, 0.0, -C, math.nan, C / 6):
+        with pytest.raises(RangeError, match="1 brewster is 1e-12"):
+            measured_copy(DESIGN, wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("modulus", [0.8, 1.2])
+def test_a_copy_of_a_measured_coefficient_reads_force_whatever_its_modulus_is(modulus: float) -> None:
+    """By the design's own coefficient the same picture is read wrongly by as much as it differs."""
+    press_ = taken(own(modulus, 1.2), 3.0, 2e-3, 1e-3, known=False)
+    found = read_press(measured_copy(DESIGN, 1.2 * C, 0.01), press_.image, press_.reference)
+    assert found.force_n == pytest.approx(3.0, abs=0.15)
+    assert found.force_share < 0.06
+    designed = read_press(measured_copy(DESIGN, C, 0.01), press_.image, press_.reference)
+    assert designed.force_n > 3.3
 
 
 @pytest.mark.slow
@@ -175,6 +199,23 @@ def test_a_weight_s_estimate_begins_also_where_the_calibrated_copy_reads_its_pic
     assert near.presses == (read,)
 
 
+@pytest.mark.parametrize(("moved_m", "rolled"), [(0.11e-3, False), (-0.3e-3, True), (0.3e-3, True)])
+@pytest.mark.parametrize("way", ["x_m", "y_m"])
+def test_a_weight_that_rolls_between_two_pictures_is_refused(
+    monkeypatch, moved_m: float, rolled: bool, way: str
+) -> None:
+    known, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
+    first = PressFound(1e-3, -1e-3, 2e-3, 2.0, 2e-5, 2e-5, 1e-5, 0.01, 0.004)
+    then = first._replace(**{way: getattr(first, way) + moved_m})
+    monkeypatch.setattr(palm_weight, "fit_copy", lambda *_, **__: CopyFit(known, (then,), ()))
+    found = CopyFit(known, (first,), ())
+    if rolled:
+        with pytest.raises(InputError, match=re.escape(f"moved by {1e3 * moved_m:+.2f} mm along {way[0]}")):
+            palm_weight.refuse_rolling(found, picture, picture)
+    else:
+        palm_weight.refuse_rolling(found, picture, picture)
+
+
 def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
     fitted = designed_copy(DESIGN)
     press_ = taken(TRUE, 2.0, 0.0, 0.0, known=False)
@@ -264,6 +305,22 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         read_copy(tmp_path / "other.json")
     with pytest.raises(ImageError, match="192 x 108"):
         design_for("debug", (100, 100))
+
+
+def test_a_measured_coefficient_makes_a_copy_s_file_of_the_untouched_picture_s_size(
+    tmp_path: Path, capsys
+) -> None:
+    from palpate.cli import palm_verbs
+
+    cv2.imwrite(str(tmp_path / "rest.png"), np.zeros((108, 192, 3), np.uint8))
+    out = tmp_path / "mine.json"
+    palm_verbs.known(tmp_path / "rest.png", out, 1.1 * C, 0.02, 0.25, "debug", 0.0, True)
+    told, copy = json.loads(capsys.readouterr().out), read_copy(out)
+    assert copy.spec.frame_px == (192, 108)
+    assert copy.coefficient_per_pa == pytest.approx(1.1 * C)
+    assert told["coefficient_share"] == pytest.approx(1.645 * 0.02)
+    with pytest.raises(ExistsError):
+        palm_verbs.known(tmp_path / "rest.png", out, C, 0.02, 0.25, "debug", 0.0, True)
 
 
 def test_presses_of_a_run_are_spread_over_force_and_near_enough_to_the_middle(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from palpate.sensors.palm.copies.palm_copy import (
     PressFound,
     Widening,
     designed_copy,
+    measured_copy,
 )
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
 from palpate.sensors.palm.copies.palm_weight import WeightCheck, check_weight
@@ -23,6 +24,7 @@ __all__ = [
     "check_weight",
     "designed_copy",
     "fit_copy",
+    "measured_copy",
     "read_press",
     "unsure_constants",
 ]

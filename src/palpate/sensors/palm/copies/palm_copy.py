@@ -217,6 +217,7 @@ SPREADS = {
     **dict.fromkeys((*RESIDUAL_MODES["along"], *RESIDUAL_MODES["aside"]), 0.003),
 }  # fmt: skip
 """By how much copies differ from their design, as standard deviations. Assumed."""
+MAX_TIMES = 5.0  # a measured C may be as much more or less than its design's
 BLUR_PX = 0.5  # of a lens, where nothing is known of it. Assumed.
 
 
@@ -249,6 +250,33 @@ def designed_copy(
     terms = np.zeros(len(TERMS))
     terms[TERMS.index("blur_px")] = BLUR_PX
     return PalmCopy(spec, terms, covariance, local_spreads=tuple(own))
+
+
+def measured_copy(
+    spec: PalmSpec, coefficient_per_pa: float, coefficient_share: float = 0.02, modulus_share: float = 0.25
+) -> PalmCopy:
+    """What is known of a copy whose stress-optic coefficient was measured.
+
+    Args:
+        spec: the design, whose E, lamp, mirror and regions are taken.
+        coefficient_per_pa: C [1/Pa].
+        coefficient_share, modulus_share: standard deviations of C and of the design's E, as shares.
+
+    Raises:
+        RangeError: a C more than `MAX_TIMES` from the design's, as one in another unit, or no spread.
+    """
+    designed = spec.stress_optic.coefficient_per_pa
+    times = coefficient_per_pa / designed
+    if not (math.isfinite(times) and 1 / MAX_TIMES <= times <= MAX_TIMES):
+        raise RangeError(
+            f"a stress-optic coefficient of {coefficient_per_pa:.3g} /Pa; this design has "
+            f"{designed:.3g} /Pa, and {designed / MAX_TIMES:.2g} to {designed * MAX_TIMES:.2g} "
+            "/Pa are allowed (1 brewster is 1e-12 /Pa)"
+        )
+    copy = designed_copy(spec, modulus_share=modulus_share, coefficient_share=coefficient_share)
+    terms = copy.terms.copy()
+    terms[AT["product"]] = math.log(times)
+    return replace(copy, terms=terms)
 
 
 @dataclass(frozen=True, eq=False)

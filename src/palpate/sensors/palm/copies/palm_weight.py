@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.core import Float, Progress, UInt8, ndarray, silent
+from palpate.core import Float, InputError, Progress, UInt8, ndarray, silent
 from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, weight_n
 from palpate.sensors.palm.copies.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
 
+STILL_M, SAID_MOVED = 0.1e-3, 3.0  # a weight at rest is seen to move by less: this and standard deviations
 FLOOR = 0.01  # of E and C, by which no weight is trusted to be better: a share
 
 
@@ -80,6 +81,35 @@ def check_weight(
     return WeightCheck(
         force_n, read_n, float(shares[0]), float(shares[1]), float(deviations[0]), float(deviations[1])
     ), found
+
+
+def refuse_rolling(
+    found: CopyFit, later: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"],
+    progress: Progress = silent,
+) -> None:  # fmt: skip
+    """Refuse a weight that lies elsewhere some seconds later: a push or a slope carries part of it.
+
+    Args:
+        found: the weight as `check_weight` found it.
+        later: another picture of it.
+        reference: of the untouched skin.
+        progress: called with rounds of the estimate.
+
+    Raises:
+        InputError: it has moved.
+        ImageError: no press is seen, or no such palm's picture.
+    """
+    first = found.presses[0]
+    then = fit_copy(found.copy, [PicturedPress(later, reference)], progress).presses[0]
+    for name in ("x", "y"):
+        moved = getattr(then, f"{name}_m") - getattr(first, f"{name}_m")
+        spread = math.hypot(getattr(first, f"{name}_sd_m"), getattr(then, f"{name}_sd_m"))
+        if abs(moved) > STILL_M + SAID_MOVED * spread:
+            raise InputError(
+                f"the weight has moved by {1e3 * moved:+.2f} mm along {name} between both pictures, and "
+                f"{1e3 * (STILL_M + SAID_MOVED * spread):.2f} mm are allowed: let it come to rest on a level "
+                "skin, and take both pictures anew"
+            )
 
 
 def forgotten(calibrated: PalmCopy) -> PalmCopy:
