@@ -4,11 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 import palpate
 from palpate.core import InputError, Pose, PressHistory, RangeError
 from palpate.estimators.lattice import ControlPoints
-from palpate.estimators.surface_strain import PatternedSkin, StrainMeter, on_plane, recover_traction
+from palpate.estimators.surface_strain import (
+    PatternedSkin,
+    StrainMeter,
+    on_plane,
+    recover_traction,
+    traction_recovery,
+)
 
 SENSOR = palpate.sensor("nusense")
 SPEC = SENSOR.spec
@@ -104,3 +111,19 @@ def test_what_cannot_be_recovered_is_refused(meter):
         recover_traction(replace(fields, variances=0 * fields.variances), SKIN)
     with pytest.raises(InputError, match="layers above"):
         PatternedSkin(SPEC.layers.stack, 7)
+
+
+def test_motion_under_loads_is_scipy_s_of_nine_splines_seen_through_the_camera() -> None:
+    """At places that no spline reaches, beyond the grid of 102 mm, nothing moves."""
+    rng = np.random.default_rng(3)
+    skin = replace(SKIN, camera_m=25e-3)
+    at, nodes = rng.uniform(-15e-3, 15e-3, (40, 2)), rng.uniform(-5e-3, 5e-3, (12, 2))
+    knots = traction_recovery._node_motion(skin.stack, skin.interface, 1e-3)
+    dx, dy = ((at[:, i, None] - nodes[:, i]) / traction_recovery.CELL_M + len(knots) / 2 for i in range(2))
+    seen = traction_recovery._motion(skin, skin.interface, at, nodes, 1e-3)
+    for load in range(3):
+        x, y, z = (map_coordinates(knots[..., load, i], [dy, dx], order=3, prefilter=False) for i in range(3))
+        there = np.concatenate([x + at[:, :1] * z / 25e-3, y + at[:, 1:] * z / 25e-3])
+        np.testing.assert_allclose(seen[load], there, rtol=0, atol=1e-12 * np.abs(there).max())
+    away = traction_recovery._motion(skin, skin.interface, at + 80e-3, nodes, 1e-3)
+    assert np.all(np.array(away) == 0.0)
