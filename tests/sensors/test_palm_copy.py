@@ -227,7 +227,7 @@ def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
         read_press(fitted, press_.image[:-1], press_.reference[:-1])
     with pytest.raises(RangeError, match="above 0 N"):
         fit_copy(fitted, [replace(press_, force_n=-1.0)])
-    with pytest.raises(RangeError, match="above 0 kg"):
+    with pytest.raises(RangeError, match="above 0 g"):
         check_weight(fitted, press_.image, press_.reference, math.nan)
     with pytest.raises(RangeError, match="above 0"):
         designed_copy(DESIGN, modulus_share=0.0)

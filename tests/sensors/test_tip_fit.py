@@ -329,7 +329,7 @@ def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monke
     with pytest.raises(InputError, match="a tip of 0 pins"):
         register_taps([tmp_path / "train"], 0)
     drawn(tmp_path / "few", at[:5], places[:5])
-    with pytest.raises(InputError, match="5 taps in 1 folders; 10 or more"):
+    with pytest.raises(InputError, match="5 taps in 1 folder; 10 or more"):
         register_taps([tmp_path / "few"], 91)
     drawn(tmp_path / "deep", at[:12], places[:12], depth_mm="deepness")
     with pytest.raises(LabelError, match="no column depth_mm"):

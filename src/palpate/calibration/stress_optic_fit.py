@@ -83,7 +83,9 @@ class Disc:
     def seen_stress(self, centre_px: Float[ndarray, "p 2"]) -> tuple[ndarray, ndarray, ndarray]:
         """s1 - s2 over the centre's, visibility, and where both are used; of places in the photograph."""
         if self.seen_px is None:
-            raise InputError("say where the disc is seen: seen_px, its centre and diameter [px]")
+            raise InputError(
+                "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
+            )
         x, y = ((centre_px - self.seen_px[:2]) / (self.seen_px[2] / 2)).T
         u, axis = disc_difference(x, y)
         inside = np.isfinite(u) & (np.hypot(x, y) <= FACE) & (u <= STEEP)
@@ -94,7 +96,9 @@ class Disc:
     def face_px(self) -> tuple[int, int, int, int]:
         """The square about the disc, as a region [px]."""
         if self.seen_px is None:
-            raise InputError("say where the disc is seen: seen_px, its centre and diameter [px]")
+            raise InputError(
+                "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
+            )
         x, y, D = self.seen_px
         return round(x - D / 2), round(y - D / 2), round(D), round(D)
 

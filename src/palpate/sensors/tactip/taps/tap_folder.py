@@ -74,7 +74,8 @@ def register_taps(
     tables = [_table(folder) for folder in folders]
     if layout is None and (count := sum(len(files) for files, _ in tables)) < MIN_LEARNT:
         raise InputError(
-            f"{count} taps in {len(tables)} folders; {MIN_LEARNT} or more are needed to name pins"
+            f"{_counted(count, 'tap')} in {_counted(len(tables), 'folder')}; {MIN_LEARNT} or more are needed "
+            "to name pins"
         )
     names = [(folder, name) for folder, (files, _) in zip(folders, tables, strict=True) for name in files]
     found, size = [], (0, 0)
@@ -217,6 +218,10 @@ def upright_places(
     poses[:, 0] = np.linspace(shallow, deep, count)
     smooth = PosePolynomial.fitted(known.poses, known.places_px, SMOOTH)
     return poses[:, 0], smooth.at(poses), fit.tip.places_px(fit.terms, poses)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
