@@ -33,6 +33,10 @@ PRESSED = (  # a press that is read as valid, hard enough to be seen
 )
 READY = "document.querySelector('#steps').innerText.includes('6. Live newtons ready')"
 TWELVE = "/presses\\s+(1[2-9]|[23]\\d) of 40/.test(document.querySelector('#steps').innerText)"
+NAMELESS = (  # the workspace lies in a temporary folder
+    "[...document.querySelectorAll('*')].filter((one) => !one.children.length && "
+    "one.innerText?.startsWith('runs in ')).forEach((one) => { one.innerText = 'runs in my-workspace' })"
+)
 STRAINED = "document.querySelectorAll('.strain svg path').length > 0"
 
 
@@ -89,6 +93,7 @@ def take(browser: Browser, served: Served, wanted: list[str]) -> None:
         address = "/recordings?run=my-sensor%2Fpresses&frame=57"
         tab = opened(browser, served, address, scheme="dark")
         tab.wait("document.querySelector('.player img')?.naturalWidth > 100", LONG_S)
+        tab.run(NAMELESS)
         taken(tab, "recordings", *WIDE)
     if "live-dark" in wanted:
         tab = opened(browser, served, "/live?sensor=live%20virtual%3Anusense", scheme="dark")

@@ -212,10 +212,13 @@ class SensorCard:
         old = f'data-age-of="{self.part}"'
         self._card = ui.element("section").classes("card live").props(f'aria-label="{escape(sensor.name)}"')
         with self._card:
-            self._head = ui.html(f"<h2>{escape(sensor.name)}</h2>", sanitize=False).props(
-                f'role="status" {old}'
-            )
-            age_note(self.part, "")
+            with ui.row().classes("items-center w-full"):  # above all whose height changes
+                self._head = ui.html(f"<h2>{escape(sensor.name)}</h2>", sanitize=False).props(
+                    f'role="status" {old}'
+                )
+                age_note(self.part, "")
+                ui.space()
+                self._buttons(end)
             self._advice = ui.html("", sanitize=False).props('role="status"')
             with ui.element("div").classes("parts"):
                 with ui.element("div"):
@@ -232,15 +235,13 @@ class SensorCard:
                     )
                     self._plots = ui.html("", sanitize=False).classes("plot").props(old)
             self._facts = ui.html("", sanitize=False).classes("facts").props(old)
-            self._buttons(end)
+            ui.label("Re-zero with nothing on the skin.").classes("soft")
 
     def _buttons(self, end: Callable[[SensorCard], Any]) -> None:
-        with ui.row().classes("items-center"):
-            self._zero = ui.button("Re-zero", on_click=self._zeroed).classes("re-zero")
-            self._zero.props('outline no-caps aria-label="Take the untouched sensor anew"')
-            self._ends = ui.button("End", on_click=lambda: end(self)).classes("end-live")
-            self._ends.props('flat no-caps color=negative aria-label="End this sensor"')
-            ui.label("Re-zero with nothing on the skin.").classes("soft")
+        self._zero = ui.button("Re-zero", on_click=self._zeroed).classes("re-zero")
+        self._zero.props('outline no-caps aria-label="Take the untouched sensor anew"')
+        self._ends = ui.button("End", on_click=lambda: end(self)).classes("end-live")
+        self._ends.props('flat no-caps color=negative aria-label="End this sensor"')
 
     def delete(self) -> None:
         """Take the card away."""
