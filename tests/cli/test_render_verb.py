@@ -89,7 +89,7 @@ def test_nothing_is_overwritten(frame):
 def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
     monkeypatch.setattr(fringe_rays, "PLANES", 12)  # with the next line, three times as fast
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 80)
-    said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:8", "--json", out=frame).stdout)
+    said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:6", "--json", out=frame).stdout)
     assert "linear elastic layers" in said["model"]
     assert said["fringe_order_max"] > 0.1
     assert picture(frame).shape == (108, 192, 3)

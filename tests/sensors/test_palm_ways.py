@@ -44,6 +44,18 @@ def test_the_fast_way_shows_what_the_exact_one_does(place):
     assert rms(below(fast - exact, 3e-3)) < 1e-2  # 5e-3 is measured; at 5 mm or near the rim it is more
 
 
+@pytest.mark.parametrize(("x_m", "way"), [(11.2e-3, False), (11.6e-3, True), (18e-3, True)])
+def test_a_picture_is_marched_anew_where_the_fast_way_is_off_and_nowhere_else(x_m, way):
+    chosen = edge_on(3e-3, x_m, exact=None)
+    assert np.array_equal(chosen, edge_on(3e-3, x_m, exact=way))
+    assert not np.array_equal(chosen, edge_on(3e-3, x_m, exact=not way))
+
+
+def test_near_the_rim_the_fast_way_is_off_by_what_is_stated():
+    fast, exact = (edge_on(5e-3, 0.0, -21e-3, exact=which) for which in (False, True))
+    assert 0.05 < rms(below(fast - exact, 5e-3)) < 0.11
+
+
 @pytest.mark.parametrize(
     ("depth_m", "place"), [(1e-3, (0.0, 0.0)), (3e-3, (9e-3, -6e-3)), (5e-3, (0.0, 0.0))]
 )

@@ -39,7 +39,10 @@ def palm(
     preset: Annotated[
         str, Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
     ] = "palm",
-    exact: Annotated[bool, Option("--exact", help="March every ray anew: slower.")] = False,
+    exact: Annotated[
+        bool | None,
+        Option("--exact/--fast", help="March every ray anew, slower; by default where the fast way is off."),
+    ] = None,
     rim: Annotated[
         str, Option(help="What the membrane's free rim does to the ball's press: applied or stated.")
     ] = "stated",

@@ -43,6 +43,8 @@ UNPRESSED_PA = 1e5  # likewise, where only shape is seen
 
 BEHIND_ANALYSER = 0.5  # an ideal polariser passes half of unpolarised light
 
+FAST_WITHIN = 0.4  # of the membrane's radius; within, the fast way is off by 0.01 of white (rms) at most
+
 WITHIN = 0.7  # of the membrane's radius: a square in which the middles of the mirror's scratches lie
 
 PROBE_LIGHT = 0.1
@@ -64,14 +66,17 @@ class Views(NamedTuple):
     mirror_view: UInt8[ndarray, "u v 3"]
 
 
-def render(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Frame:
+def render(
+    contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
+) -> Frame:
     """The camera's frame of a contact.
 
     Args:
         contact: of the spec's ball, whose depth and place are drawn; or any that `palm_press.press` makes.
         spec: the palm.
         rng: for the camera's noise, the only source of chance.
-        exact: march and trace everything anew, instead of moving the depth's own picture to the place.
+        exact: march and trace everything anew, instead of moving the depth's own picture to the place; None
+            does so where `fast_way_is_off`.
 
     Returns:
         8-bit sRGB ``[h w 3]`` of the whole frame, dark outside the two regions.
@@ -89,7 +94,7 @@ def expose(seen: tuple[Linear, Below], spec: PalmSpec, rng: np.random.Generator)
 
 
 def render_raw(
-    contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False
+    contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
 ) -> UInt16[ndarray, "h w 3"]:
     """The same frame as the converter writes it, not balanced: 12 bits a channel in the default camera."""
     return _codes(housed(render_clean(contact, spec, exact=exact), spec), spec, rng)
@@ -106,7 +111,9 @@ def housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
     return clean if spec.auto_exposure is None else clean * np.float32(spec.auto_exposure.gain(clean))
 
 
-def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool = False) -> Views:
+def render_views(
+    contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
+) -> Views:
     """Both regions alone, as `render` would draw them; in less time, but for a lens, JPEG
     or automatic exposure.
     """
@@ -117,7 +124,7 @@ def render_views(contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, 
     return Views(*(developed(_codes(light, spec, rng), spec) for light in seen))
 
 
-def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tuple[Linear, Below]:
+def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool | None = False) -> tuple[Linear, Below]:
     """Picture of both regions without noise: linear RGB, 1 at the bare lamp's brightest.
 
     The spec's ball without lateral load takes one of the two ways; any other contact is marched through its
@@ -127,6 +134,7 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
         InputError: another contact than the ball's without a membrane.
     """
     views = spec.fringes, spec.mirror
+    exact = fast_way_is_off(contact, spec) if exact is None else exact
     spec = replace(spec, fringes=spec.fringes.upright, mirror=spec.mirror.upright)
     light = _transmitted(contact, spec, exact)
     light *= _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
@@ -152,6 +160,15 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool = False) -> tu
         for view, seen in ((spec.fringes, light), (spec.mirror, below)):
             seen += np.float32(spec.ambient) * room_light(spec.frame_px)[view.window]
     return light, below
+
+
+def fast_way_is_off(contact: Contact, spec: PalmSpec) -> bool:
+    """Tell whether a contact is so far from the middle that its rays end elsewhere at the wall.
+
+    At 18 mm from the axis of a palm of 57 mm the light below a dimple of 3 mm is then off by up to 0.03 of
+    white (root mean square), at 21 mm and 5 mm deep by 0.10.
+    """
+    return math.hypot(contact.pose.x_m, contact.pose.y_m) > FAST_WITHIN * spec.radius_m
 
 
 def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
