@@ -12,7 +12,7 @@ from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.sessions import keep_evaluation, reset_intervals
 from palpate.calibration.sessions.evaluation_record import read_evaluation
 from palpate.cli import app
-from palpate.cli.calibrate_verbs import _scores_text
+from palpate.cli.calibrate.calibrate_verbs import _scores_text
 from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id

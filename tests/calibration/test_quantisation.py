@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate
 from palpate.calibration.quantisation import cost, nodes_to_round, quantise
-from palpate.cli.calibrate_verbs import _quantised_text, quantise as verb
+from palpate.cli.calibrate.calibrate_verbs import _quantised_text, quantise as verb
 from palpate.core import CertificateError, ExistsError, InputError, ManualClock
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card

@@ -33,7 +33,7 @@ from palpate.calibration.sessions.session_intervals import (
     parametric_quantile,
 )
 from palpate.cli import app
-from palpate.cli.calibrate_verbs import _reset_text
+from palpate.cli.calibrate.calibrate_verbs import _reset_text
 from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card

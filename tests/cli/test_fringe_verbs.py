@@ -11,7 +11,7 @@ from PIL import Image
 from tests.fringe_fields import beam, colours, disc, phases
 from typer.testing import CliRunner
 
-from palpate.cli.optics_verbs import app
+from palpate.cli.sense.optics_verbs import app
 from palpate.estimators.fringe_map import CAMERA, SIX_STEPS
 from palpate.optics.colour import encode_srgb
 

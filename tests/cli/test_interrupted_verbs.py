@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.cli.rig_verbs import stopped_by_signals
+from palpate.cli.record.rig_verbs import stopped_by_signals
 from palpate.core.errors import DeviceError
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import virtual_rig

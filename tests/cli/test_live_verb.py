@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import palpate
 from palpate.cli import app
-from palpate.cli.live_verbs import ShownSensor
+from palpate.cli.sense.live_verbs import ShownSensor
 from palpate.recordings import Run, export_folder
 from palpate.recordings.exchange.image_files import encode
 from palpate.recordings.segments import scan

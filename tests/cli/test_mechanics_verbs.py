@@ -5,7 +5,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from palpate.cli.mechanics_verbs import app
+from palpate.cli.study.mechanics_verbs import app
 from palpate.mechanics.half_space import sneddon
 
 # The sub-app under a parent, as palpate has it.

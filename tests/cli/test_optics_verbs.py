@@ -7,7 +7,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from palpate.cli.optics_verbs import app
+from palpate.cli.sense.optics_verbs import app
 from palpate.optics import encode_srgb
 
 # The sub-app under a parent, as palpate has it.

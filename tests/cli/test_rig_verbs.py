@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.cli.rig_verbs import wrong_lines
+from palpate.cli.record.rig_verbs import wrong_lines
 from palpate.devices.check.check_result import CheckResult
 from palpate.recordings import Run, check
 from palpate.sensors.tactip.tactip_sensor import TacTip

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.cli.start_verbs import force_of
+from palpate.cli.record.start_verbs import force_of
 from palpate.core.errors import InputError
 from palpate.recordings import Run
 

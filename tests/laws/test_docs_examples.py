@@ -16,7 +16,7 @@ import pytest
 from typer.main import get_command
 
 from palpate.cli import app
-from palpate.cli.compliance_verbs import READ, ReadsByDefault
+from palpate.cli.sense.compliance_verbs import READ, ReadsByDefault
 from palpate.devices.device_plugins import GROUPS
 
 PROGRAM: Any = get_command(app)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-MAX_MODULES = 143
+MAX_MODULES = 144
 PLAN = """
 name = "one place"
 kind = "stepped"

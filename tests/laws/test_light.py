@@ -58,8 +58,15 @@ def test_the_version_is_said_before_numpy_is_loaded(tmp_path: Path) -> None:
 
 def test_one_verb_loads_no_other(tmp_path: Path) -> None:
     loaded = {name for name in loaded_by(tmp_path, "check", "--help") if name.startswith("palpate.cli.")}
-    assert "palpate.cli.recording_verbs" in loaded
-    assert not {"palpate.cli.rig_verbs", "palpate.cli.calibrate_verbs", "palpate.cli.render_verbs"} & loaded
+    assert "palpate.cli.record.recording_verbs" in loaded
+    assert (
+        not {
+            "palpate.cli.record.rig_verbs",
+            "palpate.cli.calibrate.calibrate_verbs",
+            "palpate.cli.study.render_verbs",
+        }
+        & loaded
+    )
 
 
 def groups() -> list[tuple[str, ...]]:

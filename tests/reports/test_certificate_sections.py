@@ -22,7 +22,7 @@ from palpate.calibration.evaluation import valid_score
 from palpate.calibration.sessions import keep_evaluation, read_evaluations
 from palpate.calibration.sessions.evaluation_record import read_evaluation
 from palpate.cli import app
-from palpate.cli.calibrate_verbs import _card_text
+from palpate.cli.calibrate.calibrate_verbs import _card_text
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
 from palpate.estimators.finding_cards import ConfoundFindingCard, OrderCard, SplitScoreCard

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 from tests.rig.lab_files import lab_file
 
-from palpate.cli.rig_hand_verbs import stopped_by_signals
+from palpate.cli.record.rig_hand_verbs import stopped_by_signals
 from palpate.core import NS_PER_S, DeviceError, Frame, InputError, ManualClock, PalpateError, Wrench
 from palpate.devices import Mounting
 from palpate.devices.device_proxies import driver_errors

@@ -251,7 +251,7 @@ def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: fl
 def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_counted(
     monkeypatch, tmp_path: Path, capsys
 ) -> None:
-    from palpate.cli import palm_verbs
+    from palpate.cli.sense import palm_verbs
     from palpate.sensors.palm.copies import palm_copy_fit, palm_copy_store
 
     found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
@@ -310,7 +310,7 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
 def test_a_measured_coefficient_makes_a_copy_s_file_of_the_untouched_picture_s_size(
     tmp_path: Path, capsys
 ) -> None:
-    from palpate.cli import palm_verbs
+    from palpate.cli.sense import palm_verbs
 
     cv2.imwrite(str(tmp_path / "rest.png"), np.zeros((108, 192, 3), np.uint8))
     out = tmp_path / "mine.json"

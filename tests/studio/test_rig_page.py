@@ -31,7 +31,7 @@ pytestmark = [
 RIG = "virtual:palm"
 HALT_MS = 50.0  # from the press on the page until the stage stands, of a press into the skin
 MAX_S = 60.0
-STUDIO = "import typer; from palpate.cli.study_verbs import studio; typer.run(studio)"
+STUDIO = "import typer; from palpate.cli.study.study_verbs import studio; typer.run(studio)"
 
 
 @pytest.fixture(scope="module")

@@ -313,7 +313,7 @@ def _motion(skin: PatternedSkin, interface: int, at: Points, nodes: Points, spac
 def _seen_motion(knots, at, nodes, tilt, cell):
     """Motion of places by loads at nodes ``[load, 2 at, node]``: nine cubic splines that share their weights.
 
-    As nine calls of `scipy.ndimage.map_coordinates` have it, in a tenth of the time; 0 beyond the grid.
+    As nine calls of `map_coordinates` of SciPy have it, in a fifth of the time; 0 beyond the grid.
     """
     count, side = at.shape[0], knots.shape[0]
     seen = np.zeros((3, 2 * count, nodes.shape[0]))

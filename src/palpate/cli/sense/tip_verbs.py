@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.tip_copy_verbs import calibrate, force, weigh
+from palpate.cli.sense.tip_copy_verbs import calibrate, force, weigh
 from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
 app = group("Fit a virtual TacTip to a real one, read by it, and check it.")

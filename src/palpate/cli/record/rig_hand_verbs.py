@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.rig_verbs import rig_app, wrong_lines
+from palpate.cli.record.rig_verbs import rig_app, wrong_lines
 from palpate.cli.verb_support import Json, print_found, stopped_by_signals
 
 RigName = Annotated[str, Argument(help="A rig's TOML file, or virtual:palm.")]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.trial_analysis_verbs import analyse
+from palpate.cli.display.trial_analysis_verbs import analyse
 from palpate.cli.verb_support import Json, group, print_found, say
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.softness_verbs import Finger, Poisson, ball_of_words
+from palpate.cli.display.softness_verbs import Finger, Poisson, ball_of_words
 from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli import rendering_verbs
-from palpate.cli.bench_test_verb import bench_test
+from palpate.cli.display import rendering_verbs
+from palpate.cli.display.bench_test_verb import bench_test
 from palpate.cli.verb_support import Json, group, print_found, progress_bar
 
 if TYPE_CHECKING:

@@ -321,6 +321,6 @@ def _unit(name: str) -> str:
 
 def _open_page(folder: Path, port: int) -> None:
     """Serve the studio, whose first page leads through the steps."""
-    from palpate.cli.study_verbs import serve_studio
+    from palpate.cli.study.study_verbs import serve_studio
 
     serve_studio(port=port, workspace=folder.absolute().parent, page=f"?{urlencode({'folder': folder.name})}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.fringe_verbs import colour_table, fringe_order
+from palpate.cli.sense.fringe_verbs import colour_table, fringe_order
 from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
 from palpate.core import InputError
 
