@@ -296,10 +296,6 @@ def _untouched_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
 def _scores(
     card: Card, run: Run, true: Values, table: pd.DataFrame, spread: Values, valid: Bool[np.ndarray, "n t"]
 ) -> dict[str, Any]:
-    predicted, half, low, high = (
-        table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float)
-        for kind in ("estimate", "half_width", "low", "high")
-    )
     read = _read_rows(card, table)
     if not read.any():
         raise LabelError(f"{run.path}: no frame could be read, every one is of another size than calibrated")
@@ -307,28 +303,17 @@ def _scores(
     groups = counted
     if len(np.unique(groups)) == 1:
         groups, counted_by = press_groups(table[read]), press_column(table) or ROW
-    targets, tenths, of_valid = {}, {}, {}
-    with_instrument: dict[str, float] = {}
-    for j, t in enumerate(card.targets):
-        truth, estimate = true[read, j], predicted[read, j]
-        ends = without_reference(t, estimate, low[read, j], high[read, j])  # labels are what it shows
-        inside = None if t.over_range is None else within(truth, *ends)
-        of_labels = half[read, j] if t.measured_by is None else (ends[1] - ends[0]) / 2
-        error = np.abs(shortest(estimate - truth, t.period))
-        held = error <= of_labels if inside is None else inside
-        of_valid[t.column] = valid_score(error, held, groups, valid[read, j]).model_dump()
-        targets[t.column] = score(
-            t.unit, truth, estimate, of_labels, t.training_mean, groups, inside=inside, period=t.period
-        ).model_dump()
-        if _stated_by_others(card, t, run) is not None:
-            error = shortest(truth - estimate, t.period)
-            own = within(error, low[read, j] - estimate, high[read, j] - estimate)
-            with_instrument[t.column] = float(own.mean())
-        if inside is not None:
-            parts = range_scores(
-                truth, estimate - truth, inside, groups, (t.least, t.greatest), card.coverage
-            )
-            tenths[t.column] = [part.model_dump() for part in parts]
+    scored = {
+        t.column: _target_scores(card, t, true[read, j], table[read], valid[read, j], groups)
+        for j, t in enumerate(card.targets)
+    }
+    targets, tenths = ({column: one[part] for column, one in scored.items()} for part in ("score", "tenths"))
+    tenths = {column: parts for column, parts in tenths.items() if parts is not None}
+    with_instrument = {
+        t.column: scored[t.column]["with_instrument"]
+        for t in card.targets
+        if _stated_by_others(card, t, run) is not None
+    }
     classes = {
         one.column: score_of_run(one, table[read], groups, card.coverage, str(run.path))
         for one in card.classes or ()
@@ -339,9 +324,10 @@ def _scores(
         for sentence in class_findings(one, classes[one.column], card.coverage)
     ]
     findings_of = _findings(card, targets, tenths)
+    estimates = _told(card, table[read], "estimate")
     return {
         "targets": targets,
-        "valid_readings": of_valid,
+        "valid_readings": {column: one["valid"] for column, one in scored.items()},
         "tenths": tenths,
         "classes": {column: found.model_dump() for column, found in classes.items()},
         "findings": [*(one for of_target in findings_of.values() for one in of_target), *about_classes],
@@ -353,26 +339,67 @@ def _scores(
             if t.column in with_instrument
         },
         "vectors": {
-            v.column: joint_score(v, card.columns, predicted[read] - true[read], spread[read], groups)
+            v.column: joint_score(v, card.columns, estimates - true[read], spread[read], groups)
             for v in card.vectors or ()
         },
+        **_counts(card, run, table, read),
+        "groups": len(np.unique(counted)),
+        "counted_groups": len(np.unique(groups)),
+        "counted_by": counted_by,
+    }
+
+
+def _target_scores(
+    card: Card, t: TargetCard, truth: Values, table: pd.DataFrame, valid: Bool[np.ndarray, " n"], groups: Any
+) -> dict[str, Any]:
+    """One target over the frames read: its score, that of valid readings, tenths of its range if it has
+    one, and the share held with the run's instrument in the interval.
+    """
+    estimate, half, low, high = (
+        table[f"{kind}:{t.column}"].to_numpy(float) for kind in ("estimate", "half_width", "low", "high")
+    )
+    ends = without_reference(t, estimate, low, high)  # labels are what it shows
+    inside = None if t.over_range is None else within(truth, *ends)
+    of_labels = half if t.measured_by is None else (ends[1] - ends[0]) / 2
+    error = shortest(estimate - truth, t.period)
+    held = np.abs(error) <= of_labels if inside is None else inside
+    whole = score(t.unit, truth, estimate, of_labels, t.training_mean, groups, inside=inside, period=t.period)
+    tenths = None
+    if inside is not None:
+        reach = (t.least, t.greatest)
+        parts = range_scores(truth, estimate - truth, inside, groups, reach, card.coverage)
+        tenths = [part.model_dump() for part in parts]
+    off = shortest(truth - estimate, t.period)
+    return {
+        "score": whole.model_dump(),
+        "valid": valid_score(np.abs(error), held, groups, valid).model_dump(),
+        "tenths": tenths,
+        "with_instrument": float(within(off, low - estimate, high - estimate).mean()),
+    }
+
+
+def _counts(card: Card, run: Run, table: pd.DataFrame, read: Bool[np.ndarray, " n"]) -> dict[str, Any]:
+    """What was scored: the run, its frames, sessions and groups' columns."""
+    low, high = (_told(card, table[read], kind) for kind in ("low", "high"))
+    return {
         "calibration": card.id,
         "run": {"run_id": run.manifest.run_id, "hash": run.hash, "frames": len(run)},
         "frames_scored": len(table),
         "frames_read": int(read.sum()),
         "frames_untold": {
-            t.column: int(sum(untold(t, *ends) for ends in zip(low[read, j], high[read, j], strict=True)))
+            t.column: int(sum(untold(t, *ends) for ends in zip(low[:, j], high[:, j], strict=True)))
             for j, t in enumerate(card.targets)
         },
         "frames_valid": int(own_column(table, "valid").sum()),
         "frames_all_valid": int(own_column(table, "all_valid").sum()),
-        "groups": len(np.unique(counted)),
         "group_columns": list(card.split.columns),
-        "counted_groups": len(np.unique(groups)),
-        "counted_by": counted_by,
         "learnt_from_this_run": learnt_from(card, run),
         "session": sorted(set(sessions_of(run).tolist())),
     }
+
+
+def _told(card: Card, table: pd.DataFrame, kind: str) -> Values:
+    return np.asarray(table[[f"{kind}:{column}" for column in card.columns]].to_numpy(float))
 
 
 def _findings(

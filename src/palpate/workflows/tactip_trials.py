@@ -200,22 +200,10 @@ def record_press(
         RangeError: the specimen's table ends before the greatest force, the rig does not come to it, or
             `late_s` or `hold_s` is out of range.
     """
-    if not math.isfinite(late_s):
-        raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
-    if not 0 <= hold_s <= MAX_HOLD_S:
-        raise RangeError(f"a hold of {hold_s:g} s; 0 to {MAX_HOLD_S:g} s are allowed")
-    if (back or hold_s) and rig is not None:
-        raise InputError(
-            f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"
-        )
     sensor = spec if isinstance(spec, TacTip) else TacTip(spec)
-    spec, rate_hz = sensor.spec, sensor.spec.force.rate_hz
     viscous = sensor.viscous(sensor.probe(words), sensor.specimen(words))
-    if viscous is not None and (back or rig is not None):
-        raise InputError(
-            "a viscous specimen is pressed on the way down, and held, by an ideal rig; the way back and the "
-            "linear rig are of elastic ones"
-        )
+    _check_press(rig, late_s, hold_s, back=back, viscous=viscous is not None)
+    spec, rate_hz = sensor.spec, sensor.spec.force.rate_hz
     world = _world(sensor, rig, seed)
     world.mount(words)
     stage, force = VirtualStage(world), VirtualForce(world, _range_n(rig))
@@ -273,6 +261,23 @@ def record_press(
         asked_m - asked_m[0],
         np.maximum(shown[inside], 0) if late_s else None,
     )
+
+
+def _check_press(rig: LinearRig | None, late_s: float, hold_s: float, *, back: bool, viscous: bool) -> None:
+    """Refuse what neither rig nor specimen has been made for; see `record_press`."""
+    if not math.isfinite(late_s):
+        raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
+    if not 0 <= hold_s <= MAX_HOLD_S:
+        raise RangeError(f"a hold of {hold_s:g} s; 0 to {MAX_HOLD_S:g} s are allowed")
+    if (back or hold_s) and rig is not None:
+        raise InputError(
+            f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"
+        )
+    if viscous and (back or rig is not None):
+        raise InputError(
+            "a viscous specimen is pressed on the way down, and held, by an ideal rig; the way back and the "
+            "linear rig are of elastic ones"
+        )
 
 
 def _depth_m(tip: TipOnSpecimen, force_n: float) -> float:
