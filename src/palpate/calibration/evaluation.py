@@ -350,7 +350,12 @@ def _scores(
 
 
 def _target_scores(
-    card: Card, t: TargetCard, truth: Values, table: pd.DataFrame, valid: Bool[np.ndarray, " n"], groups: Any
+    card: Card,
+    t: TargetCard,
+    truth: Shaped[np.ndarray, " n"],
+    table: pd.DataFrame,
+    valid: Bool[np.ndarray, " n"],
+    groups: Shaped[np.ndarray, " n"],
 ) -> dict[str, Any]:
     """One target over the frames read: its score, that of valid readings, tenths of its range if it has
     one, and the share held with the run's instrument in the interval.
