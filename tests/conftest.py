@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import inspect
 import os
+import pickle
 import shutil
 import typing
 from pathlib import Path
@@ -118,6 +119,29 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def rng() -> np.random.Generator:
     """The same random numbers at every run."""
     return np.random.default_rng(20240607)
+
+
+@pytest.fixture(scope="session")
+def drawn_panels() -> dict[bytes, object]:
+    """Panels of certificates by what they show; see `figures_drawn_once`."""
+    return {}
+
+
+@pytest.fixture
+def figures_drawn_once(drawn_panels, monkeypatch) -> None:
+    """Each panel of a certificate is drawn once for all tests that use this: pages of one calibration differ
+    in few of their figures, and matplotlib takes nearly all of a page's time. Not for tests of figures."""
+    from palpate.reports import calibration_figures
+
+    draw_panel = calibration_figures._panel
+
+    def panel(*asked):
+        key = pickle.dumps(asked)
+        if key not in drawn_panels:
+            drawn_panels[key] = draw_panel(*asked)
+        return drawn_panels[key]
+
+    monkeypatch.setattr(calibration_figures, "_panel", panel)
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import importlib
 import re
 import types
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,9 +23,9 @@ EXTREMES = "MOST|LEAST|GREATEST|LARGEST|LONGEST|SHORTEST|HIGHEST|LOWEST|SMALLEST
 BOUND = re.compile(rf"(?!_?(?:MAX|MIN)_)_?(?:[A-Z0-9]+_)*(?:{EXTREMES})(?:_[A-Z0-9_]+)?")
 
 
-def trees() -> Iterator[tuple[str, ast.Module]]:
-    for path in PATHS:
-        yield str(path.relative_to(SOURCE)), ast.parse(path.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
+    return {str(path.relative_to(SOURCE)): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
 
 
 def nounless(tree: ast.Module) -> list[str]:
@@ -54,17 +53,17 @@ def shared(places: dict[str, list[str]]) -> dict[str, list[str]]:
     return {name: where for name, where in places.items() if len(where) > 1}
 
 
-def test_a_docstring_begins_with_its_noun_or_its_verb() -> None:
-    assert not {path: found for path, tree in trees() if (found := nounless(tree))}
+def test_a_docstring_begins_with_its_noun_or_its_verb(trees) -> None:
+    assert not {path: found for path, tree in trees.items() if (found := nounless(tree))}
 
 
-def test_a_bound_is_a_maximum_or_a_minimum() -> None:
-    assert not {path: found for path, tree in trees() if (found := bounds(tree))}
+def test_a_bound_is_a_maximum_or_a_minimum(trees) -> None:
+    assert not {path: found for path, tree in trees.items() if (found := bounds(tree))}
 
 
-def test_no_two_classes_share_a_name() -> None:
+def test_no_two_classes_share_a_name(trees) -> None:
     places: dict[str, list[str]] = defaultdict(list)
-    for path, tree in trees():
+    for path, tree in trees.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(f"{path}:{node.lineno}")

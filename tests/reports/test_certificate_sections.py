@@ -45,6 +45,8 @@ from palpate.reports.sections import (
 )
 from palpate.reports.terminal_text import confounds_text
 
+pytestmark = pytest.mark.usefixtures("figures_drawn_once")
+
 TEMPLATES = Path(calibration_figures.__file__).parent / "templates"
 
 
