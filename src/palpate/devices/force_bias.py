@@ -44,11 +44,8 @@ class Mounting:
 
     def to_skin(self, vector: Sequence[float]) -> Force:
         """A device's vector in the skin's axes."""
-        x, y, z = (
-            (-1.0 if axis.startswith("-") else 1.0) * vector["xyz".index(axis.lstrip("+-"))]
-            for axis in self.axes
-        )
-        return x, y, z
+        x, y, z = self.axes
+        return _along(x, vector), _along(y, vector), _along(z, vector)
 
 
 @dataclass(slots=True)
@@ -98,3 +95,8 @@ class ForceBias:
         """Torque of a sample, in the skin's axes, without the bias [Nm]."""
         x, y, z = self.mounting.to_skin(sample.torque_nm)
         return x - self.torque_nm[0], y - self.torque_nm[1], z - self.torque_nm[2]
+
+
+def _along(axis: str, vector: Sequence[float]) -> float:
+    value = vector["xyz".index(axis[-1])]
+    return -value if axis[0] == "-" else value

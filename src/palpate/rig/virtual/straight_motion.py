@@ -54,28 +54,31 @@ class Motion:
 
     def at(self, time_s: Times) -> Places:
         """Places at times [m]."""
-        start, target = np.array(self.start_m), np.array(self.target_m)
-        if self.length_m == 0:
-            return np.broadcast_to(start, (len(time_s), 3))
-        share = self._gone(np.asarray(time_s, dtype=float)) / self.length_m
-        return np.asarray(start + share[:, None] * (target - start))
+        return np.array([self.place_m(one) for one in time_s.tolist()]).reshape(-1, 3)
 
-    def _gone(self, time_s: Times) -> Times:
-        braked = np.clip(time_s - self.stopped_s, 0, None) if self.stopped_s < math.inf else 0.0 * time_s
-        gone = self._unstopped(np.minimum(time_s, self.stopped_s))
-        if not braked.any():
+    def place_m(self, time_s: float) -> Position:
+        """Place at a time [m]: in plain numbers, since a stage is asked for it at every look of its guard."""
+        if self.length_m == 0:
+            return self.start_m
+        share = self._gone(time_s) / self.length_m
+        x, y, z = (a + share * (b - a) for a, b in zip(self.start_m, self.target_m, strict=True))
+        return x, y, z
+
+    def _gone(self, time_s: float) -> float:
+        gone = self._unstopped(min(time_s, self.stopped_s))
+        if time_s <= self.stopped_s:
             return gone
         v, a = self._speed(self.stopped_s), self.acceleration_m_s2
-        braked = np.minimum(braked, v / a)
-        return np.asarray(np.minimum(gone + v * braked - a * braked**2 / 2, self.length_m))
+        braked = min(time_s - self.stopped_s, v / a)
+        return min(gone + v * braked - a * braked**2 / 2, self.length_m)
 
-    def _unstopped(self, time_s: Times) -> Times:
-        v, a, length = self.top_m_s, self.acceleration_m_s2, self.length_m
-        whole = length / v + v / a
-        t = np.clip(time_s - self.begun_s, 0, whole)
-        up, down = np.minimum(t, v / a), np.clip(t - (whole - v / a), 0, None)
-        steady = np.clip(t - v / a, 0, whole - 2 * v / a)
-        return np.asarray(a * up**2 / 2 + v * steady + v * down - a * down**2 / 2)
+    def _unstopped(self, time_s: float) -> float:
+        v, a = self.top_m_s, self.acceleration_m_s2
+        whole = self.length_m / v + v / a
+        t = min(max(time_s - self.begun_s, 0.0), whole)
+        up, down = min(t, v / a), max(t - (whole - v / a), 0.0)
+        steady = min(max(t - v / a, 0.0), whole - 2 * v / a)
+        return a * up**2 / 2 + v * steady + v * down - a * down**2 / 2
 
     def _speed(self, time_s: float) -> float:
         v, a = self.top_m_s, self.acceleration_m_s2

@@ -259,17 +259,18 @@ class World:
 
     def stand_at(self) -> Position:
         """Place that the stage reports now [m]."""
-        x, y, z = self.motion.at(np.array([self.now_s]))[0].tolist()
-        return x, y, z
+        return self.motion.place_m(self.now_s)
 
     def advance(self) -> None:
         """Bring everything up to the clock's time."""
         with self.lock:
             until = math.floor(self.now_s * self.rate_hz)
+            if until <= self._count:  # as at most looks of a guard, which come more often than samples
+                return
             times = np.arange(self._count + 1, until + 1) * self._step_s
-            self._count = max(self._count, until)
+            self._count = until
             fresh: list[Touch] = []
-            for part in np.array_split(times, math.ceil(len(times) / 4096)) if len(times) else []:
+            for part in np.array_split(times, math.ceil(len(times) / 4096)):
                 fresh += self._felt(part)
             self.touches.extend(fresh)
             self._fresh.extend(fresh)
