@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import gc
 import inspect
 import os
 import pickle
@@ -138,6 +139,14 @@ jaxtyping.install_import_hook("palpate", None)
 # No deadline: how long one example takes says more about the machine's other work than about palpate.
 hypothesis.settings.register_profile("palpate", deadline=None)
 hypothesis.settings.load_profile("palpate")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of every search for garbage: it is most of what there is, and stays."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -1,6 +1,7 @@
 """Every verb, as typed: what it prints, what it makes, and how it refuses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -34,10 +35,21 @@ def palpate(*words: object, status: int = 0):
     return result
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Where images, their run and its calibration are made once; a test has copies."""
+    return tmp_path_factory.mktemp("made")
+
+
 @pytest.fixture
-def taps(tmp_path) -> Path:
+def taps(made_taps, tmp_path) -> Path:
+    return Path(shutil.copytree(made_taps, tmp_path / "taps"))
+
+
+@pytest.fixture(scope="module")
+def made_taps(made) -> Path:
     """A folder of labelled images: a spot whose place is the label."""
-    folder, rng = tmp_path / "taps", np.random.default_rng(0)
+    folder, rng = made / "taps", np.random.default_rng(0)
     (folder / "images").mkdir(parents=True)
     rows, columns = np.mgrid[0:40, 0:40]
     table = []
@@ -75,18 +87,27 @@ def test_circular_targets_and_vectors_are_asked_for_in_one_line(run, tmp_path) -
 
 
 @pytest.fixture
-def run(taps, tmp_path) -> Path:
-    palpate(
-        "import", "images", taps, tmp_path / "run", "--labels", "labels.csv", "--image-column", "image_file"
-    )
-    return tmp_path / "run"
+def run(made_run, taps, tmp_path) -> Path:
+    return Path(shutil.copytree(made_run, tmp_path / "run"))
+
+
+@pytest.fixture(scope="module")
+def made_run(made_taps, made) -> Path:
+    labels = ("--labels", "labels.csv", "--image-column", "image_file")
+    palpate("import", "images", made_taps, made / "run", *labels)
+    return made / "run"
 
 
 @pytest.fixture
-def calibration(run, tmp_path) -> Path:
+def calibration(made_calibration, run, tmp_path) -> Path:
+    return Path(shutil.copytree(made_calibration, tmp_path / "cal"))
+
+
+@pytest.fixture(scope="module")
+def made_calibration(made_run, made) -> Path:
     palpate(
         "calibrate",
-        run,
+        made_run,
         "--targets",
         "x_mm",
         "--split",
@@ -94,9 +115,9 @@ def calibration(run, tmp_path) -> Path:
         "--size",
         "24x24",
         "--out",
-        tmp_path / "cal",
+        made / "cal",
     )
-    return tmp_path / "cal"
+    return made / "cal"
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=" ".join)

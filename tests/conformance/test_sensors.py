@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from tests.slow_params import mostly_slow
 
 from palpate.check import LAWS, SAME_SCALE, check_sensor, moves_along_its_axes, moves_as_far_as_its_axes_say
 from palpate.core.contact import Contact, Pose
@@ -150,7 +151,10 @@ SMALL_ONES = [sensor(SMALL.get(name, name)) for name in SENSORS.names()]
 
 
 @pytest.mark.parametrize("sound", SMALL_ONES, ids=lambda sound: sound.name)
-@pytest.mark.parametrize(("across", "down"), [(1 / 3, 1.0), (1.0, 1 / 5), (3.0, 1.0), (1.0, 5.0)])
+@pytest.mark.parametrize(
+    ("across", "down"),
+    mostly_slow([(1 / 3, 1.0), (1.0, 1 / 5), (3.0, 1.0), (1.0, 5.0)], lambda i: i % 3 == 0),
+)
 def test_axes_of_another_scale_are_found_out(sound: Sensor, across: float, down: float) -> None:
     (finding,) = moves_as_far_as_its_axes_say(
         cast(Sensor, Broken(sound, axes=scaled(sound.axes, across, down)))

@@ -54,7 +54,8 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     tmp_path: Path, fault: str, reason: Reason, after_s: float
 ) -> None:
     out = tmp_path / "run"
-    small = plan(frames=7, cycles=1, depth_mm=0.8)  # so that a frozen camera is noticed within a shot
+    # Seven frames, so that a frozen camera is noticed within a shot; one place, which each fault comes at.
+    small = plan(frames=7, cycles=1, depth_mm=0.8, places=Listed(kind="listed", at_mm=((0.0, 0.0),)))
     faulty = rig(Fault(fault, after_s))  # type: ignore[arg-type]
     outcome = record(faulty, small, out)
     if fault == "force-scaled" and after_s < TARED_S:

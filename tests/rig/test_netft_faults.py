@@ -192,10 +192,14 @@ def test_a_device_whose_records_too_begin_anew_ends_the_stream(box: FakeNetFT) -
 def test_one_record_with_a_wrong_measurement_number_is_a_fault_and_no_restart(box: FakeNetFT) -> None:
     with NetFT(box.host, patient(box)) as sensor:
         more(sensor)
+        box.silent = True  # while its next records are laid out, or it would send past them meanwhile
+        heard = box.sent
+        until(lambda: sensor.counts.received >= heard)
         wrong = struct.pack(">III6i", box.rdt_sequence + 50, 0, 0, 7, 7, 7, 7, 7, 7)
         sensor.drain()
         box.send_instead(wrong)
         box.rdt_sequence += 100
+        box.silent = False
         until(lambda: sensor.counts.faulty >= 1)
         is_fit(sensor)
         assert [w.fault for w in sensor.drain() if w.fault] == ["the measurement counter jumped"]
