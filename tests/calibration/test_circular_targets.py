@@ -24,6 +24,8 @@ from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.reports import scores_table, verdict
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 def record_edges(path, count: int, *, seed: int = 0, turn: float = 360.0, shift: float = 0.0) -> Run:
     """Record a bright lobe at an angle around the centre; negative labels of odd rows are a turn more.

@@ -23,6 +23,8 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.class_sets import class_readings, members_of
 from palpate.recordings import Manifest, Run, RunWriter
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 COMMON = {"coverage": 0.9, "drift": None, "calibration": "c", "frame": "f", "time_s": 0.0}
 SHARES = (0.72, 0.2, 0.08)
 

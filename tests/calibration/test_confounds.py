@@ -58,6 +58,8 @@ from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.label_tables import label_kinds
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 def thirds(n: int) -> list[np.ndarray]:
     return [np.arange(n)[k::3] for k in range(3)]

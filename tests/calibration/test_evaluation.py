@@ -19,6 +19,8 @@ from palpate.estimators.model_card import Card, ScoreCard, SplitCard
 from palpate.recordings import split
 from palpate.reports import scores_table
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 def test_each_number_of_a_score_is_that_of_its_name() -> None:
     rng = np.random.default_rng(0)

@@ -17,6 +17,8 @@ from palpate.recordings import Split, pack, split
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.table_files import read_table
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 TWO = ("x_mm", "height_mm")
 PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
 

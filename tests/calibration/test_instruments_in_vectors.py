@@ -18,6 +18,8 @@ from palpate.estimators.model_card import InstrumentCard
 from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.recordings.reference_instruments import ReferenceInstrument
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 MODEL = 0.3  # standard deviation of the model's errors [N]
 
 

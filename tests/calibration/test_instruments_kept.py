@@ -21,6 +21,8 @@ from palpate.recordings.joined_runs import joined
 from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.reports.terminal_text import instrument_lines
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 FORMER = {"x_mm": ReferenceInstrument(instrument="stage A", standard_uncertainty=0.2)}
 OTHER = {"x_mm": ReferenceInstrument(instrument="laser B", standard_uncertainty=0.5)}
 FINE = {"x_mm": ReferenceInstrument(instrument="fine C", standard_uncertainty=0.01)}

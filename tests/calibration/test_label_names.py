@@ -15,6 +15,8 @@ from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import read_table
 from palpate.reports import write_report
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 NAMES = (
     "row",
     "frame",

@@ -17,6 +17,8 @@ from palpate.core import ManualClock
 from palpate.estimators import read_card
 from palpate.recordings import Manifest, Run, RunWriter, Split, split
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 N = 200
 
 

@@ -15,6 +15,8 @@ from palpate.calibration.sessions.session_labels import (
 from palpate.core import SplitError
 from palpate.estimators import Estimator, read_card
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "session", size_px=(24, 32))
 
 

@@ -44,6 +44,8 @@ from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
 from palpate.reports.sections import ReportedCalibration
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32))
 ROWS = 30
 

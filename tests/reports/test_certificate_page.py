@@ -17,6 +17,8 @@ from palpate.reports import scores_table, verdict, write_report
 from palpate.reports.sections import MIN_TOLD, outer_ranges
 from palpate.reports.terminal_text import latency_line
 
+pytestmark = pytest.mark.usefixtures("figures_drawn_once")
+
 
 @pytest.fixture
 def calibration(calibrate_spots, tmp_path):

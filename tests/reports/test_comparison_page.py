@@ -26,6 +26,8 @@ from palpate.reports.comparison_page import (
     write_comparison,
 )
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 @pytest.fixture
 def calibrated(calibrate_spots, tmp_path):

@@ -217,20 +217,21 @@ NEAR = (20.0, 0.3, 3.0)
 """ms, N and kPa by which another processor's arithmetic may differ from the page."""
 
 
-def test_the_page_says_what_was_measured() -> None:
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)])
+def test_the_page_says_what_was_measured(every: int) -> None:
     written = [one for one in PAGE.read_text(encoding="utf-8").splitlines() if one.startswith("| ")][1:]
-    assert len(written) == len(FAULTS)
-    for told, measured in zip(written, rows(), strict=True):
+    assert [one.strip("|").split("|")[0].strip() for one in written] == list(FAULTS)
+    for told, measured in zip(written[::every], rows(every), strict=True):
         cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in (told, measured)]
         assert cells[0][:2] == cells[1][:2]
         for one, other, near in zip(cells[0][2:], cells[1][2:], NEAR, strict=True):
             assert float(one or 0) == pytest.approx(float(other or 0), abs=near)
 
 
-def rows() -> list[str]:
-    """Rows of the page's table."""
+def rows(every: int = 1) -> list[str]:
+    """Rows of the page's table, or one in so many."""
     lines = []
-    for name in FAULTS:
+    for name in list(FAULTS)[::every]:
         cells = [outcome_of(name, state) for state in STATES]
         named = sorted({one.reason.value for one in cells if one.reason is not None})
         after = [one.named_s for one in cells if one.reason is not None]

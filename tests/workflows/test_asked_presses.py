@@ -12,6 +12,8 @@ from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection.press_collector import presses_in
 from palpate.workflows.start_session import StartSession, left_out_text
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> StartSession:
