@@ -5,14 +5,18 @@ from __future__ import annotations
 import errno
 import os
 import struct
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from palpate.core.errors import DeviceError
 from palpate.devices.rpc import path_of
 from palpate.rig.real import camera_listing
 from palpate.rig.real.camera_listing import VideoSystem, list_cameras
 from palpate.rig.real.device_hold import camera_named, hold_device
+from palpate.rig.real.uvc_camera import refuse_absent
 
 MJPG = int.from_bytes(b"MJPG", "little")
 YUYV = int.from_bytes(b"YUYV", "little")
@@ -103,6 +107,17 @@ def test_the_requests_are_those_of_the_kernel_s_header() -> None:
         "0xc02c564a",
         "0xc034564b",
     ]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone has files of cameras")
+def test_a_camera_that_is_not_there_is_refused_with_those_that_are(system, tmp_path) -> None:
+    with pytest.raises(DeviceError, match=r"camera 7: there is no .*video7; there are .*video0 \(Tip camera"):
+        refuse_absent(7, system)
+    refuse_absent(2, system)
+    refuse_absent(str(system.devices / "video10"), system)
+    bare = replace(system, classes=tmp_path / "none")
+    with pytest.raises(DeviceError, match="no camera is to be seen: check that it is plugged in"):
+        refuse_absent(str(tmp_path / "video2"), bare)
 
 
 def test_a_device_that_gives_no_frames_is_no_camera(system) -> None:

@@ -30,6 +30,7 @@ from palpate.core import (
     UInt8,
     ndarray,
 )
+from palpate.rig.real.camera_listing import VideoSystem, list_cameras
 from palpate.rig.real.device_hold import DeviceHold, camera_named, hold_device
 
 BY_ID = Path("/dev/v4l/by-id")
@@ -179,6 +180,24 @@ class VideoSource(Protocol):
     def release(self) -> None: ...
 
 
+def refuse_absent(where: str | int, system: VideoSystem | None = None) -> None:
+    """Refuse a device whose file is not there, and say which cameras are; Linux alone has such files.
+
+    Raises:
+        DeviceError: it is not there.
+    """
+    at = system or VideoSystem()
+    path = at.devices / f"video{where}" if isinstance(where, int) else Path(where)
+    if sys.platform != "linux" or path.exists():
+        return
+    cameras = list_cameras(at)
+    there = ", ".join(f"{one.path} ({one.name}, serial number {one.serial or 'none'})" for one in cameras)
+    raise DeviceError(
+        f"the camera {where}: there is no {path}; "
+        + (f"there are {there}" if there else "no camera is to be seen: check that it is plugged in")
+    )
+
+
 def open_video_source(where: str | int) -> VideoSource:
     """The camera there, by Video4Linux where there is one."""
     return cv2.VideoCapture(where, cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY)
@@ -270,6 +289,8 @@ class UvcCamera(Closing):
         self._in_turn = cycle(self._targets)
         where = device(address)
         real = opener is open_video_source
+        if real:
+            refuse_absent(where)
         self._held = hold_device(camera_named(where)) if real else DeviceHold(None)
         self._source = opener(where)
         try:
