@@ -499,7 +499,10 @@ class StartSession:
         if not path.is_file():
             return StartState()
         try:
-            return checked_state(StartState(**json.loads(path.read_bytes())))
+            kept = json.loads(path.read_bytes())
+            if not isinstance(kept, dict):
+                raise TypeError("it holds no names with values")
+            return checked_state(StartState(**kept))
         except (ValueError, TypeError, RecursionError, InputError) as e:
             raise RecordingError(
                 f"{path} is no session's file ({e}); move it away, and the runs beside it stay"
@@ -534,9 +537,23 @@ def checked_state(state: StartState) -> StartState:
     if not all(isinstance(one, str) for one in found):
         raise ValueError(f"trained is {state.trained}")
     plain_name(found[0] or CALIBRATION, "a calibration")
+    _check_found(state.settings, state.collected)
     if not isinstance(state.trained.get("curve") or {}, dict):
         raise TypeError(f"curve is {state.trained['curve']!r}")
     return state
+
+
+def _check_found(settings: dict[str, Any], collected: dict[str, Any]) -> None:
+    """Refuse what the steps cannot have found, as a file that was edited by hand may say."""
+    presses, size = collected.get("presses", 0), settings.get("size_px", [0, 0])
+    if type(presses) is not int or presses < 0 or not isinstance(collected.get("map", {}), dict):
+        raise ValueError(f"collected is {collected}")
+    told = isinstance(size, list) and [type(one) for one in size] == [int, int]
+    rate, health = settings.get("rate_hz", 0.0), settings.get("health", {})
+    if not (told and type(rate) in (int, float) and isinstance(health, dict)):
+        raise ValueError(f"settings is {settings}")
+    if settings and not {"size_px", "rate_hz"} <= set(settings):
+        raise ValueError(f"settings is {settings}")
 
 
 def left_out_text(frames: int) -> str:
