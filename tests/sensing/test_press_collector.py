@@ -186,3 +186,42 @@ def test_what_the_scale_says_is_wrong_is_advice_also_without_a_press(run: Path) 
         assert said in collector.advice
         collector.on_force([Wrench((2 + k) * 10**9, (0.0, 0.0, 0.0)) for k in range(101)])
         assert said not in collector.advice
+
+
+def weighed(folder: Path) -> PressCollector:
+    """A collector beside a scale of ten samples a second, from time 0 on."""
+    return PressCollector(folder / "run", "tactip", Weighing(10.0), clock=ManualClock())
+
+
+def fed(collector: PressCollector, forces: list[float], begins_s: float, fault: str = "") -> None:
+    """Ten samples a second, each beside a frame of noise."""
+    for k, force_n in enumerate(forces):
+        at_ns = round((begins_s + 0.1 * k) * 1e9)
+        collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
+        collector.on_force([Wrench(at_ns, (0.0, 0.0, force_n), fault=fault)])
+
+
+def test_a_scale_that_says_what_is_wrong_in_the_middle_of_a_press_is_not_called_silent(tmp_path: Path) -> None:
+    with weighed(tmp_path) as collector:
+        fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
+        assert "said" not in collector.advice
+        fed(collector, [float("nan")] * 40, 4.5, "force beyond the range")
+        assert "said: force beyond the range" in collector.advice
+
+
+def test_a_scale_that_falls_silent_in_the_middle_of_a_press_is_called_so(tmp_path: Path) -> None:
+    with weighed(tmp_path) as collector:
+        fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
+        for k in range(40):
+            at_ns = round((4.5 + 0.1 * k) * 1e9)
+            collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
+        assert "has said nothing for 4.0 s; check its cable" in collector.advice
+
+
+def test_a_drift_within_the_first_half_minute_has_no_rate_yet(tmp_path: Path) -> None:
+    with weighed(tmp_path) as collector:
+        for k in range(3):
+            fed(collector, [0.022 * k] * 30 + [2.0 + 0.022 * k] * 20, 1.0 + 5.0 * k)
+        fed(collector, [0.066] * 30, 16.0)
+        assert len(collector.presses) == 3
+        assert "N since the start; it is taken off" in collector.advice

@@ -227,24 +227,27 @@ class PressCollector:
                 if self._image.touched and self._typed_n is None:
                     return "state the weight that lies on the sensor"
                 return ""
-            if finder.fault and not finder.touched:
-                return f"{finder.scale.name} said: {finder.fault}; no press counts until that is mended"
             newest = self._frames[-1][0] if self._frames else None
+            known = newest is not None and finder.newest_ns is not None
+            behind_s = (newest - finder.newest_ns) / NS_PER_S if known else 0.0
+            silent = behind_s > BEHIND_S + finder.scale.delay_s
+            if finder.fault and (silent or not finder.touched):
+                return f"{finder.scale.name} said: {finder.fault}; no press counts until that is mended"
             if finder.newest_ns is None or finder.zero_n is None:
                 return f"waiting for {finder.scale.name}; leave the sensor untouched"
-            behind_s = 0.0 if newest is None else (newest - finder.newest_ns) / NS_PER_S
-            if behind_s > BEHIND_S + finder.scale.delay_s:
+            if silent:
                 return f"{finder.scale.name} has said nothing for {behind_s:.1f} s; check its cable"
             if finder.touched_s > LONG_S:
                 return (
                     f"{finder.scale.name} has felt a touch for {finder.touched_s:.0f} s; take it off. Where "
-                    "nothing lies there, its zero has moved: take the zero anew"
+                    "nothing lies there, its zero has moved: stop, and begin again, which takes it anew"
                 )
             most = max((one.force_n for one in self.presses), default=0.0)
             if most and abs(finder.drift_n) > DRIFT_SHARE * most:
+                rate = f" ({finder.drift_n_min:+.2g} N a minute)" if finder.drift_n_min else ""
                 return (
-                    f"the zero of {finder.scale.name} has moved by {finder.drift_n:+.3g} N since the start "
-                    f"({finder.drift_n_min:+.2g} N a minute); it is taken off, but let the scale warm up"
+                    f"the zero of {finder.scale.name} has moved by {finder.drift_n:+.3g} N since the "
+                    f"start{rate}; it is taken off, but let the scale warm up"
                 )
             return ""
 
