@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -449,6 +450,17 @@ def test_a_calibration_for_another_size_gives_no_value_and_says_so(spots) -> Non
         assert loop.wait(5.0)
         assert not loop.latest.readings["x_mm"].valid
         assert loop.advice == "the image is 6x4 px, the calibration is for 64x48 px"
+
+
+def test_a_frame_unlike_those_calibrated_on_is_no_advice_about_the_sensor(spots) -> None:
+    calibration, _ = spots
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
+    source = HandedFrames(waits=True)
+    source.give(replace(numbered(0), frame=Frame(noise, 0.0, name="0")), None)
+    with ran(source, open_reader(calibration)) as loop:
+        assert loop.wait(5.0)
+        assert loop.latest.readings["x_mm"].why.startswith("the image is unlike those calibrated on")
+        assert loop.advice == ""
 
 
 def test_a_differential_calibration_says_that_it_needs_a_zero(

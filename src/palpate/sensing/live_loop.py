@@ -6,6 +6,7 @@ Frames of a camera that were not taken in time are replaced and counted, never q
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 import traceback
@@ -33,6 +34,9 @@ ZERO_FRAMES = 15  # half a second at 30 frames a second, in which a lamp's flick
 TOLD_S = 0.2  # age of the rate and latencies that a reading carries
 BIAS_S = 0.5  # of the force sensor's last samples, whose median is its bias
 MAX_FAULTS = 20
+_OF_ALL_FRAMES = re.compile(r"the image is \d+x\d+ px|this calibration reads")
+"""Reasons that hold for every frame alike, of another size or without an untouched image; one frame's own, as
+that it is unlike those calibrated on, stands beside its value alone."""
 
 
 class LiveState(StrEnum):
@@ -294,7 +298,7 @@ class LiveLoop(Closing):
         if reader is not None and latest is not None and latest.readings is not None and not latest.why:
             reasons = {one.why for one in latest.readings.values()}
             first = next(iter(reasons), "")
-            if len(reasons) == 1 and first.startswith(("the image is ", "this calibration reads")):
+            if len(reasons) == 1 and _OF_ALL_FRAMES.match(first):
                 return first  # of another size, or without an untouched image
         return ""
 
