@@ -1,12 +1,33 @@
-"""Motion, measurement and recording: plans, guards, drivers of real devices and their virtual twin."""
+"""Motion, measurement and recording: plans, guards, drivers of real devices and their virtual twin.
 
-from palpate.core import FrameSource
-from palpate.devices import Limits, Mounting, OperatorCommand, OperatorControl, Reason, Tripped
-from palpate.rig.engine import record
-from palpate.rig.plans import PLANS, plan_of, plan_of_sensor, size_of
-from palpate.rig.rig import Rig
-from palpate.rig.rig_file import open_rig
-from palpate.rig.run_progress import Outcome, State, Status, done_in
+The names here load when they are first used, so that the process that guards a rig loads no engine.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from palpate.core import FrameSource
+    from palpate.devices import Limits, Mounting, OperatorCommand, OperatorControl, Reason, Tripped
+    from palpate.rig.engine import record
+    from palpate.rig.plans import PLANS, plan_of, plan_of_sensor, size_of
+    from palpate.rig.rig import Rig
+    from palpate.rig.rig_file import open_rig
+    from palpate.rig.run_progress import Outcome, State, Status, done_in
+
+_MODULES = {
+    name: module
+    for module, names in {
+        "core": ("FrameSource",),
+        "devices": ("Limits", "Mounting", "OperatorCommand", "OperatorControl", "Reason", "Tripped"),
+        "rig.engine": ("record",),
+        "rig.plans": ("PLANS", "plan_of", "plan_of_sensor", "size_of"),
+        "rig.rig": ("Rig",),
+        "rig.rig_file": ("open_rig",),
+        "rig.run_progress": ("Outcome", "State", "Status", "done_in"),
+    }.items()
+    for name in names
+}
 
 __all__ = [
     "PLANS",
@@ -28,3 +49,13 @@ __all__ = [
     "record",
     "size_of",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return getattr(import_module(f"palpate.{_MODULES[name]}"), name)
+    raise AttributeError(f"palpate.rig has no {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return __all__

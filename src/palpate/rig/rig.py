@@ -11,6 +11,9 @@ from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stag
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import Limits, Mounting, SupervisorLink
 
+VIRTUAL = "virtual:"
+"""What the name of a virtual rig begins with, before its sensor's."""
+
 
 class Region(NamedTuple):
     """A part of the picture that matters.

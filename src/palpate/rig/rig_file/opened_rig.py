@@ -1,7 +1,7 @@
 """A rig from a TOML file: which devices, where the layer lies, and how far and how hard it may go.
 
-Millimetres and newtons in the file, since people write it; metres and newtons behind it. Real drivers are
-imported only where the file names them.
+Millimetres and newtons in the file, since people write it; metres and newtons behind it. Real drivers and
+the virtual rig are imported only where the file names them, so that a supervisor of real devices is soon up.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
 from palpate.rig.commissioning.hand_motion import home_clear
 from palpate.rig.commissioning.scaled_force import ScaledForce
-from palpate.rig.rig import Region, Rig
-from palpate.rig.virtual import Fault, virtual_rig
-from palpate.rig.virtual.virtual_bench import PREFIX, REAL_TIME_AGE_S
+from palpate.rig.rig import VIRTUAL, Region, Rig
 
 if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
@@ -142,6 +140,8 @@ def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
         DeviceError: a device is missing, busy or refuses; those opened before are closed.
     """
     if is_virtual(text):
+        from palpate.rig.virtual.virtual_bench import virtual_rig
+
         return virtual_rig(sensor_named(text), seed=seed)
     path = Path(text)
     file = read_rig(path)
@@ -153,18 +153,18 @@ def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
 
 def sensor_named(text: str) -> str:
     """The sensor of a virtual rig's name."""
-    name = text.removeprefix(PREFIX)
+    name = text.removeprefix(VIRTUAL)
     try:
         sensor_of(name)
     except InputError as e:
-        rigs = ", ".join(PREFIX + one for one in SENSORS.names())
+        rigs = ", ".join(VIRTUAL + one for one in SENSORS.names())
         raise InputError(f"the rig {text!r} cannot be opened: {e}; by name there are {rigs}") from e
     return name
 
 
 def is_virtual(text: str) -> bool:
     """Whether a text names a virtual rig, of whatever sensor."""
-    return text.startswith(PREFIX)
+    return text.startswith(VIRTUAL)
 
 
 def read_rig(path: Path) -> RigFile:
@@ -177,7 +177,7 @@ def read_rig(path: Path) -> RigFile:
     if not path.is_file():
         raise InputError(
             f"there is no rig {str(path)!r}: no such file, and by name there are "
-            f"{', '.join(PREFIX + name for name in SENSORS.names())}"
+            f"{', '.join(VIRTUAL + name for name in SENSORS.names())}"
         )
     file = validated(RigFile, path, read_toml(path))
     roles: dict[str, Role] = {"stage": "stage", "force": "force", "label_force": "force", "camera": "camera"}
@@ -315,6 +315,9 @@ def _opened(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, 
 
 
 def _virtual(file: RigFile, part: VirtualPart) -> Rig:
+    from palpate.rig.virtual.disturbances import Fault
+    from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S, virtual_rig
+
     clock: Clock = MonotonicClock() if part.real_time else ManualClock()
     rig = virtual_rig(
         file.design,

@@ -10,14 +10,13 @@ from typing import Any
 from palpate.core import DEFAULT_SENSOR, Clock, InputError, ManualClock, Position, Sensor, Travel
 from palpate.core.sensor import for_rig, frame_faults, sensor as sensor_of, variation_of
 from palpate.devices.motion_limits import Limits
-from palpate.rig.rig import Region, Rig
+from palpate.rig.rig import VIRTUAL, Region, Rig
 from palpate.rig.virtual.disturbances import Fault, Variation
 from palpate.rig.virtual.virtual_camera import TRANSPORT_S, VirtualCamera
 from palpate.rig.virtual.virtual_force import VirtualForce
 from palpate.rig.virtual.virtual_stage import VirtualStage
 from palpate.rig.virtual.virtual_world import Touch, World
 
-PREFIX = "virtual:"
 ORIGIN_M: Position = (0.0, 0.0, 0.0)
 TRAVEL = Travel(
     least_m=(-40e-3, -40e-3, -30e-3),
@@ -65,7 +64,7 @@ def virtual_rig(
         force_hz: samples of force a second.
         askew_m: where the skin lies, from where the rig believes it to be.
     """
-    name = f"{PREFIX}{sensor if isinstance(sensor, str) else sensor.name}"
+    name = f"{VIRTUAL}{sensor if isinstance(sensor, str) else sensor.name}"
     design = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
     violations = frame_faults(design)
     if violations:
