@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from palpate.core import Float, InputError, RangeError, ndarray
 
@@ -280,7 +280,7 @@ def _with_interval(signals: _TapSignals, seconds: float, explained: float, taps:
         )
     # Weighted by the slope, since a frame on a flat part tells nothing of its time.
     jitter_s = math.sqrt(float(np.sum(residual[flank] ** 2) / np.sum(slope[flank] ** 2)))
-    reach = float(student.ppf((1 + CONFIDENCE) / 2, frames - J.shape[1])) * error_s
+    reach = float(stdtrit(frames - J.shape[1], (1 + CONFIDENCE) / 2)) * error_s
     return Offset(seconds, seconds - reach, seconds + reach, jitter_s, taps, frames, explained)
 
 

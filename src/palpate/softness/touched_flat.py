@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from palpate.core import Float, InputError, RangeError, UnitError, ndarray, storage_errors
 from palpate.softness.specimens import bonded_disc_n_m
@@ -102,9 +102,9 @@ class TouchedFlat:
 
     def at(self, share: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
         """Quantiles [Pa]: of 0.5 the value, of the interval's shares its ends; rigid beyond 1 / E = 0."""
-        middle, z = 1 / self.flat_pa, norm.ppf((1 + self.coverage) / 2)
+        middle, z = 1 / self.flat_pa, ndtri((1 + self.coverage) / 2)
         softer, stiffer = (1 / self.low_pa - middle) / z, (middle - 1 / self.high_pa) / z
-        q = norm.ppf(1 - np.asarray(share, float))  # a stiff one has little compliance
+        q = ndtri(1 - np.asarray(share, float))  # a stiff one has little compliance
         compliance = middle + np.where(q > 0, softer, stiffer) * q
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.maximum(compliance, 0.0))
