@@ -76,3 +76,23 @@ def test_a_job_that_is_refused_says_so_in_one_line(monkeypatch, capsys):
     assert job_process.main(["report", "cal"]) == 2
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert told == [{"progress": ["looking", 0, 1]}, {"error": "cal is none"}]
+
+
+@pytest.mark.parametrize(
+    ("scores", "said", "loud"),
+    [
+        ({"learnt_from_this_run": True}, "say nothing about new presses", True),
+        ({"same_session": "session monday is one that the calibration has learnt from"}, "no other day", True),
+        ({}, "another session than was learnt from, by its name: tuesday", False),
+    ],
+)
+def test_a_score_says_whether_it_is_of_another_day(jobs, scores, said, loud):
+    score = {"mae": 0.008, "unit": "N", "n": 68, "coverage_90": 1.0}
+    score |= {"coverage_90_low": 0.8, "coverage_90_high": 1.0}
+    found = {"targets": {"force_N": score}, "learnt_from_this_run": False, "same_session": ""}
+    found |= {"session": ["tuesday"]} | scores
+    job = until(jobs.begin("scored", "does", Path("x"), suffix=".json"), "done")
+    job.found = found
+    told = job_html(job)
+    assert said in told
+    assert ("trouble" in told) == loud

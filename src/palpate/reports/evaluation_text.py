@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.estimators.finding_cards import ValidScoreCard
@@ -72,3 +73,16 @@ def _covered(one: ValidScoreCard) -> str:
 
 def _name(quantity: str) -> str:
     return quantity.replace("_", " ")
+
+
+def day_text(scores: Mapping[str, Any]) -> str:
+    """Whether scores are of another day than was learnt from, in words.
+
+    Args:
+        scores: of a calibration on a run, as `palpate.evaluate` gives them.
+    """
+    if scores["learnt_from_this_run"]:
+        return "this is the run it learnt from: these scores say nothing about new presses"
+    if scores["same_session"]:
+        return f"no other day: {scores['same_session']}"
+    return f"another session than was learnt from, by its name: {', '.join(scores['session'])}"

@@ -420,7 +420,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
     from palpate.estimators.finding_cards import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.class_text import class_lines
-    from palpate.reports.evaluation_text import frames_text, valid_readings_text
+    from palpate.reports.evaluation_text import day_text, frames_text, valid_readings_text
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -447,12 +447,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
     table = "\n".join([*lines, *short, *scores["instruments"].values(), *scores["findings"], *joint])
     counts = (scores[f"frames_{name}"] for name in ("scored", "valid", "untold", "all_valid"))
     valid = frames_text(card, *counts)
-    named = ", ".join(scores["session"])
-    day = f"another session than was learnt from, by its name: {named}"
-    if scores["learnt_from_this_run"]:
-        day = "this is the run it learnt from: these scores say nothing about new presses"
-    elif scores["same_session"]:
-        day = f"no other day: {scores['same_session']}"
+    day = day_text(scores)
     if scores["groups"] == 1 and scores["frames_read"] > 1:
         column = "/".join(scores["group_columns"])
         day += f"\nall of one {column}: the 95 % intervals are of its own rate, not of how others may differ"

@@ -16,6 +16,7 @@ from nicegui import ui
 
 from palpate.core import PalpateError, half_width_text, rounded
 from palpate.estimators.model_card import Card, TargetCard
+from palpate.reports.evaluation_text import day_text
 from palpate.studio.html_parts import commands_html, progress_html, state_word, table_html, trouble_html
 from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
 from palpate.studio.library.workspace import Workspace
@@ -202,7 +203,14 @@ def job_html(job: BackgroundJob) -> str:
     if "text" in job.found:
         told += commands_html([str(job.found["text"])])
     told += "".join(f"<p>{_score_text(*one)}</p>" for one in job.found.get("targets", {}).items())
-    return told + "".join(trouble_html(one) for one in job.found.get("findings", ()))
+    told += "".join(trouble_html(one) for one in job.found.get("findings", ()))
+    return told + (_day_html(job.found) if "learnt_from_this_run" in job.found else "")
+
+
+def _day_html(scores: Mapping[str, Any]) -> str:
+    """Whether a score is of another day, which no score tells of itself."""
+    other = not (scores["learnt_from_this_run"] or scores["same_session"])
+    return f'<p class="soft">{escape(day_text(scores))}</p>' if other else trouble_html(day_text(scores))
 
 
 def _score_text(name: str, score: Mapping[str, Any]) -> str:
