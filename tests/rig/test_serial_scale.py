@@ -87,6 +87,12 @@ def test_what_is_no_layout_weighs_nothing(line: bytes) -> None:
         read_weight(line)
 
 
+@pytest.mark.parametrize("line", [b"0,7 g", b"1,000 g", b"ST,GS,+0012,5 g"])
+def test_a_comma_between_digits_is_named_and_not_guessed(line: bytes) -> None:
+    with pytest.raises(ProtocolError, match="a comma between digits"):
+        read_weight(line)
+
+
 @given(st.binary(max_size=2 * MAX_LINE))
 def test_whatever_bytes_come_only_protocol_errors_leave(line: bytes) -> None:
     try:
@@ -256,6 +262,12 @@ class TestDriver:
     def test_a_scale_that_is_not_asked_is_told_as_silent(self, bench) -> None:
         with pytest.raises(DeviceError, match="none was asked for"):
             bench(PrintingScale(on_request=True), silence_s=0.3)
+
+    def test_a_scale_whose_lines_cannot_be_read_is_told_why_as_it_is_opened(self, bench) -> None:
+        scale = PrintingScale(lambda t: 1.0, layout="grams", rate_hz=10.0)
+        scale.faults = ScaleFaults(nonsense=True)
+        with pytest.raises(DeviceError, match=r"garbled, the last since .* is no line of a scale\), it said"):
+            bench(scale, silence_s=0.6)
 
     @pytest.mark.parametrize(
         ("faults", "said"),

@@ -145,6 +145,7 @@ class WeightStream:
         self.counts = ScaleCounts()
         self.failure: DeviceError | None = None
         self._garbled = self._same = 0
+        self.unread = ""  # why the last garbled line was none
         self._last: float | None = None
         self._unit = ""
         self._bare = 0
@@ -239,6 +240,7 @@ class WeightStream:
     def _garble(self, why: str) -> None:
         self.counts.garbled += 1
         self._garbled += 1
+        self.unread = why
         if self._garbled >= MAX_GARBLED:
             self.failure = ProtocolError(
                 f"{MAX_GARBLED} lines in a row could not be read, the last since {why}; check baud "
@@ -291,10 +293,11 @@ class SerialScale(SerialForceSensor):
 
     def in_silence(self) -> str:
         """Say that no line comes, and what to check."""
+        unread = f", the last since {self._lines.unread}" if self._lines.unread else ""
         return (
             f"no line that can be read came for {self._spec.silent_s:g} s"
             f"{'' if self._spec.ask else ', and none was asked for'} ({self._lines.counts.garbled} were "
-            f"garbled), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
+            f"garbled{unread}), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
             "printing mode, and that this port is the scale's"
         )
 

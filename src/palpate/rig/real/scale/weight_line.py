@@ -47,6 +47,7 @@ _BEYOND = {
     "V": "underload",
 }  # fmt: skip
 _REPORT = re.compile(r"(?:E|Err|ERR|Error)[ :]*\d{1,4}")  # "error:20" is GRBL's
+_COMMA = re.compile(r"\d,\d")  # a decimal to some, a thousand to others
 _LINE = re.compile(
     r"(?P<headers>(?:[A-Z~+ -]{1,6},)*) *"
     r"(?:(?P<mark>[?^v]) +)?"
@@ -118,6 +119,8 @@ def _refusal(text: str) -> Weight | None:
 def _weight(text: str) -> Weight:
     """A number, with headers, marks and a unit around it."""
     found = _LINE.fullmatch(text)
+    if not found and _COMMA.search(text):
+        raise ProtocolError(f"{text!r} has a comma between digits, where only a point is read: set the scale so")
     if not found:
         raise ProtocolError(f"{text!r} holds no weight")
     headers = [part.strip() for part in found["headers"].split(",") if part.strip()]
