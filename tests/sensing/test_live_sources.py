@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+import shutil
 import threading
 import time
 import types
@@ -14,7 +15,15 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from palpate.core import DeviceError, Frame, ImageError, InputError, ManualClock, MissingExtraError
+from palpate.core import (
+    DeviceError,
+    Frame,
+    ImageError,
+    InputError,
+    ManualClock,
+    MissingExtraError,
+    StorageError,
+)
 from palpate.recordings import Manifest, RunWriter
 from palpate.recordings.exchange.image_files import encode
 from palpate.recordings.exchange.image_stream import ImageCutter
@@ -108,6 +117,24 @@ def test_a_folder_that_fills_gives_every_image_once_in_order(tmp_path) -> None:
     assert not [frame.why for frame in found if frame.why]
     for frame, image in zip(found, made, strict=True):
         assert np.array_equal(frame.frame.image, image)
+
+
+def test_a_folder_that_is_taken_away_while_it_is_read_is_named(tmp_path) -> None:
+    folder = tmp_path / "filling"
+    folder.mkdir()
+    (folder / "a.png").write_bytes(encode(images(1, seed=2)[0]).tobytes())
+    source = open_live_source(folder, idle_s=5.0)
+    assert source.grab(1.0) is not None
+    shutil.rmtree(folder)
+    with pytest.raises(StorageError, match="filling: No such file or directory"):
+        source.grab(1.0)
+
+
+def test_a_folder_is_waited_for_from_when_it_is_first_looked_at(tmp_path) -> None:
+    source = open_live_source(tmp_path, idle_s=0.3)
+    time.sleep(0.4)
+    (tmp_path / "a.png").write_bytes(b"no image")
+    assert [bool(frame.why) for frame in all_of(source)] == [True]
 
 
 def test_an_image_that_stays_damaged_says_why_and_the_rest_follow(tmp_path) -> None:

@@ -20,6 +20,7 @@ from palpate.core import (
     RecordingError,
     StorageError,
     lock,
+    storage_errors,
 )
 from palpate.recordings.exchange.image_files import image_from_bytes, read_image
 from palpate.recordings.exchange.image_stream import ImageCutter
@@ -99,23 +100,29 @@ class GrowingFrames(Closing):
         self.name = str(path)
         self._path, self._idle_s = path, idle_s
         self._found: deque[Frame | Unreadable] = deque()
-        self._number, self._news_s = 0, time.monotonic()
+        self._number = 0
+        self._news_s: float | None = None
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame; None once nothing came for `idle_s`, or it was closed by its writer.
+        """The next frame; None once nothing came for `idle_s` since the first call, or its writer closed it.
 
         Raises:
             NoFrameYetError: none came in time.
+            StorageError: the folder is gone, or cannot be read any more.
         """
         end_s = time.monotonic() + timeout_s
+        if self._news_s is None:  # however long it takes to be looked at after it was opened
+            self._news_s = time.monotonic()
         while True:
-            item = self._next()
+            with storage_errors(self._path):
+                item = self._next()
+                ended = item is None and self._ended()
             now_s = time.monotonic()
             if item is not None:
                 frame = live_frame(item, self._number)
                 self._number, self._news_s = self._number + 1, now_s
                 return frame
-            if now_s - self._news_s >= self._idle_s or self._ended():
+            if now_s - self._news_s >= self._idle_s or ended:
                 return None
             if now_s >= end_s:
                 raise NoFrameYetError(f"nothing new lies in {self.name} since {timeout_s:g} s")
@@ -148,6 +155,8 @@ class FillingFolder(GrowingFrames):
             names = {name for name in os.listdir(self._path) if Path(name).suffix.lower() in IMAGE_SUFFIXES}
             self._unread.extend(self._path / name for name in sorted(names - self._known))
             self._known |= names
+            if self._unread:
+                self._news_s = time.monotonic()
         if not self._unread:
             return None
         path = self._unread[0]
