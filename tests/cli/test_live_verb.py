@@ -237,6 +237,20 @@ def test_a_source_that_ends_without_a_frame_is_no_success() -> None:
     assert b"ended without a frame" in said
 
 
+def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_told(tmp_path) -> None:
+    for k in range(2):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((6, 8), 40_000, np.uint16))
+    said = typed("live", "--camera", tmp_path, "--wait", "0.4", status=2).output
+    assert "ended without a frame that is an image" in said
+    assert "has more than 8 bits a channel" in said
+    cv2.imwrite(str(tmp_path / "2.png"), np.full((6, 8), 90, np.uint8))
+    assert "3 frames, 0 dropped, 0 lost, 2 broken" in typed("live", "--camera", tmp_path, "--wait", "0.4").output
+
+
+def test_a_size_that_is_none_is_refused_with_one_that_is() -> None:
+    assert "as in 640x480 or 640,480" in typed("live", "--camera", "0", "--size", "640", status=2).output
+
+
 def test_a_closed_pipe_ends_it_without_a_trace(spots) -> None:
     words = ["--camera", str(spots[2]), "--paced", "--json"]
     with started(words, stdin=subprocess.DEVNULL) as process:

@@ -183,7 +183,10 @@ def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | Non
     except ValueError:
         numbers = ()
     if len(numbers) != count:
-        raise InputError(f"{what} {text!r} is not {count} whole numbers separated by commas")
+        example = "x".join(["640", "480", "320", "240"][:count])
+        raise InputError(
+            f"{what} {text!r} is not {count} whole numbers, as in {example} or {example.replace('x', ',')}"
+        )
     return numbers
 
 

@@ -110,6 +110,7 @@ def live(
                 if log is not None:
                     log.write(reading.source, reading.to_dict())
                 shown(sensor, reading)
+                sensor.broken = reading.why or sensor.broken
                 sensor.refuse_size(reading)
         for sensor in sensors:
             _close(sensor)
@@ -126,7 +127,10 @@ def live(
         from palpate.core.errors import InputError
 
         names = ", ".join(sensor.live.loop.name for sensor in sensors)
-        raise InputError(f"{names} ended without a frame; nothing was read")
+        broken = next((sensor.broken for sensor in sensors if sensor.broken), "")
+        raise InputError(
+            f"{names} ended without a frame{f' that is an image: {broken}' if broken else '; nothing was read'}"
+        )
     if cut:
         raise Exit(1)
 
@@ -137,6 +141,7 @@ class ShownSensor:
     def __init__(self, live: Live, watch: ImageWatch | None, recorder: LiveRecorder | None) -> None:
         self.live, self.watch, self.recorder = live, watch, recorder
         self.count = 0
+        self.broken = ""  # why the last frame that was no image could not be read
         self._lost = False
         self._looks = 0
         self._fitting, self._other_size = 0, ""
@@ -223,8 +228,9 @@ class ShownSensor:
         return loop.why if loop.state.value == "ended" else ""
 
     def is_over_and_empty(self) -> bool:
-        """Whether its source has ended by itself, and gave no frame."""
-        return self.live.loop.state.value == "ended" and not self.live.stats.frames
+        """Whether its source has ended by itself, and gave no frame that could be read as an image."""
+        stats = self.live.stats
+        return self.live.loop.state.value == "ended" and stats.frames == stats.broken
 
     def to_dict(self, reading: LiveReading) -> dict[str, Any]:
         """One object for a line of JSON."""
