@@ -8,6 +8,7 @@ import tifffile
 
 from palpate.core.errors import ImageError, RangeError
 from palpate.recordings.exchange.frame_sequences import TiffFrames, write_tiff
+from palpate.recordings.exchange.image_files import read_image
 
 
 @pytest.fixture
@@ -105,3 +106,10 @@ def test_a_file_that_is_cut_off_names_its_page(tmp_path, frames) -> None:
 def test_a_missing_file_is_named(tmp_path) -> None:
     with pytest.raises(ImageError, match="not there"):
         TiffFrames(tmp_path / "none.tif")
+
+
+def test_an_image_of_floating_point_colour_is_not_called_damaged(tmp_path) -> None:
+    path = tmp_path / "float.tif"
+    tifffile.imwrite(path, np.zeros((4, 5, 3), np.float32), photometric="rgb")
+    with pytest.raises(ImageError, match="scale all images alike to unsigned 8 bits"):
+        read_image(path)

@@ -182,6 +182,11 @@ def _damage_explained(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as e:
+        if "unknown pixel mode" in str(e):  # Pillow's words of floating-point colour, and of other rare kinds
+            raise ImageError(
+                f"{path} has pixels of a kind that is not read, such as floating-point colour; scale all "
+                "images alike to unsigned 8 bits first"
+            ) from e
         raise ImageError(
             f"{path} is damaged or cut short ({type(e).__name__}: {e}); copy it again from where it came, "
             "or remove it together with its row"
