@@ -51,6 +51,12 @@ def client(workspace):
         yield Asked(app)
 
 
+def test_a_file_is_no_workspace(tmp_path):
+    (tmp_path / "taps.avi").touch()
+    with pytest.raises(InputError, match=r"the workspace .*taps.avi is a file; give a folder"):
+        Workspace(tmp_path / "taps.avi")
+
+
 def test_a_run_is_listed_with_its_frames_its_length_its_labels_and_its_state(workspace):
     assert workspace.found("run") == ["runs/one"]
     found = workspace.summary("runs/one")

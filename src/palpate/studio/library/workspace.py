@@ -69,9 +69,14 @@ class Workspace:
 
     Args:
         folder: that is shown; it need not be there yet.
+
+    Raises:
+        InputError: it is a file.
     """
 
     def __init__(self, folder: Path) -> None:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"the workspace {folder} is a file; give a folder, such as the one it lies in")
         self.folder = folder.resolve()
         self._turn = threading.Lock()
         self._runs: OrderedDict[Path, tuple[Stamp, Run]] = OrderedDict()
