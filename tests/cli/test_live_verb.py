@@ -244,7 +244,8 @@ def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_
     assert "ended without a frame that is an image" in said
     assert "has more than 8 bits a channel" in said
     cv2.imwrite(str(tmp_path / "2.png"), np.full((6, 8), 90, np.uint8))
-    assert "3 frames, 0 dropped, 0 lost, 2 broken" in typed("live", "--camera", tmp_path, "--wait", "0.4").output
+    said = typed("live", "--camera", tmp_path, "--wait", "0.4").output
+    assert "3 frames, 0 dropped, 0 lost, 2 broken" in said
 
 
 def test_a_size_that_is_none_is_refused_with_one_that_is() -> None:

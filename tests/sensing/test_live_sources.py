@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import os
-import sys
 import shutil
+import sys
 import threading
 import time
 import types

@@ -201,7 +201,7 @@ def fed(collector: PressCollector, forces: list[float], begins_s: float, fault: 
         collector.on_force([Wrench(at_ns, (0.0, 0.0, force_n), fault=fault)])
 
 
-def test_a_scale_that_says_what_is_wrong_in_the_middle_of_a_press_is_not_called_silent(tmp_path: Path) -> None:
+def test_a_scale_that_says_what_is_wrong_within_a_press_is_not_called_silent(tmp_path: Path) -> None:
     with weighed(tmp_path) as collector:
         fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
         assert "said" not in collector.advice
@@ -209,7 +209,7 @@ def test_a_scale_that_says_what_is_wrong_in_the_middle_of_a_press_is_not_called_
         assert "said: force beyond the range" in collector.advice
 
 
-def test_a_scale_that_falls_silent_in_the_middle_of_a_press_is_called_so(tmp_path: Path) -> None:
+def test_a_scale_that_falls_silent_within_a_press_is_called_so(tmp_path: Path) -> None:
     with weighed(tmp_path) as collector:
         fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
         for k in range(40):

@@ -82,7 +82,7 @@ def test_a_job_that_is_refused_says_so_in_one_line(monkeypatch, capsys):
     ("scores", "said", "loud"),
     [
         ({"learnt_from_this_run": True}, "say nothing about new presses", True),
-        ({"same_session": "session monday is one that the calibration has learnt from"}, "no other day", True),
+        ({"same_session": "session monday is one that was learnt from"}, "no other day", True),
         ({}, "another session than was learnt from, by its name: tuesday", False),
     ],
 )

@@ -499,10 +499,7 @@ class StartSession:
         if not path.is_file():
             return StartState()
         try:
-            kept = json.loads(path.read_bytes())
-            if not isinstance(kept, dict):
-                raise TypeError("it holds no names with values")
-            return checked_state(StartState(**kept))
+            return checked_state(StartState(**json.loads(path.read_bytes())))
         except (ValueError, TypeError, RecursionError, InputError) as e:
             raise RecordingError(
                 f"{path} is no session's file ({e}); move it away, and the runs beside it stay"

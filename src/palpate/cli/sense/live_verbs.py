@@ -128,9 +128,8 @@ def live(
 
         names = ", ".join(sensor.live.loop.name for sensor in sensors)
         broken = next((sensor.broken for sensor in sensors if sensor.broken), "")
-        raise InputError(
-            f"{names} ended without a frame{f' that is an image: {broken}' if broken else '; nothing was read'}"
-        )
+        what = f" that is an image: {broken}" if broken else "; nothing was read"
+        raise InputError(f"{names} ended without a frame{what}")
     if cut:
         raise Exit(1)
 

@@ -293,12 +293,13 @@ class SerialScale(SerialForceSensor):
 
     def in_silence(self) -> str:
         """Say that no line comes, and what to check."""
-        unread = f", the last since {self._lines.unread}" if self._lines.unread else ""
+        garbled = f"{self._lines.counts.garbled} were garbled"
+        garbled += f", the last since {self._lines.unread}" if self._lines.unread else ""
         return (
             f"no line that can be read came for {self._spec.silent_s:g} s"
-            f"{'' if self._spec.ask else ', and none was asked for'} ({self._lines.counts.garbled} were "
-            f"garbled{unread}), {self._tail.in_words()}; check its cable, power, baud ({self._spec.baud}) and "
-            "printing mode, and that this port is the scale's"
+            f"{'' if self._spec.ask else ', and none was asked for'} ({garbled}), {self._tail.in_words()}; "
+            f"check its cable, power, baud ({self._spec.baud}) and printing mode, and that this port is the "
+            "scale's"
         )
 
     def speak(self, now_ns: int, *, first: bool = False) -> bytes:
