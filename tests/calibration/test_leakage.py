@@ -170,6 +170,13 @@ def test_groups_on_both_sides_are_counted_by_column_and_text(tmp_path, rng):
     assert audited(packed, "random", group_columns=["press"]).shared_groups.keys() == {"press"}
 
 
+def test_a_label_that_every_row_lacks_is_left_out_without_a_warning(recwarn) -> None:
+    table = pd.DataFrame({"force_N": [1.0, 2.0, np.nan], "place_x_px": [np.nan] * 3, "depth_mm": [1.0] * 3})
+    found = leakage._changing_labels(table)
+    np.testing.assert_array_equal(found, [[1.0], [2.0], [np.nan]])
+    assert not recwarn.list
+
+
 def test_an_audit_goes_into_json(tmp_path, rng):
     found = audited(pressed(tmp_path, rng, 1.0, presses=6, each=4), "random")
     assert json.loads(json.dumps(found.to_dict()))["near_duplicates"] == found.near_duplicates

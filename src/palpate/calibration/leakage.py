@@ -344,7 +344,8 @@ def _changing_labels(table: pd.DataFrame) -> np.ndarray:
     for name, kind in label_kinds(table).items():
         if kind == "number" and has_unit(name) and split_column(name)[0] != "time":
             values = table[name].to_numpy(dtype=np.float64)
-            if np.nanmax(values) > np.nanmin(values):
+            known = values[~np.isnan(values)]  # none of a place that was never seen
+            if known.size and known.max() > known.min():
                 columns.append(values[:, None])
     return np.concatenate(columns, axis=1)
 
