@@ -228,8 +228,9 @@ class PressCollector:
                     return "state the weight that lies on the sensor"
                 return ""
             newest = self._frames[-1][0] if self._frames else None
-            known = newest is not None and finder.newest_ns is not None
-            behind_s = (newest - finder.newest_ns) / NS_PER_S if known else 0.0
+            behind_s = 0.0
+            if newest is not None and finder.newest_ns is not None:
+                behind_s = (newest - finder.newest_ns) / NS_PER_S
             silent = behind_s > BEHIND_S + finder.scale.delay_s
             if finder.fault and (silent or not finder.touched):
                 return f"{finder.scale.name} said: {finder.fault}; no press counts until that is mended"
