@@ -35,6 +35,7 @@ DRAGGED = Cells(6, 6, 4, 5)
 DEPTHS = (0.3, 0.6, 1.0, 1.2)
 STEPS = (0.05, 0.1, 0.2, *DEPTHS[:2], 0.8, 0.9, 1.0, 1.1, 1.2)
 FRICTIONS = (1.0, 0.3)
+SLIDES = 0.4  # share of the touching force that sticks, below which a drag ends
 SHIFTS = (0.03, 0.06, 0.12, 0.2, 0.3, 0.45, 0.6)
 
 
@@ -204,10 +205,13 @@ def drags(
             yield row(press, state, thickness, depth)
             try:
                 for shift, state in press.drag(state, depth, shifts):
-                    yield row(press, state, thickness, depth)
+                    found = row(press, state, thickness, depth)
+                    yield found
                     if keep is not None:
                         at = f"h{thickness:g}-d{depth:g}-mu{friction:g}-s{shift:g}-{cells.under}.npz"
                         np.savez(keep / at, pressed=pressed, state=state)
+                    if found["sticks"] < SLIDES:
+                        break
             except ArithmeticError as stop:
                 print(f"stopped: {stop}", flush=True)
         press.release()

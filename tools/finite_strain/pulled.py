@@ -88,7 +88,7 @@ class Pull:
         return B
 
     @cached_property
-    def _pressed(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    def pressed(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """F, F^-T, J and pressure of the balance at the quadrature points."""
         d, state = self.disc, self.balanced.state
         H = (d.gradient @ state[d.displacement_dofs][:, None, :, None])[..., 0]
@@ -148,7 +148,7 @@ class Pull:
     @cached_property
     def _solid(self) -> sp.csr_matrix:
         """Tangent of the body."""
-        d, (_, g, J, p), B, w = self.disc, self._pressed, self.gradient, self.disc.weight
+        d, (_, g, J, p), B, w = self.disc, self.pressed, self.gradient, self.disc.weight
         mu, pJ = self.press.solid.mu, p * J
         A = np.empty((*p.shape, 9, 9))
         for a, (i, j) in enumerate(NINE):
@@ -270,6 +270,22 @@ class Pull:
         base = np.flatnonzero(np.isclose(Z, self.disc.thickness))
         out = self._solid @ state
         return float(-np.pi * (out[base].sum() - out[base + n].sum()))
+
+
+    def cauchy(self, one: Increment) -> Float[ndarray, "cells q 6"]:
+        """What it adds to Cauchy's stress at places that move along: rr, tt, zz, rz times cos t, rt, tz times sin t."""
+        d, (F, g, J, _), n = self.disc, self.pressed, self.disc.nodes
+        nodes = d.cells.element_dofs.T
+        H = (self.gradient @ one.state[np.hstack([nodes, nodes + n, nodes + 2 * n])][:, None, :, None])[..., 0]
+        dF = H.reshape(*H.shape[:2], 3, 3)
+        p = np.einsum("cqa,ca->cq", d.corner_shapes, one.state[d.corners.element_dofs.T + 3 * n])
+        swell = np.einsum("cqij,cqij->cq", g, dF)
+        stretch = dF @ np.swapaxes(F, 2, 3)
+        excess = F @ np.swapaxes(F, 2, 3) - np.eye(3)
+        over = (self.press.solid.mu / J)[..., None, None]
+        s = over * (stretch + np.swapaxes(stretch, 2, 3) - swell[..., None, None] * excess)
+        s = s + p[..., None, None] * np.eye(3)
+        return np.stack([s[..., i, j] for i, j in ((0, 0), (2, 2), (1, 1), (0, 1), (0, 2), (2, 1))], axis=-1)
 
 
 def _summed(blocks: tuple[tuple[ndarray, ndarray, ndarray], ...], total: int) -> sp.csr_matrix:

@@ -103,7 +103,7 @@ def deformed(press: Press, balanced: Balanced) -> Deformed:
     disc = press.disc
     stress = _projected(disc, press.solid, balanced)
     middles = tuple(np.sort(np.concatenate([k, (k[1:] + k[:-1]) / 2])) for k in disc.knots)
-    node = _tensor_order(disc.cells.doflocs, *middles)
+    node = tensor_order(disc.cells.doflocs, *middles)
     n = disc.nodes
     place = disc.cells.doflocs + np.stack([balanced.state[:n], balanced.state[n : 2 * n]])
     return Deformed(Grid(disc.knots, place[:, node]), Grid(disc.knots, stress[:, node]), disc)
@@ -148,7 +148,8 @@ def _projected(disc: Disc, solid: NeoHookean, balanced: Balanced) -> Float[ndarr
     return np.asarray(s)
 
 
-def _tensor_order(places: ndarray, R: Knots, Z: Knots) -> Int[ndarray, "nr nz"]:
+def tensor_order(places: ndarray, R: Knots, Z: Knots) -> Int[ndarray, "nr nz"]:
+    """Number of the node at each corner and middle of the mesh's tensor grid."""
     i = np.abs(places[0][:, None] - R).argmin(axis=1)
     j = np.abs(places[1][:, None] - Z).argmin(axis=1)
     order = np.empty((len(R), len(Z)), dtype=int)

@@ -206,7 +206,8 @@ class SphereTable:
 def shipped() -> tuple[str, ...]:
     """Names of the tables that come with palpate, as "sphere-h2-mu0": thickness 2 R, friction 0."""
     names = (p.name for p in resources.files("palpate.mechanics").joinpath("tables").iterdir())
-    return tuple(sorted(name.removesuffix(".npz") for name in names if name.endswith(".npz")))
+    tables = (name for name in names if name.startswith("sphere-") and name.endswith(".npz"))
+    return tuple(sorted(name.removesuffix(".npz") for name in tables))
 
 
 def press_finite_strain(

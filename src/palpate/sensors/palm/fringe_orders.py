@@ -22,6 +22,7 @@ from palpate.sensors.palm.palm_press import field_of, pressed, stack_of
 from palpate.sensors.palm.palm_render import is_ball
 from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.pulled_ball import is_pulled_ball, stress_about, summed_along
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
 WAVELENGTH_M = 550e-9
@@ -112,6 +113,8 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     if is_ball(contact, spec):
         return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
+    if is_pulled_ball(contact):
+        return _pulled_order(contact, spec)
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
     shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
     field = field_below(
@@ -128,6 +131,16 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
     order = fringe_order(difference, 2 * field.stress("xz").sum(axis=1) * dy, C, WAVELENGTH_M)
     return float(np.quantile(order, 0.999))
+
+
+def _pulled_order(contact: Contact, spec: PalmSpec) -> float:
+    """That of the ball under a lateral load, on rays that no surface stops."""
+    laid = stress_about(spec, contact)
+    x, difference, shear = summed_along(laid)
+    sunk = np.interp(x, contact.x_m, contact.displacement_m.max(axis=0), left=0.0, right=0.0)
+    C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
+    order = fringe_order(difference, 2 * shear, C, WAVELENGTH_M)
+    return float(np.quantile(order[laid.planes_m[:, None] >= sunk], 0.999))
 
 
 def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:

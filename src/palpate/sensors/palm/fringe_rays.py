@@ -1,7 +1,7 @@
-"""The edge-on view of any contact: rays through the stress of a linear layer, where the skin was at rest.
+"""The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
 
-Bound to shallow presses, it knows no symmetry: punches, edges, cylinders, several points, leaning probes,
-lateral load and moment. The stress is laid out on planes; along each ray it is read in slices, finest where
+Punches, edges, cylinders, several points, leaning probes and moments have that of a linear layer, where the skin
+was at rest; the palm's ball under a lateral load has that of the finite-strain tables, where it is. The stress is laid out on planes; along each ray it is read in slices, finest where
 the ray passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress are not
 all marched: between two that are, light runs straight.
 """
@@ -22,6 +22,7 @@ from palpate.optics.wall_refraction import ColumnRays
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
+from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, rows_of, stress_about
 from palpate.sensors.palm.uneven_membrane import frozen_at
 
 # With the numbers below, light is off by 0.1 of 255 rms, 1 at most.
@@ -138,17 +139,7 @@ def _marched(
     places: Places,
     z: Float[ndarray, " h"],
 ) -> Float32[ndarray, "h c 3"]:
-    planes = spec.thickness_m * np.linspace(0, 1, PLANES) ** 2
-    near, far = stress_under(
-        spec.thickness_m,
-        spec.poisson_ratio,
-        planes,
-        contact.pressure_pa,
-        contact.x_m,
-        contact.y_m,
-        contact.shear_pa,
-    )
-    onto = CubicSpline(np.sqrt(planes), np.eye(PLANES))(np.sqrt(z)).astype(np.float32)
+    (planes, near, far), onto = _laid(spec, contact, z)
     seen = fringe_view.spectrum(spec.bands)
     light = np.empty((len(z), len(chosen), 3), np.float32)
     for first in range(0, len(chosen), COLUMNS):
@@ -163,6 +154,18 @@ def _marched(
             plane_amplitude(spec.polariser_rad, spec.bands),
         )
     return np.asarray(with_leak(light, spec.extinction), dtype=np.float32)
+
+
+def _laid(spec: PalmSpec, contact: Contact, z: Float[ndarray, " h"]) -> tuple[Laid, Float32[ndarray, "h n"]]:
+    """Stress on planes, and the weights by which they give the rows of the picture."""
+    if is_pulled_ball(contact):
+        laid = stress_about(spec, contact)
+        return laid, rows_of(laid.planes_m, z)
+    planes = spec.thickness_m * np.linspace(0, 1, PLANES) ** 2
+    load = contact.pressure_pa, contact.x_m, contact.y_m, contact.shear_pa
+    near, far = stress_under(spec.thickness_m, spec.poisson_ratio, planes, *load)
+    onto = CubicSpline(np.sqrt(planes), np.eye(PLANES))(np.sqrt(z)).astype(np.float32)
+    return Laid(planes, near, far), onto
 
 
 def _read(

@@ -16,6 +16,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
+from palpate.mechanics.axisymmetric.pulled_sphere import pulled as pulled_contact
+from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
 from palpate.mechanics.axisymmetric.sphere_table import (
     SAME,
     SphereTable,
@@ -177,6 +179,7 @@ CELL_M = 0.15e-3  # and beyond it as many as that asks for, in whole
 BLOCK = 32  # so that probes of about one size share what is computed once for a grid
 MARGIN_M = 3e-3  # of grid beyond the probe's reach
 WHOLE_M = 1e-3  # to which half a grid's side is rounded up, for the same reason
+PULLED_REACH = 3.0  # ball radii of grid to each side of a ball that is pulled aside
 FRICTION = 1.0  # between probe and clean silicone, where a lateral load is asked for. Assumed.
 
 
@@ -238,20 +241,35 @@ def press(
         return replace(press(spec, replace(pose, depth_m=0.0), probe), pose=pose)
     aside = lateral_n != (0.0, 0.0) or moment_nm not in (None, 0.0)
     if probe == ball and not aside:
-        return _near_rim(
-            spec,
-            press_finite_strain(
-                probe,
-                pose,
-                spec.youngs_modulus_pa,
-                spec.thickness_m,
-                spec.radius_m,
-                spec.friction,
-                spec.poisson_ratio,
-            ),
-        )
+        return _tabled(spec, pose)
+    if probe == ball and not moment_nm and is_pulled_deep(spec):
+        return _pulled_ball(spec, pose, lateral_n)
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
+
+
+def is_pulled_deep(spec: PalmSpec) -> bool:
+    """Tell whether the spec's ball is pulled aside at finite strain, to the table's full depth."""
+    R = spec.indenter_radius_m
+    return has_table(spec) and spec.friction == 0 and pulled_sphere_table().covers(spec.thickness_m / R)
+
+
+def _tabled(spec: PalmSpec, pose: Pose, grid: tuple[Knots | None, Knots | None] = (None, None)) -> Contact:
+    """The spec's ball by the finite-strain table."""
+    material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
+    ball = Probe("sphere", spec.indenter_radius_m)
+    return _near_rim(spec, press_finite_strain(ball, pose, *material, *grid))
+
+
+def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> Contact:
+    """The same under a lateral load, of which a rim that is applied has its part."""
+    reach = PULLED_REACH * spec.indenter_radius_m
+    around = (np.arange(2 * CELLS) + 0.5) * (reach / CELLS) - reach
+    contact = _tabled(spec, pose, (pose.x_m + around, pose.y_m + around))
+    pull = lateral_n[0] - contact.lateral_n[0], lateral_n[1] - contact.lateral_n[1]
+    modulus = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio
+    found = pulled_contact(contact, pressed(spec, pose.depth_m), modulus, pull, FRICTION)
+    return replace(found, lateral_n=(float(lateral_n[0]), float(lateral_n[1])))
 
 
 def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:

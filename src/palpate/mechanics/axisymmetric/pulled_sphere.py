@@ -1,0 +1,255 @@
+"""A rigid sphere that presses deep into a bonded disc and is pulled aside under friction: to first order in the pull.
+
+The disc, its material and the press without friction are those of `sphere_table`. About the pressed state the
+sphere is moved along x at constant depth; skin that touches sticks to it, and slips where its traction along
+the surface would exceed Coulomb's coefficient times the pressure. What the pull adds has one harmonic,
+
+    rr, tt, zz, rz and the surface's depth times cos t,      rt, tz times sin t,
+
+t being the angle from the pull, about the sphere's axis where it is now. It is proportional to the force Q of the
+pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed state's own, so
+that depth is not small; the pull is. In three dimensions, with nothing left out, force, stiffness and stress
+were found within what `tests/mechanics/test_pulled_sphere.py` states, to `GREATEST_SHIFT`.
+
+The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness, depth
+and share take. Made by `tools/pulled_sphere_table.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.optimize import brentq
+
+from palpate.core import Contact, Float, RangeError, ndarray
+from palpate.mechanics.axisymmetric.sphere_table import SAME, TabulatedPress
+
+TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
+STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")
+GREATEST_SHIFT = 0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
+FULL = 0.98  # of friction: the greatest share that was solved; held to where all slips
+REACHED = 5.4  # R, the last radius
+NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4, 1.55, 1.75, 2.0]])
+FAR, DOWN = 16, 24  # knots outside two contact radii, and down to the base
+FIRST = 0.05  # contact radii under the top: the first knot
+
+PULLED = "pulled aside, to first order in the pull"
+"""Part of the model of a contact of `pulled`."""
+
+Knots = Float[ndarray, " n"]
+
+
+def radii_of(contact_radius: float) -> Knots:
+    """Spatial radii at which a contact's fields are held [R]."""
+    far = np.geomspace(2.0 * contact_radius, REACHED, FAR + 1)[1:]
+    return np.concatenate([NEAR * contact_radius, far])
+
+
+def shares_down(contact_radius: float, depth: float, thickness: float) -> Knots:
+    """Shares of the way from the top to the base at which they are held."""
+    first, even = FIRST * contact_radius / (thickness - depth), np.linspace(0.0, 1.0, DOWN + 1)
+    stretch = brentq(lambda b: np.sinh(b * even[1]) / np.sinh(b) - first, 1e-6, 40.0)
+    return np.sinh(stretch * even) / np.sinh(stretch)
+
+
+class PulledStress(NamedTuple):
+    """What a pull adds; amplitudes of the harmonic, lengths in R, stresses in E.
+
+    Attributes:
+        r: spatial radius about the sphere's axis where it is now.
+        zeta: 0 at the deformed top, 1 at the base.
+        stress: of `STRESSES` [6 m n].
+        surface: depth of the top.
+        shift: of the sphere along the pull, from where it was pressed.
+    """
+
+    r: Knots
+    zeta: Knots
+    stress: Float[ndarray, "6 m n"]
+    surface: Knots
+    shift: float
+
+
+@dataclass(frozen=True)
+class PulledSphereTable:
+    """Pulls of a sphere of radius R on a disc of modulus E; forces in E R^2.
+
+    Attributes:
+        thickness, depth, share: axes: of the disc [R], of the press [R], of friction.
+        stiffness: force over shift while all sticks, over Cattaneo's and Mindlin's 8 a G / (2 - nu) ``[h d]``.
+        shift: over the same force's without slip ``[h d s]``.
+        amount: of every mode ``[h d s k]``.
+        mode: of stress and surface, times a^2 / Q and a / Q ``[k values]``.
+    """
+
+    thickness: Float[ndarray, " h"]
+    depth: Float[ndarray, " d"]
+    share: Float[ndarray, " s"]
+    stiffness: Float[ndarray, "h d"]
+    shift: Float[ndarray, "h d s"]
+    amount: Float[ndarray, "h d s k"]
+    mode: Float[ndarray, "k v"]
+
+    def at(self, press: TabulatedPress, force: float, friction: float) -> PulledStress:
+        """What a pull of a force adds to a press.
+
+        Args:
+            press: without friction.
+            force: Q, 0 to friction times the press's force [E R^2].
+            friction: Coulomb's coefficient.
+        """
+        a, most = press.contact_radius, friction * press.force
+        share = min(force / most, FULL)
+        amount, slack = self._at(press.thickness, press.depth, share)
+        values = amount @ self.mode
+        r, zeta = radii_of(a), shares_down(a, press.depth, press.thickness)
+        stress = values[: -len(r)].reshape(6, len(zeta), len(r)) * (force / a**2)
+        shift = force / self.stiffness_at(press) * slack
+        return PulledStress(r, zeta, stress, values[-len(r) :] * (force / a), shift)
+
+    def stiffness_at(self, press: TabulatedPress) -> float:
+        """Force over shift while all sticks [E R]."""
+        over = CubicSpline(np.sqrt(self.depth), self.stiffness[self._row(press.thickness)], axis=-1)
+        ratio = self._mixed(over(math.sqrt(max(press.depth, self.depth[0]))), press.thickness)
+        return float(ratio) * mindlin_stiffness(press.contact_radius)
+
+    def covers(self, thickness: float) -> bool:
+        """Whether pulls on a disc of a thickness were solved, or are drawn from others [R]."""
+        return bool(np.isclose(self.thickness, thickness, rtol=SAME).any()) or bool(
+            self.thickness[0] <= thickness <= BETWEEN
+        )
+
+    def force_of(self, press: TabulatedPress, shift: float, friction: float) -> float:
+        """Force that a shift along the skin builds up, at most `FULL` of friction [E R^2]."""
+        most = FULL * friction * press.force
+        if not self.shift_of(press, most, friction) > shift:
+            return most
+        return float(brentq(lambda f: self.shift_of(press, f, friction) - shift, 0.0, most, xtol=1e-12))
+
+    def shift_of(self, press: TabulatedPress, force: float, friction: float) -> float:
+        """How far a force takes the sphere along [R]."""
+        share = min(force / (friction * press.force), FULL)
+        return force / self.stiffness_at(press) * self._at(press.thickness, press.depth, share)[1]
+
+    def _row(self, thickness: float) -> ndarray:
+        """Rows of the thicknesses that one is drawn from."""
+        own = np.isclose(self.thickness, thickness, rtol=SAME)
+        if own.any():
+            return np.flatnonzero(own)
+        between = np.flatnonzero(self.thickness <= BETWEEN)
+        least, most = self.thickness[between[[0, -1]]]
+        if not least <= thickness <= most:
+            raise RangeError(
+                f"no pull of a sphere on a disc {thickness:g} R thick was solved; solved were {least:g} to {most:g} R "
+                f"and {', '.join(f'{h:g} R' for h in self.thickness if h > most)}"
+            )
+        return between
+
+    def _mixed(self, values: ndarray, thickness: float) -> ndarray:
+        """By Lagrange's polynomial over 1 / thickness."""
+        rows = 1.0 / self.thickness[self._row(thickness)]
+        weight = [np.prod([(1 / thickness - o) / (x - o) for o in rows if o != x]) for x in rows]
+        return np.tensordot(weight, values, axes=1)
+
+    def _at(self, thickness: float, depth: float, share: float) -> tuple[ndarray, float]:
+        """Amounts of the modes, and the shift over that without slip."""
+        rows, root = self._row(thickness), math.sqrt(max(depth, self.depth[0]))
+        both = np.concatenate([self.amount[rows], self.shift[rows][..., None]], axis=-1)
+        by_share = CubicSpline(np.sqrt(self.depth), both, axis=1)(root)
+        mixed = self._mixed(PchipInterpolator(self.share, by_share, axis=1)(share), thickness)
+        return mixed[:-1], float(mixed[-1])
+
+
+BETWEEN = 2.5  # R: up to this thickness those between two solved ones are drawn from all
+
+
+def mindlin_stiffness(contact_radius: float, poisson_ratio: float = 0.49) -> float:
+    """8 a G / (2 - nu) of a half-space [E R]."""
+    return 4.0 * contact_radius / ((1.0 + poisson_ratio) * (2.0 - poisson_ratio))
+
+
+@lru_cache(maxsize=1)
+def pulled_sphere_table() -> PulledSphereTable:
+    """The shipped table, read once."""
+    with resources.as_file(TABLE) as path, np.load(path, allow_pickle=False) as file:
+        return PulledSphereTable(**{name: file[name].astype(float) for name in file.files})
+
+
+def pulled(
+    contact: Contact,
+    press: TabulatedPress,
+    youngs_modulus_pa: float,
+    pull_n: tuple[float, float],
+    friction: float,
+) -> Contact:
+    """A pressed contact with a pull on top, that came in one go.
+
+    Args:
+        contact: of a sphere, pressed by the table without friction; its pose is where the sphere is now.
+        press: that of the table.
+        youngs_modulus_pa: of the disc, by which the contact's force is that of the press [Pa].
+        pull_n: force of the sphere on the skin along x and y [N].
+        friction: Coulomb's coefficient.
+
+    Returns:
+        The contact. Its shear is what the pull adds to the load along x and y per area seen from above, friction
+        and turned pressure together, which sums to the pull. Its pressure leans forward by what the pull adds
+        along z. The contact's edge stays where it was, as under Cattaneo and Mindlin.
+
+    Raises:
+        RangeError: nothing presses, all slips, or the pull takes the sphere beyond `GREATEST_SHIFT`.
+    """
+    Q, most = math.hypot(*pull_n), friction * contact.force_n
+    R = contact.probe.radius_m
+    if not contact.force_n > 0.0:
+        raise RangeError(f"a lateral load of {Q:g} N on a probe that does not press")
+    if not Q < most:
+        raise RangeError(
+            f"a force of {Q:g} N makes the whole contact slip; give less than friction times the normal force, "
+            f"{most:g} N"
+        )
+    table, unit = pulled_sphere_table(), youngs_modulus_pa * R**2
+    added = table.at(press, Q / unit, friction)
+    if added.shift > GREATEST_SHIFT * (1 + SAME):
+        raise RangeError(
+            f"a lateral load of {Q:g} N takes the ball {added.shift * R * 1e3:.3g} mm along the skin; to "
+            f"{GREATEST_SHIFT * R * 1e3:g} mm the first order holds: give "
+            f"{table.force_of(press, GREATEST_SHIFT, friction) * unit:.4g} N or less, or press deeper"
+        )
+    x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
+    r, cos, sin = np.hypot(x, y) / R, *_turned(x, y, pull_n)
+    out, around, down = (
+        np.interp(r, added.r, part, right=0.0) * (r < press.contact_radius) for part in _top_load(press, added)
+    )
+    along, aside = out * cos**2 - around * sin**2, (out + around) * sin * cos
+    cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
+    exact = Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0  # the edge's stress is smoothed, the sum is known
+    e = np.array(pull_n) / (Q or 1.0)
+    lean = np.interp(r, added.r, added.surface, right=0.0) * cos * R
+    return replace(
+        contact,
+        pressure_pa=contact.pressure_pa + down * cos * youngs_modulus_pa,
+        displacement_m=contact.displacement_m + lean,
+        shear_pa=exact * np.stack([along * e[0] - aside * e[1], along * e[1] + aside * e[0]]),
+        lateral_n=(float(pull_n[0]), float(pull_n[1])),
+        model=f"{contact.model}; {PULLED}, friction {friction:g}",
+    )
+
+
+def _turned(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray, ndarray]:
+    """Cosine and sine of the angle from the pull."""
+    away, Q = np.maximum(np.hypot(x, y), 1e-15), math.hypot(*pull) or 1.0
+    return (x * pull[0] + y * pull[1]) / (away * Q), (y * pull[0] - x * pull[1]) / (away * Q)
+
+
+def _top_load(press: TabulatedPress, added: PulledStress) -> tuple[Knots, Knots, Knots]:
+    """Load on the top per area seen from above that the pull adds: outwards, around, down [E]."""
+    slope = np.interp(added.r, press.r, np.gradient(press.surface.astype(float), press.r))
+    rr, _, zz, rz, rt, tz = added.stress[:, 0]
+    return slope * rr - rz, slope * rt - tz, slope * rz - zz

@@ -1,0 +1,205 @@
+"""Make the table of a sphere that is pulled aside: what a pull adds to the press tables, to first order.
+
+    python tools/pulled_sphere_table.py    # some ten minutes on one core
+
+Needs scikit-fem. `--raw` keeps what was solved before it is cut to modes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.optimize import brentq
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from finite_strain.disc import Disc
+from finite_strain.neo_hookean import NeoHookean
+from finite_strain.press import Press
+from finite_strain.pulled import Increment, Pull
+from finite_strain.recover import Deformed, Grid, deformed, tensor_order
+from palpate.mechanics.axisymmetric.pulled_sphere import (
+    FULL,
+    STRESSES,
+    mindlin_stiffness,
+    radii_of,
+    shares_down,
+)
+from palpate.mechanics.axisymmetric.sphere_table import table_for
+
+OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/pulled_sphere.npz"
+THICKNESSES = (1.8, 2.0, 2.2, 2.5, 4.0)
+DEPTHS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.2)
+SHARES = (0.0, 0.3, 0.6, 0.8, FULL)
+CELL = 1.0 / 48.0
+STEPS = sorted({0.005, 0.01, 0.02, 0.03, *(k / 20 for k in range(1, 25)), *DEPTHS})
+MODES = 60
+
+
+def increments(pull: Pull, shares: tuple[float, ...] = SHARES) -> list[Increment]:
+    """The pulls of these shares of friction."""
+    press = pull.press.force(pull.balanced)
+    stuck = pull.slipping(1.0, np.inf)
+    made = [stuck]
+    start = None
+    for share in shares[1:]:
+        kept = start
+
+        def missing(x: float, share: float = share, kept: ndarray | None = kept) -> float:
+            return pull.slipping(x, 1.0, kept).force / press - share
+
+        low, high = 0.0, 1.1 * share * press / stuck.force
+        while missing(high) < 0.0:  # slip takes the sphere further
+            low, high = high, 1.2 * high
+        found = pull.slipping(brentq(missing, low, high, xtol=1e-5 * high), 1.0, kept)
+        start = found.traction
+        made.append(found)
+    return made
+
+
+class Added:
+    """Stress and surface that increments add, read where the sphere is now."""
+
+    def __init__(self, pull: Pull) -> None:
+        self.pull, disc = pull, pull.disc
+        self.body: Deformed = deformed(pull.press, pull.balanced)
+        middles = tuple(np.sort(np.concatenate([k, (k[1:] + k[:-1]) / 2])) for k in disc.knots)
+        self.node = tensor_order(disc.cells.doflocs, *middles)
+        _, _, J, _ = pull.pressed
+        self.weight = disc.weight * J
+        N, dofs = disc.shapes, disc.cells.element_dofs.T
+        mass = np.einsum("cq,cqa,cqb->cab", self.weight, N, N)
+        rows = np.broadcast_to(dofs[:, :, None], mass.shape)
+        columns = np.broadcast_to(dofs[:, None, :], mass.shape)
+        n = disc.nodes
+        self.mass = spl.splu(sp.csc_matrix((mass.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)))
+
+    def nodal(self, one: Increment) -> Float[ndarray, "9 nodes"]:
+        """Cauchy's stress at places of the skin that move along, and U, V, W."""
+        disc, s = self.pull.disc, self.pull.cauchy(one)
+        dofs, n = disc.cells.element_dofs.T, disc.nodes
+        load = np.einsum("cq,cqa,cqk->cak", self.weight, disc.shapes, s)
+        b = np.stack([np.bincount(dofs.ravel(), load[..., k].ravel(), minlength=n) for k in range(6)], axis=1)
+        stress = self.mass.solve(b).T
+        axis = np.isclose(disc.cells.doflocs[0], 0.0)
+        stress[np.ix_([0, 1, 2, 4], axis)] = 0.0
+        across = (stress[3, axis] - stress[5, axis]) / 2
+        stress[3, axis], stress[5, axis] = across, -across
+        return np.concatenate([stress, one.state[: 3 * n].reshape(3, n)])
+
+    def read(self, one: Increment, r: ndarray, zeta: ndarray) -> tuple[Float[ndarray, "6 m n"], ndarray]:
+        """Stress over (zeta, r) of the top as it is now, and the top's depth."""
+        h = self.pull.disc.thickness
+        top = self.body.surface(r)
+        z = top + zeta[:, None] * (h - top)
+        rr = np.broadcast_to(r, z.shape)
+        R, Z, _ = self.body.unloaded(rr.ravel(), z.ravel())
+        grid = Grid(self.pull.disc.knots, self.nodal(one)[:, self.node])
+        values, _ = grid.at(R, Z)
+        added, (U, V, W) = values[:6], values[6:]
+        base, slope = self.body.stress.at(R, Z)
+        _, D = self.body.place.at(R, Z)
+        det = D[0, 0] * D[1, 1] - D[0, 1] * D[1, 0]
+        over_r = (slope[:, 0] * D[1, 1] - slope[:, 1] * D[1, 0]) / det
+        over_z = (slope[:, 1] * D[0, 0] - slope[:, 0] * D[0, 1]) / det
+        moved = (U - one.shift).reshape(z.shape)
+        sunk = W.reshape(z.shape)
+        tilt = np.gradient(top, r)
+        surface = sunk[0] - tilt * moved[0]
+        down = (1.0 - zeta[:, None]) * surface - sunk
+        stress = added.reshape(6, *z.shape).copy()
+        drawn = over_z.reshape(4, *z.shape) * down - over_r.reshape(4, *z.shape) * moved
+        stress[:4] += drawn
+        s_rr, s_tt, _, s_rz = base.reshape(4, *z.shape)
+        turned = (V + one.shift).reshape(z.shape) / np.maximum(rr, 1e-9)
+        turned[:, r == 0.0] = 0.0
+        stress[4] += turned * (s_tt - s_rr)
+        stress[5] -= turned * s_rz
+        return stress, surface
+
+
+def solved(thickness: float) -> dict[str, ndarray]:
+    """Every depth and share of one disc."""
+    press, start = Press(Disc(thickness, CELL), NeoHookean(0.49), 0.0), time.process_time()
+    table = table_for(thickness, 0.0, 0.49)
+    stiffness, shift, values, loads = [], [], [], []
+    for balanced in press.through(STEPS):
+        if not np.isclose(balanced.depth, DEPTHS).any():
+            continue
+        a = table.contact_radius_at(balanced.depth)
+        r, zeta = radii_of(a), shares_down(a, balanced.depth, thickness)
+        pull = Pull(press, balanced)
+        made = increments(pull)
+        added = Added(pull)
+        k = made[0].force / made[0].shift
+        stiffness.append(k / mindlin_stiffness(a))
+        shift.append([k * one.shift / one.force for one in made])
+        fields = [added.read(one, r, zeta) for one in made]
+        values.append(
+            [
+                np.concatenate([(s * a**2 / one.force).ravel(), top * a / one.force])
+                for one, (s, top) in zip(made, fields, strict=True)
+            ]
+        )
+        print(
+            f"h {thickness:g} depth {balanced.depth:g} R: stiffness {k:.4f} E R, {stiffness[-1]:.4f} of Mindlin's; "
+            f"slack {np.round(shift[-1], 4)}; {time.process_time() - start:.0f} s in all",
+            flush=True,
+        )
+    return {"stiffness": np.array(stiffness), "shift": np.array(shift), "values": np.array(values)}
+
+
+def write(path: Path, found: dict[float, dict[str, ndarray]]) -> None:
+    """Cut the fields to modes, and write them."""
+    made = [found[thickness] for thickness in sorted(found)]
+    values = np.stack([one["values"] for one in made])
+    flat = values.reshape(-1, values.shape[-1])
+    _, s, mode = np.linalg.svd(flat, full_matrices=False)
+    mode = mode[:MODES]
+    mode = (mode / np.abs(mode).max(axis=1, keepdims=True)).astype(np.float16)
+    amount = np.linalg.lstsq(mode.astype(float).T, flat.T, rcond=None)[0].T
+    left = flat - amount @ mode.astype(float)
+    print(f"rms left out {np.sqrt((left**2).mean() / (flat**2).mean()):.1e}, worst {np.abs(left).max():.1e}")
+    np.savez_compressed(
+        path,
+        thickness=np.array(sorted(found)),
+        depth=np.array(DEPTHS),
+        share=np.array(SHARES),
+        stiffness=np.stack([one["stiffness"] for one in made]),
+        shift=np.stack([one["shift"] for one in made]),
+        amount=amount.reshape(*values.shape[:3], -1).astype(np.float32),
+        mode=mode,
+    )
+    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--raw", type=Path, help="folder that keeps what was solved")
+    args = parser.parse_args()
+    found = {}
+    for thickness in sorted(THICKNESSES, key=lambda h: h != 2.0):
+        kept = None if args.raw is None else args.raw / f"pulled-h{thickness:g}.npz"
+        if kept is not None and kept.exists():
+            found[thickness] = dict(np.load(kept))
+            continue
+        found[thickness] = solved(thickness)
+        if kept is not None:
+            np.savez(kept, **found[thickness])
+            write(args.out, found)
+    write(args.out, found)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
