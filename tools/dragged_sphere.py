@@ -1,4 +1,4 @@
-"""A rigid sphere pressed into a bonded disc and dragged aside under friction, in three dimensions at finite strain.
+"""A rigid sphere pressed into a bonded disc and dragged under friction, in three dimensions at finite strain.
 
     python tools/dragged_sphere.py    # solve, and write dragged_sphere.json; half an hour on one core
 
@@ -98,7 +98,9 @@ class Dragged(OffCentre):
         F, J, _, p = deformed(self, u)
         if not (J > 0.0).all():
             return np.inf
-        solid = self.w * (SOLID.mu * (((F**2).sum(axis=(2, 3)) - 3.0) / 2 - np.log(J)) + p**2 / SOLID.lame / 2)
+        solid = self.w * (
+            SOLID.mu * (((F**2).sum(axis=(2, 3)) - 3.0) / 2 - np.log(J)) + p**2 / SOLID.lame / 2
+        )
         away = self.away(u, depth)
         sunk = np.maximum(1.0 - np.linalg.norm(away, axis=-1), 0.0)
         _, size, slips = self._lag(away)
@@ -200,16 +202,16 @@ def drags(
         pressed = np.zeros(disc.starts[-1])
         pressed[disc.unknown[disc.unknown >= 0]] = u[disc.unknown >= 0]
         for friction in frictions:
-            press.friction, state = friction, pressed
-            press.shift, press._limit = 0.0, np.zeros_like(press._limit)
-            yield row(press, state, thickness, depth)
+            press.release()
+            press.friction = friction
+            yield row(press, pressed, thickness, depth)
             try:
-                for shift, state in press.drag(state, depth, shifts):
-                    found = row(press, state, thickness, depth)
+                for shift, dragged in press.drag(pressed, depth, shifts):
+                    found = row(press, dragged, thickness, depth)
                     yield found
                     if keep is not None:
                         at = f"h{thickness:g}-d{depth:g}-mu{friction:g}-s{shift:g}-{cells.under}.npz"
-                        np.savez(keep / at, pressed=pressed, state=state)
+                        np.savez(keep / at, pressed=pressed, state=dragged)
                     if found["sticks"] < SLIDES:
                         break
             except ArithmeticError as stop:
@@ -235,7 +237,9 @@ def row(press: Dragged, state: Field, thickness: float, depth: float) -> dict[st
 
 def main() -> int:
     """Solve, and write what was found."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--keep", type=Path, help="folder for the states, to compare stress with")
     args = parser.parse_args()
     made = []

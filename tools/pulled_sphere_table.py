@@ -26,9 +26,9 @@ from finite_strain.neo_hookean import NeoHookean
 from finite_strain.press import Press
 from finite_strain.pulled import Increment, Pull
 from finite_strain.recover import Deformed, Grid, deformed, tensor_order
+
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
-    STRESSES,
     mindlin_stiffness,
     radii_of,
     shares_down,
@@ -39,9 +39,9 @@ OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/pulled_sphere
 THICKNESSES = (1.8, 2.0, 2.2, 2.5, 4.0)
 DEPTHS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.2)
 SHARES = (0.0, 0.3, 0.6, 0.8, FULL)
-CELL = 1.0 / 48.0
+CELL = 1.0 / 40.0
 STEPS = sorted({0.005, 0.01, 0.02, 0.03, *(k / 20 for k in range(1, 25)), *DEPTHS})
-MODES = 60
+MODES = 72
 
 
 def increments(pull: Pull, shares: tuple[float, ...] = SHARES) -> list[Increment]:
@@ -49,19 +49,15 @@ def increments(pull: Pull, shares: tuple[float, ...] = SHARES) -> list[Increment
     press = pull.press.force(pull.balanced)
     stuck = pull.slipping(1.0, np.inf)
     made = [stuck]
-    start = None
     for share in shares[1:]:
-        kept = start
 
-        def missing(x: float, share: float = share, kept: ndarray | None = kept) -> float:
-            return pull.slipping(x, 1.0, kept).force / press - share
+        def missing(x: float, share: float = share) -> float:
+            return pull.slipping(x).force / press - share
 
         low, high = 0.0, 1.1 * share * press / stuck.force
         while missing(high) < 0.0:  # slip takes the sphere further
             low, high = high, 1.2 * high
-        found = pull.slipping(brentq(missing, low, high, xtol=1e-5 * high), 1.0, kept)
-        start = found.traction
-        made.append(found)
+        made.append(pull.slipping(brentq(missing, low, high, xtol=1e-5 * high)))
     return made
 
 
@@ -130,7 +126,7 @@ def solved(thickness: float) -> dict[str, ndarray]:
     """Every depth and share of one disc."""
     press, start = Press(Disc(thickness, CELL), NeoHookean(0.49), 0.0), time.process_time()
     table = table_for(thickness, 0.0, 0.49)
-    stiffness, shift, values, loads = [], [], [], []
+    stiffness, shift, values = [], [], []
     for balanced in press.through(STEPS):
         if not np.isclose(balanced.depth, DEPTHS).any():
             continue
@@ -150,7 +146,8 @@ def solved(thickness: float) -> dict[str, ndarray]:
             ]
         )
         print(
-            f"h {thickness:g} depth {balanced.depth:g} R: stiffness {k:.4f} E R, {stiffness[-1]:.4f} of Mindlin's; "
+            f"h {thickness:g} depth {balanced.depth:g} R: stiffness {k:.4f} E R, "
+            f"{stiffness[-1]:.4f} of Mindlin's; "
             f"slack {np.round(shift[-1], 4)}; {time.process_time() - start:.0f} s in all",
             flush=True,
         )
@@ -161,13 +158,15 @@ def write(path: Path, found: dict[float, dict[str, ndarray]]) -> None:
     """Cut the fields to modes, and write them."""
     made = [found[thickness] for thickness in sorted(found)]
     values = np.stack([one["values"] for one in made])
-    flat = values.reshape(-1, values.shape[-1])
-    _, s, mode = np.linalg.svd(flat, full_matrices=False)
+    scale = np.sqrt((values**2).mean(axis=(0, 1, 2)))
+    scale = np.maximum(scale, 1e-3 * scale.max()).astype(np.float16).astype(float)
+    flat = values.reshape(-1, values.shape[-1]) / scale
+    _, _, mode = np.linalg.svd(flat, full_matrices=False)
     mode = mode[:MODES]
     mode = (mode / np.abs(mode).max(axis=1, keepdims=True)).astype(np.float16)
     amount = np.linalg.lstsq(mode.astype(float).T, flat.T, rcond=None)[0].T
     left = flat - amount @ mode.astype(float)
-    print(f"rms left out {np.sqrt((left**2).mean() / (flat**2).mean()):.1e}, worst {np.abs(left).max():.1e}")
+    print(f"rms left out {np.sqrt((left**2).mean()):.1e} of each knot's own, worst {np.abs(left).max():.1e}")
     np.savez_compressed(
         path,
         thickness=np.array(sorted(found)),
@@ -177,13 +176,16 @@ def write(path: Path, found: dict[float, dict[str, ndarray]]) -> None:
         shift=np.stack([one["shift"] for one in made]),
         amount=amount.reshape(*values.shape[:3], -1).astype(np.float32),
         mode=mode,
+        scale=scale.astype(np.float16),
     )
     print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
 def main() -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--raw", type=Path, help="folder that keeps what was solved")
     args = parser.parse_args()

@@ -1,14 +1,14 @@
-"""The disc under a sphere that presses already and is pulled aside: to first order in the pull, exact in depth.
+"""The disc under a sphere that presses and is pulled aside: to first order in the pull, exact in depth.
 
-About the pressed, axisymmetric balance every increment that a pull along x makes has the form
-(U cos t, V sin t, W cos t) along (r, t, z), with t the angle from x, and its pressure is cos t times a function
-of (R, Z): one harmonic, which the meridian's mesh holds. The tangent is that of the pressed state, so that
+About the pressed, axisymmetric balance every increment that a pull along x makes has the form (U cos t, V
+sin t, W cos t) along (r, t, z), with t the angle from x, and its pressure is cos t times a function of (R,
+Z): one harmonic, which the meridian's mesh holds. The tangent is that of the pressed state, so that
 stretch, stress, pressure and the steep sides of the contact are all in it.
 
-The sphere's springs of `sphere.py` give way along the normal. Along the surface a point sticks to the sphere by
-TANGENT times the way it lags behind, up to friction times its pressure. Over t both parts of that traction are
-of the one harmonic; what is limited is its root mean square over t, which where the traction points along x
-all round, as under Cattaneo and Mindlin, is its size everywhere.
+The sphere's springs of `sphere.py` give way along the normal. Along the surface a point sticks to the
+sphere by TANGENT times the way it lags behind, up to friction times its pressure. Over t both parts of that
+traction are of the one harmonic; what is limited is its root mean square over t, which where the traction
+points along x all round, as under Cattaneo and Mindlin, is its size everywhere.
 
 Lengths in R, stresses in E. Of integrals over t the common factor pi is left out but in the force.
 
@@ -33,8 +33,8 @@ from .press import Balanced, Press
 
 NINE = tuple((i, j) for i in range(3) for j in range(3))  # parts of the gradient over (r, z, t)
 TANGENT = 2000.0  # E/R
-SETTLED = 1e-6  # of the greatest limit
-SWEEPS = 3000
+SETTLED = 1e-5  # of the greatest limit
+ROUNDS = 20000
 
 Points = Float[ndarray, " p"]
 Pairs = Float[ndarray, "p 2"]
@@ -143,7 +143,9 @@ class Pull:
     def _factors(self) -> spl.SuperLU:
         T = self._regular
         K = (T.T @ (self._solid + self._springs) @ T).tocsc()
-        return spl.splu(K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+        return spl.splu(
+            K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
+        )
 
     @cached_property
     def _solid(self) -> sp.csr_matrix:
@@ -202,7 +204,9 @@ class Pull:
         row, column = np.broadcast_arrays(row, column)[0], np.broadcast_to(column, value.shape)
         row = np.broadcast_to(row, value.shape)
         total = len(self._aside)
-        return sp.csr_matrix((value.ravel(), (row.ravel(), column.ravel())), shape=(total, value[..., 0, 0].size))
+        return sp.csr_matrix(
+            (value.ravel(), (row.ravel(), column.ravel())), shape=(total, value[..., 0, 0].size)
+        )
 
     @cached_property
     def _compliance(self) -> tuple[ndarray, ndarray, ndarray]:
@@ -217,23 +221,21 @@ class Pull:
         lag = read @ (free - self._aside)
         return lag, np.asarray(read @ states), np.column_stack([free, states])
 
-    def slipping(self, shift: float, friction: float = 1.0, start: ndarray | None = None) -> Increment:
+    def slipping(self, shift: float, friction: float = 1.0) -> Increment:
         """The sphere shifted by so much, in one go from none.
 
         Args:
             shift: along x [R].
             friction: Coulomb's coefficient; infinite where nothing slips, 0 where all does.
-            start: tractions to begin with.
         """
         lag, G, states = self._compliance
         count = len(self.limit)
         bound = friction * self.limit if np.isfinite(friction) else np.full(count, np.inf)
-        q = np.zeros(2 * count) if start is None else start.ravel().copy()
-        eye = np.eye(2 * count)
+        q = np.zeros(2 * count)
         if not np.isfinite(friction):
-            q = np.linalg.solve(eye + TANGENT * G, -TANGENT * shift * lag)
+            q = np.linalg.solve(np.eye(2 * count) + TANGENT * G, -TANGENT * shift * lag)
         elif friction > 0.0:
-            q = self._limited(shift * lag, G + eye / TANGENT, bound, q)
+            q = self._limited(shift * lag, bound)
         state = shift * states[:, 0] + states[:, 1:] @ q
         pairs = q.reshape(-1, 2)
         return Increment(
@@ -244,19 +246,34 @@ class Pull:
             state=state,
         )
 
-    def _limited(self, lag: ndarray, G: ndarray, bound: Points, q: ndarray) -> ndarray:
-        """Tractions that stick where they may: point after point (Gauss and Seidel), each cut to its bound."""
-        q, own = q.copy(), G.diagonal().reshape(-1, 2).max(axis=1)
-        for _ in range(SWEEPS):
-            before = q.copy()
-            for i, most in enumerate(bound):
-                two = slice(2 * i, 2 * i + 2)
-                pull = q[two] - (lag[two] + G[two] @ q) / own[i]
-                size = math.hypot(*pull) / math.sqrt(2.0)
-                q[two] = pull if size <= most else pull * (most / size)
-            if np.abs(q - before).max() < SETTLED * bound.max():
-                return q
-        raise RuntimeError(f"{np.abs(q - before).max():.1e} E of traction did not settle in {SWEEPS} sweeps")
+    @cached_property
+    def _principal(self) -> tuple[Points, Float[ndarray, "n n"]]:
+        """Compliance of the touching points with their tangential springs, in tractions times root weight."""
+        root = np.sqrt(np.repeat(self._bases[2], 2))
+        G = root[:, None] * self._compliance[1] / root
+        values, vectors = np.linalg.eigh((G + G.T) / 2)
+        return values + 1.0 / TANGENT, vectors
+
+    def _limited(self, lag: Points, bound: Points) -> Points:
+        """Tractions q of the least q.A q / 2 + q.lag within their bounds.
+
+        Directions are alternated with multipliers between the quadratic form and the bounds (S. Boyd et al.,
+        2011, doi:10.1561/2200000016).
+        """
+        values, vectors = self._principal
+        root = np.sqrt(np.repeat(self._bases[2], 2))
+        lag, most = root * lag, bound * np.sqrt(2.0 * self._bases[2])
+        firm = math.sqrt(values[0] * values[-1])
+        held, missed = np.zeros_like(lag), np.zeros_like(lag)
+        for _ in range(ROUNDS):
+            free = vectors @ ((vectors.T @ (firm * (held - missed) - lag)) / (values + firm))
+            wanted = (1.6 * free - 0.6 * held + missed).reshape(-1, 2)
+            size = np.maximum(np.hypot(*wanted.T), 1e-300)
+            before, held = held, (wanted * np.minimum(1.0, most / size)[:, None]).ravel()
+            missed = wanted.ravel() - held
+            if max(np.abs(free - held).max(), np.abs(held - before).max()) < SETTLED * most.max():
+                return held / root
+        raise RuntimeError(f"{np.abs(free - held).max():.1e} E of traction did not settle in {ROUNDS} rounds")
 
     def force(self, state: ndarray, shift: float, q: ndarray) -> float:
         """Force of the sphere on the skin along x, its turned pressure with it [E R^2]."""
@@ -265,18 +282,19 @@ class Pull:
 
     def reaction(self, state: ndarray) -> float:
         """Force of the body on its bonded base along x, which balances that of the sphere [E R^2]."""
-        R, Z = self.disc.cells.doflocs
+        _, Z = self.disc.cells.doflocs
         n = self.disc.nodes
         base = np.flatnonzero(np.isclose(Z, self.disc.thickness))
         out = self._solid @ state
         return float(-np.pi * (out[base].sum() - out[base + n].sum()))
 
-
     def cauchy(self, one: Increment) -> Float[ndarray, "cells q 6"]:
-        """What it adds to Cauchy's stress at places that move along: rr, tt, zz, rz times cos t, rt, tz times sin t."""
+        """What it adds to Cauchy's stress at places that move along: rr, tt, zz, rz, and of sin t rt, tz."""
         d, (F, g, J, _), n = self.disc, self.pressed, self.disc.nodes
         nodes = d.cells.element_dofs.T
-        H = (self.gradient @ one.state[np.hstack([nodes, nodes + n, nodes + 2 * n])][:, None, :, None])[..., 0]
+        H = (self.gradient @ one.state[np.hstack([nodes, nodes + n, nodes + 2 * n])][:, None, :, None])[
+            ..., 0
+        ]
         dF = H.reshape(*H.shape[:2], 3, 3)
         p = np.einsum("cqa,ca->cq", d.corner_shapes, one.state[d.corners.element_dofs.T + 3 * n])
         swell = np.einsum("cqij,cqij->cq", g, dF)

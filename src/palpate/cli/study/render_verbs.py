@@ -89,7 +89,7 @@ def palm(
         lateral = ()
     if len(lateral) != 2:
         raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
-    if probe.shape == "sphere" and not any(lateral):
+    if probe.shape == "sphere":
         fitted = replace(spec, indenter_radius_m=probe.radius_m)
         spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
     spec = replace(

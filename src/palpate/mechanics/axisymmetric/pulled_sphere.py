@@ -1,18 +1,20 @@
-"""A rigid sphere that presses deep into a bonded disc and is pulled aside under friction: to first order in the pull.
+"""A rigid sphere, pressed deep into a bonded disc and pulled aside, to first order in the pull.
 
-The disc, its material and the press without friction are those of `sphere_table`. About the pressed state the
-sphere is moved along x at constant depth; skin that touches sticks to it, and slips where its traction along
-the surface would exceed Coulomb's coefficient times the pressure. What the pull adds has one harmonic,
+The disc, its material and the press without friction are those of `sphere_table`. About the pressed state
+the sphere is moved along x at constant depth; skin that touches sticks to it, and slips where its traction
+along the surface would exceed Coulomb's coefficient times the pressure. What the pull adds has one
+harmonic,
 
     rr, tt, zz, rz and the surface's depth times cos t,      rt, tz times sin t,
 
-t being the angle from the pull, about the sphere's axis where it is now. It is proportional to the force Q of the
-pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed state's own, so
-that depth is not small; the pull is. In three dimensions, with nothing left out, force, stiffness and stress
-were found within what `tests/mechanics/test_pulled_sphere.py` states, to `GREATEST_SHIFT`.
+t being the angle from the pull, about the sphere's axis where it is now. It is proportional to the force Q
+of the pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed
+state's own, so that depth is not small; the pull is. Against a sphere dragged in three dimensions with
+nothing left out (`tools/dragged_sphere.py`) the force is right to 4 % under friction 0.3 and 1, 0.3 to 1.2
+R deep, to `GREATEST_SHIFT`. The stress is of first order.
 
-The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness, depth
-and share take. Made by `tools/pulled_sphere_table.py`.
+The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness,
+depth and share take. Made by `tools/pulled_sphere_table.py`.
 """
 
 from __future__ import annotations
@@ -32,12 +34,14 @@ from palpate.mechanics.axisymmetric.sphere_table import SAME, TabulatedPress
 
 TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
 STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")
-GREATEST_SHIFT = 0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
+GREATEST_SHIFT = (
+    0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
+)
 FULL = 0.98  # of friction: the greatest share that was solved; held to where all slips
-REACHED = 5.4  # R, the last radius
+REACHED = 5.4  # R, the last radius, clear of the rim's corner
 NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4, 1.55, 1.75, 2.0]])
 FAR, DOWN = 16, 24  # knots outside two contact radii, and down to the base
-FIRST = 0.05  # contact radii under the top: the first knot
+FIRST = 0.06  # contact radii under the top: about the first knot
 
 PULLED = "pulled aside, to first order in the pull"
 """Part of the model of a contact of `pulled`."""
@@ -53,7 +57,8 @@ def radii_of(contact_radius: float) -> Knots:
 
 def shares_down(contact_radius: float, depth: float, thickness: float) -> Knots:
     """Shares of the way from the top to the base at which they are held."""
-    first, even = FIRST * contact_radius / (thickness - depth), np.linspace(0.0, 1.0, DOWN + 1)
+    even = np.linspace(0.0, 1.0, DOWN + 1)
+    first = 1.0 / (DOWN + (thickness - depth) / (FIRST * contact_radius))  # below that of equal steps
     stretch = brentq(lambda b: np.sinh(b * even[1]) / np.sinh(b) - first, 1e-6, 40.0)
     return np.sinh(stretch * even) / np.sinh(stretch)
 
@@ -82,10 +87,11 @@ class PulledSphereTable:
 
     Attributes:
         thickness, depth, share: axes: of the disc [R], of the press [R], of friction.
-        stiffness: force over shift while all sticks, over Cattaneo's and Mindlin's 8 a G / (2 - nu) ``[h d]``.
+        stiffness: force over shift while all sticks, over Mindlin's 8 a G / (2 - nu) ``[h d]``.
         shift: over the same force's without slip ``[h d s]``.
         amount: of every mode ``[h d s k]``.
-        mode: of stress and surface, times a^2 / Q and a / Q ``[k values]``.
+        mode: of stress and surface, over `scale` ``[k values]``.
+        scale: of each value, times a^2 / Q of stress and a / Q of the surface.
     """
 
     thickness: Float[ndarray, " h"]
@@ -95,6 +101,7 @@ class PulledSphereTable:
     shift: Float[ndarray, "h d s"]
     amount: Float[ndarray, "h d s k"]
     mode: Float[ndarray, "k v"]
+    scale: Float[ndarray, " v"]
 
     def at(self, press: TabulatedPress, force: float, friction: float) -> PulledStress:
         """What a pull of a force adds to a press.
@@ -107,7 +114,7 @@ class PulledSphereTable:
         a, most = press.contact_radius, friction * press.force
         share = min(force / most, FULL)
         amount, slack = self._at(press.thickness, press.depth, share)
-        values = amount @ self.mode
+        values = amount @ self.mode * self.scale
         r, zeta = radii_of(a), shares_down(a, press.depth, press.thickness)
         stress = values[: -len(r)].reshape(6, len(zeta), len(r)) * (force / a**2)
         shift = force / self.stiffness_at(press) * slack
@@ -115,9 +122,13 @@ class PulledSphereTable:
 
     def stiffness_at(self, press: TabulatedPress) -> float:
         """Force over shift while all sticks [E R]."""
-        over = CubicSpline(np.sqrt(self.depth), self.stiffness[self._row(press.thickness)], axis=-1)
-        ratio = self._mixed(over(math.sqrt(max(press.depth, self.depth[0]))), press.thickness)
-        return float(ratio) * mindlin_stiffness(press.contact_radius)
+        ratio = self.stiffness_ratio(np.array([press.depth]), press.thickness)
+        return float(ratio[0]) * mindlin_stiffness(press.contact_radius)
+
+    def stiffness_ratio(self, depth: Knots, thickness: float) -> Knots:
+        """The same at many depths [R], over that of a half-space."""
+        over = CubicSpline(np.sqrt(self.depth), self.stiffness[self._row(thickness)], axis=1)
+        return self._mixed(over(np.sqrt(np.maximum(depth, self.depth[0]))), thickness)
 
     def covers(self, thickness: float) -> bool:
         """Whether pulls on a disc of a thickness were solved, or are drawn from others [R]."""
@@ -146,7 +157,8 @@ class PulledSphereTable:
         least, most = self.thickness[between[[0, -1]]]
         if not least <= thickness <= most:
             raise RangeError(
-                f"no pull of a sphere on a disc {thickness:g} R thick was solved; solved were {least:g} to {most:g} R "
+                f"no pull of a sphere on a disc {thickness:g} R thick was solved; solved were {least:g} to "
+                f"{most:g} R "
                 f"and {', '.join(f'{h:g} R' for h in self.thickness if h > most)}"
             )
         return between
@@ -198,9 +210,10 @@ def pulled(
         friction: Coulomb's coefficient.
 
     Returns:
-        The contact. Its shear is what the pull adds to the load along x and y per area seen from above, friction
-        and turned pressure together, which sums to the pull. Its pressure leans forward by what the pull adds
-        along z. The contact's edge stays where it was, as under Cattaneo and Mindlin.
+        The contact. Its shear is what the pull adds to the load along x and y per area seen from above,
+        friction and turned pressure together, which sums to the pull. Its pressure and its edge stay as they
+        were, as under Cattaneo and Mindlin; in three dimensions the pressure's centre moves by up to 0.02 R
+        against the sphere's.
 
     Raises:
         RangeError: nothing presses, all slips, or the pull takes the sphere beyond `GREATEST_SHIFT`.
@@ -209,10 +222,10 @@ def pulled(
     R = contact.probe.radius_m
     if not contact.force_n > 0.0:
         raise RangeError(f"a lateral load of {Q:g} N on a probe that does not press")
-    if not Q < most:
+    if not most > Q:
         raise RangeError(
-            f"a force of {Q:g} N makes the whole contact slip; give less than friction times the normal force, "
-            f"{most:g} N"
+            f"a force of {Q:g} N makes the whole contact slip; give less than friction times the normal "
+            f"force, {most:g} N"
         )
     table, unit = pulled_sphere_table(), youngs_modulus_pa * R**2
     added = table.at(press, Q / unit, friction)
@@ -224,17 +237,19 @@ def pulled(
         )
     x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
     r, cos, sin = np.hypot(x, y) / R, *_turned(x, y, pull_n)
-    out, around, down = (
-        np.interp(r, added.r, part, right=0.0) * (r < press.contact_radius) for part in _top_load(press, added)
+    out, around = (
+        np.interp(r, added.r, part, right=0.0) * (r < press.contact_radius)
+        for part in _top_load(press, added)
     )
     along, aside = out * cos**2 - around * sin**2, (out + around) * sin * cos
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
-    exact = Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0  # the edge's stress is smoothed, the sum is known
+    exact = (
+        Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0
+    )  # the edge's stress is smoothed, the sum is known
     e = np.array(pull_n) / (Q or 1.0)
     lean = np.interp(r, added.r, added.surface, right=0.0) * cos * R
     return replace(
         contact,
-        pressure_pa=contact.pressure_pa + down * cos * youngs_modulus_pa,
         displacement_m=contact.displacement_m + lean,
         shear_pa=exact * np.stack([along * e[0] - aside * e[1], along * e[1] + aside * e[0]]),
         lateral_n=(float(pull_n[0]), float(pull_n[1])),
@@ -248,8 +263,8 @@ def _turned(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray,
     return (x * pull[0] + y * pull[1]) / (away * Q), (y * pull[0] - x * pull[1]) / (away * Q)
 
 
-def _top_load(press: TabulatedPress, added: PulledStress) -> tuple[Knots, Knots, Knots]:
-    """Load on the top per area seen from above that the pull adds: outwards, around, down [E]."""
+def _top_load(press: TabulatedPress, added: PulledStress) -> tuple[Knots, Knots]:
+    """Load on the top per area seen from above that the pull adds: outwards and around [E]."""
     slope = np.interp(added.r, press.r, np.gradient(press.surface.astype(float), press.r))
-    rr, _, zz, rz, rt, tz = added.stress[:, 0]
-    return slope * rr - rz, slope * rt - tz, slope * rz - zz
+    rr, _, _, rz, rt, tz = added.stress[:, 0]
+    return slope * rr - rz, slope * rt - tz

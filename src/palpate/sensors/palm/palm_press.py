@@ -1,7 +1,8 @@
-"""A probe on the palm's membrane: the finite-strain table for the ball, linear layers for all else.
+"""A probe on the palm's membrane: finite-strain tables for the ball, linear layers for all else.
 
-The table reaches 6 mm. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to
-that depth they are allowed; a ball under lateral load or moment is of them, and so are several balls at once.
+The tables reach 6 mm, with a lateral load as without. Linear layers are right to some 4 % in force up to
+1.5 mm under a 10 mm ball, and to that depth they are allowed; a ball under a moment is of them, and so are
+several balls at once.
 """
 
 from __future__ import annotations
@@ -16,8 +17,12 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.axisymmetric.pulled_sphere import pulled as pulled_contact
-from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
+from palpate.mechanics.axisymmetric.pulled_sphere import (
+    FULL,
+    GREATEST_SHIFT,
+    pulled as pulled_contact,
+    pulled_sphere_table,
+)
 from palpate.mechanics.axisymmetric.sphere_table import (
     SAME,
     SphereTable,
@@ -213,10 +218,12 @@ def press(
 
     Args:
         spec: the palm.
-        pose: where, and how deep: up to 6 mm for the spec's ball, to 1.5 mm for all else; negative for a
-            probe in the air. The contact must lie inside the membrane's rim.
+        pose: where, and how deep: up to 6 mm for the spec's ball without moment, to 1.5 mm for all else;
+            negative for a probe in the air. Under a lateral load the place is that of the ball then. The
+            contact must lie inside the membrane's rim.
         probe: what presses; None for the spec's ball.
-        lateral_n: force along x and y on top [N]; less than friction times the normal force.
+        lateral_n: force along x and y on top [N]; less than friction times the normal force, and no more than
+            takes the ball 2.25 mm along.
         moment_nm: about z through the probe's axis on top, from x towards y [N m]; None for a probe that does
             not turn, whose contact has the moment that a lateral force then takes.
 
@@ -270,6 +277,24 @@ def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> 
     modulus = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio
     found = pulled_contact(contact, pressed(spec, pose.depth_m), modulus, pull, FRICTION)
     return replace(found, lateral_n=(float(lateral_n[0]), float(lateral_n[1])))
+
+
+def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
+    """Lateral force that a shift of the spec's ball along the skin builds up, in one go [N].
+
+    Raises:
+        RangeError: the ball would slip, or go further than the table of a pulled ball holds.
+    """
+    spec = pressed_at(spec, pose.x_m, pose.y_m)
+    R, at = spec.indenter_radius_m, pressed(spec, pose.depth_m)
+    table, unit = pulled_sphere_table(), spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
+    least = min(table.shift_of(at, FULL * FRICTION * at.force, FRICTION), GREATEST_SHIFT) * R
+    if shift_m > least * (1 + SAME):
+        raise RangeError(
+            f"shifted by {1e3 * shift_m:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the palm, "
+            f"or goes further than was solved; shift it by {1e3 * least:.3g} mm at most, or press deeper"
+        )
+    return table.force_of(at, shift_m / R, FRICTION) * unit
 
 
 def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:

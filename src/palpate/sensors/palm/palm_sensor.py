@@ -31,10 +31,19 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
+from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
-from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press, press_layers, table_of
+from palpate.sensors.palm.palm_press import (
+    FRICTION,
+    LINEAR_DEPTH_M,
+    is_pulled_deep,
+    press,
+    press_layers,
+    pull_of_shift,
+    table_of,
+)
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
@@ -64,8 +73,8 @@ Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 class Palm:
     """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
 
-    Under its own ball it is pressed by the finite-strain table, under any other probe or a lateral load by
-    linear layers, and then the relaxed skin is drawn.
+    Under its own ball, pulled aside or not, it is pressed by finite-strain tables, under any other probe by
+    linear layers. Under a lateral load or another probe the relaxed skin is drawn.
 
     Attributes:
         spec: every number of it.
@@ -162,10 +171,11 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth of the table under the own ball, and of linear layers under all else [m]."""
+        """Greatest depth of the table under the own ball, pulled aside or not; of linear layers else [m]."""
         if not is_rigid(specimen):
             return 0.0
-        return LINEAR_DEPTH_M if lateral or probe != self._ball else self.force_law(probe).greatest_m
+        tabled = probe == self._ball and (is_pulled_deep(self.spec) or not lateral)
+        return self.force_law(probe).greatest_m if tabled else LINEAR_DEPTH_M
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
         """The table's under the own ball, a curve through presses of linear layers under any other.
@@ -281,7 +291,7 @@ class Palm:
         return replace(self.spec, youngs_modulus_pa=self.spec.youngs_modulus_pa * history.stiffening)
 
     def _lateral_n(self, probe: Probe, pose: Pose, history: PressHistory) -> tuple[float, float]:
-        """Lateral force of the path, by Cattaneo's and Mindlin's law, where it is not known."""
+        """Lateral force of the path, where it is not known: by the table of a pulled ball, or Mindlin's law."""
         if history.lateral_n is not None:
             return history.lateral_n
         if not history.path_m or pose.depth_m <= 0:
@@ -292,6 +302,9 @@ class Palm:
         stiff = float(np.interp(pose.depth_m, law.depth_m, law.lateral_n_m))
         if shift == 0 or most == 0:
             return 0.0, 0.0
+        if probe == self._ball and is_pulled_deep(self.spec):
+            pull = pull_of_shift(self.spec, pose, shift)
+            return pull * x / shift, pull * y / shift
         free = 1.0 - 2 * stiff * shift / (3 * most)
         if free <= 0:
             raise RangeError(
@@ -323,9 +336,13 @@ def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     """The law of a skin under a probe."""
     own = probe == Probe("sphere", spec.indenter_radius_m)
     depth, force, radius = _of_table(spec) if own else _of_layers(replace(spec, gel=EVEN), probe)
-    per_radius = tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
+    lateral = radius * tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
+    if own and is_pulled_deep(spec):
+        R = spec.indenter_radius_m
+        ratio = pulled_sphere_table().stiffness_ratio(depth / R, spec.thickness_m / R)
+        lateral = lateral * ratio
     by_place = rim_by_place(spec) if own else None
-    return ForceLaw(depth, force, radius, radius * per_radius, by_place)
+    return ForceLaw(depth, force, radius, lateral, by_place)
 
 
 def _of_table(spec: PalmSpec) -> tuple[ndarray, ndarray, ndarray]:

@@ -1,8 +1,8 @@
 """What light meets under the palm's ball where it is pulled aside: the table's stress, laid out in space.
 
-The press and what the pull adds are known over radius and the share of the way from the deformed top to the base.
-Here they are read on flat planes about the ball, in a window and on a wide grid that holds beyond it. Above the top,
-where no ray passes that is not dark, the top's own stress stands.
+The press and what the pull adds are known over radius and the share of the way from the deformed top to the
+base. Here they are read on flat planes about the ball, in a window and on a wide grid that holds beyond it.
+Above the top, where no ray passes that is not dark, the top's own stress stands.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
 from palpate.mechanics.axisymmetric.pulled_sphere import PULLED, PulledStress, pulled_sphere_table
 from palpate.mechanics.layers.layer_stress import OnGrid
-from palpate.sensors.palm.palm_press import FADED, FINER, FRICTION, between, field_at, pressed
+from palpate.optics.axisymmetric_march import AxisymmetricField
+from palpate.sensors.palm.palm_press import FADED, FRICTION, field_at, pressed
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of
 from palpate.sensors.palm.palm_spec import PalmSpec
 
@@ -53,7 +53,10 @@ def stress_about(spec: PalmSpec, contact: Contact) -> Laid:
     a, h = press.contact_radius * R, spec.thickness_m
     deep = min(contact.pose.depth_m + a, 0.9 * h)
     planes = np.concatenate(
-        [np.linspace(0.0, deep, NEAR_PLANES), deep + (h - deep) * np.linspace(0, 1, DEEP_PLANES + 1)[1:] ** 1.5]
+        [
+            np.linspace(0.0, deep, NEAR_PLANES),
+            deep + (h - deep) * np.linspace(0, 1, DEEP_PLANES + 1)[1:] ** 1.5,
+        ]
     )
     halves = min(WINDOW * a, WIDEST * R), spec.radius_m
     return Laid(planes, *(_on_grid(spec, contact, added, planes, half) for half in halves))
@@ -63,7 +66,9 @@ def _added(spec: PalmSpec, contact: Contact) -> PulledStress:
     """What the pull adds; in moduli of the membrane as the rim leaves it."""
     pose, R = contact.pose, spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
-    return pulled_sphere_table().at(pressed(spec, pose.depth_m), math.hypot(*_pull(spec, contact)) / unit, FRICTION)
+    return pulled_sphere_table().at(
+        pressed(spec, pose.depth_m), math.hypot(*_pull(spec, contact)) / unit, FRICTION
+    )
 
 
 def _pull(spec: PalmSpec, contact: Contact) -> tuple[float, float]:
@@ -85,21 +90,19 @@ def _on_grid(
     c, s = x / np.maximum(r, 1e-12), y / np.maximum(r, 1e-12)
     e = np.array(pull) / max(math.hypot(*pull), 1e-300)
     cos, sin = c * e[0] + s * e[1], s * e[0] - c * e[1]
-    top = np.interp(r, base.r_m, base.surface_m) + R * cos * np.interp(r / R, added.r, added.surface, right=0.0)
-    fine_r, fine_zeta, more = _finer(added)
-    start, end = FADED
-    share = np.clip((fine_r * R / base.r_m[-1] - start) / (end - start), 0, 1)
-    more = more * (modulus * (1 - share**2 * (3 - 2 * share)))
-    at_base, at_more = (np.interp(r, knots, np.arange(len(knots))) for knots in (base.r_m, fine_r * R))
+    top = np.interp(r, base.r_m, base.surface_m) + R * cos * np.interp(
+        r / R, added.r, added.surface, right=0.0
+    )
+    table, ratio = _table(added, base, R), modulus / spec.youngs_modulus_pa
+    table[:, :4] *= ratio
+    table[:, 4:] *= modulus
+    across_at = np.interp(r, base.r_m, np.arange(len(base.r_m)))
     stress = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
     for k, z in enumerate(planes):
         zeta = np.clip((z - top) / (h - top), 0, 1)
-        down = np.interp(zeta, base.zeta, np.arange(len(base.zeta)))
-        rr, tt, zz, rz = (_read(part, down, at_base) for part in base.stress_pa)
-        ratio = modulus / spec.youngs_modulus_pa
-        rr, tt, zz, rz = ratio * rr, ratio * tt, ratio * zz, ratio * rz
-        down = np.interp(zeta, fine_zeta, np.arange(len(fine_zeta)))
-        m = [_read(part, down, at_more) for part in more]
+        rr, tt, zz, rz, *m = _read(
+            table, len(base.r_m), np.interp(zeta, base.zeta, np.arange(len(base.zeta))), across_at
+        )
         rr, tt, zz, rz = rr + m[0] * cos, tt + m[1] * cos, zz + m[2] * cos, rz + m[3] * cos
         rt, tz = m[4] * sin, m[5] * sin
         stress[k, 0] = rr * c * c + tt * s * s - 2 * rt * s * c - zz
@@ -111,27 +114,44 @@ def _on_grid(
     return OnGrid((float(first[0]), float(first[1])), (cell, cell), stress)
 
 
-def _finer(added: PulledStress) -> tuple[ndarray, ndarray, Float[ndarray, "6 m n"]]:
-    """On knots between which straight lines do, as the press has them; nothing beyond the last radius."""
-    r, zeta = between(added.r, FINER), between(added.zeta, FINER)
-    values = PchipInterpolator(added.zeta, added.stress, axis=1)(zeta)
-    return r, zeta, PchipInterpolator(added.r, values, axis=2)(r)
+def _table(added: PulledStress, base: AxisymmetricField, R: float) -> Float32[ndarray, "mn 10"]:
+    """The press's four stresses [Pa] and the pull's six [E] on the press's knots, faded out as that is."""
+    r = base.r_m / R
+    values = PchipInterpolator(added.zeta, added.stress, axis=1)(base.zeta)
+    values = PchipInterpolator(added.r, values, axis=2)(np.minimum(r, added.r[-1]))
+    start, end = FADED
+    share = np.clip((r / r[-1] - start) / (end - start), 0, 1)
+    values = values * (1 - share**2 * (3 - 2 * share))
+    return np.concatenate([base.stress_pa, values]).reshape(10, -1).T.astype(np.float32)
 
 
-def _read(field: ndarray, down: Plane, out: Plane) -> Plane:
-    return np.asarray(map_coordinates(field, [down, out], order=1, mode="nearest"))
+def _read(
+    table: Float32[ndarray, "mn 10"], columns: int, down: Plane, out: Plane
+) -> Float32[ndarray, "10 ny nx"]:
+    """Rows of a table along straight lines between its knots."""
+    i = np.minimum(down.astype(np.int32), len(table) // columns - 2)
+    j = np.minimum(out.astype(np.int32), columns - 2)
+    a, b = ((at - k).astype(np.float32)[..., None] for at, k in ((down, i), (out, j)))
+    at = i * columns + j
+    above = table[at] * (1 - b) + table[at + 1] * b
+    under = table[at + columns] * (1 - b) + table[at + columns + 1] * b
+    return np.moveaxis(above * (1 - a) + under * a, -1, 0)
 
 
 def rows_of(planes_m: Float[ndarray, " nz"], z_m: Float[ndarray, " h"]) -> Float32[ndarray, "h nz"]:
     """Weights by which straight lines between planes give rows."""
-    return np.stack([np.interp(z_m, planes_m, unit) for unit in np.eye(len(planes_m))], axis=1).astype(np.float32)
+    return np.stack([np.interp(z_m, planes_m, unit) for unit in np.eye(len(planes_m))], axis=1).astype(
+        np.float32
+    )
 
 
 def summed_along(laid: Laid) -> tuple[Float[ndarray, " w"], Float[ndarray, "nz w"], Float[ndarray, "nz w"]]:
     """Columns of the window, and the integrals of s_xx - s_zz and s_xz along y at each plane [Pa m]."""
     near, far = laid.near, laid.far
     x, y = (first + np.arange(CELLS) * cell for first, cell in zip(near.first_m, near.cell_m, strict=True))
-    wide_x, wide_y = (first + np.arange(CELLS) * cell for first, cell in zip(far.first_m, far.cell_m, strict=True))
+    wide_x, wide_y = (
+        first + np.arange(CELLS) * cell for first, cell in zip(far.first_m, far.cell_m, strict=True)
+    )
     low, high = y[0] - near.cell_m[1] / 2, y[-1] + near.cell_m[1] / 2
     edges = wide_y[:, None] + far.cell_m[1] * np.array([-0.5, 0.5])
     inside = np.clip(np.minimum(edges[:, 1], high) - np.maximum(edges[:, 0], low), 0.0, None)
