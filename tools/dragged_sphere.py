@@ -31,7 +31,7 @@ TANGENT = 1000.0  # E/R
 RENEWALS = 12
 SETTLED = 2e-4  # of the pressed force: how much a renewal of limits and normals may change the drag
 LEAST_STEP = 5e-3  # R of the way
-DRAGGED = Cells(6, 6, 4, 5)
+DRAGGED, FINER = Cells(6, 6, 4, 5), Cells(8, 8, 6, 7)
 DEPTHS = (0.3, 0.6, 1.0, 1.2)
 STEPS = (0.05, 0.1, 0.2, *DEPTHS[:2], 0.8, 0.9, 1.0, 1.1, 1.2)
 FRICTIONS = (1.0, 0.3)
@@ -242,11 +242,13 @@ def main() -> int:
     )
     parser.add_argument("--keep", type=Path, help="folder for the states, to compare stress with")
     args = parser.parse_args()
-    made = []
-    for one in drags(2.0, keep=args.keep):
-        print(one, flush=True)
-        made.append(one)
-        OUT.write_text(json.dumps({"lengths": "R", "forces": "E R^2", "drags": made}, indent=1) + "\n")
+    made: dict[str, list[dict[str, float]]] = {"drags": [], "finer": []}
+    jobs = {"drags": drags(2.0, keep=args.keep), "finer": drags(2.0, (1.0,), FINER, (0.6,), (0.06, 0.2))}
+    for name, rows in jobs.items():
+        for one in rows:
+            print(one, flush=True)
+            made[name].append(one)
+            OUT.write_text(json.dumps({"lengths": "R", "forces": "E R^2", **made}, indent=1) + "\n")
     return 0
 
 

@@ -25,7 +25,8 @@ from palpate.mechanics.axisymmetric.sphere_table import SphereTable, press_finit
 from palpate.mechanics.half_space.tangential import tangential_displacement, tangential_stiffness, traction
 
 REPOSITORY = Path(__file__).parents[2]
-DRAGS = json.loads((REPOSITORY / "tools/dragged_sphere.json").read_text(encoding="utf-8"))["drags"]
+FOUND = json.loads((REPOSITORY / "tools/dragged_sphere.json").read_text(encoding="utf-8"))
+DRAGS, FINER = FOUND["drags"], FOUND["finer"]
 TABLE = pulled_sphere_table()
 THICK = SphereTable.load("sphere-h2-mu0")
 R, E = 5e-3, 0.32e6
@@ -149,6 +150,16 @@ def test_three_dimensions_give_the_tables_force() -> None:
         assert press.force == pytest.approx(still(row), rel=6e-3)
         found = TABLE.force_of(press, row["shift"], row["friction"])
         assert found == pytest.approx(row["side_force"], rel=0.04 if row["shift"] < 0.1 else 0.025)
+
+
+@pytest.mark.parametrize("fine", [r for r in FINER if r["shift"] > 0])
+def test_a_finer_mesh_in_three_dimensions_moves_the_force_by_a_few_percent(fine: dict[str, float]) -> None:
+    same = ("thickness", "depth", "friction", "shift")
+    [coarse] = [r for r in DRAGS if all(r[part] == fine[part] for part in same)]
+    assert fine["unknowns"] > 2.5 * coarse["unknowns"]
+    assert coarse["side_force"] == pytest.approx(fine["side_force"], rel=0.03)
+    found = TABLE.force_of(THICK.at(fine["depth"]), fine["shift"], fine["friction"])
+    assert found == pytest.approx(fine["side_force"], rel=0.015)
 
 
 def test_a_half_spaces_law_is_not_within_reach_of_three_dimensions() -> None:

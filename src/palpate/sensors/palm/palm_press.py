@@ -291,8 +291,9 @@ def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
     least = min(table.shift_of(at, FULL * FRICTION * at.force, FRICTION), GREATEST_SHIFT) * R
     if shift_m > least * (1 + SAME):
         raise RangeError(
-            f"shifted by {1e3 * shift_m:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the palm, "
-            f"or goes further than was solved; shift it by {1e3 * least:.3g} mm at most, or press deeper"
+            f"shifted by {1e3 * shift_m:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the "
+            f"palm, or goes further than was solved; shift it by {1e3 * least:.3g} mm at most, or press "
+            "deeper"
         )
     return table.force_of(at, shift_m / R, FRICTION) * unit
 

@@ -291,7 +291,7 @@ class Palm:
         return replace(self.spec, youngs_modulus_pa=self.spec.youngs_modulus_pa * history.stiffening)
 
     def _lateral_n(self, probe: Probe, pose: Pose, history: PressHistory) -> tuple[float, float]:
-        """Lateral force of the path, where it is not known: by the table of a pulled ball, or Mindlin's law."""
+        """Lateral force of the path, where it is not known: by a pulled ball's table, or Mindlin's law."""
         if history.lateral_n is not None:
             return history.lateral_n
         if not history.path_m or pose.depth_m <= 0:
