@@ -1,4 +1,4 @@
-"""The inclined press in three dimensions, coarse: the head-on tables, balance, and its stiffness."""
+"""The inclined press in three dimensions, coarse: the head-on tables, balance, contact, and its stiffness."""
 
 import sys
 from pathlib import Path
@@ -13,8 +13,10 @@ from palpate.mechanics.axisymmetric.tip_table import tip_table
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from finite_strain.bricks import AT, serendipity
+from finite_strain.cylinder import Cylinder
+from finite_strain.frontal import Elements, eliminated
 from finite_strain.inclined import Fineness, InclinedPress
-from finite_strain.linear_top import LinearTop
+from finite_strain.surface_contact import Below, below, facet_shapes, pressed as pressed_points
 from finite_strain.tip import Tip
 
 BASE = Tip(skin_mpa=0.5, gel_mpa=0.015)
@@ -23,7 +25,7 @@ TILT = float(np.deg2rad(30.0))
 
 
 def pressed(tilt: float, approach_mm: float, mpa: float = np.inf):
-    top = LinearTop(mpa, rings=6, modes=4) if np.isfinite(mpa) else None
+    top = Cylinder(mpa, across=8, down=4) if np.isfinite(mpa) else None
     press = InclinedPress(BASE, top, tilt, fineness=COARSE)
     return press, next(state for state in press.states() if state.approach >= approach_mm)
 
@@ -31,6 +33,11 @@ def pressed(tilt: float, approach_mm: float, mpa: float = np.inf):
 @pytest.fixture(scope="module")
 def tilted():
     return pressed(TILT, 0.6)
+
+
+@pytest.fixture(scope="module")
+def soft():
+    return pressed(TILT, 0.8, 0.05)
 
 
 def test_shape_functions_are_one_at_their_node_and_sum_to_one() -> None:
@@ -55,9 +62,26 @@ def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(til
     product = body.assembled((K @ padded[body.dofs_of][..., None])[..., 0])
     assert_allclose(product, change, atol=1e-5 * np.abs(change).max())
     # single precision
-    assert_allclose(
-        body.factored(K).solve(product[:, None])[:, 0], padded[:-1], atol=5e-3 * np.abs(step).max()
-    )
+    factors = eliminated([Elements(body.dofs_of, K, press._layer(body))], len(product))
+    assert_allclose(factors.solve(product), padded[:-1], atol=5e-3 * np.abs(step).max())
+
+
+def test_elimination_by_groups_is_that_of_the_whole() -> None:
+    """Springs between random unknowns, some of them held, in groups of which some own none."""
+    rng = np.random.default_rng(3)
+    unknowns, group = rng.integers(-1, 30, (80, 4)), rng.integers(0, 9, 80)
+    half = rng.normal(size=(80, 4, 4))
+    whole = np.zeros((31, 31))
+    own = Elements(np.arange(30)[:, None], np.ones((30, 1, 1)), np.full(30, 4))
+    springs = Elements(unknowns, half @ np.swapaxes(half, 1, 2), group)
+    for kind in (springs, own):
+        for i, K in zip(kind.unknowns, kind.stiffness, strict=True):
+            np.add.at(whole, np.ix_(i, i), K)
+    load = rng.normal(size=30)
+    found = eliminated([springs, own], 30).solve(load)
+    assert_allclose(found, np.linalg.solve(whole[:30, :30], load), rtol=2e-3, atol=1e-3 * np.abs(found).max())
+    with pytest.raises(np.linalg.LinAlgError):
+        eliminated([springs, Elements(own.unknowns, -1e3 * own.stiffness, own.group)], 30)
 
 
 @pytest.mark.parametrize(("mpa", "within"), [(np.inf, 0.04), (0.2419, 0.04)])
@@ -100,15 +124,107 @@ def test_a_small_press_along_the_normal_is_as_hard_at_the_side_as_at_the_apex(ti
     assert_allclose(np.linalg.norm(press.force(state)), upright, rtol=0.05)
 
 
-def test_a_linear_top_yields_as_the_linear_model_has_it() -> None:
-    """Under an even load of mode 0 on a ring of nodes, and its energy is that of half the cylinder."""
-    top = LinearTop(0.1, modes=2)
-    other = top_modes(0.02, 0.04, 0.1e6, 0.48, rings=30, modes=1)
-    nodes = 2 * len(top.knots) - 1
-    load = np.zeros(top.size)
-    load[0] = 1.0  # N on the axis, on the half
-    ours = np.linalg.solve(top.stiffness, load)[nodes - 1]
-    assert ours > 0
-    # far from the load its shape does not count: at the rim, by 2 N on the whole
-    theirs = 2.0 * other.top[0, -1, 2, 0, 2] / (2 * np.pi)
-    assert_allclose(1e-3 * ours, theirs, rtol=0.03)
+@pytest.fixture(scope="module")
+def bumpy() -> tuple[Below, np.ndarray, np.ndarray]:
+    """Points over a top whose nodes have moved anyhow."""
+    rng, top = np.random.default_rng(0), Cylinder(0.1, across=8, down=2)
+    nodes = (top.body.places + 0.3 * rng.normal(size=top.body.places.shape))[top.facet_nodes]
+    points = rng.uniform([-12, 1, -1], [12, 10, 1], size=(20, 3))
+    return below(points, nodes), points, nodes
+
+
+def test_the_top_below_a_point_is_where_the_point_is(bumpy) -> None:
+    found, points, nodes = bumpy
+    assert (found.facet >= 0).all()
+    at = np.einsum("pa,pai->pi", found.shapes[0], nodes[found.facet])
+    assert_allclose(at[:, :2], points[:, :2], atol=1e-9)
+    assert_allclose(found.gap, points[:, 2] - at[:, 2])
+    beside = below(np.array([[25.0, 1.0, 0.0], [0.0, 21.5, 0.0]]), nodes)
+    assert (beside.facet == -1).all()
+    assert np.isinf(beside.gap).all()
+
+
+def test_contact_forces_are_the_gaps_derivative_and_their_stiffness_the_forces(bumpy) -> None:
+    """By moving a point and the facet under it; without the normal's turning the stiffness is another."""
+    found, points, nodes = bumpy
+    rng = np.random.default_rng(1)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    shapes, one = facet_shapes(rng.uniform(-1, 1, (20, 2)))[0], np.ones(1)
+
+    def moved(i: int, by: np.ndarray) -> tuple[float, np.ndarray]:
+        place = points[i] + (shapes[i] @ by[:24].reshape(8, 3)) @ axes.T
+        here = below(place[None], nodes[found.facet[i]][None] + by[24:].reshape(1, 8, 3))
+        return here.gap[0], pressed_points(here, shapes[i : i + 1], axes, one, 0 * one)[0][0]
+
+    inside = np.flatnonzero(
+        (found.shapes[0].max(axis=1) < 0.9) & (np.abs(found.shapes[0]).min(axis=1) > 1e-3)
+    )
+    for i in inside[:5]:
+        by = 1e-5 * rng.normal(size=48)
+        (gap, force), (other, opposite) = moved(i, by), moved(i, -by)
+        here = found.taken(np.array([i]))
+        out, K = (part[0] for part in pressed_points(here, shapes[i : i + 1], axes, one, 0 * one))
+        assert_allclose((gap - other) / 2, -out @ by, rtol=1e-5)
+        change = (force - opposite) / 2
+        assert_allclose(change, K @ by, atol=1e-5 * np.abs(change).max())
+        _, straight = pressed_points(here, shapes[i : i + 1], axes, one, 0 * one, turning=False)
+        assert np.abs(straight[0] @ by - change).max() > 0.1 * np.abs(change).max()
+
+
+def test_a_cylinder_is_as_large_as_it_is_and_yields_as_fourier_modes_have_it() -> None:
+    """Another code, of small strain: the rim, where the shape of a load at the middle no longer counts."""
+    top = Cylinder(0.1)
+    body = top.body
+    assert_allclose(body._gradients[1].sum(), np.pi * top.radius**2 * top.height / 2, rtol=1e-3)
+    load = np.zeros(3 * len(body.places))
+    middle = np.flatnonzero(np.isclose(np.abs(body.places).max(axis=1), 0.0))
+    load[3 * middle + 2] = -1.0  # N, on the half
+    _, K = body.balance(np.zeros_like(body.places))
+    layers = InclinedPress._layer(body)
+    moved = np.zeros(load.size)
+    moved[body.free] = eliminated([Elements(body.dofs_of, K, layers)], len(body.free)).solve(load[body.free])
+    moved = moved.reshape(-1, 3)
+    rim = np.isclose(np.hypot(*body.places[:, :2].T), top.radius) & np.isclose(body.places[:, 2], 0.0)
+    theirs = top_modes(0.02, 0.04, 0.1e6, 0.48, rings=30, modes=1).top[0, -1, :, 0, 2] * -2.0 / (2 * np.pi)
+    out = (moved[rim, :2] * body.places[rim, :2]).sum(axis=1) / top.radius
+    assert_allclose(1e-3 * moved[rim, 2].mean(), theirs[2], rtol=0.01)
+    assert_allclose(1e-3 * out.mean(), theirs[0], rtol=0.05)
+
+
+def test_the_cylinders_base_holds_what_it_pushes(soft) -> None:
+    """Forces on the bases of both, in one frame, undo each other."""
+    press, state = soft
+    on_tip = press.force(state)
+    for body, u, axes, sign in (
+        (press.body, state.u, np.eye(3), -1),
+        (press.top.body, state.top, press.axes, 1),
+    ):
+        force, _ = body.balance(u)
+        nodes = np.zeros_like(body.places)
+        np.add.at(nodes, body.nodes_of, force.reshape(-1, 20, 3))
+        held = body.held(body.coordinates)
+        base = 2 * (nodes[held[:, 0]].sum(axis=0) @ axes) * [1, 0, 1]
+        assert_allclose(base, sign * on_tip, atol=5e-3 * np.linalg.norm(on_tip))
+
+
+def test_a_cylinder_as_stiff_as_steel_is_a_plate_and_a_soft_one_yields(soft) -> None:
+    (plate, state), (stiff, other) = pressed(TILT, 0.3), pressed(TILT, 0.3, 2e3)
+    assert_allclose(other.approach, state.approach)
+    assert_allclose(stiff.force(other), plate.force(state), rtol=0.01)
+    press, yielding = soft
+    along = 1e-3 * yielding.approach * np.cos(TILT)
+    forces = [tip_table("base").press(E).force_at(np.array([along]))[0] for E in (0.05e6, np.inf)]
+    found = np.linalg.norm(press.force(yielding))
+    assert_allclose(found, forces[0], rtol=0.06)
+    assert found < 0.8 * forces[1]
+
+
+def test_what_is_pressed_sinks_below_the_contact_and_leaves_the_plane_y_where_it_is(soft) -> None:
+    press, state = soft
+    places, moved = press.top.body.places, state.top
+    middle = np.isclose(places[:, 1:], 0.0).all(axis=1) & (np.abs(places[:, 0]) < 3)
+    assert (moved[middle, 2] < -0.1).all()
+    assert_allclose(moved[np.isclose(places[:, 1], 0.0), 1], 0.0)
+    # down the slope, where the contact has gone, it sinks more than up the slope
+    down, up = (np.isclose(places[:, 1:], 0.0).all(axis=1) & (sign * places[:, 0] > 4) for sign in (-1, 1))
+    assert moved[down, 2].mean() < moved[up, 2].mean()

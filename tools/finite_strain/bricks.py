@@ -1,9 +1,8 @@
-"""A block of 20-node bricks along three coordinates, at finite strain, in layers that are solved one by one.
+"""A block of 20-node bricks along three coordinates, at finite strain.
 
 Bricks are serendipity elements with two points a direction, which keeps them from locking; the solid is that
 of `neo_hookean`, here with its pressure at every point. Nodes lie on a grid of half cells, (i, j, k) with at
-most one of them odd. A layer of cells, between i = 2 c and 2 c + 2, knows its neighbours only by the nodes on
-its two faces, so that the stiffness is eliminated layer after layer with dense blocks.
+most one of them odd.
 
 Reference: O. C. Zienkiewicz, R. L. Taylor and J. Z. Zhu, The Finite Element Method (2013), ch. 6,
 doi:10.1016/C2009-0-24909-9.
@@ -19,8 +18,6 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.linalg.blas import ssyrk, strsm
-from scipy.linalg.lapack import spotrf
 
 from .revolved import InsideOutError
 
@@ -29,6 +26,7 @@ AT = np.array(
     [*CORNERS, *(p for p in product((-1, 0, 1), repeat=3) if np.count_nonzero(np.array(p) == 0) == 1)]
 )
 """The nodes of a brick in (-1 ... 1)^3."""
+OUTSIDE = np.flatnonzero(AT[:, 2] == 1)
 
 Motion = Float[ndarray, "nodes 3"]
 
@@ -167,66 +165,6 @@ class Bricks:
         place[self.free] = np.arange(len(self.free))
         return place[(3 * self.nodes_of[..., None] + np.arange(3)).reshape(-1, 60)]
 
-    @cached_property
-    def _layers(self) -> list[tuple[int, int, int, ndarray]]:
-        """Of every layer of cells its first free number, the first of its far face, its last, and where its
-        cells' stiffness goes; the far face of the last layer is its own.
-        """
-        layer = np.repeat(self.grid[:, 0], 3)[self.free]
-        layers, each = len(self.knots[0]) - 1, self.dofs_of.reshape(len(self.knots[0]) - 1, -1, 60)
-        found = []
-        for c, dofs in enumerate(each):
-            first, face, last = np.searchsorted(layer, [2 * c, 2 * c + 2, 2 * c + 3])
-            n, at = int(last - first), dofs - first
-            i, j = at[:, :, None], at[:, None, :]
-            to = np.where((i >= 0) & (j >= 0), i * n + j, n * n).ravel()
-            found.append((int(first), int(last if c == layers - 1 else face), int(last), to))
-        return found
-
     def assembled(self, force: Float[ndarray, "cells 60"]) -> Float[ndarray, " n"]:
         """Forces on the free degrees of freedom."""
         return np.bincount(self.dofs_of.ravel() + 1, force.ravel(), len(self.free) + 1)[1:]
-
-    def factored(self, stiffness: Float[ndarray, "cells 60 60"]) -> Factors:
-        """Eliminate layer after layer.
-
-        Raises:
-            numpy.linalg.LinAlgError: the stiffness is not positive definite.
-        """
-        parts: list[tuple[int, int, ndarray, ndarray]] = []
-        carried = np.zeros((0, 0), np.float32)
-        values = stiffness.reshape(len(self._layers), -1)
-        for (first, face, last, to), value in zip(self._layers, values, strict=True):
-            n, own = last - first, face - first
-            K = np.bincount(to, value, n * n + 1)[:-1].astype(np.float32).reshape(n, n).T
-            K = np.asfortranarray(K)
-            K[: len(carried), : len(carried)] += carried
-            lower, failed = spotrf(K[:own, :own], lower=1, clean=0)
-            if failed:
-                raise np.linalg.LinAlgError("the stiffness is not positive definite")
-            across = K[:own, own:]
-            if own < n:
-                across = strsm(1.0, lower, across, lower=1)
-                carried = ssyrk(-1.0, across, 1.0, K[own:, own:], trans=1, lower=1)
-            parts.append((first, face, lower, across))
-        return Factors(parts)
-
-
-@dataclass(frozen=True)
-class Factors:
-    """A stiffness after elimination, in single precision: of every layer its first number, its end, its
-    triangle and its hold on the next face.
-    """
-
-    parts: list[tuple[int, int, ndarray, ndarray]]
-
-    def solve(self, load: Float[ndarray, "n k"]) -> Float[ndarray, "n k"]:
-        """Displacements under loads."""
-        x = np.asfortranarray(load, np.float32)
-        for first, face, lower, across in self.parts:
-            x[first:face] = strsm(1.0, lower, x[first:face], lower=1)
-            x[face : face + across.shape[1]] -= across.T @ x[first:face]
-        for first, face, lower, across in reversed(self.parts):
-            x[first:face] -= across @ x[face : face + across.shape[1]]
-            x[first:face] = strsm(1.0, lower, x[first:face], lower=1, trans_a=1)
-        return x.astype(np.float64)

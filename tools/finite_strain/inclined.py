@@ -9,8 +9,8 @@ The half dome is meshed by angles around the line y through its centre: `across`
 the apex to the base at -x, `aside` from the plane y = 0 to the line itself, which the base holds. So the mesh
 has no pole where anything moves.
 
-A rigid top is a plane. A compliant one is a linear cylinder, bonded to its base, by its Fourier modes: its
-top's height is unknown beside the tip's displacement, and pressure acts along the normal of the deformed top.
+A rigid top is a plane. A compliant one is a cylinder at finite strain too, in its own frame: x up its slope,
+z along its axis, the middle of its untouched top the origin.
 """
 
 from __future__ import annotations
@@ -23,24 +23,26 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from .bricks import AT, Bricks, gauss, serendipity
-from .linear_top import LinearTop
+from .bricks import OUTSIDE, Bricks, gauss, serendipity
+from .cylinder import Cylinder
+from .frontal import Elements, eliminated
 from .meeting import penalty
 from .revolved import InsideOutError
+from .surface_contact import Below, below, pressed
 from .tip import CORE, ConvergenceError, Tip
 
-RESIDUAL = 1e-5  # N
-# After so many moves what comes and goes, at the contact's edge or over a ring of the top, may remain.
+RESIDUAL = 2e-4  # N, of a node; single precision leaves 3e-5
+# After so many moves what comes and goes at the contact's edge may remain.
 ITERATIONS, PATIENT, SETTLED = 15, 8, 4e-3
 MAX_MOVE = 1.0  # mm, of one move
 # Of what is out of balance: beyond so many times what it was, only a part of a move is made.
 GROWTH, PARTS = 10.0, (1.0, 0.5, 0.25, 0.125)
-FIRST_STEP, SHORTEST_STEP, LONGEST_STEP = 0.4, 4e-3, 0.9  # mm of approach
+FIRST_STEP, SHORTEST_STEP, LONGEST_STEP = 0.4, 4e-3, 0.75  # mm of approach
 QUICK = 10  # moves after which the next step may be longer
 FACE_POINTS = 5  # a direction, of a skin's face
 SMOOTH = 5e-4  # mm of gap over which the penalty sets in
 PRESSING = 2.8e-4  # MPa above which a point touches: as much as the head-on tables' points have there
-OUTSIDE = np.flatnonzero(AT[:, 2] == 1)
+TOUCHES = 1e-9  # MPa/mm of a penalty's stiffness, below which there is no contact
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Touched:
     gap: Float[ndarray, "f q"]  # mm
     pressure: Float[ndarray, "f q"]  # MPa, on the unloaded skin
     places: Float[ndarray, "f q 3"]  # deformed
-    normal: Float[ndarray, "f q 3"]  # of the top, by its slope
+    normal: Float[ndarray, "f q 3"]  # of the top, by its slope, in the tip's frame
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,8 @@ class Inclined:
     """Tip and top in balance."""
 
     approach: float  # mm
-    u: Float[ndarray, "nodes 3"]
-    top: Float[ndarray, " t"]
+    u: Float[ndarray, "nodes 3"]  # of the tip, in its frame
+    top: Float[ndarray, "others 3"]  # of the cylinder, in its own; none of a plate
     touched: Touched
 
 
@@ -83,7 +85,7 @@ class InclinedPress:
     """One tip against one inclined top; None is a rigid plate."""
 
     tip: Tip
-    top: LinearTop | None
+    top: Cylinder | None
     tilt: float  # rad
     poisson_ratio: float = 0.48
     fineness: Fineness = field(default_factory=Fineness)
@@ -144,24 +146,25 @@ class InclinedPress:
         self._slopes = D[:, OUTSIDE, :2]
         return N[:, OUTSIDE], nodes, np.linalg.norm(normal, axis=-1) * weight
 
-    def touch(self, u: ndarray, top: ndarray, approach: float) -> tuple[Touched, ndarray, list[ndarray]]:
-        """The contact, how stiff it is, and its answer to the top's unknowns."""
+    def _over(self, u: ndarray, approach: float) -> tuple[Float[ndarray, "f q 3"], Float[ndarray, "f q 3"]]:
+        """Deformed places of the skin's points, in the tip's frame and in the top's."""
         N, nodes, _ = self._surface
         x = np.einsum("qa,fai->fqi", N, (self.body.places + u)[nodes])
         centre = np.array([0.0, 0.0, self.tip.radius])
-        local = (x - centre) @ self.axes.T
-        local[..., 2] += self.tip.radius
-        local -= approach * self.axes[:, 2]
-        gap = local[..., 2].copy()
-        normal = np.broadcast_to(self.axes[2], x.shape)
-        parts: list[ndarray] = []
+        raised = np.array([0.0, 0.0, self.tip.radius]) - approach * self.axes[:, 2]
+        return x, (x - centre) @ self.axes.T + raised
+
+    def touch(self, u: ndarray, top: ndarray, approach: float) -> tuple[Touched, ndarray, Below | None]:
+        """The contact, how stiff it is, and where on a compliant top it is."""
+        x, local = self._over(u, approach)
+        gap, normal, found = local[..., 2], np.broadcast_to(self.axes[2], x.shape), None
         if self.top is not None:
-            parts = self.top.at(local[..., :2])
-            height, slope = parts[0] @ top, parts[1] @ top
-            gap = np.where(self.top.beyond(local[..., :2]), np.inf, gap - height)
-            normal = normal - slope @ self.axes[:2]
+            places = (self.top.body.places + top)[self.top.facet_nodes]
+            found = below(local.reshape(-1, 3), places)
+            gap = found.gap.reshape(gap.shape)
+            normal = (found.normal @ self.axes).reshape(x.shape)
         pressure, stiff = penalty(gap, SMOOTH)
-        return Touched(gap, pressure, x, normal), stiff, parts
+        return Touched(gap, pressure, x, normal), stiff, found
 
     def force(self, state: Inclined) -> Float[ndarray, 3]:
         """On the whole tip [N]."""
@@ -198,7 +201,9 @@ class InclinedPress:
             step = min(step * (1.6 if quick else 1.0), LONGEST_STEP)
 
     def untouched(self) -> Inclined:
-        u, top = np.zeros_like(self.body.places), np.zeros(self.top.size if self.top else 0)
+        u, top = np.zeros_like(self.body.places), np.zeros((0, 3))
+        if self.top is not None:
+            top = np.zeros_like(self.top.body.places)
         return Inclined(0.0, u, top, self.touch(u, top, 0.0)[0])
 
     def _balance(self, past: list[Inclined], approach: float) -> Inclined:
@@ -222,9 +227,10 @@ class InclinedPress:
         """After a move, or a part of it where more than `most` would be out of balance."""
         n = len(self.body.free)
         for part in PARTS:
-            there = u.copy()
+            there, on_top = u.copy(), top.copy()
             there.ravel()[self.body.free] += part * move[:n]
-            on_top = top + part * move[n:]
+            if self.top is not None:
+                on_top.ravel()[self.top.body.free] += part * move[n:]
             try:
                 out, answer = self._assemble(there, on_top, approach)
             except ConvergenceError:
@@ -237,47 +243,93 @@ class InclinedPress:
 
     def _assemble(self, u: ndarray, top: ndarray, approach: float):
         """Forces out of balance, and how to find the move that brings them into it."""
+        bodies, moved = [self.body], [u]
+        if self.top is not None:
+            bodies, moved = [self.body, self.top.body], [u, top]
         try:
-            force, K = self.body.balance(u)
+            forces, stiffness = zip(*(b.balance(m) for b, m in zip(bodies, moved, strict=True)), strict=True)
         except InsideOutError:
             raise ConvergenceError("a cell turned inside out") from None
-        touched, stiff, parts = self.touch(u, top, approach)
-        N, _, weight = self._surface
-        near = (stiff > 1e-9).any(axis=1)
-        w, p, k, n = weight[near], touched.pressure[near], stiff[near], touched.normal[near]
-        first = np.einsum("qa,fqi->fqai", N, n).reshape(*w.shape, 24)  # of the gap, by the skin
-        at = (3 * OUTSIDE[:, None] + np.arange(3)).ravel()
-        cells = self.faces[near]
-        force[cells[:, None], at] -= np.einsum("fq,fqa->fa", w * p, first)
-        K[cells[:, None, None], at[:, None], at] += np.swapaxes(first * (w * k)[..., None], 1, 2) @ first
-        if self.top is None:
-            out = self.body.assembled(force)
-            return out, lambda: self.body.factored(K).solve(-out[:, None])[:, 0]
-        return self._with_top(force, K, top, (w, p, k), first, [part[near] for part in parts], cells, at)
-
-    def _with_top(self, force, K, top, contact, first, parts, cells, at):
-        """The same beside a compliant top, whose unknowns border those of the tip."""
-        (w, p, k), (N_top, slope), N = contact, parts, self._surface[0]
-        size = self.top.size
-        out_top = self.top.stiffness @ top + np.einsum("fq,fqt->t", w * p, N_top)
-        D = self.top.stiffness + np.einsum("fq,fqs,fqt->st", w * k, N_top, N_top, optimize=True)
-        sloped = np.einsum("fqst,si->fqit", slope, self.axes[:2])  # d2 gap / du dtop = - N_a of it
-        cross = -np.einsum("fqa,fqt->fat", first * (w * k)[..., None], N_top, optimize=True)
-        cross += np.einsum("qa,fqit->fait", N, sloped * (w * p)[..., None, None], optimize=True).reshape(
-            len(cells), 24, size
-        )
-        n = len(self.body.free)
-        B = np.zeros((n + 1, size))
-        np.add.at(B, self.body.dofs_of[cells][:, at], cross)
-        B = B[:n]  # the last row took what is held
-        out = self.body.assembled(force)
+        touched, stiff, found = self.touch(u, top, approach)
+        contact, pressing = self._contact(touched, stiff, found)
+        out = np.concatenate([b.assembled(f) for b, f in zip(bodies, forces, strict=True)])
+        out += np.bincount(contact.unknowns.ravel() + 1, pressing.ravel(), len(out) + 1)[1:]
+        kinds = [Elements(self.body.dofs_of, stiffness[0], 2 * self._layer(self.body))]
+        if self.top is not None:
+            dofs = self.top.body.dofs_of
+            group = 2 * self._beside(u, top, approach)[self._layer(self.top.body)] + 1
+            kinds.append(Elements(np.where(dofs < 0, -1, dofs + len(self.body.free)), stiffness[1], group))
 
         def answer() -> ndarray:
-            X = self.body.factored(K).solve(np.column_stack([B, -out]))
-            rest = np.linalg.solve(D - B.T @ X[:, :-1], -out_top - B.T @ X[:, -1])
-            return np.concatenate([X[:, -1] - X[:, :-1] @ rest, rest])
+            try:
+                factors = eliminated([*kinds, contact], len(out))
+            except np.linalg.LinAlgError:
+                if found is None:
+                    raise
+                # far from balance the top's turning may make it so; without it a move still leads there
+                straight, _ = self._contact(touched, stiff, found, turning=False)
+                factors = eliminated([*kinds, straight], len(out))
+            return factors.solve(-out)
 
-        return np.concatenate([out, out_top]), answer
+        return out, answer
+
+    def _contact(
+        self, touched: Touched, stiff: ndarray, found: Below | None, turning: bool = True
+    ) -> tuple[Elements, Float[ndarray, "e k"]]:
+        """What presses, and its stiffness, of every face of the skin with every facet it is over."""
+        N, _, weight = self._surface
+        face, point = np.nonzero(stiff > TOUCHES)
+        load, k = (weight * touched.pressure)[face, point], (weight * stiff)[face, point]
+        unknowns, group = self._skin_unknowns, 2 * self._layer(self.body)[self.faces]
+        if found is None or self.top is None:
+            first = (N[point][..., None] * self.axes[2]).reshape(-1, 24)
+            out, K = -load[:, None] * first, k[:, None, None] * first[:, :, None] * first[:, None]
+            return _summed(unknowns, group, face, out, K)
+        here = found.taken(face * len(N) + point)
+        out, K = pressed(here, N[point], self.axes, load, k, turning)
+        pairs, which = np.unique(face * len(self.top.facets) + here.facet, return_inverse=True)
+        face, facet = np.divmod(pairs, len(self.top.facets))
+        of_top = self.top.body.dofs_of[self.top.facets][:, _DIRECTIONS][facet]
+        of_top = np.where(of_top < 0, -1, of_top + len(self.body.free))
+        return _summed(np.concatenate([unknowns[face], of_top], axis=1), group[face], which, out, K)
+
+    @cached_property
+    def _skin_unknowns(self) -> Int[ndarray, "f 24"]:
+        return self.body.dofs_of[self.faces][:, _DIRECTIONS]
+
+    @staticmethod
+    def _layer(body: Bricks) -> Int[ndarray, " cells"]:
+        """Of every cell its number along the first coordinate."""
+        layers = len(body.knots[0]) - 1
+        return np.repeat(np.arange(layers), len(body.nodes_of) // layers)
+
+    def _beside(self, u: ndarray, top: ndarray, approach: float) -> Int[ndarray, " layers"]:
+        """The tip's layer that each of the cylinder's is nearest to, up the slope."""
+        x = self._over(u, approach)[1].mean(axis=1)[:, 0]
+        layer = self._layer(self.body)[self.faces]
+        which = np.unique(layer)
+        at = np.array([x[layer == i].mean() for i in which])
+        places = (self.top.body.places + top)[self.top.facet_nodes].mean(axis=1)[:, 0]
+        middles = places.reshape(self.top.across, -1).mean(axis=1)
+        return which[np.abs(at - middles[:, None]).argmin(axis=1)]
+
+
+_DIRECTIONS = (3 * OUTSIDE[:, None] + np.arange(3)).ravel()
+
+
+def _summed(
+    unknowns: Int[ndarray, "e k"],
+    group: Int[ndarray, " e"],
+    element: Int[ndarray, " p"],
+    out: Float[ndarray, "p k"],
+    K: Float[ndarray, "p k k"],
+) -> tuple[Elements, Float[ndarray, "e k"]]:
+    """Points put together by the elements they belong to."""
+    order = np.argsort(element, kind="stable")
+    which, starts = np.unique(element[order], return_index=True)
+    if len(which):
+        out, K = (np.add.reduceat(values[order], starts) for values in (out, K))
+    return Elements(unknowns[which], K, group[which]), out
 
 
 def _onwards(past: list[Inclined], values: list[ndarray], approach: float) -> ndarray:

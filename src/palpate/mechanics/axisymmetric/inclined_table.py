@@ -126,13 +126,20 @@ def inclined_table(name: str) -> InclinedTable | None:
     in_si = {
         "approach_m": 1e-3 * data["approach_mm"],
         "area_m2": 1e-6 * data["area_mm2"],
-        "moved_m": 1e-3 * data["unit_mm"] * data["moved"],
+        "moved_m": 1e-3 * data["unit_mm"] * _summed(data["moved_steps"]),
     }
     return InclinedTable(
         tip_table(name), np.deg2rad(data["tilt_deg"]), 1e6 * data["specimen_mpa"],
         np.concatenate([[0.0], data["force_n"]]), data["across_rad"], data["aside_rad"],
         {name: _from_rest(values) for name, values in in_si.items()},
     )  # fmt: skip
+
+
+def _summed(steps: Float[ndarray, "3 t s f a b"]) -> Float[ndarray, "t s f a b 3"]:
+    """Motions from their steps from force to force and from place to place, as which they take less room."""
+    for axis in (3, 4, 5):
+        steps = np.cumsum(steps, axis=axis)
+    return np.moveaxis(steps, 0, -1)
 
 
 def _from_rest(values: Float[ndarray, "t s f *n"]) -> Float[ndarray, "t s g *n"]:
