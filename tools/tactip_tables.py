@@ -197,8 +197,9 @@ def model_costs(preset: str) -> Iterator[str]:
             one = linear_error(tip, kappa, SHOWN_N, PRESETS[preset][0])
             yield _cost_line(f"{tip}, {name}", one)
     for degrees in (30, 45):
-        one = inclined_error(np.inf, np.deg2rad(degrees), SHOWN_N)
-        yield _cost_line(f"base, rigid at {degrees} degrees", one)
+        for name, kappa in (("rigid", np.inf), *((name, KAPPA_N_M[name]) for name in ("S1", "S2", "S3"))):
+            one = inclined_error(kappa, np.deg2rad(degrees), SHOWN_N)
+            yield _cost_line(f"base, {name} at {degrees} degrees", one)
     for friction, areas in areas_by_friction(np.deg2rad(30.0)).items():
         yield f"area at 30 degrees and 5 N, friction {friction:g}: {four(MM2 * area for area in areas)} mm²"
 

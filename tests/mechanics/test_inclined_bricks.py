@@ -18,6 +18,7 @@ from finite_strain.frontal import Elements, eliminated
 from finite_strain.inclined import Fineness, InclinedPress
 from finite_strain.surface_contact import Below, below, facet_shapes, pressed as pressed_points
 from finite_strain.tip import Tip
+from inclined_tables import FORCES_N, at_forces, place_mm, steps, unseen_mm
 
 BASE = Tip(skin_mpa=0.5, gel_mpa=0.015)
 COARSE = Fineness(degrees=10.0, gel=2, widest=12.0)
@@ -228,3 +229,34 @@ def test_what_is_pressed_sinks_below_the_contact_and_leaves_the_plane_y_where_it
     # down the slope, where the contact has gone, it sinks more than up the slope
     down, up = (np.isclose(places[:, 1:], 0.0).all(axis=1) & (sign * places[:, 0] > 4) for sign in (-1, 1))
     assert moved[down, 2].mean() < moved[up, 2].mean()
+
+
+def test_an_edge_seen_too_near_at_0_degrees_is_put_right_at_any_tilt() -> None:
+    """By as much as is short at 0 degrees; between moduli by a straight line."""
+    force = np.linspace(0.2, 5.6, 30)
+    states = {}
+    for mpa, short in ((np.inf, 0.1), (0.035, 0.4)):
+        edge = 1e3 * tip_table("base").press(1e6 * mpa).at("radius_m", np.minimum(force, 5.5)) - short
+        along = np.stack([0 * force, 0 * force, force], axis=1)
+        states[0.0, mpa] = {"force_n": along, "area_mm2": np.pi * edge**2}
+    unseen = unseen_mm("base", states)
+    assert_allclose([unseen(place_mm("base", mpa)) for mpa in (np.inf, 0.035)], [0.1, 0.4], rtol=1e-6)
+    assert 0.1 < unseen(place_mm("base", 0.2419)) < 0.25
+    root = np.cbrt(force)
+    press = {
+        "force_n": states[0.0, np.inf]["force_n"], "area_mm2": np.pi * (4 * root - 0.3) ** 2,
+        "approach_mm": root**2, "moved_mm": root[:, None] * np.ones(3),
+    }  # fmt: skip
+    found = at_forces(press, 0.3)
+    assert_allclose(found["area_mm2"], np.pi * 16 * np.cbrt(FORCES_N) ** 2, rtol=1e-6)
+    assert_allclose(found["approach_mm"][4:], np.cbrt(FORCES_N[4:]) ** 2, rtol=1e-3)
+
+
+def test_steps_add_up_to_the_motion() -> None:
+    rough = np.random.default_rng(2).uniform(-1, 1, (2, 3, 4, 5, 6, 3))
+    whole = steps(rough)
+    for axis in (3, 4, 5):
+        whole = np.cumsum(whole, axis=axis)
+    assert_allclose(5e-4 * np.moveaxis(whole, 0, -1), rough, atol=2.6e-4)
+    with pytest.raises(OverflowError):
+        steps(100 * rough)

@@ -32,10 +32,11 @@ def tilted() -> dict[str, Inclined | SideOn]:
             name: module._inclined.__wrapped__("base", 0.5, pa, TILT)
             for name, pa in (("rigid", np.inf), ("soft", 5e4))
         }
-    return linear | {"table": inclined(TacTipSpec(friction=0.0), np.inf, TILT)}
+    tables = {"table": np.inf, "soft table": 5e4}
+    return linear | {name: inclined(TacTipSpec(friction=0.0), pa, TILT) for name, pa in tables.items()}
 
 
-BOTH = pytest.mark.parametrize("name", ["rigid", "soft", "table"])
+BOTH = pytest.mark.parametrize("name", ["rigid", "soft", "table", "soft table"])
 
 
 def depth(specimen: Inclined | SideOn, force_n: float) -> float:
@@ -163,9 +164,10 @@ def test_what_is_not_modelled_is_refused(pa, tilt) -> None:
 
 def test_where_there_is_a_table_a_press_is_of_the_head_on_law() -> None:
     smooth = tactip_sensor.TacTip(TacTipSpec(friction=0.0))
-    upright, leaning = (smooth.on(words) for words in ("rigid", "rigid@30"))
-    assert isinstance(leaning, SideOn)
-    assert leaning.law == upright.law == "finite strain, without friction"
+    for words in ("rigid@30", "rigid@45", "specimen=1.1@30", "specimen=3.1@45", "specimen=7.6@45"):
+        upright, leaning = smooth.on(words[:-3]), smooth.on(words)
+        assert isinstance(leaning, SideOn)
+        assert leaning.law == upright.law == "finite strain, without friction"
 
 
 @pytest.mark.parametrize(
@@ -175,6 +177,7 @@ def test_where_there_is_a_table_a_press_is_of_the_head_on_law() -> None:
         (TacTipSpec("even", friction=0.0), np.inf, 30.0),
         (TacTipSpec(friction=0.0), np.inf, 29.0),
         (TacTipSpec(friction=0.0), 3e4, 30.0),
+        (TacTipSpec(friction=0.0), 5e4, 45.0),
     ],
 )
 def test_what_no_table_holds_is_asked_of_linear_bodies(spec, pa, degrees, tilted, monkeypatch) -> None:

@@ -31,7 +31,7 @@ from .revolved import InsideOutError
 from .surface_contact import Below, below, pressed
 from .tip import CORE, ConvergenceError, Tip
 
-RESIDUAL = 2e-4  # N, of a node; single precision leaves 3e-5
+RESIDUAL = 2e-4  # N, of a node, and as much again a mm of approach; single precision leaves 3e-5
 # After so many moves what comes and goes at the contact's edge may remain.
 ITERATIONS, PATIENT, SETTLED = 15, 8, 4e-3
 MAX_MOVE = 1.0  # mm, of one move
@@ -180,6 +180,11 @@ class InclinedPress:
         flat = -np.cross(along[:, :, 0], along[:, :, 1]) @ self.axes[2]
         return float(2.0 * (np.abs(flat) * w)[state.touched.pressure > PRESSING].sum())
 
+    def span(self, state: Inclined) -> tuple[float, float]:
+        """Where the contact begins and ends, up the top's slope from its middle [mm]."""
+        x = self._over(state.u, state.approach)[1][..., 0][state.touched.pressure > PRESSING]
+        return (float(x.min()), float(x.max())) if len(x) else (0.0, 0.0)
+
     def states(self) -> Iterator[Inclined]:
         """Balance at ever greater approaches, in steps as long as Newton's method likes.
 
@@ -212,7 +217,7 @@ class InclinedPress:
         out, answer = self._assemble(u, top, approach)
         for iteration in range(ITERATIONS):
             worst = float(np.abs(out).max())
-            if worst < (RESIDUAL if iteration < PATIENT else SETTLED):
+            if worst < (RESIDUAL * (1 + approach) if iteration < PATIENT else SETTLED):
                 return Inclined(approach, u, top, self.touch(u, top, approach)[0])
             self.iterations += 1
             try:

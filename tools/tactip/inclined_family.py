@@ -1,4 +1,4 @@
-"""Inclined specimens of any stiffness, read between some that are solved: for many presses at little cost.
+"""Inclined specimens of any stiffness, of linear bodies, read between some that are solved: for many presses.
 
 A solved specimen takes ten seconds and more. Between solved ones approach, contact area and the skin's motion
 at equal forces run smoothly over 1 / (1 + E / E0), as the head-on tables do, and are read by cubic splines.
@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from palpate.core import Float, Probe, Specimen, ndarray
 from palpate.mechanics.axisymmetric.tip_table import TURNING_PA
-from palpate.sensors.tactip.inclined_press import Inclined, inclined
+from palpate.sensors.tactip.inclined_press import Inclined, linear_inclined
 from palpate.sensors.tactip.tactip_press import TipOnSpecimen, modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
@@ -49,13 +49,13 @@ class InclinedFamily:
         """A specimen by the model itself, or what was kept of it."""
         pa = modulus_pa(self.spec.table, kappa_n_m)
         if self.folder is None:
-            return inclined(self.spec, pa, self.tilt_rad)
+            return linear_inclined(self.spec, pa, self.tilt_rad)
         name = (
             f"{self.spec.tip}-{self.spec.friction:g}-{math.degrees(self.tilt_rad):g}-{1e-3 * kappa_n_m:g}.npz"
         )
         path = self.folder / name
         if not path.exists():
-            one = inclined(self.spec, pa, self.tilt_rad)
+            one = linear_inclined(self.spec, pa, self.tilt_rad)
             self.folder.mkdir(parents=True, exist_ok=True)
             np.savez(path, **{field: getattr(one, field) for field in STORED})
         with np.load(path) as arrays:
