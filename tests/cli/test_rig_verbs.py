@@ -191,7 +191,10 @@ def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path
     assert run.stage()["z_m"].iloc[-1] <= -1e-3 + 1e-9
 
 
-def test_a_rig_is_worked_by_hand_from_the_command_line() -> None:
+def test_a_rig_is_worked_by_hand_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # where no other program serves a rig of this name
     code, out, _ = typed("rig", "jog", "virtual:palm", "--axis", "z", "--mm", "1", "--json")
     assert code == 0
     assert json.loads(out)["position_mm"] == pytest.approx([0, 0, -4], abs=0.02)
