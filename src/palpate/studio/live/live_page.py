@@ -212,7 +212,7 @@ class SensorCard:
         old = f'data-age-of="{self.part}"'
         self._card = ui.element("section").classes("card live").props(f'aria-label="{escape(sensor.name)}"')
         with self._card:
-            with ui.row().classes("items-center w-full"):  # above all whose height changes
+            with ui.row().classes("items-center w-full gap-2"):  # above all whose height changes
                 self._head = ui.html(f"<h2>{escape(sensor.name)}</h2>", sanitize=False).props(
                     f'role="status" {old}'
                 )
