@@ -148,7 +148,7 @@ def test_wear_and_light_are_drawn_as_asked_for(words, changed, frame):
         (["--depth-mm", "1", "--lateral-n", "1"], "X,Y"),
         (["--depth-mm", "1", "--lateral-n", "left,0"], "X,Y"),
         (["--depth-mm", "1", "--lateral-n", "nan,0"], "numbers in N"),
-        (["--depth-mm", "1", "--lateral-n", "5,0"], "1.62436 N"),
+        (["--depth-mm", "1", "--lateral-n", "5,0"], "1.57346 N"),
     ],
 )
 def test_what_cannot_be_drawn_is_said_in_one_line_and_nothing_is_written(words, says, frame):

@@ -226,17 +226,17 @@ def test_stress_tends_to_that_of_small_strain_as_the_touch_gets_lighter() -> Non
         y = a * np.sinh(np.linspace(1e-3, 5.0, 2001))
         top = np.interp(y, press.r, press.surface)
         zeta = np.clip((a - top) / (2.0 - top), 0.0, 1.0)
-        read = RegularGridInterpolator((added.zeta, added.r), added.stress[5])
-        found.append(
-            -2 * np.trapezoid(-read(np.stack([zeta, np.minimum(y, added.r[-1])], axis=-1)), y) * a / force
-        )
+        read = RegularGridInterpolator((added.zeta, added.r), -added.stress[5])  # s_xz where x is 0
+        shear = read(np.stack([zeta, np.minimum(y, added.r[-1])], axis=-1))
+        found.append(2 * np.trapezoid(shear, y) * a / force)
         radii.append(a)
     s = (np.arange(400) + 0.5) / 200 - 1.0
     q = traction(np.hypot(s[:, None], (np.arange(400) + 0.5) / 400), share, 1.0, 1.0, 1.0).sum(axis=1) / 200
-    flamant = 2 / math.pi * (q * s**2 / (s**2 + 1.0) ** 2).sum() / 200
+    flamant = -2 / math.pi * (q * s**2 / (s**2 + 1.0) ** 2).sum() / 200
     assert q.sum() / 200 == pytest.approx(share, rel=0.01)
     drawn = found[0] - (found[1] - found[0]) * radii[0] / (radii[1] - radii[0])
-    assert drawn == pytest.approx(-flamant / share, rel=0.1)
+    assert drawn == pytest.approx(flamant / share, rel=0.1)
+    assert found[1] < 1.2 * flamant / share, "which the depth itself is not"
 
 
 def test_what_is_not_held_is_refused() -> None:
