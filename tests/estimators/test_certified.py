@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import cv2
 import numpy as np
 import onnx
 import pytest
@@ -52,6 +53,46 @@ def test_an_image_is_read_as_its_frame_is(calibration) -> None:
     assert estimator.read(frame.image)["x_mm"].value == estimator.read(frame)["x_mm"].value
     with pytest.raises(ImageError, match="3 channels in RGB"):
         estimator.read(np.zeros((48, 64, 4), np.uint8))
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_a_grey_image_is_not_read_as_one_of_colour(calibration, coloured: bool) -> None:
+    """The same frame in colour is; so is a grey one where grey ones were learnt from."""
+    run, folder = calibration
+    opened = Estimator.open(folder)
+    image, parts = run.frame(1).image, (opened.card, opened._session, opened._novelty)
+    estimator = Estimator(folder, *parts, coloured=coloured)
+    tinted = np.stack([image, image, image], axis=-1)
+    for grey in (image, tinted):
+        reading = estimator.read(grey)["x_mm"]
+        assert reading.valid is not coloured
+        assert ("grey" in reading.why) is coloured
+    tinted = tinted.copy()
+    tinted[0, 0, 2] ^= 1
+    assert estimator.read(tinted)["x_mm"].valid
+
+
+def test_a_calibration_is_of_colour_where_its_model_and_its_frames_are(calibrate_spots, tmp_path) -> None:
+    from palpate.estimators.certified import _is_of_colour
+
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "channels": 3}
+    _, folder = calibrate_spots(tmp_path / "cal", 20, **plan)
+    card = read_card(folder)
+    assert not _is_of_colour(folder, card)
+    example = folder / "example.png"
+    image = cv2.imread(str(example), cv2.IMREAD_COLOR)
+    image[..., 0] //= 2
+    cv2.imwrite(str(example), image)
+    with pytest.raises(CertificateError, match=r"example\.png is not the file"):
+        _is_of_colour(folder, card)
+    parts = [
+        replace_digest(part, sha256_of(example)) if part.file == example.name else part for part in card.files
+    ]
+    assert _is_of_colour(folder, card.model_copy(update={"files": tuple(parts)}))
+
+
+def replace_digest(part, digest: str):
+    return part.model_copy(update={"sha256": digest})
 
 
 def test_what_a_notebook_shows_is_short_and_holds_no_pixels(calibration) -> None:

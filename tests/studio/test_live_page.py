@@ -73,7 +73,9 @@ def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
             tab.wait("document.body.innerText.includes('cannot be reached')", MAX_S)
             assert weak_texts(tab) == []
             assert wider_than(tab) <= size[0]
-            tops = "['.re-zero', '.end-live'].map((s) => document.querySelector(s).getBoundingClientRect().top)"
+            tops = (
+                "['.re-zero', '.end-live'].map((s) => document.querySelector(s).getBoundingClientRect().top)"
+            )
             assert len(set(tab.run(tops))) == 1  # in one line, on a telephone too
 
 

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import onnxruntime
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
@@ -121,12 +122,14 @@ class Estimator:
         session: onnxruntime.InferenceSession,
         novelty: NoveltyDetector,
         copies: CopyDiscriminator | None = None,
+        *,
+        coloured: bool = False,
     ) -> None:
         self.folder = folder
         self.card = card
         self._session = session
         self._novelty = novelty
-        self._copies = copies
+        self._copies, self._coloured = copies, coloured
         self._preparation = card.input.preparation
         self._intervals = intervals_of(card)
         self._layout = layout_of(card)
@@ -146,7 +149,8 @@ class Estimator:
         card = read_card(folder)
         novelty = NoveltyDetector.load(checked_file(folder, card.guard))
         session = _session(checked_file(folder, card.model), card, threads)
-        return cls(folder, card, session, novelty, _copies_of(folder, card, novelty))
+        copies = _copies_of(folder, card, novelty)
+        return cls(folder, card, session, novelty, copies, coloured=_is_of_colour(folder, card))
 
     def zero(self, untouched: Image) -> Zero:
         """Take an image of the untouched sensor as reference, and judge its drift by it."""
@@ -199,6 +203,8 @@ class Estimator:
         why = "" if verdict.atypicality <= 1 else verdict.reason
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
             why = _copy_reason(self.card)
+        if self._coloured and _is_grey(frame.image):
+            why = "the image is grey, and the calibration is of colour"
         outputs = self._outputs(prepared, zero)
         return self._readings(frame, outputs, why, zero), outputs
 
@@ -345,6 +351,22 @@ def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscri
     if card.copy_of is None or card.copy_of.file is None:
         return None
     return CopyDiscriminator.load(checked_file(folder, card.copy_of.file), novelty.neighbours.thumbs[0].size)
+
+
+def _is_of_colour(folder: Path, card: Card) -> bool:
+    """Whether the model sees colour, and the frames that it learnt from had any."""
+    example = next((part for part in card.files if part.file == "example.png"), None)
+    if card.input.channels != 3 or example is None:
+        return False
+    image = cv2.imread(str(checked_file(folder, example)), cv2.IMREAD_COLOR)
+    return image is not None and not _is_grey(image)
+
+
+def _is_grey(image: Image) -> bool:
+    """Whether all three channels are the same, or there is one alone."""
+    if image.ndim == 2:
+        return True
+    return np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2])
 
 
 def _copy_reason(card: Card) -> str:
