@@ -202,8 +202,15 @@ def test_a_thumbnail_in_a_jpeg_does_not_end_it() -> None:
 def test_bytes_that_only_begin_like_an_image_are_passed_over() -> None:
     (image,) = images(1, seed=6)
     data = encode(image).tobytes()
-    noise = b"\xff\xd8\xff\x00rubbish" + b"\x89PNG\r\n\x1a\n" + b"\0\0\0\x04????"
+    noise = b"\xff\xd8\xff\x00rubbish" + b"\0\0\0\x04????"
     assert list(ImageCutter().feed(noise + data)) == [data]
+
+
+def test_a_png_that_is_cut_short_in_a_pipe_is_one_that_cannot_be_read_and_the_next_follows() -> None:
+    whole = [encode(image).tobytes() for image in images(2, seed=8)]
+    for end in (20, len(whole[0]) // 2, len(whole[0]) - 1):
+        found = list(ImageCutter().feed(whole[0] + whole[1][:end] + whole[1]))
+        assert found == [whole[0], whole[1][:8], whole[1]]
 
 
 def test_standard_input_gives_images_and_then_ends() -> None:

@@ -12,6 +12,7 @@ from palpate.core import ImageError
 
 MAX_IMAGE_BYTES = 64 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB`\x82"  # with its checksum
 _JPEG = b"\xff\xd8\xff"
 _SCAN, _END = 0xDA, 0xD9
 MIN_MARKER = 0xC0
@@ -25,7 +26,7 @@ class ImageCutter:
         self._held = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Each image file that is whole now.
+        """Each image file that is whole now; of a PNG that was cut short its first bytes, which are none.
 
         Raises:
             ImageError: one is longer than 64 MiB; it is skipped, and the next bytes may be fed.
@@ -40,7 +41,10 @@ class ImageCutter:
                     raise ImageError(f"an image of more than {MAX_IMAGE_BYTES} bytes in the stream; skipped")
                 return
             if length == 0:  # began like an image and is none
+                begun = bytes(self._held[: len(_PNG)])
                 del self._held[0]
+                if begun == _PNG:  # eight bytes that nothing else begins with: one that was cut short
+                    yield begun
                 continue
             image = bytes(self._held[:length])
             del self._held[:length]
@@ -69,7 +73,9 @@ def _png_length(data: bytearray) -> int | None:
             return 0
         at += 12 + size
         if kind == b"IEND":
-            return at if len(data) >= at else None
+            if len(data) < at:
+                return None
+            return at if data.startswith(_PNG_END, at - len(_PNG_END)) else 0
     return None
 
 
