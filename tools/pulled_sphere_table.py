@@ -25,7 +25,7 @@ from finite_strain.disc import Disc
 from finite_strain.neo_hookean import NeoHookean
 from finite_strain.press import Press
 from finite_strain.pulled import Increment, Pull
-from finite_strain.recover import Deformed, Grid, deformed, tensor_order
+from finite_strain.recover import Deformed, Grid, deformed, edge, tensor_order
 
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
@@ -136,7 +136,8 @@ def solved(thickness: float) -> dict[str, ndarray]:
         made = increments(pull)
         added = Added(pull)
         k = made[0].force / made[0].shift
-        stiffness.append(k / mindlin_stiffness(a))
+        # one mesh knows its own edge: stiffness goes with it, and is kept over that of its own radius
+        stiffness.append(k / mindlin_stiffness(sum(edge(press, balanced)) / 2))
         shift.append([k * one.shift / one.force for one in made])
         fields = [added.read(one, r, zeta) for one in made]
         values.append(

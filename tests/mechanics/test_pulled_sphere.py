@@ -108,8 +108,10 @@ def test_no_traction_exceeds_friction_and_slip_comes_in_from_the_edge(solver) ->
 def test_a_light_touch_is_cattaneos_and_mindlins() -> None:
     press = THICK.at(0.02)
     a = press.contact_radius
-    # The layer is 14 contact radii thick, which stiffens it by some 5 %.
-    assert 1.0 < TABLE.stiffness_at(press) / mindlin_stiffness(a) < 1.07
+    # The layer is 14 contact radii thick, which stiffens it by some 5 %; half of that if twice as thick.
+    assert 1.03 < TABLE.stiffness_at(press) / mindlin_stiffness(a) < 1.07
+    thicker = SphereTable.load("sphere-h4-mu0").at(0.02)
+    assert 1.01 < TABLE.stiffness_at(thicker) / mindlin_stiffness(thicker.contact_radius) < 1.03
     assert mindlin_stiffness(a) == pytest.approx(tangential_stiffness(a, 1.0, 0.49))
     for share in (0.3, 0.6, 0.8, 0.95):
         force = share * press.force
@@ -141,7 +143,7 @@ def still(row: dict[str, float]) -> float:
 
 
 def test_three_dimensions_give_the_tables_force() -> None:
-    """Bricks, nothing left out, and slip step by step: at worst 3.4 % was found."""
+    """Bricks, nothing left out, and slip step by step: at worst 3 % was found."""
     rows = [r for r in DRAGS if r["shift"] > 0 and r["side_force"] < 0.95 * r["friction"] * still(r)]
     assert len(rows) > 30
     assert {r["depth"] for r in rows} == {0.3, 0.6, 1.0, 1.2}
@@ -149,7 +151,7 @@ def test_three_dimensions_give_the_tables_force() -> None:
         press = THICK.at(row["depth"])
         assert press.force == pytest.approx(still(row), rel=6e-3)
         found = TABLE.force_of(press, row["shift"], row["friction"])
-        assert found == pytest.approx(row["side_force"], rel=0.04 if row["shift"] < 0.1 else 0.025)
+        assert found == pytest.approx(row["side_force"], rel=0.035 if row["shift"] < 0.1 else 0.025)
 
 
 @pytest.mark.parametrize("fine", [r for r in FINER if r["shift"] > 0])

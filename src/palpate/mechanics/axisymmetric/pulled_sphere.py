@@ -10,7 +10,7 @@ harmonic,
 t being the angle from the pull, about the sphere's axis where it is now. It is proportional to the force Q
 of the pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed
 state's own, so that depth is not small; the pull is. Against a sphere dragged in three dimensions with
-nothing left out (`tools/dragged_sphere.py`) the force is right to 4 % under friction 0.3 and 1, 0.3 to 1.2
+nothing left out (`tools/dragged_sphere.py`) the force is right to 3 % under friction 0.3 and 1, 0.3 to 1.2
 R deep, to `GREATEST_SHIFT`. The stress is of first order.
 
 The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness,
