@@ -14,7 +14,7 @@ from palpate.core import Pose, Probe
 from palpate.core.errors import RangeError
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
-    GREATEST_SHIFT,
+    MAX_SHIFT,
     mindlin_stiffness,
     pulled,
     pulled_sphere_table,
@@ -244,7 +244,7 @@ def test_stress_tends_to_that_of_small_strain_as_the_touch_gets_lighter() -> Non
 def test_what_is_not_held_is_refused() -> None:
     with pytest.raises(RangeError, match="whole contact slip"):
         contact(1e-3, (1.2, 1.2))
-    with pytest.raises(RangeError, match=f"{GREATEST_SHIFT * R * 1e3:g} mm the first order holds"):
+    with pytest.raises(RangeError, match=f"{MAX_SHIFT * R * 1e3:g} mm the first order holds"):
         contact(5.5e-3, (15.0, 0.0))
     with pytest.raises(RangeError, match="does not press"):
         contact(0.0, (0.1, 0.0))

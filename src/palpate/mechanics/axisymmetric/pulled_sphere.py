@@ -11,7 +11,7 @@ t being the angle from the pull, about the sphere's axis where it is now. It is 
 of the pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed
 state's own, so that depth is not small; the pull is. Against a sphere dragged in three dimensions with
 nothing left out (`tools/dragged_sphere.py`) the force is right to 3 % under friction 0.3 and 1, 0.3 to 1.2
-R deep, to `GREATEST_SHIFT`. The stress is of first order.
+R deep, to `MAX_SHIFT`. The stress is of first order.
 
 The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness,
 depth and share take. Made by `tools/pulled_sphere_table.py`.
@@ -34,9 +34,7 @@ from palpate.mechanics.axisymmetric.sphere_table import SAME, TabulatedPress
 
 TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
 STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")
-GREATEST_SHIFT = (
-    0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
-)
+MAX_SHIFT = 0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
 FULL = 0.98  # of friction: the greatest share that was solved; held to where all slips
 REACHED = 5.4  # R, the last radius, clear of the rim's corner
 NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4, 1.55, 1.75, 2.0]])
@@ -216,7 +214,7 @@ def pulled(
         against the sphere's.
 
     Raises:
-        RangeError: nothing presses, all slips, or the pull takes the sphere beyond `GREATEST_SHIFT`.
+        RangeError: nothing presses, all slips, or the pull takes the sphere beyond `MAX_SHIFT`.
     """
     Q, most = math.hypot(*pull_n), friction * contact.force_n
     R = contact.probe.radius_m
@@ -229,11 +227,11 @@ def pulled(
         )
     table, unit = pulled_sphere_table(), youngs_modulus_pa * R**2
     added = table.at(press, Q / unit, friction)
-    if added.shift > GREATEST_SHIFT * (1 + SAME):
+    if added.shift > MAX_SHIFT * (1 + SAME):
         raise RangeError(
             f"a lateral load of {Q:g} N takes the ball {added.shift * R * 1e3:.3g} mm along the skin; to "
-            f"{GREATEST_SHIFT * R * 1e3:g} mm the first order holds: give "
-            f"{table.force_of(press, GREATEST_SHIFT, friction) * unit:.4g} N or less, or press deeper"
+            f"{MAX_SHIFT * R * 1e3:g} mm the first order holds: give "
+            f"{table.force_of(press, MAX_SHIFT, friction) * unit:.4g} N or less, or press deeper"
         )
     x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
     r, cos, sin = np.hypot(x, y) / R, *_turned(x, y, pull_n)

@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
-    GREATEST_SHIFT,
+    MAX_SHIFT,
     pulled as pulled_contact,
     pulled_sphere_table,
 )
@@ -288,7 +288,7 @@ def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     R, at = spec.indenter_radius_m, pressed(spec, pose.depth_m)
     table, unit = pulled_sphere_table(), spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
-    least = min(table.shift_of(at, FULL * FRICTION * at.force, FRICTION), GREATEST_SHIFT) * R
+    least = min(table.shift_of(at, FULL * FRICTION * at.force, FRICTION), MAX_SHIFT) * R
     if shift_m > least * (1 + SAME):
         raise RangeError(
             f"shifted by {1e3 * shift_m:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the "
