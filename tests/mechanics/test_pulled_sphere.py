@@ -200,6 +200,13 @@ def test_shear_sums_to_the_pull_and_turns_with_it() -> None:
     assert one.pressure_pa.sum() * cell == pytest.approx(one.force_n, rel=0.01)
 
 
+def test_shear_points_along_the_pull_all_over_the_contact() -> None:
+    one = contact(1.5e-3, pull_n=(1.0, 0.0))
+    inner = np.hypot(one.x_m - 1e-3, one.y_m[:, None] + 2e-3) < 0.8 * one.radius_m
+    assert one.shear_pa[0][inner].min() > 0
+    assert np.abs(one.shear_pa[1][inner]).max() < 0.3 * one.shear_pa[0][inner].max()
+
+
 def test_shear_read_off_the_stress_is_the_pull_before_it_is_made_so() -> None:
     from palpate.mechanics.axisymmetric.pulled_sphere import _top_load
 
@@ -256,6 +263,7 @@ def test_shift_and_force_are_each_others_inverse() -> None:
     press = THICK.at(0.7)
     for share in (0.01, 0.4, 0.9 * FULL):
         shift = TABLE.shift_of(press, share * press.force, 1.0)
+        assert TABLE.at(press, share * press.force, 1.0).shift == pytest.approx(shift)
         assert TABLE.force_of(press, shift, 1.0) == pytest.approx(share * press.force, rel=1e-6)
 
 

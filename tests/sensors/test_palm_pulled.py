@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from palpate.core import Pose, PressHistory, Probe, RangeError
 from palpate.sensors import palm
@@ -77,6 +78,18 @@ def test_the_base_holds_the_pull_and_the_press():
     assert 0.75 < held[1] / 1.0 < 1.0
 
 
+def test_stress_turns_with_the_pull():
+    """What no turn changes, sqrt((xx - yy)^2 / 4 + xy^2), at places that are turned along."""
+    angle, sizes = np.linspace(0.1, 6.0, 12), []
+    for turn in (0.0, math.pi / 4):
+        near = stress_about(SPEC, pressed(4.0, (3 * math.cos(turn), 3 * math.sin(turn)))).near
+        places = [2e-3 * np.sin(angle + turn), 2e-3 * np.cos(angle + turn)]
+        at = [(p - near.first_m[0]) / near.cell_m[0] for p in places]
+        xx, yy, xy = (map_coordinates(near.stress_pa[50, which], at, order=1) for which in (0, 1, 2))
+        sizes.append(np.hypot((xx - yy) / 2, xy))
+    np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.02, atol=0.01 * sizes[0].max())
+
+
 def test_a_light_pull_changes_light_as_under_linear_layers_and_not_as_the_other_way():
     pose, load, ball = Pose(0.0, 0.0, 0.4e-3), (0.15, 0.0), Probe("sphere", 5e-3)
     layers = palm_press.press_layers(SPEC, pose, ball)
@@ -112,6 +125,10 @@ def test_a_rim_that_is_applied_has_its_part_of_the_load():
     cell = (more.x_m[1] - more.x_m[0]) ** 2
     np.testing.assert_allclose(more.shear_pa.sum(axis=(1, 2)) * cell, [1.0, 0.0], atol=1e-6)
     assert more.lateral_n[1] == pytest.approx(still.lateral_n[1])
+    far = stress_about(applied, more).far
+    held_x, held_y = (float(far.stress_pa[-1, which].sum()) * far.cell_m[0] ** 2 for which in (3, 4))
+    assert -1.0 < held_x < -0.75
+    assert abs(held_y) < 0.05, "the rim's own load is none of the pull's"
 
 
 def test_a_membrane_with_friction_or_without_a_table_keeps_to_linear_layers():

@@ -256,9 +256,11 @@ def pulled(
 
 
 def _turned(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray, ndarray]:
-    """Cosine and sine of the angle from the pull."""
-    away, Q = np.maximum(np.hypot(x, y), 1e-15), math.hypot(*pull) or 1.0
-    return (x * pull[0] + y * pull[1]) / (away * Q), (y * pull[0] - x * pull[1]) / (away * Q)
+    """Cosine and sine of the angle from the pull; on the axis as along it."""
+    away, Q = np.hypot(x, y), math.hypot(*pull) or 1.0
+    scale = np.where(away > 0.0, away, 1.0) * Q
+    cos, sin = (x * pull[0] + y * pull[1]) / scale, (y * pull[0] - x * pull[1]) / scale
+    return np.where(away > 0.0, cos, 1.0), sin
 
 
 def _top_load(press: TabulatedPress, added: PulledStress) -> tuple[Knots, Knots]:
