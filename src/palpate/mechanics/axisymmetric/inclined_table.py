@@ -1,10 +1,10 @@
 """A hemispherical tip pressed along its axis on an inclined cylinder: tables solved at finite strain.
 
-Solved in three dimensions by `tools/inclined_tables.py`, without friction, tip and cylinder at finite strain as
-in `tip_table`. Shipped is the tip "base" at 30 degrees on cylinders of 0.035 MPa and stiffer, at 45 degrees on
-such of 0.0987 MPa and stiffer, up to a rigid plate. On softer ones at 45 degrees the contact runs off the top.
-The cells see a little less than a contact's area; how much less is taken from presses at 0 degrees, which
-have a table of their own, and made good.
+Solved in three dimensions by `tools/inclined_tables.py`, without friction, tip and cylinder at finite
+strain as in `tip_table`. Shipped is the tip "base" at 30 degrees on cylinders of 0.035 MPa and stiffer, at
+45 degrees on such of 0.2419 MPa and stiffer, up to a rigid plate. On softer ones at 45 degrees the contact
+runs off the top. The cells see a contact's edge a little too far in; by how much is taken from presses at 0
+degrees, which have a table of their own, and made good.
 
 Between forces they are read as `tip_table` is; between moduli by a smooth curve over the head-on approach at
 `COMPARED_N`, along which head-on presses hardly bend (area as its ratio to the head-on one); between tilts
