@@ -31,7 +31,9 @@ from .revolved import InsideOutError
 from .surface_contact import Below, below, pressed
 from .tip import CORE, ConvergenceError, Tip
 
-RESIDUAL = 2e-4  # N, of a node, and as much again a mm of approach; single precision leaves 3e-5
+RESIDUAL = 1e-5  # N, of a node on a plate
+# On a cylinder, and as much again a mm of approach; single precision leaves 3e-5 there.
+RESIDUAL_ON_CYLINDER = 2e-4
 # After so many moves what comes and goes at the contact's edge may remain.
 ITERATIONS, PATIENT, SETTLED = 15, 8, 4e-3
 MAX_MOVE = 1.0  # mm, of one move
@@ -215,9 +217,10 @@ class InclinedPress:
         """Newton's method from the curve through the last states."""
         u, top = (_onwards(past, [getattr(p, name) for p in past], approach) for name in ("u", "top"))
         out, answer = self._assemble(u, top, approach)
+        balanced = RESIDUAL if self.top is None else RESIDUAL_ON_CYLINDER * (1 + approach)
         for iteration in range(ITERATIONS):
             worst = float(np.abs(out).max())
-            if worst < (RESIDUAL * (1 + approach) if iteration < PATIENT else SETTLED):
+            if worst < (balanced if iteration < PATIENT else SETTLED):
                 return Inclined(approach, u, top, self.touch(u, top, approach)[0])
             self.iterations += 1
             try:
