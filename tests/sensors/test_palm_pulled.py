@@ -131,6 +131,22 @@ def test_a_rim_that_is_applied_has_its_part_of_the_load():
     assert abs(held_y) < 0.05, "the rim's own load is none of the pull's"
 
 
+@pytest.mark.parametrize("pull", [(0.3, 0.0), (-0.2, 0.1)])
+def test_what_a_path_builds_up_comes_on_top_of_the_rims_load(pull):
+    """As a virtual rig's force has both: a pull that vanishes leaves the press as it was."""
+    sensor, pose = Palm(replace(SPEC, rim="applied")), Pose(18 * MM, -3 * MM, 3 * MM)
+    ball = sensor.probe("sphere:10")
+    still = sensor.press(ball, pose)
+    assert still.lateral_n[0] < -0.05
+    one = sensor.press(ball, pose, history=PressHistory(path_m=((1e-4, 0.0),), lateral_n=pull))
+    np.testing.assert_allclose(one.lateral_n, np.add(still.lateral_n, pull), rtol=1e-9)
+    assert one.history.lateral_n == pull
+    cell = (one.x_m[1] - one.x_m[0]) ** 2
+    np.testing.assert_allclose(one.shear_pa.sum(axis=(1, 2)) * cell, pull, atol=1e-9)
+    barely = sensor.press(ball, pose, history=PressHistory(path_m=((1e-9, 0.0),)))
+    np.testing.assert_allclose(barely.lateral_n, still.lateral_n, atol=1e-5)
+
+
 def test_a_membrane_with_friction_or_without_a_table_keeps_to_linear_layers():
     for spec in (replace(SPEC, friction=0.5), replace(SPEC, thickness_m=8e-3)):
         assert not is_pulled_ball(pressed(1.0, (0.2, 0.0), spec=spec))

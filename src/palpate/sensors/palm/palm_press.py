@@ -298,6 +298,21 @@ def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
     return table.force_of(at, shift_m / R, FRICTION) * unit
 
 
+def load_with_rim(
+    spec: PalmSpec, pose: Pose, probe: Probe, pull_n: tuple[float, float]
+) -> tuple[float, float]:
+    """Lateral load, as `press` takes it, of a pull on a probe: with that of an applied rim on a ball [N]."""
+    if probe != Probe("sphere", spec.indenter_radius_m) or not is_pulled_deep(spec):
+        return pull_n
+    spec = pressed_at(spec, pose.x_m, pose.y_m)
+    effect = applied_rim(spec, pose)
+    if effect.push_ratio == 0.0:
+        return pull_n
+    centred = pressed(spec, pose.depth_m).force * spec.youngs_modulus_pa * spec.indenter_radius_m**2
+    x, y = lateral_of(effect, pose, centred)
+    return pull_n[0] + x, pull_n[1] + y
+
+
 def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:
     """The spec's ball as far as a picture asks for it: probe, place and depth, no pressure."""
     none, grid = np.zeros(0), np.zeros((0, 0))

@@ -39,6 +39,7 @@ from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
     is_pulled_deep,
+    load_with_rim,
     press,
     press_layers,
     pull_of_shift,
@@ -164,8 +165,9 @@ class Palm:
         if lateral_n == (0.0, 0.0) and probe == self._ball:
             contact = press(self._stiffened(history), pose)
         else:
-            key = ("press", pose, probe, lateral_n)
-            contact = self._kept(key, lambda: press(self.spec, pose, probe, lateral_n))
+            load_n = load_with_rim(self.spec, pose, probe, lateral_n)
+            key = ("press", pose, probe, load_n)
+            contact = self._kept(key, lambda: press(self.spec, pose, probe, load_n))
         return replace(contact, history=replace(history, lateral_n=lateral_n))
 
     def known_depth_m(
