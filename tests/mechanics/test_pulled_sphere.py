@@ -200,6 +200,14 @@ def test_shear_sums_to_the_pull_and_turns_with_it() -> None:
     assert one.pressure_pa.sum() * cell == pytest.approx(one.force_n, rel=0.01)
 
 
+def test_a_contact_between_the_grids_points_still_carries_its_pull() -> None:
+    ball, pose, x = Probe("sphere", R), Pose(0.0, 0.0, 1e-8), (np.arange(40) - 19.5) * 1e-4
+    pressed = press_finite_strain(ball, pose, E, 2 * R, 28.5e-3, x_m=x, y_m=x)
+    asked = (3e-1 * pressed.force_n, -4e-1 * pressed.force_n)
+    found = pulled(pressed, THICK.at(1e-8 / R), E, asked, 1.0)
+    np.testing.assert_allclose(found.shear_pa.sum(axis=(1, 2)) * 1e-8, asked, rtol=1e-9)
+
+
 def test_shear_points_along_the_pull_all_over_the_contact() -> None:
     one = contact(1.5e-3, pull_n=(1.0, 0.0))
     inner = np.hypot(one.x_m - 1e-3, one.y_m[:, None] + 2e-3) < 0.8 * one.radius_m

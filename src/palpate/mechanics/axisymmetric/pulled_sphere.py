@@ -240,6 +240,8 @@ def pulled(
         for part in _top_load(press, added)
     )
     along, aside = out * cos**2 - around * sin**2, (out + around) * sin * cos
+    if not along.any():  # a contact smaller than a cell
+        along = (r < r.min() * (1 + SAME)).astype(float)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
     exact = (
         Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0
