@@ -90,10 +90,15 @@ def at_forces(press: dict[str, ndarray], unseen_mm: float = 0.0) -> dict[str, nd
     """One press at the table's forces, the contact's edge so far outside of where the cells see it."""
     lift = press["force_n"][:, 2]
     root, to = np.concatenate([[0.0], np.cbrt(lift)]), np.cbrt(FORCES_N)
-    found = {
-        name: PchipInterpolator(root, np.concatenate([np.zeros_like(press[name][:1]), press[name]]))(to)
-        for name in ("approach_mm", "moved_mm")
-    }
+    found = {}
+    for name in (
+        "approach_mm",
+        "moved_mm",
+    ):  # over the root they are nearly straight lines, from first touch on
+        shape = (-1,) + (1,) * (press[name].ndim - 1)
+        slope = press[name] / root[1:].reshape(shape)
+        read = PchipInterpolator(root, np.concatenate([np.zeros_like(slope[:1]), slope]))
+        found[name] = read(to) * to.reshape(shape)
     # the contact's size, known to a point's spacing only, by a smooth curve
     powers = root[1:, None] ** np.arange(1, AREA_TERMS + 1)
     size = np.sqrt(press["area_mm2"]) + np.sqrt(np.pi) * unseen_mm
