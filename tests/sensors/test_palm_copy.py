@@ -95,6 +95,12 @@ def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_
     for wrong in (1e12 * C, 0.0, -C, math.nan, C / 6):
         with pytest.raises(RangeError, match="1 brewster is 1e-12"):
             measured_copy(DESIGN, wrong)
+    for shares, said in (((2.0, 0.2), "coefficient of 2; give 1 or less"), ((0.02, 25), "modulus of 25")):
+        with pytest.raises(RangeError, match=said):
+            measured_copy(DESIGN, C, *shares)
+    for shares, said in (((0.0, 0.2), "coefficient 0;"), ((0.02, math.nan), "modulus nan;")):
+        with pytest.raises(RangeError, match=f"spreads of copies: share of the {said}"):
+            measured_copy(DESIGN, C, *shares)
 
 
 @pytest.mark.slow

@@ -239,12 +239,14 @@ def designed_copy(
     others, own = (
         [of[name] for name in names] for of, names in ((spreads, TERMS[2:]), (local_spreads, LOCAL[3:]))
     )
-    if not all(math.isfinite(one) and one > 0 for one in (modulus_share, coefficient_share, *others, *own)):
-        raise RangeError(
-            f"spreads of copies: modulus {modulus_share}, coefficient {coefficient_share}, "
-            f"{dict(spreads)}, of one press {dict(local_spreads)}; "
-            "each has to be finite and above 0"
-        )
+    shares = {"share of the modulus": modulus_share, "share of the coefficient": coefficient_share}
+    bad = [
+        f"{name} {one:g}"
+        for name, one in [*shares.items(), *spreads.items(), *local_spreads.items()]
+        if not (math.isfinite(one) and one > 0)
+    ]
+    if bad:
+        raise RangeError(f"spreads of copies: {', '.join(bad)}; each has to be finite and above 0")
     covariance = np.diag(np.square([modulus_share, math.hypot(modulus_share, coefficient_share), *others]))
     covariance[0, 1] = covariance[1, 0] = modulus_share**2  # E C holds E
     terms = np.zeros(len(TERMS))
@@ -263,8 +265,12 @@ def measured_copy(
         coefficient_share, modulus_share: standard deviations of C and of the design's E, as shares.
 
     Raises:
-        RangeError: a C more than `MAX_TIMES` from the design's, as one in another unit, or no spread.
+        RangeError: a C more than `MAX_TIMES` from the design's, as one in another unit; or a share that is
+            not above 0, or above 1, as a percentage.
     """
+    for name, share in (("coefficient", coefficient_share), ("modulus", modulus_share)):
+        if share > 1:
+            raise RangeError(f"a share of the {name} of {share:g}; give 1 or less, 0.02 for 2 %")
     designed = spec.stress_optic.coefficient_per_pa
     times = coefficient_per_pa / designed
     if not (math.isfinite(times) and 1 / MAX_TIMES <= times <= MAX_TIMES):
