@@ -211,15 +211,18 @@ def test_a_weight_that_rolls_between_two_pictures_is_refused(
     monkeypatch, moved_m: float, rolled: bool, way: str
 ) -> None:
     known, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
+    later = picture + np.uint8(1)
     first = PressFound(1e-3, -1e-3, 2e-3, 2.0, 2e-5, 2e-5, 1e-5, 0.01, 0.004)
     then = first._replace(**{way: getattr(first, way) + moved_m})
     monkeypatch.setattr(palm_weight, "fit_copy", lambda *_, **__: CopyFit(known, (then,), ()))
     found = CopyFit(known, (first,), ())
     if rolled:
         with pytest.raises(InputError, match=re.escape(f"moved by {1e3 * moved_m:+.2f} mm along {way[0]}")):
-            palm_weight.refuse_rolling(found, picture, picture)
+            palm_weight.refuse_rolling(found, picture, later, picture)
     else:
-        palm_weight.refuse_rolling(found, picture, picture)
+        palm_weight.refuse_rolling(found, picture, later, picture)
+    with pytest.raises(InputError, match="the same"):
+        palm_weight.refuse_rolling(found, picture, picture, picture)
 
 
 def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:

@@ -153,11 +153,11 @@ def weigh(
     from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
     from palpate.sensors.palm.copies.palm_weight import check_weight, refuse_rolling
 
-    known, rest = read_copy(copy), read_picture(reference)
+    known, laid, rest = read_copy(copy), read_picture(image), read_picture(reference)
     with progress_bar(quiet) as tell:
-        check, found = check_weight(known, read_picture(image), rest, 1e-3 * mass_g, tell)
+        check, found = check_weight(known, laid, rest, 1e-3 * mass_g, tell)
         if later is not None:
-            refuse_rolling(found, read_picture(later), rest, tell)
+            refuse_rolling(found, laid, read_picture(later), rest, tell)
     answer: dict[str, Any] = {
         "weight_N": check.force_n, "read_N": check.read_n,
         "modulus_change": check.modulus_change, "modulus_deviations": check.modulus_deviations,

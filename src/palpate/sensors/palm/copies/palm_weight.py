@@ -84,21 +84,23 @@ def check_weight(
 
 
 def refuse_rolling(
-    found: CopyFit, later: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"],
-    progress: Progress = silent,
+    found: CopyFit, image: UInt8[ndarray, "h w 3"], later: UInt8[ndarray, "h w 3"],
+    reference: UInt8[ndarray, "h w 3"], progress: Progress = silent,
 ) -> None:  # fmt: skip
     """Refuse a weight that lies elsewhere some seconds later: a push or a slope carries part of it.
 
     Args:
         found: the weight as `check_weight` found it.
-        later: another picture of it.
+        image, later: the picture that it was found in, and another of it.
         reference: of the untouched skin.
         progress: called with rounds of the estimate.
 
     Raises:
-        InputError: it has moved.
+        InputError: it has moved, or both pictures are one and the same.
         ImageError: no press is seen, or no such palm's picture.
     """
+    if np.array_equal(image, later):
+        raise InputError("both pictures of the weight are the same; take the later one some seconds after")
     first = found.presses[0]
     then = fit_copy(found.copy, [PicturedPress(later, reference)], progress).presses[0]
     for name in ("x", "y"):
