@@ -82,11 +82,8 @@ class Disc:
 
     def seen_stress(self, centre_px: Float[ndarray, "p 2"]) -> tuple[ndarray, ndarray, ndarray]:
         """s1 - s2 over the centre's, visibility, and where both are used; of places in the photograph."""
-        if self.seen_px is None:
-            raise InputError(
-                "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
-            )
-        x, y = ((centre_px - self.seen_px[:2]) / (self.seen_px[2] / 2)).T
+        seen = self._seen_px
+        x, y = ((centre_px - seen[:2]) / (seen[2] / 2)).T
         u, axis = disc_difference(x, y)
         inside = np.isfinite(u) & (np.hypot(x, y) <= FACE) & (u <= STEEP)
         turned = 0.0 if self.polariser_rad is None else self.polariser_rad
@@ -95,17 +92,22 @@ class Disc:
 
     def face_px(self) -> tuple[int, int, int, int]:
         """The square about the disc, as a region [px]."""
-        if self.seen_px is None:
-            raise InputError(
-                "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
-            )
-        x, y, D = self.seen_px
+        x, y, D = self._seen_px
         return round(x - D / 2), round(y - D / 2), round(D), round(D)
 
     @property
     def breadth_m(self) -> float:
         """Breadth b that divides P in N = C P / (b l0) [m]."""
         return math.pi * self.diameter_m / 8
+
+    @property
+    def _seen_px(self) -> tuple[float, float, float]:
+        """Where the disc is seen, which its whole face needs."""
+        if self.seen_px is None:
+            raise InputError(
+                "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
+            )
+        return self.seen_px
 
     def __str__(self) -> str:
         return f"disc {self.diameter_m * 1e3:g} mm across"

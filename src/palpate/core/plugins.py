@@ -241,3 +241,23 @@ def import_path_of(thing: Any, kind: str) -> str:
             "at the top of a module, so that a certificate can say what it is"
         )
     return path
+
+
+def names_at_first_use(
+    package: str, modules: Mapping[str, str], names: list[str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """A package's `__getattr__` and `__dir__` (PEP 562), by which its names load when they are first used.
+
+    Args:
+        package: its `__name__`.
+        modules: by name, the module that has it, from the package on; from palpate on after a leading dot.
+        names: its `__all__`.
+    """
+
+    def found(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"{package} has no {name!r}; it has {', '.join(names)}")
+        module = modules[name]
+        return getattr(import_module(f"palpate{module}" if module[0] == "." else f"{package}.{module}"), name)
+
+    return found, lambda: names

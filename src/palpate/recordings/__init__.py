@@ -4,8 +4,9 @@ The names here load when they are first used, so that reading one image loads no
 writes a file raises `StorageError` where the disk is full or refuses.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palpate.core.plugins import names_at_first_use
 
 if TYPE_CHECKING:
     from palpate.recordings.clock_offset import Offset, mean_over_exposures, offset_between
@@ -60,12 +61,4 @@ __all__ = [
     "split",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"palpate.recordings.{_MODULES[name]}"), name)
-    raise AttributeError(f"palpate.recordings has no {name!r}; it has {', '.join(__all__)}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

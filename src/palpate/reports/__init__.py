@@ -3,8 +3,9 @@
 The names here load when they are first used, so that printing a table loads no page.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palpate.core.plugins import names_at_first_use
 
 if TYPE_CHECKING:
     from palpate.reports.certificate_page import render_report, write_report
@@ -29,12 +30,4 @@ __all__ = [
     "write_report",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"palpate.reports.{_MODULES[name]}"), name)
-    raise AttributeError(f"palpate.reports has no {name!r}; it has {', '.join(__all__)}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

@@ -3,8 +3,9 @@
 The names here load when they are first used, so that the process that guards a rig loads no engine.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palpate.core.plugins import names_at_first_use
 
 if TYPE_CHECKING:
     from palpate.core import FrameSource
@@ -18,13 +19,13 @@ if TYPE_CHECKING:
 _MODULES = {
     name: module
     for module, names in {
-        "core": ("FrameSource",),
-        "devices": ("Limits", "Mounting", "OperatorCommand", "OperatorControl", "Reason", "Tripped"),
-        "rig.engine": ("record",),
-        "rig.plans": ("PLANS", "plan_of", "plan_of_sensor", "size_of"),
-        "rig.rig": ("Rig",),
-        "rig.rig_file": ("open_rig",),
-        "rig.run_progress": ("Outcome", "State", "Status", "done_in"),
+        ".core": ("FrameSource",),
+        ".devices": ("Limits", "Mounting", "OperatorCommand", "OperatorControl", "Reason", "Tripped"),
+        "engine": ("record",),
+        "plans": ("PLANS", "plan_of", "plan_of_sensor", "size_of"),
+        "rig": ("Rig",),
+        "rig_file": ("open_rig",),
+        "run_progress": ("Outcome", "State", "Status", "done_in"),
     }.items()
     for name in names
 }
@@ -50,12 +51,4 @@ __all__ = [
     "size_of",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"palpate.{_MODULES[name]}"), name)
-    raise AttributeError(f"palpate.rig has no {name!r}; it has {', '.join(__all__)}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

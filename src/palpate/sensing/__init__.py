@@ -1,8 +1,8 @@
 """The loop in real time: a source of frames, an estimator, readings."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from palpate.core.plugins import names_at_first_use
 from palpate.sensing.frame_sources import FrameStream, ImageFiles, RunFrames, open_source
 from palpate.sensing.sensing_loop import Sensed, sense
 
@@ -28,8 +28,4 @@ __all__ = [
     "RunFrames", "Sensed", "live", "open_live_source", "open_source", "sense",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> Any:
-    if name in _LIVE:
-        return getattr(import_module(f"palpate.sensing.{_LIVE[name]}"), name)
-    raise AttributeError(f"palpate.sensing has no {name!r}; it has {', '.join(__all__)}")
+__getattr__, __dir__ = names_at_first_use(__name__, _LIVE, __all__)

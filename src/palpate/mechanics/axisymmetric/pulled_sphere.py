@@ -36,6 +36,7 @@ TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
 STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")
 MAX_SHIFT = 0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
 FULL = 0.98  # of friction: the greatest share that was solved; held to where all slips
+BETWEEN = 2.5  # R: up to this thickness those between two solved ones are drawn from all
 REACHED = 5.4  # R, the last radius, clear of the rim's corner
 NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4, 1.55, 1.75, 2.0]])
 FAR, DOWN = 16, 24  # knots outside two contact radii, and down to the base
@@ -176,9 +177,6 @@ class PulledSphereTable:
         return mixed[:-1], float(mixed[-1])
 
 
-BETWEEN = 2.5  # R: up to this thickness those between two solved ones are drawn from all
-
-
 def mindlin_stiffness(contact_radius: float, poisson_ratio: float = 0.49) -> float:
     """8 a G / (2 - nu) of a half-space [E R]."""
     return 4.0 * contact_radius / ((1.0 + poisson_ratio) * (2.0 - poisson_ratio))
@@ -236,7 +234,7 @@ def pulled(
             f"{table.force_of(press, MAX_SHIFT, friction) * unit:.4g} N or less, or press deeper"
         )
     x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
-    r, cos, sin = np.hypot(x, y) / R, *_turned(x, y, pull_n)
+    r, cos, sin = np.hypot(x, y) / R, *angle_from(x, y, pull_n)
     out, around = (
         np.interp(r, added.r, part, right=0.0) * (r < press.contact_radius)
         for part in _top_load(press, added)
@@ -245,9 +243,8 @@ def pulled(
     if not along.any():  # a contact smaller than a cell
         along = (r < r.min() * (1 + SAME)).astype(float)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
-    exact = (
-        Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0
-    )  # the edge's stress is smoothed, the sum is known
+    # The edge's stress is smoothed, and the sum is known.
+    exact = Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0
     e = np.array(pull_n) / (Q or 1.0)
     lean = np.interp(r, added.r, added.surface, right=0.0) * cos * R
     return replace(
@@ -259,8 +256,8 @@ def pulled(
     )
 
 
-def _turned(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray, ndarray]:
-    """Cosine and sine of the angle from the pull; on the axis as along it."""
+def angle_from(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray, ndarray]:
+    """Cosine and sine of the angle of places from a pull, in the sense from x to y; 1 and 0 on the axis."""
     away, Q = np.hypot(x, y), math.hypot(*pull) or 1.0
     scale = np.where(away > 0.0, away, 1.0) * Q
     cos, sin = (x * pull[0] + y * pull[1]) / scale, (y * pull[0] - x * pull[1]) / scale

@@ -3,8 +3,9 @@
 The names here load when they are first used: a rig's file names the kinds of faults without a rig.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from palpate.core.plugins import names_at_first_use
 
 if TYPE_CHECKING:
     from palpate.rig.virtual.disturbances import Fault, Variation
@@ -14,12 +15,4 @@ _MODULES = {"Fault": "disturbances", "Variation": "disturbances", "virtual_rig":
 
 __all__ = ["Fault", "Variation", "virtual_rig"]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"palpate.rig.virtual.{_MODULES[name]}"), name)
-    raise AttributeError(f"palpate.rig.virtual has no {name!r}; it has {', '.join(__all__)}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

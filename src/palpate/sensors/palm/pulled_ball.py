@@ -14,7 +14,12 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from palpate.core import Contact, Float, Float32, ndarray
-from palpate.mechanics.axisymmetric.pulled_sphere import PULLED, PulledStress, pulled_sphere_table
+from palpate.mechanics.axisymmetric.pulled_sphere import (
+    PULLED,
+    PulledStress,
+    angle_from,
+    pulled_sphere_table,
+)
 from palpate.mechanics.layers.layer_stress import OnGrid
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.palm_press import FADED, FRICTION, field_at, pressed
@@ -88,8 +93,7 @@ def _on_grid(
     x, y = across[None, :], across[:, None]
     r = np.hypot(x, y)
     c, s = x / np.maximum(r, 1e-12), y / np.maximum(r, 1e-12)
-    e = np.array(pull) / max(math.hypot(*pull), 1e-300)
-    cos, sin = c * e[0] + s * e[1], s * e[0] - c * e[1]
+    cos, sin = angle_from(x, y, pull)
     top = np.interp(r, base.r_m, base.surface_m) + R * cos * np.interp(
         r / R, added.r, added.surface, right=0.0
     )
