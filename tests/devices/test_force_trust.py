@@ -9,7 +9,7 @@ import pytest
 
 from palpate.core import NS_PER_S, RangeError, Travel, Wrench
 from palpate.devices import ForceBias, Limits, Reason, Tripped
-from palpate.devices.force_trust import AirNoise, ForceMonitor, SampleDating, StiffnessCorridor
+from palpate.devices.force_trust import AirNoise, ForceMonitor, Phase, SampleDating, StiffnessCorridor
 from palpate.devices.force_trust.air_noise import CHANCE, CHANCE_COARSE, MIN_RUN, period_of
 from palpate.devices.force_trust.stiffness_corridor import WIDE_HIGH, WIDE_LOW
 
@@ -166,6 +166,37 @@ def test_the_corridor_lies_about_what_was_felt_and_goes_on_beyond_it() -> None:
         assert made.greatest_n_m(force) < 3 * stiffness * WIDE_HIGH
     assert made.least_n_m(50.0) == made.least_n_m(1.5), "beyond, a skin may go on as a spring"
     assert made.greatest_n_m(50.0) > 50.0 / 2.0 * made.greatest_n_m(1.5) / 2, "or stiffen with its force"
+
+
+@pytest.mark.parametrize(("asked_s", "doubted"), [(2.6, False), (1.55, True)])
+def test_a_skin_that_relaxes_at_a_stand_is_no_doubt_however_late_its_samples_are_taken_in(
+    rng, asked_s: float, doubted: bool
+) -> None:
+    """A press to 1 N, which falls to 0.7 N at a stand; all of that is taken in when the next step has begun.
+
+    If that step had begun first, the same samples would be of a tool that does not hold.
+    """
+    made = monitor(air(rng))
+    made.corridor = taught(1000.0)
+    zero = BIAS + 0.0
+
+    def read(time_s: float, normal_n: float) -> Wrench:
+        x, y, z = zero + (0, 0, normal_n) + 0.005 * rng.standard_normal(3)
+        return Wrench(round(time_s * NS_PER_S), (x, y, z))
+
+    def at(seconds: float) -> int:
+        return round(seconds * NS_PER_S)
+
+    made.begin(Phase.DOWN, 4e-3, 4.8e-3, at(0.3), at(0.3))
+    for one in np.arange(0.3, 1.5, 1 / HZ):
+        assert made.take(read(one, math.exp(4.0 * (one - 1.5)))) is None
+    made.end(at(1.5))
+    made.begin(Phase.DOWN, 4e-3, 4e-3, at(asked_s), at(asked_s))
+    stood = np.arange(1.5, 2.5, 1 / HZ)
+    doubts = [made.take(read(one, 1.0 - 0.3 * (one - 1.5))) for one in stood]
+    assert any(doubts) == doubted
+    if doubted:
+        assert next(filter(None, doubts)).kind == "flat"
 
 
 def test_a_press_that_is_forgotten_teaches_nothing() -> None:

@@ -127,6 +127,23 @@ def test_it_stops_on_more_force_than_is_allowed() -> None:
     assert not bench.stage.moving()
 
 
+def test_a_busy_computer_sends_no_further_step_on_a_force_that_it_has_not_looked_at() -> None:
+    """It hears of each step when that is over: half a millimetre at 12 N/mm is 6 N, and 5 are allowed."""
+    limits = Limits(LIMITS.least_m, LIMITS.greatest_m, 5.0, 1e6, step_m=0.5e-3)
+    bench = Bench(stiffness_n_m=12e3, limits=limits)
+    bench.stage.start = bench.stage.target = (0.0, 0.0, 0.0)
+    send = bench.stage.move_to
+
+    def move_to(position_m: Position, speed_m_s: float) -> None:
+        send(position_m, speed_m_s)
+        bench.clock.sleep(1.0)
+
+    bench.stage.move_to = move_to  # type: ignore[method-assign]
+    with pytest.raises(Tripped, match="5 N are allowed"):
+        bench.guard.towards((0.0, 0.0, 4e-3), SPEED)
+    assert bench.stage.sent == [(0.0, 0.0, 0.5e-3)]
+
+
 @pytest.mark.parametrize(("stiffness", "trips"), [(40e3, False), (60e3, True)])
 def test_it_stops_on_a_force_that_rises_too_fast(stiffness: float, trips: bool) -> None:
     """At 2 mm/s these are 80 and 120 N/s; 100 are allowed."""

@@ -396,7 +396,8 @@ class MotionGuard:
             self.looks.publish()
             if now_ns > end_ns:
                 raise Tripped(Reason.STAGE_LATE, f"the stage still moves {due_s:.1f} s after it was sent")
-        return False
+        # What came since the last look belongs to this move: all of it where the computer was busy.
+        return any(until(self._bias.force(one)) for one in self._look(check, asks))
 
     def _check_arrived(self, target: Position) -> None:
         at = self.position_m()

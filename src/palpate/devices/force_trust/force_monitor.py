@@ -116,6 +116,7 @@ class ForceMonitor:
         self._sending_s = 0.0
         self._reported_m: float | None = None
         self._ended_ns: int | None = 0
+        self._asked_ns, self._ended_before_ns = 0, self._ended_ns
         self._restart()
 
     def new_tool(self) -> None:
@@ -177,6 +178,7 @@ class ForceMonitor:
         if phase in (Phase.UP, Phase.LIFT) and self._phase is not phase:
             self._touched, self._held, self._turned_n = False, 0.0, self._level_n
         self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, sent_ns
+        self._asked_ns, self._ended_before_ns = asked_ns, self._ended_ns
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
 
@@ -239,7 +241,9 @@ class ForceMonitor:
 
     def _step(self, time_ns: int) -> tuple[Phase, float]:
         """What the stage does at a sample's time, and how far it went since the last one [m]."""
-        if self._ended_ns is not None and time_ns > self._ended_ns + LAG_S * NS_PER_S:
+        # A busy computer takes in samples of the stand before this move only once it has begun.
+        ended_ns = self._ended_before_ns if time_ns < self._asked_ns else self._ended_ns
+        if ended_ns is not None and time_ns > ended_ns + LAG_S * NS_PER_S:
             return Phase.STAND, 0.0
         gone_s = max(time_ns - self._begun_ns, 0) / NS_PER_S
         v, a = self._speed, self._travel.acceleration_m_s2
