@@ -192,6 +192,23 @@ def test_options_that_are_none_are_refused() -> None:
     assert LiveOptions.from_dict(LiveOptions(size_px=(64, 48)).to_dict()).size_px == (64, 48)
 
 
+def test_a_live_process_computes_in_one_thread_unless_the_user_asks_for_more(monkeypatch, tmp_path) -> None:
+    threads = []
+
+    def begun(words, *, env, **options):
+        threads.append(env["OMP_NUM_THREADS"])
+        raise InterruptedError
+
+    monkeypatch.setattr("palpate.devices.rpc_client.subprocess.Popen", begun)
+    for said in (None, "2"):
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        if said is not None:
+            monkeypatch.setenv("OMP_NUM_THREADS", said)
+        with pytest.raises(InterruptedError):
+            launch_live("live process", {}, folder=tmp_path)
+    assert threads == ["1", "2"]
+
+
 def test_the_process_outlives_its_clients_and_leaves_its_recording_whole(video, tmp_path) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()

@@ -204,7 +204,7 @@ TAIL = 400  # characters of what the process said
 
 
 def launch_process(
-    name: str, words: Sequence[str], folder: Path | None = None
+    name: str, words: Sequence[str], folder: Path | None = None, variables: Mapping[str, str] | None = None
 ) -> tuple[subprocess.Popen[bytes], Address]:
     """Start the process and wait until it can be reached. It outlives its starter, and its terminal.
 
@@ -212,6 +212,7 @@ def launch_process(
         name: under which it publishes its address.
         words: what the Python interpreter is called with, such as ("-m", "a.module").
         folder: of the address file, where it is not the user's own.
+        variables: of its environment, where the user's own says nothing of them.
 
     Raises:
         DeviceError: it ended at once, or did not begin to listen; the message says what it said.
@@ -226,6 +227,7 @@ def launch_process(
             stdout=handle,
             stderr=handle,
             start_new_session=True,
+            env={**(variables or {}), **os.environ},
         )
     finally:
         os.close(handle)

@@ -14,6 +14,10 @@ from palpate.devices.rpc_client import RpcClient, launch_process
 if TYPE_CHECKING:
     from palpate.sensing.live_service import LiveOptions
 
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""Environment of a process that reads live. A frame's matrices are small: with a thread for each core, those of
+several sensors wait for each other by spinning."""
+
 
 class LiveClient(RpcClient):
     """Asks one live sensor's process, and reaches for it again whenever it is gone.
@@ -79,4 +83,4 @@ def launch_live(
     plain = dict(options) if isinstance(options, Mapping) else {} if options is None else options.to_dict()
     plain |= {key: str(Path(plain[key]).absolute()) for key in ("calibration", "runs") if plain.get(key)}
     words = ["-m", "palpate.sensing.live_service", "--name", name, "--options", json.dumps(plain)]
-    return launch_process(name, words + (["--folder", str(folder)] if folder else []), folder)
+    return launch_process(name, words + (["--folder", str(folder)] if folder else []), folder, ONE_THREAD)

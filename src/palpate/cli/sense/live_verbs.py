@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -89,6 +90,7 @@ def live(
     Example: palpate live --camera virtual:palm --seconds 5
     Example: palpate live cal --camera taps.avi --json
     """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is there: more would spin, and slow a frame
     _check_ends(seconds, frames, wait)
     settings = _settings(size, fps, exposure_ms)
     options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
