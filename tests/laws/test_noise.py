@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from scipy.stats import kstest, norm
 
 from palpate.core import RangeError
 from palpate.optics import electrons, quantise, uneven_light
+from palpate.optics.table_noise import normal_table, table_draws
 
 N = 200_000
 
@@ -54,3 +56,44 @@ def test_light_falls_from_the_centre_to_the_corners_by_the_named_loss():
 def test_a_loss_of_more_than_all_light_is_refused():
     with pytest.raises(RangeError, match="corner loss"):
         uneven_light(10, 10, 1.2)
+
+
+def table_noise(count, seed=0):
+    return normal_table()[table_draws(np.random.default_rng(seed), count)]
+
+
+def test_noise_from_the_table_is_normal():
+    noise = table_noise(N).astype(float)
+    assert kstest(noise, "norm").pvalue > 0.01
+    moments = [np.mean(noise**k) for k in (1, 2, 3, 4)]
+    # five standard errors: a normal value's powers vary by 1, 2, 15 and 96
+    for moment, expected, variance in zip(moments, (0, 1, 0, 3), (1, 2, 15, 96), strict=True):
+        assert moment == pytest.approx(expected, abs=5 * np.sqrt(variance / N))
+    assert kstest(1.02 * noise, "norm").pvalue < 0.01  # so that the test can fail
+    assert kstest(np.rint(8 * noise) / 8, "norm").pvalue < 0.01
+
+
+def test_the_tables_values_are_those_of_equal_shares_of_a_normal_distribution():
+    table = normal_table().astype(float)
+    steps = np.arange(len(table)) / len(table)
+    reached = norm.cdf(table)
+    assert np.abs(reached - steps).max() < 1 / 99_000
+    assert np.abs(reached - steps - 1 / len(table)).max() < 1 / 99_000
+    assert table.mean() == pytest.approx(0.0, abs=1e-9)
+    assert table.var() == pytest.approx(1.0, abs=1e-6)
+    assert 2 * norm.sf(table[-1]) == pytest.approx(1 / 65_000, rel=0.01)
+    assert table[-1] == pytest.approx(4.325, abs=0.001)
+
+
+def test_draws_from_the_table_do_not_depend_on_each_other():
+    """Neighbours within a word of the generator, across words, and of two pictures in a row."""
+    rng = np.random.default_rng(5)
+    one, other = (normal_table()[table_draws(rng, N)].astype(float) for _ in range(2))
+    for apart in (1, 2, 3, 4, 5, 8, 640):
+        for values in (one, one**2 - 1, np.abs(one) - np.sqrt(2 / np.pi)):
+            together = np.mean(values[apart:] * values[:-apart]) / np.var(values)
+            assert abs(together) < 5 / np.sqrt(N - apart)
+    assert abs(np.mean(one * other)) < 5 / np.sqrt(N)
+    assert (table_noise(N) != table_noise(N, seed=1)).any()
+    np.testing.assert_array_equal(table_noise(N), table_noise(N))
+    assert len(table_noise(7)) == 7

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from palpate.sensing.live_service import LiveOptions
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""Environment of a process that reads live. A frame's matrices are small: with a thread for each core, those of
-several sensors wait for each other by spinning."""
+"""Environment of a process that reads live. A frame's matrices are small: with a thread for each core, those
+of several sensors wait for each other by spinning."""
 
 
 class LiveClient(RpcClient):

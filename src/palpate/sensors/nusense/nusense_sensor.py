@@ -35,8 +35,9 @@ from palpate.sensors.nusense.nusense_plans import DEFAULT_PLAN, PLANS
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, Tear, fabricated
 from palpate.sensors.nusense.pad_contact import greatest_depth_m, pad_contact
 from palpate.sensors.nusense.pad_indenters import parse_indenter
-from palpate.sensors.nusense.pad_view import clean_view, exposed, pad_window, seen_px
+from palpate.sensors.nusense.pad_view import clean_view, exposed, exposed_by_table, pad_window, seen_px
 from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
+from palpate.sensors.nusense.press_levels import PressLevels, goes_straight_down
 from palpate.sensors.nusense.torn_pad import TornMotion, torn_contact, torn_motion, torn_view
 
 REGION = "pad"
@@ -67,9 +68,16 @@ class TileCorners:
 
 @dataclass(frozen=True)
 class NuSense:
-    """NUSense of a spec."""
+    """NUSense of a spec.
+
+    Attributes:
+        spec: every number of it.
+        live: whether a round tip's presses straight down are laid between some that are solved once, and
+            noise is drawn from a table, so that a frame takes a fifth of the time.
+    """
 
     spec: NuSenseSpec = field(default_factory=NuSenseSpec)
+    live: bool = False
 
     @property
     def name(self) -> str:
@@ -151,6 +159,8 @@ class NuSense:
         if not 0 < history.stiffening < math.inf:
             raise RangeError(f"a stiffening of {history.stiffening}; give a number above 0, 1 for relaxed")
         spec = self.spec
+        if self.live and spec.tear is None and pose.depth_m > 0 and goes_straight_down(probe, history):
+            return replace(self._levels(probe).contact(pose, history), specimen=specimen)
         contact = (
             pad_contact(spec.layers.stack, spec.friction, probe, pose, history)
             if spec.tear is None
@@ -169,9 +179,8 @@ class NuSense:
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
         """The camera's frame of the tiles."""
         view = self.view(contact, seating.shift_px)
-        return Frame(
-            exposed(self.spec, view, rng, seating.light), exposure_s=self.exposure_s, sensor=self.name
-        )
+        image = (exposed_by_table if self.live else exposed)(self.spec, view, rng, seating.light)
+        return Frame(image, exposure_s=self.exposure_s, sensor=self.name)
 
     def view(self, contact: Contact, shift_px: tuple[float, float] = (0.0, 0.0)) -> Float[ndarray, "h w 3"]:
         """The frame without noise [grey levels]."""
@@ -186,6 +195,8 @@ class NuSense:
             return None
         if self.spec.tear is not None:
             return torn_motion(self.spec, self.spec.tear, ABOVE_THE_TILES, contact)
+        if self.live and contact.shear_pa is None and goes_straight_down(contact.probe, contact.history):
+            return self._levels(contact.probe).motion(contact.pose)
         return pattern_motion(self.spec.layers.stack, ABOVE_THE_TILES, contact)
 
     def tile_corners(self, contact: Contact, seating: Seating = SEATED) -> TileCorners:
@@ -233,6 +244,23 @@ class NuSense:
             layers=PatternedSkin(spec.layers.stack, ABOVE_THE_TILES, spec.camera_m, spec.friction),
             name=spec.name,
         )
+
+    def for_live(self) -> NuSense:
+        """The same, drawn from presses that are solved once, with noise from a table."""
+        return replace(self, live=True)
+
+    def draw_ahead(self, highest_m: float, deepest_m: float) -> None:
+        """Solve the presses that live frames are laid between, and draw one of each kind."""
+        if not self.live:
+            return
+        probe, rng = self.probe(self.default_probe), np.random.default_rng(0)
+        if self.spec.tear is None:
+            self._levels(probe).solve()
+        for depth_m in (-highest_m, deepest_m):
+            self.render(self.press(probe, Pose(0.0, 0.0, depth_m)), rng)
+
+    def _levels(self, probe: Probe) -> PressLevels:
+        return PressLevels(self.spec.layers.stack, ABOVE_THE_TILES, probe, self.known_depth_m(probe))
 
     def default_plan(self) -> Mapping[str, Any]:
         """Places of the thesis's localisation, pressed in steps by the round tip."""

@@ -17,9 +17,10 @@ from typing import NamedTuple, no_type_check
 import cv2
 import numba
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
-from palpate.core import Float, UInt8, ndarray
+from palpate.core import Float, Int, UInt8, ndarray
+from palpate.optics.table_noise import normal_table, table_draws
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec
 from palpate.sensors.nusense.pattern_motion import PatternMotion
 
@@ -49,14 +50,28 @@ def on_pattern_m(spec: NuSenseSpec, places_px: Places, shift_px: tuple[float, fl
     return np.asarray(flat * np.array([1.0, -1.0]))
 
 
+class NodeSpline(NamedTuple):
+    """Cubic spline through nodes along one side of the window.
+
+    Attributes:
+        knots: coefficients of its B-splines by the nodes' values ``[n n]``.
+        first: of the four B-splines that reach a pixel.
+        weights: of these four.
+    """
+
+    knots: Float[ndarray, "n n"]
+    first: Int[ndarray, " m"]
+    weights: Float[ndarray, "m 4"]
+
+
 class PadWindow(NamedTuple):
     """Part of the image that shows the pad.
 
     Attributes:
         left, top, right, bottom: its pixels.
-        columns, rows: at which the inverse map is solved [px].
-        nodes_m: where their rays meet the resting pattern ``[rows columns 2]`` [m].
-        across, down: weights that lay a cubic spline through nodes to all pixels.
+        nodes_m: where rays of the pixels meet the resting pattern for which the inverse map is solved
+            ``[rows columns 2]`` [m].
+        across, down: cubic splines through nodes, to all pixels along either side.
         pixels_m: where all rays of the window do ``[2 h w]`` [m].
         light: over the level, at every pixel ``[h w]``.
     """
@@ -66,8 +81,8 @@ class PadWindow(NamedTuple):
     right: int
     bottom: int
     nodes_m: Float[ndarray, "rows columns 2"]
-    across: Float[ndarray, "w columns"]
-    down: Float[ndarray, "h rows"]
+    across: NodeSpline
+    down: NodeSpline
     pixels_m: Float[ndarray, "2 h w"]
     light: Float[ndarray, "h w"]
 
@@ -85,8 +100,8 @@ def pad_window(spec: NuSenseSpec, shift_px: tuple[float, float]) -> PadWindow:
     columns = np.append(np.arange(left, right - 1, NODE_PX), right - 1).astype(float)
     rows = np.append(np.arange(top, bottom - 1, NODE_PX), bottom - 1).astype(float)
     nodes = on_pattern_m(spec, np.stack(np.meshgrid(columns, rows), axis=-1), shift_px)
-    across = _weights(columns, np.arange(left, right))
-    down = _weights(rows, np.arange(top, bottom))
+    across = _node_spline(columns, np.arange(left, right))
+    down = _node_spline(rows, np.arange(top, bottom))
     grid = np.stack(np.meshgrid(np.arange(left, right), np.arange(top, bottom)), axis=-1).astype(float)
     pixels = np.moveaxis(on_pattern_m(spec, grid, shift_px), -1, 0)
     return PadWindow(
@@ -94,8 +109,11 @@ def pad_window(spec: NuSenseSpec, shift_px: tuple[float, float]) -> PadWindow:
     )
 
 
-def _weights(nodes: Float[ndarray, " n"], at: ndarray) -> Float[ndarray, "m n"]:
-    return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)), k=3)(at))
+def _node_spline(nodes: Float[ndarray, " n"], at: ndarray) -> NodeSpline:
+    spline = make_interp_spline(nodes, np.eye(len(nodes)), k=3)
+    design = BSpline.design_matrix(at, spline.t, 3)
+    first = design.indices.reshape(-1, 4)[:, 0].astype(np.int64)
+    return NodeSpline(np.ascontiguousarray(spline.c), first, design.data.reshape(-1, 4))
 
 
 def _light(spec: NuSenseSpec, at_m: Float[ndarray, "2 h w"]) -> Float[ndarray, "h w"]:
@@ -121,7 +139,46 @@ def rest_places(
     lag = _inverse(
         window.nodes_m, motion.knots, *motion.centre_m, motion.cell_m, spec.camera_m, ITERATIONS, SETTLED_M
     )
-    return np.asarray(window.pixels_m + window.down @ lag @ window.across.T)
+    return places_by_lag(window, lag)
+
+
+def places_by_lag(window: PadWindow, lag: Float[ndarray, "2 rows columns"]) -> Float[ndarray, "2 h w"]:
+    """Resting places that pixels show, by how far those of the nodes lie from where their rays meet [m]."""
+    across, down = window.across, window.down
+    knots = down.knots @ lag @ across.knots.T
+    places: Float[ndarray, "2 h w"] = _laid_through(
+        knots, across.first, across.weights, down.first, down.weights, window.pixels_m
+    )
+    return places
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _laid_through(knots, left, across, top, down, pixels):
+    """Pixels' own places plus the spline of the lag."""
+    places = np.empty(pixels.shape)
+    rows, height, width = knots.shape[1], pixels.shape[1], pixels.shape[2]
+    along = np.empty((rows, width))
+    for k in range(2):
+        for row in range(rows):
+            for x in range(width):
+                i = left[x]
+                along[row, x] = (
+                    across[x, 0] * knots[k, row, i]
+                    + across[x, 1] * knots[k, row, i + 1]
+                    + across[x, 2] * knots[k, row, i + 2]
+                    + across[x, 3] * knots[k, row, i + 3]
+                )
+        for y in range(height):
+            j = top[y]
+            for x in range(width):
+                places[k, y, x] = pixels[k, y, x] + (
+                    down[y, 0] * along[j, x]
+                    + down[y, 1] * along[j + 1, x]
+                    + down[y, 2] * along[j + 2, x]
+                    + down[y, 3] * along[j + 3, x]
+                )
+    return places
 
 
 @numba.njit(cache=True, nogil=True)
@@ -131,7 +188,7 @@ def _inverse(nodes, knots, x0, y0, cell, camera, iterations, settled):
     rows, columns = nodes.shape[0], nodes.shape[1]
     side = knots.shape[1]
     lag = np.zeros((2, rows, columns))
-    weight_x, weight_y, moved = np.empty(4), np.empty(4), np.empty(3)
+    weight_x, weight_y = np.empty(4), np.empty(4)
     for row in range(rows):
         for column in range(columns):
             px, py = nodes[row, column, 0], nodes[row, column, 1]
@@ -147,13 +204,15 @@ def _inverse(nodes, knots, x0, y0, cell, camera, iterations, settled):
                     w[1] = (4 - 6 * t * t + 3 * t**3) / 6
                     w[3] = t**3 / 6
                     w[2] = 1 - w[0] - w[1] - w[3]
-                for k in range(3):
-                    moved[k] = 0.0
-                    for b in range(4):
-                        for a in range(4):
-                            moved[k] += weight_y[b] * weight_x[a] * knots[k, j - 1 + b, i - 1 + a]
-                near = 1 - moved[2] / camera
-                new_x, new_y = px * near - moved[0], py * near - moved[1]
+                moved_x = moved_y = moved_z = 0.0
+                for b in range(4):
+                    for a in range(4):
+                        share = weight_y[b] * weight_x[a]
+                        moved_x += share * knots[0, j - 1 + b, i - 1 + a]
+                        moved_y += share * knots[1, j - 1 + b, i - 1 + a]
+                        moved_z += share * knots[2, j - 1 + b, i - 1 + a]
+                near = 1 - moved_z / camera
+                new_x, new_y = px * near - moved_x, py * near - moved_y
                 step = abs(new_x - x) + abs(new_y - y)
                 x, y = new_x, new_y
                 if step < settled:
@@ -183,6 +242,22 @@ def clean_view(
     torn: TornRest | None = None,
 ) -> Float[ndarray, "h w 3"]:
     """Whole frame without noise [grey levels]; of a torn pad by what its pixels show, whatever the motion."""
+    if motion is None and torn is None:
+        return _resting_view(spec, shift_px)
+    return _drawn(spec, motion, shift_px, torn)
+
+
+@lru_cache(maxsize=8)
+def _resting_view(spec: NuSenseSpec, shift_px: tuple[float, float]) -> Float[ndarray, "h w 3"]:
+    """View of the resting pad, which is drawn once and not to be written to."""
+    view = _drawn(spec, None, shift_px, None)
+    view.flags.writeable = False
+    return view
+
+
+def _drawn(
+    spec: NuSenseSpec, motion: PatternMotion | None, shift_px: tuple[float, float], torn: TornRest | None
+) -> Float[ndarray, "h w 3"]:
     window, pattern = pad_window(spec, shift_px), spec.pattern
     rest = rest_places(spec, motion, shift_px) if torn is None else torn.rest_m
     half = (pattern.columns * pattern.cast_pitch_m / 2, pattern.rows * pattern.cast_pitch_m / 2)
@@ -215,16 +290,13 @@ def _tiles(rest, light, colours, pitch, offset_x, offset_y, half_x, half_y, pad_
             x, y = rest[0, row, column], rest[1, row, column]
             left, right = max(column - 1, 0), min(column + 1, width - 1)
             up, down = max(row - 1, 0), min(row + 1, height - 1)
-            wide = np.empty(2)
-            for k in range(2):
-                along = (rest[k, row, right] - rest[k, row, left]) / (right - left)
-                across = (rest[k, down, column] - rest[k, up, column]) / (down - up)
-                wide[k] = abs(along) + abs(across)
-            wave_x = _square_wave(x - offset_x + half_x, wide[0], pitch)
-            wave_y = _square_wave(y - offset_y + half_y, wide[1], pitch)
+            wide_x = _pixel(rest[0], row, column, left, right, up, down)
+            wide_y = _pixel(rest[1], row, column, left, right, up, down)
+            wave_x = _square_wave(x - offset_x + half_x, wide_x, pitch)
+            wave_y = _square_wave(y - offset_y + half_y, wide_y, pitch)
             yellow = 0.5 * (1 + wave_x * wave_y)
-            inside = _share(half_x - abs(x - offset_x), wide[0]) * _share(half_y - abs(y - offset_y), wide[1])
-            pad = _share(pad_x - abs(x), wide[0]) * _share(pad_y - abs(y), wide[1])
+            inside = _share(half_x - abs(x - offset_x), wide_x) * _share(half_y - abs(y - offset_y), wide_y)
+            pad = _share(pad_x - abs(x), wide_x) * _share(pad_y - abs(y), wide_y)
             for k in range(3):
                 tile = yellow * colours[0, k] + (1 - yellow) * colours[1, k]
                 value = inside * tile + (1 - inside) * colours[2, k]
@@ -234,7 +306,18 @@ def _tiles(rest, light, colours, pitch, offset_x, offset_y, half_x, half_y, pad_
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
+def _pixel(places, row, column, left, right, up, down):
+    """How much of a side of the pattern a pixel covers."""
+    along = (places[row, right] - places[row, left]) / (right - left)
+    across = (places[down, column] - places[up, column]) / (down - up)
+    return abs(along) + abs(across)
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
 def _share(inside, wide):
+    if abs(inside) >= wide:  # far from the edge, without a division
+        return 1.0 if inside > 0 else 0.0
     return min(max(inside / wide + 0.5, 0.0), 1.0)
 
 
@@ -245,6 +328,8 @@ def _square_wave(at, wide, pitch):
     nearest = np.floor(at / pitch + 0.5)
     beyond = at - nearest * pitch
     sign = 1.0 if int(nearest) % 2 == 0 else -1.0
+    if abs(beyond) >= wide:
+        return sign if beyond > 0 else -sign
     return sign * min(max(2 * beyond / wide, -1.0), 1.0)
 
 
@@ -259,11 +344,34 @@ def exposed(
     return image
 
 
+def exposed_by_table(
+    spec: NuSenseSpec, view: Float[ndarray, "h w 3"], rng: np.random.Generator, light: float
+) -> UInt8[ndarray, "h w 3"]:
+    """The same, but its noise is drawn from a table: in a quarter of the time, of other chance."""
+    image = np.empty(view.shape, np.uint8)
+    camera, numbers = spec.light, (table_draws(rng, view.size), normal_table())
+    _expose_by_table(view.ravel(), *numbers, light, camera.read_noise**2, camera.shot_noise, image.ravel())
+    return image
+
+
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _expose(view, noise, light, read, shot, image):
     """Grey levels with noise, rounded and clipped to 0 to 255."""
     for i in range(view.size):
-        grey = view[i] * np.float32(light)
-        grey += np.sqrt(np.float32(read) + np.float32(shot) * grey) * noise[i]
-        image[i] = np.uint8(min(max(grey + np.float32(0.5), np.float32(0)), np.float32(255)))
+        image[i] = _grey(view[i], noise[i], np.float32(light), np.float32(read), np.float32(shot))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _expose_by_table(view, draws, table, light, read, shot, image):
+    for i in range(view.size):
+        image[i] = _grey(view[i], table[draws[i]], np.float32(light), np.float32(read), np.float32(shot))
+
+
+@numba.njit(cache=True, nogil=True)
+@no_type_check
+def _grey(level, noise, light, read, shot):
+    grey = level * light
+    grey += np.sqrt(read + shot * grey) * noise
+    return np.uint8(min(max(grey + np.float32(0.5), np.float32(0)), np.float32(255)))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import convolve1d, map_coordinates, spline_filter
 
 from palpate.core import Complex, Contact, Field, Float, ndarray
 from palpate.mechanics.layers.stack import Stack, climb
@@ -21,6 +21,7 @@ from palpate.mechanics.layers.surface_grid import Cells, Waves, spread
 from palpate.sensors.nusense.pad_contact import PATTERN_CELL_M
 
 SIDE = 192  # cells about the probe: 38 mm to each side, over eight thicknesses of the pad
+AT_KNOT = (1 / 6, 4 / 6, 1 / 6)  # of a cubic B-spline, at its knot and those beside
 
 Spectrum = Float[ndarray, "py half"]
 Wave = Complex[ndarray, "py half"]
@@ -33,18 +34,23 @@ class PatternMotion:
     Attributes:
         centre_m: the probe's axis (x, y), about which the grid lies [m].
         cell_m: its step [m].
-        moved_m: along x, y and z ``[3 ny nx]`` at (i + 1/2 - n/2) cells from the centre [m].
-        knots: the cubic spline through them ``[3 ny nx]`` [m].
+        knots: cubic splines of it along x, y and z ``[3 ny nx]``, at (i + 1/2 - n/2) cells from the centre
+            [m].
     """
 
     centre_m: tuple[float, float]
     cell_m: float
-    moved_m: Float[ndarray, "3 ny nx"]
     knots: Float[ndarray, "3 ny nx"]
+
+    @property
+    def moved_m(self) -> Float[ndarray, "3 ny nx"]:
+        """Displacement along x, y and z where the knots are [m]."""
+        rows = convolve1d(self.knots, AT_KNOT, axis=1, mode="mirror")
+        return np.asarray(convolve1d(rows, AT_KNOT, axis=2, mode="mirror"))
 
     def at(self, x_m: Float[ndarray, " n"], y_m: Float[ndarray, " n"]) -> Float[ndarray, "3 n"]:
         """Displacement along x, y and z of tiles that rest at places; 0 far from the probe [m]."""
-        side = self.moved_m.shape[1]
+        side = self.knots.shape[1]
         rows = (np.asarray(y_m) - self.centre_m[1]) / self.cell_m + side / 2 - 0.5
         columns = (np.asarray(x_m) - self.centre_m[0]) / self.cell_m + side / 2 - 0.5
         return np.stack(
@@ -114,7 +120,7 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
         moved_z = moved_z - 1j * (response.lifted_x * qx + response.lifted_y * qy)
     moved = fft.irfft2(np.stack([moved_x, moved_y, moved_z]), response.waves.shape)
     knots = np.stack([spline_filter(part, order=3) for part in moved])
-    return PatternMotion((contact.pose.x_m, contact.pose.y_m), PATTERN_CELL_M, moved, knots)
+    return PatternMotion((contact.pose.x_m, contact.pose.y_m), PATTERN_CELL_M, knots)
 
 
 def _spectrum(contact: Contact) -> Callable[[Field], Wave]:

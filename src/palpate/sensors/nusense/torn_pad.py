@@ -14,7 +14,14 @@ from palpate.core import Contact, Float, Pose, PressHistory, Probe, ndarray
 from palpate.mechanics.torn_layers.cut_opening import CutOpening, SurfaceCut, cut_opening, rest_gap_m
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, Tear
 from palpate.sensors.nusense.pad_contact import pad_contact
-from palpate.sensors.nusense.pad_view import PadWindow, TornRest, clean_view, pad_window, rest_places
+from palpate.sensors.nusense.pad_view import (
+    PadWindow,
+    TornRest,
+    clean_view,
+    pad_window,
+    places_by_lag,
+    rest_places,
+)
 from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
 
 YIELDS = 2  # corrections of the depth; each leaves a twentieth of the one before
@@ -121,4 +128,4 @@ def _side_places(
         if step < 1e-7:
             break
     lag = place - seen
-    return np.asarray(window.pixels_m + window.down @ lag @ window.across.T)
+    return places_by_lag(window, lag)

@@ -1,0 +1,118 @@
+"""NUSense as it is drawn live, between presses that are solved once: beside each press solved anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import palpate
+from palpate.core import Contact, Pose, PressHistory
+from palpate.core.sensor import for_live
+from palpate.sensors.nusense.nusense_sensor import NuSense
+from palpate.sensors.nusense.pad_view import exposed, exposed_by_table, rest_places
+
+MM = 1e-3
+SLOW = palpate.sensor("nusense")
+LIVE = for_live(SLOW)
+ROUND = SLOW.probe("round")
+DEPTHS_MM = (0.004, 0.13, 0.72, 1.41, 1.93, 2.08)
+PX_M = SLOW.spec.lens.focal_px[0] / SLOW.spec.camera_m
+
+
+def _press(sensor: NuSense, depth_mm: float, **history: object) -> Contact:
+    pose = Pose(6 * MM, -3 * MM, depth_mm * MM)
+    return sensor.press(ROUND, pose, None, PressHistory(**history))  # type: ignore[arg-type]
+
+
+def _shown_px(sensor: NuSense, depth_mm: float) -> np.ndarray:
+    return PX_M * rest_places(sensor.spec, sensor.motion(_press(sensor, depth_mm)))
+
+
+@pytest.mark.parametrize("depth_mm", DEPTHS_MM)
+def test_live_pictures_are_those_of_presses_solved_anew(depth_mm: float) -> None:
+    off = np.abs(_shown_px(LIVE, depth_mm) - _shown_px(SLOW, depth_mm)).max()
+    assert off < 0.004
+    grey = np.abs(LIVE.view(_press(LIVE, depth_mm)) - SLOW.view(_press(SLOW, depth_mm)))
+    assert grey.max() < 0.3
+
+
+def test_a_hundredth_of_a_millimetre_shows_in_live_pictures() -> None:
+    for depth_mm in DEPTHS_MM[1:-1]:
+        away = np.abs(_shown_px(LIVE, depth_mm + 0.01) - _shown_px(SLOW, depth_mm)).max()
+        assert away > 0.01
+
+
+def test_live_contacts_bear_what_the_pad_bears() -> None:
+    for depth_mm in DEPTHS_MM[1:]:
+        quick, anew = _press(LIVE, depth_mm), _press(SLOW, depth_mm)
+        assert quick.force_n == pytest.approx(anew.force_n, rel=5e-4)
+        assert quick.radius_m == pytest.approx(anew.radius_m, rel=0.01)
+        cell_m2 = float((quick.x_m[1] - quick.x_m[0]) * (quick.y_m[1] - quick.y_m[0]))
+        assert quick.pressure_pa.sum() * cell_m2 == pytest.approx(quick.force_n, rel=1e-9)
+        assert quick.x_m.mean() == pytest.approx(6 * MM)
+        assert quick.displacement_m.max() == pytest.approx(depth_mm * MM, rel=1e-3)
+        assert quick.pose == anew.pose
+
+
+def test_a_stiffer_pad_bears_more_and_looks_the_same_live_too() -> None:
+    usual, stiff = _press(LIVE, 1.0), _press(LIVE, 1.0, stiffening=1.3)
+    assert stiff.force_n == pytest.approx(1.3 * usual.force_n)
+    np.testing.assert_array_equal(LIVE.view(stiff), LIVE.view(usual))
+
+
+@pytest.mark.parametrize("history", [{"lateral_n": (0.3, 0.0)}, {"path_m": ((1e-4, 0.0),)}])
+def test_what_is_pulled_aside_is_solved_anew_live_too(history: dict[str, object]) -> None:
+    quick, anew = _press(LIVE, 1.0, **history), _press(SLOW, 1.0, **history)
+    np.testing.assert_array_equal(quick.pressure_pa, anew.pressure_pa)
+    np.testing.assert_array_equal(LIVE.view(quick), SLOW.view(anew))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nusense", "flat"),
+        ("nusense", "edge:20:35"),
+        pytest.param("nusense-torn", "round", marks=pytest.mark.slow),
+    ],
+)
+def test_other_indenters_and_torn_pads_are_solved_anew_live_too(name: str, words: str) -> None:
+    slow, pose = palpate.sensor(name), Pose(2 * MM, 1 * MM, 0.5 * MM)
+    live = for_live(slow)
+    quick, anew = (one.press(one.probe(words), pose) for one in (live, slow))
+    assert quick.force_n == anew.force_n
+    np.testing.assert_array_equal(live.view(quick), slow.view(anew))
+
+
+def test_live_noise_is_the_cameras_noise() -> None:
+    """Mean and variance at every level, below five standard errors, and other than half as much would be."""
+    spec, rng = SLOW.spec, np.random.default_rng(2)
+    levels = np.linspace(20, 220, 9, dtype=np.float32)
+    view = np.repeat(levels, 480 * 640 * 3 // 9)[: 480 * 640 * 3].reshape(480, 640, 3)
+    means, variances = [], []
+    for law in (exposed, exposed_by_table):
+        parts = law(spec, np.ascontiguousarray(view), rng, 0.9).ravel()[: 9 * 100_000].astype(float)
+        grey = view.ravel()[: parts.size]
+        means.append([parts[grey == level].mean() for level in levels])
+        variances.append([parts[grey == level].var() for level in levels])
+    expected = spec.light.read_noise**2 + spec.light.shot_noise * 0.9 * levels + 1 / 12
+    count = 100_000
+    np.testing.assert_allclose(means[1], 0.9 * levels, atol=5 * np.sqrt(expected.max() / count) + 0.01)
+    np.testing.assert_allclose(variances[1], expected, rtol=5 * np.sqrt(2 / count))
+    np.testing.assert_allclose(variances[1], variances[0], rtol=7 * np.sqrt(2 / count))
+
+
+def test_the_same_chance_gives_the_same_live_frame_and_another_does_not() -> None:
+    contact = _press(LIVE, 1.0)
+    one, again, other = (LIVE.render(contact, np.random.default_rng(k)).image for k in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).any()
+
+
+def test_a_copys_live_pad_is_its_own() -> None:
+    copy = palpate.sensor("nusense-7")
+    assert for_live(copy) == replace(copy, live=True)
+    quick, usual = (for_live(one).press(ROUND, Pose(0.0, 0.0, 1 * MM)).force_n for one in (copy, SLOW))
+    assert quick == pytest.approx(copy.press(ROUND, Pose(0.0, 0.0, 1 * MM)).force_n, rel=5e-4)
+    assert abs(quick / usual - 1) > 0.01
