@@ -38,7 +38,7 @@ class ControlPoints:
             raise InputError(
                 f"{n} cells, {len(self.places)} places, {len(self.sigma)} errors; give as many of each"
             )
-        if len(np.unique(self.cells, axis=0)) != n:
+        if len(set(map(tuple, self.cells.tolist()))) != n:
             raise InputError("a cell of the lattice comes twice; give each mark a cell of its own")
         if not (np.isfinite(self.places).all() and np.isfinite(self.sigma).all() and (self.sigma >= 0).all()):
             raise InputError(

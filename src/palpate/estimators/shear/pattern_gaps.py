@@ -6,10 +6,12 @@ coloured layer that gapes is a dark line, which crosses tiles and is narrower th
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
-from palpate.core import Bool, Float, Int, Shaped, ndarray
+from palpate.core import Bool, Float, Int, Shaped, UInt8, ndarray
 from palpate.estimators.brightest_channel import brightest_channel
 from palpate.estimators.lattice import ControlPoints
 
@@ -19,6 +21,7 @@ AROUND = 1.5  # pitches, in which the brightest tile is looked for
 TILE_REACH = 0.95  # pitches from its middle, which a tile that has come off may darken
 MIN_GAP = 2.0  # pitches, of a dark line's length
 SMOOTH_PX = 0.6
+SMOOTH_REACH_PX = 4  # beyond which that smoothing brings nothing
 
 Cells = set[tuple[int, int]]
 
@@ -45,6 +48,8 @@ class TileCentres:
         hull = cv2.convexHull(points.places.astype(np.float32))
         self._within = np.zeros(self._size, np.uint8)
         cv2.fillConvexPoly(self._within, np.rint(hull).astype(np.int32), 1)
+        self._around = 2 * round(AROUND * pitch_px) + 1
+        self._box = _box(self._within, self._around // 2 + SMOOTH_REACH_PX)
 
     def at(self, cells: Float[ndarray, "n 2"] | Int[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
         """Places of cells, whole for corners and amid them for tiles [px]."""
@@ -52,9 +57,9 @@ class TileCentres:
 
     def bare(self, image: Shaped[ndarray, ...]) -> Bool[ndarray, " n"]:
         """Which tiles have come off."""
-        brightest = brightest_channel(image)
         x, y = self._places.T
-        level = np.mean([brightest[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+        around = [image[y + j, x + i].reshape(len(x), -1) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        level = np.mean([one.max(axis=1) for one in around], axis=0)
         return np.asarray(level < BARE * np.median(level))
 
     def corners_of(self, bare: Bool[ndarray, " n"]) -> Cells:
@@ -64,12 +69,14 @@ class TileCentres:
 
     def longest_gap(self, image: Shaped[ndarray, ...], bare: Bool[ndarray, " n"]) -> float:
         """Length of the longest dark line across tiles [pitches]; 0 below two."""
-        bright = cv2.GaussianBlur(brightest_channel(image), (0, 0), SMOOTH_PX)
-        side = 2 * round(AROUND * self._pitch) + 1
-        around = cv2.dilate(bright, np.ones((side, side), np.uint8))
-        dark = np.uint8(bright < DARK * around) & self._within
-        for x, y in self._places[bare].tolist():
+        rows, columns = self._box
+        bright = cv2.GaussianBlur(brightest_channel(image[rows, columns]), (0, 0), SMOOTH_PX)
+        around = cv2.dilate(bright, np.ones((self._around, self._around), np.uint8))
+        dark = np.uint8(bright < DARK * around) & self._within[rows, columns]
+        for x, y in (self._places[bare] - [columns.start, rows.start]).tolist():
             cv2.circle(dark, (x, y), round(TILE_REACH * self._pitch), 0, -1)
+        if cv2.countNonZero(dark) < MIN_GAP * self._pitch / math.sqrt(2):  # fewer than a line has, even aslant
+            return 0.0
         count, _, stats, _ = cv2.connectedComponentsWithStats(dark)
         if count < 2:
             return 0.0
@@ -79,6 +86,16 @@ class TileCentres:
     def _cubic(self, cells: ndarray) -> Float[ndarray, "n 10"]:
         x, y = (cells / self._span).T
         return np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+
+
+def _box(mask: UInt8[ndarray, "h w"], beside_px: int) -> tuple[slice, slice]:
+    """Rows and columns of a mask, and some beside it, as far as there are any."""
+    x, y, width, height = cv2.boundingRect(mask)
+    rows, columns = (
+        slice(max(first - beside_px, 0), min(first + count + beside_px, size))
+        for first, count, size in ((y, height, mask.shape[0]), (x, width, mask.shape[1]))
+    )
+    return rows, columns
 
 
 def without(points: ControlPoints, corners: Cells) -> ControlPoints:

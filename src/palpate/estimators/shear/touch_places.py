@@ -96,8 +96,9 @@ def touch_places(fields: StrainFields, marks: SkinMarks, skin: object) -> TouchP
     peaks = contact_peaks(fields, marks.pitch)
     if not peaks:  # marks may be missing where the skin is stretched
         return TouchPlaces((), int(strayed(fields) >= MIN_GROUP), None, None)
-    rings = [r for r in find_rings(fields) if r.outward > MIN_SIGNIFICANCE * r.outward_error]
-    traction = _best_traction(fields, skin)
+    stretched = contact_peaks(fields)  # by the pitch of the marks that are seen
+    rings = [r for r in find_rings(fields, stretched) if r.outward > MIN_SIGNIFICANCE * r.outward_error]
+    traction = _best_traction(fields, stretched, skin)
     explained = traction is not None and traction.misfit < MAX_MISFIT and _certain(traction)
     if traction is not None and explained:
         peaks = _apart(peaks, traction)
@@ -135,14 +136,16 @@ def _pressed_edge(traction: RecoveredTraction) -> EdgeDirection | None:
     return EdgeDirection(traction.axis_rad % math.pi, error, half, traction.elongation, traction.centre_m)
 
 
-def _best_traction(fields: StrainFields, skin: object) -> RecoveredTraction | None:
+def _best_traction(
+    fields: StrainFields, peaks: list[ContactPeak], skin: object
+) -> RecoveredTraction | None:
     """Traction of a press straight down, or one with friction where that does not explain the marks."""
     if not isinstance(skin, TiledSkin) or skin.layers is None:
         return None
     traction = None
     for closure in ("frictionless", "coulomb"):
         try:
-            traction = recover_traction(fields, skin.layers, closure)
+            traction = recover_traction(fields, skin.layers, closure, peaks=peaks)
         except RangeError:  # reaches over too much of the skin, as noise does under the lightest touch
             return traction
         if traction is None or traction.misfit < MAX_MISFIT:

@@ -119,13 +119,17 @@ def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[Cont
     return [ContactPeak(float(at[0][p]), float(at[1][p]), float(smooth[p])) for p in kept[:MAX_CONTACTS]]
 
 
-def find_rings(fields: StrainFields) -> list[ShearRing]:
+def find_rings(fields: StrainFields, peaks: list[ContactPeak] | None = None) -> list[ShearRing]:
     """Rings of all contacts, the strongest first; empty without contact.
 
     Where marks are too few around contacts, or the fit does not settle, there is none either.
+
+    Args:
+        fields: of the frame.
+        peaks: its `contact_peaks`, where they are known.
     """
     pitch = mark_pitch(fields)
-    peaks = contact_peaks(fields, pitch)
+    peaks = contact_peaks(fields, pitch) if peaks is None else peaks
     if not peaks:
         return []
     near = np.min([np.hypot(*(fields.rest - p[:2]).T) for p in peaks], axis=0) < AROUND * pitch

@@ -26,12 +26,12 @@ from typing import Literal, get_args, no_type_check
 
 import numba
 import numpy as np
-from scipy import fft, sparse
+from scipy import fft
 from scipy.ndimage import spline_filter
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
-from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.estimators.surface_strain.ring_detection import ContactPeak, contact_peaks, mark_pitch
 from palpate.estimators.surface_strain.strain_fields import StrainFields
 from palpate.mechanics.layers.stack import Stack, climb
@@ -49,6 +49,7 @@ LOST_BESIDE = 3.0  # pitches from a peak, within which lost marks may lie under 
 STEP_PA = 2e5  # of pressure between neighbours that weighs as one standard error of a mark
 DIRECTIONS = 8  # of friction's polygon inside its circle
 PRESSED = 0.05  # of the greatest pressure: where a bonded contact is
+PRESSING = 2  # of the loads: pressure, after shear along x and y
 MAX_NODES = 900
 MAX_BOX = 4000  # nodes of the box around them
 
@@ -131,7 +132,11 @@ class RecoveredTraction:
 
 
 def recover_traction(
-    fields: StrainFields, skin: PatternedSkin, closure: str = "frictionless", step_pa: float = STEP_PA
+    fields: StrainFields,
+    skin: PatternedSkin,
+    closure: str = "frictionless",
+    step_pa: float = STEP_PA,
+    peaks: list[ContactPeak] | None = None,
 ) -> RecoveredTraction | None:
     """Traction under a frame's marks; None without contact.
 
@@ -140,6 +145,7 @@ def recover_traction(
         skin: what is known of it.
         closure: what is assumed of the third component.
         step_pa: difference of neighbouring pressures that weighs as one standard error; less smooths more.
+        peaks: the frame's `contact_peaks`, where they are known.
 
     Raises:
         InputError: marks in px or without standard errors, or another closure.
@@ -154,21 +160,22 @@ def recover_traction(
     variance = fields.variances.sum(axis=0)
     if not (variance > 0).all():
         raise InputError("traction weighs marks by their standard errors; give errors above 0")
-    peaks = contact_peaks(fields)
+    peaks = contact_peaks(fields) if peaks is None else peaks
     if not peaks:
         return None
     spacing = NODE_M[closure]
     nodes, neighbours = _nodes(fields, peaks, spacing)
     weight = 1 / np.sqrt(np.tile(variance, 2))
-    G = [part * weight[:, None] for part in _motion(skin, skin.interface, fields.rest, nodes, spacing)]
+    first = PRESSING if closure == "frictionless" else 0  # of the loads that there can be
+    G = [part * weight[:, None] for part in _motion(skin, skin.interface, fields.rest, nodes, spacing, first)]
     seen = fields.moved.T.ravel() * weight
     smooth = neighbours / step_pa
     to_loads, rows, sides = _closed(skin, closure, G, seen, smooth, nodes, spacing, float(weight.mean()))
     n = len(nodes)
-    moving = sum(G[i] @ to_loads[i * n : (i + 1) * n] for i in range(3))
-    held = [smooth @ to_loads[i * n : (i + 1) * n] for i in range(3)]
+    moving = sum(G[i] @ to_loads[i * n : (i + 1) * n] for i in range(first, 3))
+    held = [smooth @ to_loads[i * n : (i + 1) * n] for i in range(first, 3)]
     M = np.concatenate([moving, *held, *rows])
-    loads, _ = nnls(M, np.concatenate([seen, np.zeros(3 * len(smooth)), *sides]), maxiter=50 * M.shape[1])
+    loads, _ = nnls(M, np.concatenate([seen, np.zeros(len(held) * len(smooth)), *sides]), maxiter=50 * M.shape[1])
     qx, qy, p = (to_loads @ loads).reshape(3, n)
     area = spacing**2
     used = loads > 0
@@ -285,9 +292,6 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
             "frame, or fewer contacts at once"
         )
     X, Y = np.meshgrid(x, y)
-    along, across = (np.diff(np.eye(size + 2), axis=0)[:, 1:-1] for size in (len(x), len(y)))
-    rows, columns = sparse.eye_array(len(y)), sparse.eye_array(len(x))
-    differences = sparse.vstack([sparse.kron(rows, along), sparse.kron(across, columns)]).tocsc()
     nodes = np.column_stack([X.ravel(), Y.ravel()])
     inside = np.ones(len(nodes), bool)
     if np.linalg.matrix_rank(high - high[:, :1], tol=spacing / 10) == 2:
@@ -298,19 +302,40 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
             f"the contact reaches over {1e6 * inside.sum() * spacing**2:.0f} mm2, over {MAX_NODES} nodes; "
             "give a cleaner frame, or fewer contacts at once"
         )
-    kept = differences[:, inside].toarray()
-    return nodes[inside], kept[np.abs(kept).any(axis=1)]
+    return nodes[inside], _differences(inside.reshape(len(y), len(x)))
 
 
-def _motion(skin: PatternedSkin, interface: int, at: Points, nodes: Points, spacing: float) -> list[Matrix]:
-    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa]."""
+def _differences(inside: Bool[ndarray, "ny nx"]) -> Matrix:
+    """Differences of neighbours in a row, then in a column, and of what lies at the edge to 0 beyond."""
+    number = np.pad(np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1), 1, constant_values=-1)
+    pairs = [
+        np.stack([number[1:-1, :-1].ravel(), number[1:-1, 1:].ravel()]),
+        np.stack([number[:-1, 1:-1].ravel(), number[1:, 1:-1].ravel()]),
+    ]
+    lower, upper = np.concatenate(pairs, axis=1)
+    some = (lower >= 0) | (upper >= 0)
+    lower, upper = lower[some], upper[some]
+    differences = np.zeros((len(lower), int(inside.sum())))
+    for which, sign in ((lower, -1.0), (upper, 1.0)):
+        there = np.nonzero(which >= 0)[0]
+        differences[there, which[there]] = sign
+    return differences
+
+
+def _motion(
+    skin: PatternedSkin, interface: int, at: Points, nodes: Points, spacing: float, first: int = 0
+) -> list[Matrix]:
+    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa].
+
+    Those before the first load asked for are 0.
+    """
     tilt = np.zeros_like(at) if math.isinf(skin.camera_m) else at / skin.camera_m
-    return list(_seen_motion(_node_motion(skin.stack, interface, spacing), at, nodes, tilt, CELL_M))
+    return list(_seen_motion(_node_motion(skin.stack, interface, spacing), at, nodes, tilt, CELL_M, first))
 
 
 @numba.njit(cache=True, nogil=True)
 @no_type_check
-def _seen_motion(knots, at, nodes, tilt, cell):
+def _seen_motion(knots, at, nodes, tilt, cell, first_load):
     """Motion of places by loads at nodes ``[load, 2 at, node]``: nine cubic splines that share their weights.
 
     As nine calls of `map_coordinates` of SciPy have it, in a fifth of the time; 0 beyond the grid.
@@ -338,10 +363,10 @@ def _seen_motion(knots, at, nodes, tilt, cell):
             for b in range(4):
                 for a in range(4):
                     share, knot = weight[1, b] * weight[0, a], knots[cells[1] + b, cells[0] + a]
-                    for load in range(3):
+                    for load in range(first_load, 3):
                         for i in range(3):
                             moved[load, i] += share * knot[load, i]
-            for load in range(3):
+            for load in range(first_load, 3):
                 seen[load, k, n] = moved[load, 0] + tilt[k, 0] * moved[load, 2]
                 seen[load, count + k, n] = moved[load, 1] + tilt[k, 1] * moved[load, 2]
     return seen
