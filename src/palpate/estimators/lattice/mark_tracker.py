@@ -19,6 +19,7 @@ from palpate.estimators.lattice.saddle_corners import (
     MIN_HALF_TURN,
     half_turn,
     look_of,
+    noise_at,
     refined,
     ring_levels,
 )
@@ -30,6 +31,7 @@ MAX_STEP = 0.3  # of the pitch between frames, each corner
 MAX_STRAY = 0.2  # of the pitch, from the median step of its neighbours
 MIN_FOLLOWED = 0.7  # of the points that the last search found
 MIN_OF_CONTRAST = 0.4  # of a corner's contrast when it was found
+MIN_NOISIER = 1.2  # of a frame's noise over the reference's, which is then an average of two frames or more
 MAX_TURNED = 0.6  # rad of twice the angle, between frames
 
 
@@ -73,6 +75,7 @@ class MarkTracker:
         _, gain, _ = refined(axis, points.places, self.pitch, 1)
         self._contrast = contrast
         self._noise = points.sigma / gain
+        self._noisier: float | None = None  # a frame than the reference, which may be an average of some
         self._spread = points.sigma * contrast  # standard error for a contrast of one level
         self._places, self._turn = points.places.copy(), turn
         self._alive = np.ones(len(points), bool)
@@ -88,7 +91,9 @@ class MarkTracker:
                 f"a frame {frame.dtype} {list(frame.shape)}; points are followed in 8-bit frames of "
                 f"{list(self._shape)}, as the reference: give frames of that camera and crop"
             )
-        places, sigma, turn, sound = self._followed(frame)
+        if self._noisier is None:
+            self._noisier = self._noise_over_the_references(frame)
+        places, sigma, turn, sound = self._followed(frame, self._noisier)
         if (sound & self._alive).sum() >= MIN_FOLLOWED * max(self._alive.sum(), 1):
             self._take(places, turn, sound)
             return TrackedPoints(ControlPoints(self._cells[sound], places[sound], sigma[sound]), False)
@@ -113,8 +118,14 @@ class MarkTracker:
             tracked = again
         return tracked
 
+    def _noise_over_the_references(self, frame: Shaped[ndarray, ...]) -> float:
+        """Noise of a frame over the reference's; 1 where they differ by no more than two frames may."""
+        there = noise_at(self.reference.axis.of(frame), self.reference.points.places, self.pitch)
+        ratio = float(np.median(there) / max(np.median(self._noise), 1e-9))
+        return ratio if ratio > MIN_NOISIER else 1.0
+
     def _followed(
-        self, frame: Shaped[ndarray, ...]
+        self, frame: Shaped[ndarray, ...], noisier: float
     ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
         """Places, standard errors and turns of all corners, and which are sound."""
         weights = self.reference.axis.weights
@@ -122,14 +133,14 @@ class MarkTracker:
         ring = ring_levels(frame, places, self.pitch)
         turn, contrast, fourfold = look_of(ring @ weights[0, :-1])
         sound &= (contrast > MIN_OF_CONTRAST * self._contrast) & (fourfold > 0.5)
-        noise = (self._noise / np.maximum(contrast, 1.0)) ** 2
+        noise = (noisier * self._noise / np.maximum(contrast, 1.0)) ** 2
         sound &= half_turn(ring) > MIN_HALF_TURN - noise
         sound &= np.cos(turn - self._turn) > np.cos(MAX_TURNED)
         step = places - self._places
         sound &= np.hypot(*step.T) < MAX_STEP * self.pitch
         usual = self._usual(step, sound)
         sound &= np.hypot(*(step - usual).T) < MAX_STRAY * self.pitch
-        return places, self._spread / np.maximum(contrast, 1.0), turn, sound
+        return places, noisier * self._spread / np.maximum(contrast, 1.0), turn, sound
 
     def _usual(self, step: Float[ndarray, "n 2"], sound: Bool[ndarray, " n"]) -> Float[ndarray, "n 2"]:
         """Median step of the sound ones among each corner's neighbours; of all, where none is."""

@@ -79,6 +79,11 @@ def find_corners(axis: Axis, pitch_px: float, frame: Shaped[ndarray, ...] | None
     return _apart(SaddleCorners(placed, sigma, turn, contrast).kept(sound), 0.4 * pitch_px)
 
 
+def noise_at(axis: Axis, places: Points, pitch_px: float) -> Float[ndarray, " n"]:
+    """Standard deviation of the noise around places, from what is no edge of the pattern."""
+    return _at(noise_near(axis, 0.06 * local_spread(axis, pitch_px), round(pitch_px)), places)
+
+
 def local_spread(axis: Axis, pitch_px: float) -> Float[ndarray, "h w"]:
     """Standard deviation within a pitch of each pixel: half the contrast, in a checkerboard."""
     window = (2 * round(pitch_px) + 1,) * 2

@@ -75,7 +75,9 @@ class TileCentres:
         dark = np.uint8(bright < DARK * around) & self._within[rows, columns]
         for x, y in (self._places[bare] - [columns.start, rows.start]).tolist():
             cv2.circle(dark, (x, y), round(TILE_REACH * self._pitch), 0, -1)
-        if cv2.countNonZero(dark) < MIN_GAP * self._pitch / math.sqrt(2):  # fewer than a line has, even aslant
+        if cv2.countNonZero(dark) < MIN_GAP * self._pitch / math.sqrt(
+            2
+        ):  # fewer than a line has, even aslant
             return 0.0
         count, _, stats, _ = cv2.connectedComponentsWithStats(dark)
         if count < 2:

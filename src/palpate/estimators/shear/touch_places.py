@@ -136,9 +136,7 @@ def _pressed_edge(traction: RecoveredTraction) -> EdgeDirection | None:
     return EdgeDirection(traction.axis_rad % math.pi, error, half, traction.elongation, traction.centre_m)
 
 
-def _best_traction(
-    fields: StrainFields, peaks: list[ContactPeak], skin: object
-) -> RecoveredTraction | None:
+def _best_traction(fields: StrainFields, peaks: list[ContactPeak], skin: object) -> RecoveredTraction | None:
     """Traction of a press straight down, or one with friction where that does not explain the marks."""
     if not isinstance(skin, TiledSkin) or skin.layers is None:
         return None

@@ -175,7 +175,9 @@ def recover_traction(
     moving = sum(G[i] @ to_loads[i * n : (i + 1) * n] for i in range(first, 3))
     held = [smooth @ to_loads[i * n : (i + 1) * n] for i in range(first, 3)]
     M = np.concatenate([moving, *held, *rows])
-    loads, _ = nnls(M, np.concatenate([seen, np.zeros(len(held) * len(smooth)), *sides]), maxiter=50 * M.shape[1])
+    loads, _ = nnls(
+        M, np.concatenate([seen, np.zeros(len(held) * len(smooth)), *sides]), maxiter=50 * M.shape[1]
+    )
     qx, qy, p = (to_loads @ loads).reshape(3, n)
     area = spacing**2
     used = loads > 0
