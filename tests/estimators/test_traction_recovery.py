@@ -127,3 +127,14 @@ def test_motion_under_loads_is_scipy_s_of_nine_splines_seen_through_the_camera()
         np.testing.assert_allclose(seen[load], there, rtol=0, atol=1e-12 * np.abs(there).max())
     away = traction_recovery._motion(skin, skin.interface, at + 80e-3, nodes, 1e-3)
     assert np.all(np.array(away) == 0.0)
+
+
+def test_differences_of_neighbours_are_those_of_the_whole_grid_that_reach_a_node():
+    rng = np.random.default_rng(7)
+    for rows, columns in ((1, 1), (3, 5), (6, 4)):
+        inside = rng.uniform(size=(rows, columns)) < 0.7
+        inside[0, 0] = True
+        along, across = (np.diff(np.eye(size + 2), axis=0)[:, 1:-1] for size in (columns, rows))
+        whole = np.concatenate([np.kron(np.eye(rows), along), np.kron(across, np.eye(columns))])
+        kept = whole[:, inside.ravel()]
+        np.testing.assert_array_equal(traction_recovery._differences(inside), kept[np.abs(kept).any(axis=1)])

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
 import palpate
 from palpate.core import Contact, Pose, PressHistory
 from palpate.core.sensor import for_live
 from palpate.sensors.nusense.nusense_sensor import NuSense
-from palpate.sensors.nusense.pad_view import exposed, exposed_by_table, rest_places
+from palpate.sensors.nusense.pad_view import (
+    NODE_PX,
+    exposed,
+    exposed_by_table,
+    pad_window,
+    places_by_lag,
+    rest_places,
+)
 
 MM = 1e-3
 SLOW = palpate.sensor("nusense")
@@ -116,3 +124,13 @@ def test_a_copys_live_pad_is_its_own() -> None:
     quick, usual = (for_live(one).press(ROUND, Pose(0.0, 0.0, 1 * MM)).force_n for one in (copy, SLOW))
     assert quick == pytest.approx(copy.press(ROUND, Pose(0.0, 0.0, 1 * MM)).force_n, rel=5e-4)
     assert abs(quick / usual - 1) > 0.01
+
+
+def test_pixels_between_nodes_lie_on_the_cubic_spline_through_these() -> None:
+    window = pad_window(SLOW.spec, (0.0, 0.0))
+    lag = np.random.default_rng(3).normal(0, 1e-4, (2, *window.nodes_m.shape[:2]))
+    height, width = window.light.shape
+    rows, columns = (np.append(np.arange(0, size - 1, NODE_PX), size - 1) for size in (height, width))
+    down = make_interp_spline(rows, lag, k=3, axis=1)(np.arange(height))
+    expected = window.pixels_m + make_interp_spline(columns, down, k=3, axis=2)(np.arange(width))
+    np.testing.assert_allclose(places_by_lag(window, lag), expected, atol=1e-15, rtol=0)
