@@ -39,14 +39,15 @@ from palpate.rig.virtual.virtual_hand import VirtualHand
 from palpate.sensing.live_client import LiveClient, launch_live
 from palpate.sensing.live_service import LiveOptions
 from palpate.sensing.live_sources import live_frame
-from palpate.sensing.streaming.live_readers import open_reader
+from palpate.sensing.streaming.live_readers import mean_image, open_reader
 from palpate.sensing.streaming.touch_readers import open_shear_reader
 
 ROOT = Path(__file__).resolve().parents[2]
 RATES_HZ = {"palm": 30.0, "nusense": 12.0}
 RECORDED = 240  # frames of each recording
 SKIN = "nusense"
-FEW = 60  # frames that the reader of marks is timed on
+UNTOUCHED = 10  # of the first second, in which the hand waits
+FEW = 60  # frames that the reader of marks is timed on, and zeroed by
 TICKS_HZ = os.sysconf("SC_CLK_TCK")
 
 
@@ -80,10 +81,13 @@ def recorded(frames: list[Frame], rate_hz: float, path: Path) -> Path:
 
 
 def marks_alone(frames: list[Frame]) -> float:
-    """Milliseconds of the processor that the reader of marks takes for a frame, the median."""
-    reader = open_shear_reader(SKIN, reference=frames[0].image)
+    """Milliseconds of the processor that the reader of marks takes for a frame, the median.
+
+    It is zeroed as live, by an average of untouched frames.
+    """
+    reader = open_shear_reader(SKIN, reference=mean_image([one.image for one in frames[:UNTOUCHED]]))
     taken = []
-    for i, frame in enumerate(frames[1:]):
+    for i, frame in enumerate(frames[UNTOUCHED:]):
         begun = time.process_time()
         reader.read(live_frame(frame, i))
         taken.append(1e3 * (time.process_time() - begun))
