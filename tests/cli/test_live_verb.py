@@ -168,12 +168,27 @@ def test_what_cannot_be_opened_is_one_line(tmp_path) -> None:
         (("--camera", "NOSUCHSERIAL"), "serial number"),
         ((tmp_path, "--camera", "NOSUCHSERIAL"), "serial number"),
         (("--camera", "virtual:nothing"), "nothing"),
-        (("--camera", "0", "--fps", "-1"), "greater than 0"),
     ):
         result = typed("live", *words, status=2)
         assert result.stderr.startswith("palpate: ")
         assert len(result.stderr.splitlines()) == 1
         assert why in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "why"),
+    [
+        ("--fps", "-3", "--fps -3; it has to be above 0 [Hz]"),
+        ("--fps", "inf", "--fps inf; it has to be above 0 [Hz]"),
+        ("--exposure-ms", "0", "--exposure-ms 0; it has to be above 0 [ms]"),
+        ("--size", "0x480", "width is 0 px; it has to be greater than 0"),
+        ("--size", "640x-2", "height is -2 px; it has to be greater than 0"),
+    ],
+)
+def test_a_setting_that_no_camera_has_is_named_as_it_was_typed(option: str, value: str, why: str) -> None:
+    said = typed("live", "--camera", "0", option, value, status=2).stderr
+    assert why in said
+    assert "UvcSettings" not in said  # no object of the program
 
 
 def test_a_camera_that_is_lost_and_comes_back_is_told(capsys) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -91,7 +92,13 @@ def live(
     Example: palpate live cal --camera taps.avi --json
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is there: more would spin, and slow a frame
-    _check_ends(seconds, frames, wait)
+    _check_above_0(
+        ("--seconds", seconds, " [s]"),
+        ("--frames", frames, ""),
+        ("--wait", wait, " [s]"),
+        ("--fps", fps, " [Hz]"),
+        ("--exposure-ms", exposure_ms, " [ms]"),
+    )
     settings = _settings(size, fps, exposure_ms)
     options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
     known = _preset(preset)
@@ -271,17 +278,13 @@ def _settings(size: str | None, fps: float | None, exposure_ms: float | None) ->
     )
 
 
-def _check_ends(seconds: float | None, frames: int | None, wait: float) -> None:
-    """Refuse an end that has passed, or never comes; not-a-number is neither above 0 nor below."""
+def _check_above_0(*options: tuple[str, float | None, str]) -> None:
+    """Refuse an end that has passed, or never comes, and a rate that is none; nan is not above 0 either."""
     from palpate.core.errors import InputError
 
-    for name, value, unit in (
-        ("--seconds", seconds, " [s]"),
-        ("--frames", frames, ""),
-        ("--wait", wait, " [s]"),
-    ):
-        if value is not None and not value > 0:
-            raise InputError(f"{name} {value}; it has to be above 0{unit}, or is left out")
+    for name, value, unit in options:
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"{name} {value:g}; it has to be above 0{unit}, or is left out")
 
 
 def _each(folders: list[Path], count: int) -> list[Path | None]:

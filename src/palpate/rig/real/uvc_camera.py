@@ -229,12 +229,18 @@ class UvcSettings:
     freeze_s: float = 1.0
 
     def __post_init__(self) -> None:
-        delay_s = 0.0 if self.delay_s is None else self.delay_s
-        numbers = (*self.size_px, self.rate_hz, self.freeze_s, self.white_balance_k or 1.0)
-        if not all(value > 0 and math.isfinite(value) for value in numbers) or not 0 <= delay_s < math.inf:
-            raise RangeError(
-                f"sizes [px], rates [Hz], times [s] and kelvins have to be greater than 0: {self}"
-            )
+        width, height = self.size_px
+        for name, value, unit in (
+            ("width", width, "px"),
+            ("height", height, "px"),
+            ("rate_hz", self.rate_hz, "Hz"),
+            ("freeze_s", self.freeze_s, "s"),
+            ("white_balance_k", self.white_balance_k or 1, "K"),
+        ):
+            if not 0 < value < math.inf:
+                raise RangeError(f"a camera's {name} is {value:g} {unit}; it has to be greater than 0")
+        if not 0 <= (delay_s := self.delay_s or 0.0) < math.inf:
+            raise RangeError(f"a camera's delay_s is {delay_s:g} s; it has to be 0 or greater")
         if not EXPOSURE_UNIT_S <= self.exposure_s <= 1 / self.rate_hz:
             raise RangeError(
                 f"exposure {self.exposure_s:g} s is outside {EXPOSURE_UNIT_S:g} to {1 / self.rate_hz:g} s, "
