@@ -154,6 +154,15 @@ def test_without_a_calibration_the_picture_and_its_difference_are_told(spots) ->
     assert all(one["image"] is None or one["image"]["level"] > 0 for one in found)
 
 
+def test_as_many_frames_as_were_asked_for_are_told_kept_and_summed_up(spots, tmp_path) -> None:
+    for k, (camera, *paced) in enumerate(((spots[2],), (spots[2], "--paced"))):  # a file, and as a camera
+        words = ("live", "--camera", camera, *paced, "--json", "--frames", 6)
+        found = typed(*words, "--record", tmp_path / f"kept-{k}")
+        assert len(readings_of(found.stdout)) == 6
+        assert ": 6 frames, " in found.stderr
+        assert len(Run.open(tmp_path / f"kept-{k}")) == 6
+
+
 def test_lines_are_printed_where_no_line_can_be_redrawn_and_a_summary_at_the_end(spots) -> None:
     calibration, _, video = spots
     result = typed("live", calibration, "--camera", video)

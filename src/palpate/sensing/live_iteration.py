@@ -128,6 +128,7 @@ def live(
     threads: int = 1,
     shear: str = "",
     subscribers: Sequence[Subscriber] = (),
+    max_frames: int | None = None,
 ) -> Live:
     """Open a sensor and read it live.
 
@@ -145,6 +146,7 @@ def live(
         shear: a sensor with a patterned skin, such as "nusense:7", or a file of one: touch is read from its
             marks, with newtons where the calibration is one of `palpate force fit`.
         subscribers: whoever else is told of frames, readings and forces.
+        max_frames: after which it ends; None goes on until the source ends or it is closed.
 
     Returns:
         What gives a `LiveReading` a frame, in a ``for``, an ``async for`` or a ``with``.
@@ -177,8 +179,9 @@ def live(
         slot: NewestSlot[LiveReading] = NewestSlot()
         at_start = zero if isinstance(zero, bool) else image is None and not source.waits
         loop = LiveLoop(
-            opener, reader, source=source, subscribers=subscribers, zero_at_start=at_start, hand_over=slot
-        )
+            opener, reader, source=source, subscribers=subscribers, zero_at_start=at_start, hand_over=slot,
+            max_frames=max_frames,
+        )  # fmt: skip
     except BaseException:
         source.close()
         raise

@@ -125,6 +125,7 @@ class LiveLoop(Closing):
         zero_at_start: bool = False,
         zero_frames: int = ZERO_FRAMES,
         hand_over: NewestSlot[LiveReading] | None = None,
+        max_frames: int | None = None,
     ) -> None:
         """Make a loop.
 
@@ -136,12 +137,13 @@ class LiveLoop(Closing):
             zero_at_start: take the first frames as those of the untouched sensor.
             zero_frames: how many are averaged to one untouched image.
             hand_over: where each reading is laid for a consumer; one of a file waits until it was taken.
+            max_frames: that are read, told and handed over, each one waiting then; None for no end of its own.
         """
         self._opener, self._source = opener, source
         self._reader = reader
         self._drift = None if reader is None else DriftWatch(reader)
         self._frames: NewestSlot[LiveFrame] = NewestSlot()
-        self._hand_over = hand_over
+        self._hand_over, self._left = hand_over, max_frames
         self._kept = StatisticsKeeper()
         self._zero_frames, self._zeros, self._zeroing = zero_frames, deque[Frame](), zero_at_start
         self._lock = threading.Lock()
@@ -367,6 +369,8 @@ class LiveLoop(Closing):
         return source
 
     def _arrive(self, frame: LiveFrame, source: LiveSource) -> None:
+        if self._closing.is_set():
+            return
         self._last_arrival_s = time.monotonic()
         if self._state not in (LiveState.LIVE, LiveState.FAILED):
             self._state, self._why = LiveState.LIVE, ""
@@ -405,8 +409,19 @@ class LiveLoop(Closing):
             self._poll_force()
             if frame is not None:
                 self._read(frame)
+                self._count_down()
         if self._hand_over is not None:
             self._hand_over.end()
+
+    def _count_down(self) -> None:
+        """End after the last of the frames that were asked for."""
+        if self._left is None:
+            return
+        self._left -= 1
+        if self._left <= 0:
+            self._closing.set()  # nothing more is fetched
+            self._end(LiveState.ENDED, "")
+            self._frames.close()
 
     def _read(self, frame: LiveFrame) -> None:
         if self._zeroing and not frame.why and not getattr(self._source, "touched", False):
@@ -438,7 +453,7 @@ class LiveLoop(Closing):
         for line in self._lines:
             line.frame(frame, readings)
         if self._hand_over is not None:
-            self._hand_over.put(latest, wait=self._waits())
+            self._hand_over.put(latest, wait=self._waits() or self._left is not None)
 
     def _waits(self) -> bool:
         source = self._source

@@ -100,7 +100,8 @@ def live(
         ("--exposure-ms", exposure_ms, " [ms]"),
     )
     settings = _settings(size, fps, exposure_ms)
-    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads, "shear": shear}
+    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads}
+    options |= {"shear": shear, "max_frames": frames}
     known = _preset(preset)
     addresses = camera or ["0"]
     folders = _each(calibrations or [], len(addresses))
@@ -115,7 +116,7 @@ def live(
                 stack.enter_context(_presses(one, compliance, json_))
         shown = stack.enter_context(_shown(json_, quiet))
         with suppress(KeyboardInterrupt):
-            for sensor, reading in _readings(sensors, seconds, frames):
+            for sensor, reading in _readings(sensors, seconds):
                 if log is not None:
                     log.write(reading.source, reading.to_dict())
                 shown(sensor, reading)
@@ -148,7 +149,6 @@ class ShownSensor:
 
     def __init__(self, live: Live, watch: ImageWatch | None, recorder: LiveRecorder | None) -> None:
         self.live, self.watch, self.recorder = live, watch, recorder
-        self.count = 0
         self.broken = ""  # why the last frame that was no image could not be read
         self._lost = False
         self._looks = 0
@@ -381,7 +381,7 @@ def _close(sensor: ShownSensor) -> None:
 
 
 def _readings(
-    sensors: list[ShownSensor], seconds: float | None, frames: int | None
+    sensors: list[ShownSensor], seconds: float | None
 ) -> Iterator[tuple[ShownSensor, LiveReading]]:
     """Readings of all sensors as they come, until all have ended, or it has been long enough."""
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
@@ -393,9 +393,8 @@ def _readings(
             reading = sensor.live.take(TAKE_S)
             sensor.tell_state()
             if reading is not None:
-                sensor.count += 1
                 yield sensor, reading
-            if sensor.live.over or sensor.count == frames:
+            if sensor.live.over:
                 going.remove(sensor)
                 sensor.live.refuse_failed()
 
