@@ -1,6 +1,7 @@
 """A calibration folder is believed only when all of its parts belong together."""
 
 import json
+import os
 import shutil
 
 import cv2
@@ -271,3 +272,13 @@ def test_bytes_that_are_no_model_are_refused(calibration) -> None:
 def test_a_folder_that_is_no_calibration_is_refused(tmp_path) -> None:
     with pytest.raises(CertificateError, match="palpate calibrate"):
         Estimator.open(tmp_path)
+
+
+def test_a_session_s_folder_is_answered_by_the_newest_calibration_within(calibration, tmp_path) -> None:
+    for k, name in enumerate(("calibration-2", "calibration")):  # the one that was written last is meant
+        shutil.copytree(calibration[1], tmp_path / "my-sensor" / name)
+        os.utime(tmp_path / "my-sensor" / name / "card.json", (2e9 - k, 2e9 - k))
+    with pytest.raises(CertificateError) as refused:
+        Estimator.open(tmp_path / "my-sensor")
+    assert f"name {tmp_path / 'my-sensor' / 'calibration-2'}, which lies within" in str(refused.value)
+    Estimator.open(tmp_path / "my-sensor" / "calibration-2")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -59,14 +60,20 @@ def read_card(folder: PathText) -> Card:
     """
     path = Path(folder) / CARD_FILE
     if not path.is_file():
-        raise CertificateError(
-            f"{folder} is not a calibration: it has no {CARD_FILE}; name a folder that "
-            "`palpate calibrate` made"
-        )
+        raise CertificateError(f"{folder} is not a calibration: it has no {CARD_FILE}; {_meant(path.parent)}")
     if path.stat().st_size > MAX_CARD_BYTES:
         raise CertificateError(f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is")
     text = path.read_bytes()
     return sealed_from(Card, text, path, FORMAT, "a card", "restore it or calibrate again")
+
+
+def _meant(folder: Path) -> str:
+    """What to name instead of a folder that is no calibration: the newest within, as a session's is."""
+    with suppress(OSError):
+        within = sorted(folder.glob(f"*/{CARD_FILE}"), key=lambda card: card.stat().st_mtime)
+        if within:
+            return f"name {within[-1].parent}, which lies within and is one"
+    return "name a folder that `palpate calibrate` made"
 
 
 def checked_file(folder: Path, part: FileCard) -> Path:
