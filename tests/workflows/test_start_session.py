@@ -324,6 +324,27 @@ def test_presses_that_were_weighed_in_one_unit_are_not_gone_on_with_in_another(
         session.choose_if_other(session.state.camera, session.state.scale, unit="kg")
 
 
+def test_a_session_whose_presses_were_deleted_says_what_can_be_done(
+    whole: StartSession, tmp_path: Path
+) -> None:
+    shutil.copytree(whole.folder, tmp_path / "session", ignore=shutil.ignore_patterns("presses"))
+    session = StartSession(tmp_path / "session")
+    for asks in (session.commands, session.train):
+        with pytest.raises(RecordingError) as refused:
+            asks()
+        said = str(refused.value)
+        assert f"{session.run}, which held the presses of this session, is gone" in said
+        words = f"--folder {session.folder} --camera virtual:tactip --scale virtual --more 10`"
+        assert f"press anew by `palpate start --terminal {words}" in said
+        assert f"{session.calibration} still reads" in said
+    session.ask_more(10)  # as that command does: ten are all, none is left to add them to
+    assert (session.step, session.state.asked) == ("collect", 10)
+    whole_again = StartSession(whole.folder)
+    whole_again._write = lambda: None  # type: ignore[method-assign]
+    whole_again.ask_more(10)
+    assert whole_again.state.asked == 20  # with its presses there
+
+
 def test_a_stated_lag_goes_to_the_scale_and_into_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

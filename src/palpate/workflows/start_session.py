@@ -38,10 +38,11 @@ if TYPE_CHECKING:
 
     from palpate.calibration.calibration_plan import CalibrationPlan
     from palpate.estimators.model_card import Card
+    from palpate.recordings import Run
 
 STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
 STATE, RUN, CALIBRATION, UNTOUCHED = "start.json", "presses", "calibration", "untouched.png"
-LOCK = ".start.lock"
+LOCK, MANIFEST = ".start.lock", "manifest.json"
 PRESSES = 40
 MIN_TO_LEARN = 10
 """Presses that a calibration takes at least: fewer promise no interval of 90 % for the next one."""
@@ -180,7 +181,7 @@ class StartSession:
             raise InputError(
                 f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one"
             )
-        if camera != self.state.camera and (self.run / "manifest.json").is_file():
+        if camera != self.state.camera and (self.run / MANIFEST).is_file():
             raise InputError(
                 f"{self.folder} holds presses of {self.state.camera}; begin a session of {camera} in another "
                 "folder"
@@ -240,7 +241,8 @@ class StartSession:
         if more < 1:
             raise InputError(f"{more} more presses; ask for 1 or more")
         have = int(self.state.collected.get("presses", 0)) if "collect" in self.state.done else 0
-        self.state.asked = (have or self.state.asked) + more
+        gone = bool(have) and not (self.run / MANIFEST).is_file()  # then all are pressed anew
+        self.state.asked = more if gone else (have or self.state.asked) + more
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
         self._write()
 
@@ -375,13 +377,12 @@ class StartSession:
             InputError: fewer presses than can be learnt from.
         """
         from palpate.calibration.certificate import read_predictions
-        from palpate.recordings import Run
         from palpate.sensing.collection.learning_curve import MIN_PRESSES, learning_curve
         from palpate.sensing.collection.press_collector import presses_in
         from palpate.workflows.certification import certify
 
         self._needs("untouched")
-        whole = Run.open(self.run)
+        whole = self._kept_presses()
         run = whole.labelled()
         count = len(presses_in(run)) if len(run) else 0
         if count < MIN_TO_LEARN:
@@ -439,10 +440,26 @@ class StartSession:
             "commands": self.commands(),
         }
 
-    def _folds(self) -> int:
+    def _kept_presses(self) -> Run:
+        """Run of the presses that were collected.
+
+        Raises:
+            RecordingError: it was deleted or moved away, with what can be done.
+        """
         from palpate.recordings import Run
 
-        table = Run.open(self.run).labelled().labels
+        if (self.run / MANIFEST).is_file():
+            return Run.open(self.run)
+        s, words = self.state, ["palpate", "start", "--terminal", "--folder", str(self.folder)]
+        words += ["--camera", s.camera, "--scale", s.scale, "--more", str(s.asked)]
+        reads = f"; {self.calibration} still reads, by `palpate live`" if self.calibration.exists() else ""
+        raise RecordingError(
+            f"{self.run}, which held the presses of this session, is gone: put it back, press anew by "
+            f"`{shlex.join(words)}`, or begin a session in another folder{reads}"
+        )
+
+    def _folds(self) -> int:
+        table = self._kept_presses().labelled().labels
         return max(2, min(FOLDS, len(table[["session", "press"]].drop_duplicates())))
 
     def _refuse_other_unit(self, unit: str) -> None:
@@ -457,7 +474,7 @@ class StartSession:
         """Frames that its run holds."""
         from palpate.recordings import Run
 
-        return len(Run.open(self.run)) if (self.run / "manifest.json").is_file() else 0
+        return len(Run.open(self.run)) if (self.run / MANIFEST).is_file() else 0
 
     def _hand_seed(self) -> int:
         """Seed of a virtual hand: another one where it goes on, so that it does not press the same again."""
@@ -469,9 +486,7 @@ class StartSession:
         )
 
     def _in_colour(self) -> bool:
-        from palpate.recordings import Run
-
-        image = Run.open(self.run).frame(0).image
+        image = self._kept_presses().frame(0).image
         return image.ndim == 3 and bool((image != image[..., :1]).any())
 
     def _needs(self, step: str) -> None:
