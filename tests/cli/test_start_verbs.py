@@ -9,6 +9,7 @@ from palpate.cli import app
 from palpate.cli.record.start_verbs import force_of
 from palpate.core.errors import InputError
 from palpate.recordings import Run
+from palpate.workflows.start_session import STATE, StartSession
 
 
 @pytest.mark.parametrize("words", [["collect", "--out"], ["start", "--terminal", "--folder"]])
@@ -53,3 +54,20 @@ def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(t
     assert sorted(forces) == pytest.approx([3.0, 0.5 * 9.80665])
     # A virtual hand lays a weight on by depth, and so is off by what places and seating do to the force.
     assert touched["true_force_N"].to_numpy() == pytest.approx(touched["force_N"].to_numpy(), rel=0.1)
+
+
+@pytest.mark.parametrize("scale", ["/dev/no-such-port", "virtul", ""])
+def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, tmp_path) -> None:
+    session = StartSession(tmp_path / "session")
+    session.choose("virtual:tactip", "virtual", asked=10)
+    session._done("train")
+    kept = (session.folder / STATE).read_bytes()
+    words = ["start", "--terminal", "--folder", str(session.folder), "--camera", "virtual:tactip"]
+    done = CliRunner().invoke(app, [*words, "--scale", scale, "--quiet"])
+    assert done.exit_code == 2, done.output
+    assert (session.folder / STATE).read_bytes() == kept
+    again = StartSession(session.folder)
+    again.choose("virtual:tactip", "typed", asked=10)  # one that can be is kept once it was opened
+    with again.feed():
+        assert StartSession(session.folder).state == again.state
+    assert again.state.done == ["camera"]

@@ -163,7 +163,8 @@ class StartSession:
         unit: str | None = None,
         scale_lag_s: float | None = None,
     ) -> None:
-        """Choose camera and scale. Another camera than before leaves all later steps to be done anew.
+        """Choose camera and scale. Others than before leave all later steps to be done anew, once `feed` could
+        open them; until then the session's file is as it was.
 
         Args:
             camera, scale: as `open_feed` takes them.
@@ -187,7 +188,7 @@ class StartSession:
                 "folder"
             )
         same = (camera, scale) == (self.state.camera, self.state.scale)
-        kept = self.state.done if same else []
+        before, kept = self.state.done, self.state.done if same else []
         if same:
             unit = self.state.unit if unit is None else unit
             scale_lag_s = self.state.scale_lag_s if scale_lag_s is None else scale_lag_s
@@ -205,7 +206,9 @@ class StartSession:
             self.state.collected,
             self.state.trained,
         )
-        self._done("camera")
+        self._mark("camera")
+        if set(before) <= set(self.state.done):
+            self._write()
 
     def choose_if_other(
         self,
@@ -247,10 +250,10 @@ class StartSession:
         self._write()
 
     def feed(self, *, real_time: bool = False) -> PressFeed:
-        """Open the camera and the scale that were chosen."""
+        """Open the camera and the scale that were chosen, and keep that they were."""
         self._needs("camera")
         s = self.state
-        return open_feed(
+        opened = open_feed(
             s.camera,
             s.scale,
             seed=self._hand_seed(),
@@ -258,6 +261,8 @@ class StartSession:
             unit=s.unit,
             lag_s=s.scale_lag_s,
         )
+        self._write()
+        return opened
 
     def check_settings(self, feed: PressFeed) -> dict[str, Any]:
         """Look at a still picture: focus, noise, flicker, exposure, and what to do about them."""
@@ -494,12 +499,16 @@ class StartSession:
             raise InputError(f"the step {step!r} of {self.folder} is not done yet; it is at {self.step!r}")
 
     def _done(self, step: str) -> None:
+        """Note that a step is done, and keep it."""
+        self._mark(step)
+        self._write()
+
+    def _mark(self, step: str) -> None:
         """Note that a step is done, and that the later ones that follow from it are not."""
         before = STEPS[: STEPS.index(step)]
         if step == "collect":  # more presses: the calibration that is there is of fewer
             self.state.done = [one for one in self.state.done if one != "train"]
         self.state.done = [one for one in STEPS if one in self.state.done or one == step or one in before]
-        self._write()
 
     def _next_calibration(self) -> Path:
         """A folder that is not there yet: a calibration is never overwritten."""
