@@ -88,9 +88,9 @@ class Studio:
                 time.sleep(0.1)
         raise AssertionError(self.process.stdout.read().decode())
 
-    def ctrl_c(self):
+    def ctrl_c(self, number=signal.SIGINT):
         """What it says as it leaves."""
-        self.process.send_signal(signal.SIGINT)
+        self.process.send_signal(number)
         said, _ = self.process.communicate(timeout=MAX_S)
         return said.decode()
 

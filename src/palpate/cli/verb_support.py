@@ -97,11 +97,14 @@ class Group(TyperGroup):
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[None]:
+def stopped_by_signals(numbers: tuple[signal.Signals, ...] = ENDING) -> Iterator[None]:
     """End by Ctrl-C's own way also where the process is told to end, or its terminal is closed.
 
     What is recorded is closed whole then, and a stage stopped. Who has the end of the terminal ignored, as by
     nohup, goes on.
+
+    Args:
+        numbers: of the signals that end it so.
     """
     asked_s = -math.inf
 
@@ -113,7 +116,7 @@ def stopped_by_signals() -> Iterator[None]:
 
     before = {
         number: signal.signal(number, interrupt)
-        for number in ENDING
+        for number in numbers
         if signal.getsignal(number) is not signal.SIG_IGN
     }
     try:

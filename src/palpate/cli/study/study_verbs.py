@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from typer import Option
 
 import palpate
-from palpate.cli.verb_support import Json, Quiet, group, phases, print_found, progress_bar
+from palpate.cli.verb_support import Json, Quiet, group, phases, print_found, progress_bar, stopped_by_signals
 
 
 def demo(
@@ -181,8 +182,8 @@ def studio(
 
     The pages are open to this machine only, unless --host and --token say otherwise. The rig itself is held
     by a process of its own, which is started where none runs: closing the page or losing this command moves
-    nothing and loses nothing. Ctrl-C pauses a recording with the probe lifted; run the same command again to
-    go on. A rendering of softness ends with this command.
+    nothing and loses nothing. Ctrl-C, or SIGTERM, pauses a recording with the probe lifted; run the same
+    command again to go on. A rendering of softness ends with this command.
 
     Example: palpate studio --port 8080 --workspace .
     """
@@ -222,7 +223,8 @@ def serve_studio(
     desk = RenderingDesk((objects or workspace).absolute(), read_bench(bench))
     recorded = (runs or workspace / "runs").absolute()
     check_port(port, host)
-    with RigClient(rig) as client:
+    # Of a terminal that is closed nothing is heard: a recording goes on then, as the rig's process does.
+    with stopped_by_signals((signal.SIGINT, signal.SIGTERM)), RigClient(rig) as client:
         if not client.reached(within_s=1.0):
             typer.echo(f"starting the rig {rig} …")
             launch(rig, recorded, accelerated=accelerated)
