@@ -10,7 +10,10 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 from tests.studio.test_rig_page import MAX_S, RIG, Studio
+from typer.testing import CliRunner
 
+from palpate.cli import app
+from palpate.cli.study import study_verbs
 from palpate.devices.rpc import find
 
 pytestmark = pytest.mark.skipif(
@@ -32,3 +35,19 @@ def test_who_ends_the_studio_ends_the_process_of_a_rig_that_stands(name: str, tm
         assert find(RIG, tmp_path / "palpate") is None
     finally:
         studio.close()
+
+
+@pytest.mark.parametrize("option", ["--workspace", "--objects"])
+def test_a_folder_that_is_not_there_is_refused_before_anything_is_started(
+    option: str, tmp_path, monkeypatch
+) -> None:
+    served: list[dict] = []
+    monkeypatch.setattr(study_verbs, "serve_studio", lambda **words: served.append(words))
+    done = CliRunner().invoke(app, ["studio", option, str(tmp_path / "misspelt")])
+    assert (done.exit_code, served) == (2, [])
+    assert f"{option} {tmp_path / 'misspelt'}: there is no such folder in {tmp_path}" in done.output
+    assert "or make it first" in done.output
+    monkeypatch.chdir(tmp_path)
+    for words in ([], [option, str(tmp_path)]):  # where it is run, and a folder that is there
+        assert CliRunner().invoke(app, ["studio", *words]).exit_code == 0
+    assert len(served) == 2

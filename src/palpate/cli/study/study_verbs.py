@@ -187,10 +187,24 @@ def studio(
 
     Example: palpate studio --port 8080 --workspace .
     """
+    _refuse_missing("--workspace", workspace)
+    if objects is not None:
+        _refuse_missing("--objects", objects)
     serve_studio(
         port=port, workspace=workspace, rig=rig, runs=runs, accelerated=accelerated, objects=objects,
         bench=bench, host=host, token=token,
     )  # fmt: skip
+
+
+def _refuse_missing(option: str, folder: Path) -> None:
+    """Refuse a folder that is not there: a misspelt one would be served empty."""
+    from palpate.core import InputError
+
+    if not folder.exists():
+        raise InputError(
+            f"{option} {folder}: there is no such folder in {folder.absolute().parent}; name one that is there, "
+            "or make it first"
+        )
 
 
 def serve_studio(
