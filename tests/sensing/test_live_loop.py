@@ -367,6 +367,7 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
         (True, False, False, "focus", "refocus"),
         (False, False, False, "shift", "adapt"),
         (True, False, False, "shift", "re-zero"),
+        (False, False, False, "exchanged channels", "exchange"),
     ],
 )
 def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kind, action) -> None:
@@ -383,6 +384,18 @@ def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kin
         if action == "re-zero":
             loop.zero(np.zeros((4, 6), np.uint8))
             assert loop.advice == ""
+
+
+def test_exchanged_colours_are_advised_on_where_touches_alone_show_them(monkeypatch) -> None:
+    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
+    reader, frame = MeanReader(), numbered(0)
+    watch = live_drift.DriftWatch(reader)
+    for k in range(60):  # one frame in ten shows colour: the third of them is believed
+        reader.kind, reader.valid = ("exchanged channels", False) if k % 10 == 9 else ("", True)
+        assert watch.action == ("exchange" if k >= 30 else "")
+        watch.frame(frame.frame.image, reader.read(frame))
+        time.sleep(1e-5)
+    assert watch.advice.startswith("exchange: red and blue seem exchanged")
 
 
 def test_drift_is_the_least_of_the_last_minute_so_that_a_touch_is_none(monkeypatch) -> None:

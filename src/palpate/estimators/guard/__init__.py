@@ -3,6 +3,7 @@
 from palpate.estimators.guard.copy_discriminator import CopyDiscriminator
 from palpate.estimators.guard.guard_features import Registration, frame_features, image_features
 from palpate.estimators.guard.known_changes import (
+    EXCHANGED,
     MAX_HARM,
     SIGNATURES,
     ChangeExamples,
@@ -24,7 +25,7 @@ from palpate.estimators.guard.novelty import (
 )
 
 __all__ = [
-    "MAX_HARM", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges", "LearnsFromRendered",
+    "EXCHANGED", "MAX_HARM", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges", "LearnsFromRendered",
     "NeighbourModel", "NoveltyDetector", "Registration", "RenderedImages", "Verdict", "cross_fitted",
     "fit_known_changes", "fit_novelty_detector", "frame_features", "image_features", "kept_rows",
     "rescaled", "thumbnail", "thumbnails",

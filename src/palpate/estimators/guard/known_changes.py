@@ -44,6 +44,8 @@ class Signature:
     remedy: str
 
 
+EXCHANGED = "exchanged channels"  # see `channel_order`
+
 SIGNATURES: Mapping[str, Signature] = {
     "focus": Signature("a lens out of focus", "refocus the camera"),
     "softening": Signature(
@@ -69,7 +71,8 @@ class Verdict:
 
     Attributes:
         atypicality: beyond 1 the frame should not be trusted.
-        kind: of the change that it looks most like, a name in `SIGNATURES`; "" where none is known.
+        kind: of the change that it looks most like, a name in `SIGNATURES` or `EXCHANGED`; "" where none is
+            known.
         known: whether it is as near to known examples as they are to each other.
         costs: whether it was refused for what such a change costs the model.
     """
@@ -82,6 +85,11 @@ class Verdict:
     @property
     def reason(self) -> str:
         """Why a frame beyond the limit is refused, and what to do, in words."""
+        if self.kind == EXCHANGED:
+            return (
+                "red and blue seem exchanged: the image has the colours of those calibrated on, with blue "
+                "where they have red; give red, green, blue, of OpenCV's frames by cv2.COLOR_BGR2RGB"
+            )
         unlike = f"the image is unlike those calibrated on (distance {self.atypicality:.1f}, limit 1)"
         if self.kind not in SIGNATURES:
             return unlike

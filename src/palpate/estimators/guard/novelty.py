@@ -29,8 +29,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
+from palpate.estimators.guard.channel_order import channels_exchanged
 from palpate.estimators.guard.guard_features import frame_features
-from palpate.estimators.guard.known_changes import KnownChanges, Verdict
+from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""
@@ -42,6 +43,12 @@ ROWS_FOR_AXES = 3000
 RIDGE = 0.01  # of the neighbours' mean squared distance, so that near twins share their weight
 FLOOR_GREY_LEVELS = 0.05
 """Means over a block never agree better than this: thumbnails are kept in whole grey levels."""
+
+MAX_EXCHANGED_BACK = 0.75
+"""Novelty of a frame with red and blue exchanged back, over its own, for it to count as exchanged: of frames
+in the right order that a few calibrated ones show badly it was 0.96 and more."""
+EXCHANGED_ATYPICALITY = 2.0
+"""Least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else."""
 
 Prepared = UInt8[np.ndarray, "_ _ c"]
 Thumbnail = Float32[np.ndarray, "h w c"]
@@ -308,6 +315,10 @@ class NoveltyDetector:
         """Atypicality of the image, and where it is too great, what the image looks like."""
         thumb = thumbnail(prepared)
         novelty, unlike = self.novelty(thumb)
+        if channels_exchanged(thumb, thumb - unlike):
+            back = self.novelty(np.ascontiguousarray(thumb[..., ::-1]))[0]
+            if back <= min(1.0, MAX_EXCHANGED_BACK * novelty):
+                return Verdict(max(novelty, EXCHANGED_ATYPICALITY), EXCHANGED)
         if self.changes is None:
             return Verdict(novelty)
         asked = unlike if self.changes.local else None

@@ -14,21 +14,25 @@ from typing import Any
 
 from palpate.core import Drift, Image, ImageError, Readings
 from palpate.core.reading import plain_number
+from palpate.estimators.guard import EXCHANGED
 from palpate.sensing.streaming.live_readers import FrameReader
 
 LOOK_S = 0.25  # between two looks at drift, and at why frames are refused
 WINDOW_S = 60.0
 MIN_LOOKS = 20  # five seconds, before which nothing is advised
+MIN_EXCHANGED = 3  # looks with red and blue exchanged, from which that is advised
 REFUSED = 0.5  # share of looks at which the guard refused the frame, from which something is advised
 
 RE_ZERO = "re-zero"
 REFOCUS = "refocus"
 ADAPT = "adapt"
+EXCHANGE = "exchange"
 WORDS = {
     RE_ZERO: "re-zero: take everything off the skin, and take its untouched image anew",
     REFOCUS: "refocus: the image looks like one of a lens out of focus; turn it back, or lock the focus",
     ADAPT: "adapt: the sensor has changed since its calibration; record some fifty presses with labels and "
     "run `palpate adapt`, or calibrate again",
+    EXCHANGE: "exchange: red and blue seem exchanged; have the camera or what reads it give red, green, blue",
 }
 OUT_OF_FOCUS = "focus"  # the guard's name of that kind of change
 
@@ -85,6 +89,9 @@ class DriftWatch:
     def action(self) -> str:
         """What should be done, a key of `WORDS`; "" where nothing has to be."""
         recent = self._recent()
+        # Seen where there is colour alone, as of a touch; but not once where the order is right.
+        if sum(look.kind == EXCHANGED for look in recent) >= MIN_EXCHANGED:
+            return EXCHANGE
         if len(recent) < MIN_LOOKS:
             return ""
         refused = [look for look in recent if look.refused]

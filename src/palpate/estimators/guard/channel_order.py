@@ -1,0 +1,63 @@
+"""Order of colour channels: whether a frame has red where the calibration's frames have blue.
+
+A frame of blue, green and red, as OpenCV gives them, differs little from one of red, green and blue where the
+picture is nearly grey, and a network reads it all the same. What differs turns its sign: the difference of red
+and blue. It is compared, pixel by pixel, with that of the picture which the calibration's frames make of it.
+
+Light of another colour turns that difference as well, but changes it in proportion to the brightness or by a
+constant. So the difference is compared a second time after its linear regression on brightness is taken out.
+Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged back,
+the frame is like those calibrated on and more so than before (see `NoveltyDetector.judge`), which a picture of
+a place that is badly known is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from palpate.core import Float, Float32
+
+MAX_SLOPE = -0.3
+"""Of the frame's difference of red and blue on that of its reconstruction: 1 is the same, -1 exchanged."""
+MAX_CORRELATION = -0.3
+"""Between both after brightness is taken out."""
+MIN_COLOUR_GREY_LEVELS = 1.0
+"""Root mean square of what remains then, below which a picture has too little colour to tell."""
+
+Picture = Float32[np.ndarray, "h w c"]
+
+
+def channels_exchanged(picture: Picture, rebuilt: Picture) -> bool:
+    """Whether red and blue of a picture seem exchanged; never of a grey one, which cannot tell.
+
+    Args:
+        picture: of a frame, with one channel or with three [grey levels].
+        rebuilt: the same as frames of the calibration would make it.
+    """
+    if picture.shape[2] != 3:
+        return False
+    seen, known = _red_less_blue(picture), _red_less_blue(rebuilt)
+    pure, pure_known = _beside_brightness(seen, picture), _beside_brightness(known, rebuilt)
+    size, size_known = _size(pure), _size(pure_known)
+    if min(size, size_known) < MIN_COLOUR_GREY_LEVELS:
+        return False
+    slope = float(seen @ known) / float(known @ known)
+    correlation = float(pure @ pure_known) / (size * size_known * len(seen))
+    return slope < MAX_SLOPE and correlation < MAX_CORRELATION
+
+
+def _red_less_blue(picture: Picture) -> Float[np.ndarray, " n"]:
+    return np.asarray(picture[..., 0] - picture[..., 2], np.float64).ravel()
+
+
+def _beside_brightness(difference: Float[np.ndarray, " n"], picture: Picture) -> Float[np.ndarray, " n"]:
+    """A difference less its linear regression on the picture's brightness."""
+    bright = picture.mean(axis=2, dtype=np.float64).ravel()
+    bright -= bright.mean()
+    difference = difference - difference.mean()
+    square = float(bright @ bright)
+    return np.asarray(difference - (float(difference @ bright) / square * bright if square else 0.0))
+
+
+def _size(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

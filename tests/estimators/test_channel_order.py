@@ -1,0 +1,117 @@
+"""Red and blue exchanged are seen where there is colour, and never said of frames in the right order."""
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.calibration import CalibrationPlan, calibrate
+from palpate.estimators import Estimator
+from palpate.estimators.guard import EXCHANGED, NoveltyDetector, fit_novelty_detector, thumbnails
+from palpate.estimators.guard.channel_order import channels_exchanged
+
+ROWS, COLUMNS = np.mgrid[0:64, 0:64]
+LEFT = slice(12, 28)
+ANYWHERE = slice(12, 52)
+
+
+def lamps(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
+    """Red light from the left and blue from the right on a gel: a touch is red on one side, blue on the other."""
+    slope = (COLUMNS - at[1]) * np.exp(-((ROWS - at[0]) ** 2 + (COLUMNS - at[1]) ** 2) / 60)
+    red, blue = 90 - 0.8 * COLUMNS - 8 * slope, 40 + 0.8 * COLUMNS + 8 * slope
+    return np.stack([red, np.full((64, 64), 70.0), blue], axis=-1) + rng.normal(0, 2, (64, 64, 3))
+
+
+def fringes(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
+    """Grey where nothing touches, as between polarisers; a touch is bright, in colours that follow each other."""
+    order = 1.3 * np.exp(-((ROWS - at[0]) ** 2 + (COLUMNS - at[1]) ** 2) / 300)
+    light = [38 + 120 * np.sin(np.pi * order * 550 / nm) ** 2 for nm in (630, 540, 460)]
+    return np.stack(light, axis=-1) + rng.normal(0, 2, (64, 64, 3))
+
+
+def grey(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
+    """A camera that is grey, whose three channels differ by noise."""
+    disc = 90 * np.exp(-((ROWS - at[0]) ** 2 + (COLUMNS - at[1]) ** 2) / 60)
+    return (60 + disc)[..., None] + rng.normal(0, 2, (64, 64, 3))
+
+
+def frames(scene, seed: int, n: int, where: slice = ANYWHERE) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    made = [scene(rng, rng.uniform(where.start, where.stop, 2)) for _ in range(n)]
+    return np.clip(made, 0, 255).astype(np.uint8)
+
+
+def guard_of(scene, n: int = 120, where: slice = ANYWHERE) -> NoveltyDetector:
+    thumbs = thumbnails(frames(scene, 0, n, where))
+    return fit_novelty_detector(thumbs, np.array_split(np.arange(n), 5), thumbs[:0])
+
+
+def share(guard: NoveltyDetector, images: np.ndarray) -> float:
+    """Of frames that are said to be exchanged; those are refused."""
+    verdicts = [guard.judge(np.ascontiguousarray(image)) for image in images]
+    said = [one.kind == EXCHANGED for one in verdicts]
+    assert all(one.atypicality > 1 for one, exchanged in zip(verdicts, said, strict=True) if exchanged)
+    return float(np.mean(said))
+
+
+@pytest.mark.parametrize("scene", [lamps, fringes])
+def test_exchanged_channels_are_seen_and_right_ones_are_not(scene) -> None:
+    guard = guard_of(scene)
+    right = frames(scene, 1, 60)
+    assert share(guard, right[..., ::-1]) > 0.95
+    assert share(guard, right) == 0
+
+
+@pytest.mark.parametrize("scene", [lamps, fringes])
+@pytest.mark.parametrize(
+    "tint", [(1.15, 1.0, 0.85), (0.85, 1.0, 1.15), (1.4, 1.0, 0.6), (0.6, 1.0, 1.4), (1.1, 1.1, 1.1)]
+)
+def test_light_of_another_colour_is_no_exchange(scene, tint: tuple[float, float, float]) -> None:
+    guard = guard_of(scene)
+    changed = np.clip(frames(scene, 2, 40) * np.float64(tint), 0, 255).astype(np.uint8)
+    assert share(guard, changed) == 0
+    shifted = np.clip(frames(scene, 2, 40) + 60 * (np.float64(tint) - 1), 0, 255).astype(np.uint8)
+    assert share(guard, shifted) == 0
+
+
+@pytest.mark.parametrize("scene", [lamps, fringes])
+def test_touches_where_none_was_calibrated_are_no_exchange(scene) -> None:
+    """The picture that the calibration's frames make of them shows another place."""
+    guard = guard_of(scene, where=LEFT)
+    assert share(guard, frames(scene, 3, 60, slice(32, 52))) == 0
+    for n in (8, 12, 20):
+        few = guard_of(scene, n=n)
+        assert share(few, frames(scene, 3, 60)) == 0
+        assert share(few, frames(scene, 3, 60)[..., ::-1]) > 0.1
+
+
+@pytest.mark.parametrize("scene", [lamps, fringes])
+def test_a_mirrored_picture_is_another_fault(scene) -> None:
+    assert share(guard_of(scene), frames(fringes, 4, 40)[:, :, ::-1]) == 0
+
+
+def test_a_grey_sensor_and_one_channel_are_not_judged() -> None:
+    guard = guard_of(grey)
+    assert share(guard, frames(grey, 1, 60)[..., ::-1]) == share(guard, frames(grey, 1, 60)) == 0
+    one = frames(grey, 1, 1)[0, ..., :1].astype(np.float32)
+    assert not channels_exchanged(one, one)
+
+
+def test_green_and_red_exchanged_is_not_called_red_and_blue() -> None:
+    assert share(guard_of(lamps), frames(lamps, 1, 40)[..., [1, 0, 2]]) == 0
+
+
+def test_a_reading_of_exchanged_channels_is_not_valid_and_says_so(record_spots, rewritten, tmp_path) -> None:
+    def coloured(image: np.ndarray) -> np.ndarray:
+        return np.stack([image, image, np.clip(image[:, ::-1] // 2 + 30, 0, 255).astype(np.uint8)], axis=-1)
+
+    plan = CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), channels=3)
+    run = rewritten(record_spots("grey", 12), tmp_path / "coloured", image=coloured)
+    calibrate(run, plan, tmp_path / "cal")
+    estimator, new = Estimator.open(tmp_path / "cal"), record_spots("new", 3, seed=5)
+    said = []
+    for frame in new.frames():
+        right = coloured(frame.image)
+        assert "exchanged" not in estimator.read(right)["x_mm"].why
+        reading = estimator.read(cv2.cvtColor(right, cv2.COLOR_RGB2BGR))["x_mm"]
+        said.append(not reading.valid and reading.why.startswith("red and blue seem exchanged"))
+    assert np.mean(said) > 0.9
