@@ -1,5 +1,6 @@
 """Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
+import html
 import io
 import math
 import re
@@ -24,7 +25,8 @@ from palpate.studio.live.live_desk import (
     edge_readings,
 )
 from palpate.studio.live.live_drawing import lateral_motion, overlay_svg, place_svg, reading_svg, strain_svg
-from palpate.studio.live.live_page import facts_html, head_html, live_address, softness_html, values_html
+from palpate.studio.live.live_page import SensorCard, facts_html, head_html, live_address
+from palpate.studio.live.reading_rows import NAMES, softness_html, unread, values_html
 from palpate.studio.live.start_desk import StartDesk, kept_session
 from palpate.studio.live.start_page import UNITS, collected_html, coverage_html, result_html, steps_html
 from palpate.studio.live.start_process import run_session
@@ -33,7 +35,7 @@ from palpate.workflows import start_session
 
 def reading(value=3.2, half=0.4, valid=True, why="", unit="N", limits=(0.0, 20.0)):
     """A reading as a live process tells it."""
-    low, high = (value - half, value + half) if valid else (None, None)
+    low, high = (value - half, value + half) if valid and not isinstance(value, str) else (None, None)
     return {
         "value": value,
         "unit": unit,
@@ -184,7 +186,10 @@ def test_the_place_lies_where_it_was_read_and_is_nowhere_without_one():
     assert "x 5.0, y −2.0 mm, valid" in svg
     assert 'x="4.000"' in svg  # the interval's left end
     assert place_svg({"x_mm": readings["x_mm"]}) == ""
-    assert place_svg({"x_mm": reading(None, valid=False), "y_mm": readings["y_mm"]}) == ""
+    bare = place_svg({"x_mm": reading(None, valid=False, limits=(-10, 10)), "y_mm": readings["y_mm"]})
+    assert "no place is read" in bare
+    assert "<path" not in bare
+    assert re.search("viewBox=[^>]*", bare).group() == re.search("viewBox=[^>]*", svg).group()  # as high
     pushed = place_svg(
         readings | {"force_x_N": reading(2.0, limits=(-4, 4)), "force_y_N": reading(0.0, limits=(-4, 4))}
     )
@@ -202,6 +207,68 @@ def test_a_value_says_its_interval_or_why_it_is_not_valid_in_words_and_shape():
     assert "±" not in bad
     assert "1.00 N" in bad
     assert "–" in values_html({"force_N": reading(None, valid=False, why="x")}, {})
+
+
+def test_a_share_and_the_touch_measure_are_named_in_plain_words_and_what_is_counted_has_no_interval():
+    shown = values_html(
+        {
+            "seen_ratio": reading(0.991, 0.0, unit="ratio"),
+            "gamma_ratio": reading(1.234, 0.12, unit="ratio"),
+            "force_N": reading(2.0, 0.0),
+        },
+        {},
+    )
+    assert ">marks seen</span><b>99 %</b>" in shown
+    assert ">touch measure γ</span><b>1.23  <span" in shown
+    for quantity in ("seen", "gamma"):
+        assert f'title="{html.escape(NAMES[quantity][1])}"' in shown
+    assert "2.00 N</b>" in shown
+    assert shown.count("±") == 1
+    assert "ratio" not in re.sub("<[^>]*>", "", shown)
+    svg = reading_svg(samples([1.0]), "force_N", "N", 50.0, "push")
+    assert "push [N]" in svg
+    assert "push of the last" in svg
+
+
+def test_a_reason_is_said_once_for_all_values_that_it_holds_for():
+    readings = {
+        name: reading(None, valid=False, why=why, unit="mm")
+        for name, why in (("x_mm", "no contact"), ("y_mm", "no contact"), ("z_mm", "too <deep>"))
+    }
+    shown = values_html(readings, {})
+    rows, reasons = shown.split('<div class="reasons', 1)
+    assert rows.count("✕") == 3
+    assert "contact" not in rows
+    assert re.findall("<p><b>(.*?)</b>: (.*?)</p>", reasons) == [
+        ("x, y", "no contact"), ("z", "too &lt;deep&gt;"),
+    ]  # fmt: skip
+    assert values_html({}, {}) == ""
+
+
+def test_a_frame_without_readings_keeps_the_rows_of_those_before():
+    shown = values_html(unread({"force_N": reading(3.2), "x_mm": reading(1.0, unit="mm")}), {})
+    assert shown.count('<div class="value invalid">') == 2
+    assert shown.count("<b>–</b>") == 2
+    assert "<b>force, x</b>: this frame was not read" in shown
+    connection = MadeUpConnection()
+    card = SensorCard.__new__(SensorCard)
+    card.sensor, card._known, card._known_by, card._strained = (
+        LiveSensor("live x", connection),
+        {},
+        None,
+        None,
+    )
+    of = {"calibration": "cal-1"}
+    assert card._rows({"force_N": reading(1.0)}, of) == {"force_N": reading(1.0)}
+    assert card._rows({}, of)["force_N"]["value"] is None
+    assert card._rows({}, {"calibration": None}) == {}  # read by none any more
+    assert card._strain_of({"strain": None}) is None
+    assert card._strain_of({"strain": STRAIN}) == STRAIN
+    assert "could not be read" in strain_svg(card._strain_of({"strain": None}), (400, 300))
+    read = {"edge_degrees": reading(30.0, unit="degrees"), "slip": reading("no", 0, unit="")}
+    gone = {name: one | {"value": None if name != "slip" else ""} for name, one in read.items()}
+    counts = [card._plots_html(one, of).count("<svg") for one in (read, gone, unread(read))]
+    assert counts == [1, 1, 1]  # as many plots whether this frame has a value or not
 
 
 def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
@@ -317,8 +384,8 @@ COVERAGE = {
 
 
 def test_the_map_of_presses_says_how_many_and_how_hard_and_what_is_bare():
-    html = coverage_html(COVERAGE)
-    cells = re.findall(r'<td class="(\w+)">(.*?)</td>', html)
+    drawn = coverage_html(COVERAGE)
+    cells = re.findall(r'<td class="(\w+)">(.*?)</td>', drawn)
     assert [kind for kind, _ in cells].count("bare") == 6
     assert cells[0] == ("pressed", "<b>1</b><br>to 5 N")
     assert cells[4] == ("pressed", "<b>5</b><br>to 10 N")

@@ -380,9 +380,7 @@ def _close(sensor: ShownSensor) -> None:
         sensor.recorder.close()
 
 
-def _readings(
-    sensors: list[ShownSensor], seconds: float | None
-) -> Iterator[tuple[ShownSensor, LiveReading]]:
+def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tuple[ShownSensor, LiveReading]]:
     """Readings of all sensors as they come, until all have ended, or it has been long enough."""
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     going = list(sensors)

@@ -25,8 +25,10 @@ INK, SOFT, LINE, ACCENT, BAND, BAD, BESIDE = map(
 Point = tuple[float, float]
 
 
-def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: float) -> str:
+def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: float, name: str = "") -> str:
     """A reading over the last `SPAN_S` with its interval; the force sensor's beside it where both are in N.
+
+    Its name is the column's, unless another is given.
 
     What is not valid is drawn as crosses without an interval, so that it is seen without colour.
     """
@@ -54,8 +56,9 @@ def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: fl
     if told:
         last = told[-1][1]
         words = f"{number(last['value'], 2)} {unit} now, {'valid' if last['valid'] else 'not valid'}"
-    name = column.removesuffix(f"_{unit}")
-    return axes.svg(f"{name} of the last {SPAN_S:g} s", words, f"{name} [{unit}]" if unit else name)
+    name = name or column.removesuffix(f"_{unit}")
+    shown = f"{name} [{unit}]" if unit not in ("", "ratio") else name
+    return axes.svg(f"{name} of the last {SPAN_S:g} s", words, shown)
 
 
 class _LiveAxes:
@@ -124,27 +127,33 @@ def _stretches(points: Sequence[tuple[float, Any]]) -> list[list[tuple[float, An
 
 
 def place_svg(readings: Mapping[str, Mapping[str, Any]]) -> str:
-    """Where on the skin it is touched, with both intervals, and the shear's arrow; "" where no place is read.
+    """Where on the skin it is touched, with both intervals, and the shear's arrow; "" without such readings.
 
-    x points right and y down, as in the image; the frame is the calibrated range.
+    x points right and y down, as in the image; the frame is the calibrated range, and bare where no place is
+    read.
     """
     x, y = readings.get("x_mm"), readings.get("y_mm")
-    if not x or not y or x.get("value") is None or y.get("value") is None:
+    if not x or not y:
         return ""
     left, right = x.get("range") or (-20.0, 20.0)
     top, bottom = y.get("range") or (-20.0, 20.0)
     wide, high = max(right - left, 1e-6), max(bottom - top, 1e-6)
     edge, thick = 0.08 * max(wide, high), max(wide, high) / 160
-    valid = x["valid"] and y["valid"]
+    read = x.get("value") is not None and y.get("value") is not None
+    valid = read and x["valid"] and y["valid"]
     colour = ACCENT if valid else BAD
     box = f"{left - edge:.3f} {top - edge:.3f} {wide + 2 * edge:.3f} {high + 2 * edge:.3f}"
-    said = f"x {number(x['value'], 1)}, y {number(y['value'], 1)} mm, {'valid' if valid else 'not valid'}"
+    said = "no place is read"
+    if read:
+        said = f"x {number(x['value'], 1)}, y {number(y['value'], 1)} mm, {'valid' if valid else 'not valid'}"
     begin = (
         f'<svg viewBox="{box}" role="img"><title>Place on the skin</title><desc>{said}</desc>'
         f'<rect x="{left:.3f}" y="{top:.3f}" width="{wide:.3f}" height="{high:.3f}" rx="{edge / 2:.3f}" '
         f'fill="none" stroke="{SOFT}" stroke-width="{thick:.3f}"/>'
     )
     parts = [begin]
+    if not read:
+        return f"{begin}</svg>"
     if valid and None not in (x.get("low"), x.get("high"), y.get("low"), y.get("high")):
         parts.append(
             f'<rect x="{x["low"]:.3f}" y="{y["low"]:.3f}" width="{max(x["high"] - x["low"], 0):.3f}" '

@@ -16,11 +16,12 @@ from urllib.parse import quote, urlencode
 
 from nicegui import ui
 
-from palpate.core import PalpateError, half_width_text, rounded
+from palpate.core import PalpateError
 from palpate.studio.html_parts import state_word
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live import live_drawing
 from palpate.studio.live.live_desk import LiveDesk, LiveSensor, edge_readings
+from palpate.studio.live.reading_rows import Told, named, softness_html, unread, values_html
 from palpate.studio.page_shell import PageBeat, page_shell, page_title
 from palpate.studio.shown_ages import Ages, age_note
 from palpate.studio.status_text import number
@@ -209,6 +210,9 @@ class SensorCard:
     def __init__(self, sensor: LiveSensor, index: int, end: Callable[[SensorCard], Any]) -> None:
         self.sensor, self.part = sensor, f"live-{index}"
         self._picture_number, self._serial = -1, -1
+        self._known: dict[str, Told] = {}  # the last readings that a frame had, and the calibration's name
+        self._known_by: object = None
+        self._strained: Told | None = None
         old = f'data-age-of="{self.part}"'
         self._card = ui.element("section").classes("card live").props(f'aria-label="{escape(sensor.name)}"')
         with self._card:
@@ -219,13 +223,13 @@ class SensorCard:
                 age_note(self.part, "")
                 ui.space()
                 self._buttons(end)
-            self._advice = ui.html("", sanitize=False).props('role="status"')
+            self._advice = ui.html("", sanitize=False).classes("advice-room").props('role="status"')
             with ui.element("div").classes("parts"):
                 with ui.element("div"):
                     self._picture = (
                         ui.interactive_image("", sanitize=False).classes("w-full camera").props(old)
                     )
-                    self._moved = ui.html("", sanitize=False).classes("soft").props(old)
+                    self._moved = ui.html("", sanitize=False).classes("soft moved").props(old)
                     self._strain = ui.html("", sanitize=False).classes("strain").props(old)
                     self._place = ui.html("", sanitize=False).classes("place").props(old)
                 with ui.element("div"):
@@ -260,8 +264,8 @@ class SensorCard:
         self._set(self._head, head_html(self.sensor.name, status))
         advice = str(status.get("advice") or "")
         self._set(self._advice, f'<p class="advice">{escape(advice)}</p>' if advice else "")
-        readings = edge_readings((status.get("reading") or {}).get("readings", {}))
-        strain, size_px = status.get("strain"), (self.sensor.connection.picture or (0, b"", (640, 480)))[2]
+        readings = self._rows(edge_readings((status.get("reading") or {}).get("readings", {})), status)
+        strain, size_px = self._strain_of(status), (self.sensor.connection.picture or (0, b"", (640, 480)))[2]
         self._set(self._values, values_html(readings, status))
         self._set(self._softness, softness_html(status.get("compliance")))
         self._set(self._strain, strain_html(strain, size_px))
@@ -271,18 +275,36 @@ class SensorCard:
         self._set(self._facts, facts_html(status))
         self._zero.set_enabled(status.get("state") == "live" and not status.get("zeroing"))
 
+    def _rows(self, readings: dict[str, Told], status: Told) -> dict[str, Told]:
+        """Readings of this frame; where it has none, the rows of those before, so that nothing moves."""
+        if readings or status.get("calibration") != self._known_by:
+            self._known, self._known_by = readings, status.get("calibration")
+            return readings
+        return unread(self._known)
+
+    def _strain_of(self, status: Told) -> Told | None:
+        """The strain of this frame; where it has none, the bare outline of that before."""
+        strain = status.get("strain")
+        if strain is None and self._strained is not None:
+            strain = {**self._strained, "dots": [], "greatest": None, "contacts": [], "shift": None}
+        self._strained = strain
+        return strain
+
     def _plots_html(self, readings: Mapping[str, Mapping[str, Any]], status: Mapping[str, Any]) -> str:
         samples, now_s = list(self.sensor.samples), time.monotonic()
         columns = {name: str(one.get("unit", "")) for name, one in readings.items() if name not in PLACES}
         if not columns and status.get("force_N") is not None:
             columns = {"force_N": "N"}
-        numbers = [
-            name for name in columns if isinstance(readings.get(name, {}).get("value", 0.0), int | float)
-        ]
+        # By what a reading is, not by whether this frame has a value: plots must not come and go.
+        words = [name for name, one in readings.items() if isinstance(one.get("value"), str)]
+        numbers = [name for name, unit in columns.items() if unit and name not in words]
         chosen = sorted(numbers, key=lambda name: (columns[name] != "N", not name.startswith("gamma")))[
             :MAX_PLOTS
         ]
-        return "".join(live_drawing.reading_svg(samples, name, columns[name], now_s) for name in chosen)
+        return "".join(
+            live_drawing.reading_svg(samples, name, columns[name], now_s, named(name, columns[name])[0])
+            for name in chosen
+        )
 
     def _show_picture(self, status: Mapping[str, Any]) -> None:
         picture = self.sensor.connection.picture
@@ -329,67 +351,6 @@ def head_html(name: str, status: Mapping[str, Any] | None) -> str:
     return f"{title} {state_word(state, LOOKS.get(state, ''))}{zeroing}</h2>{why}"
 
 
-def values_html(readings: Mapping[str, Mapping[str, Any]], status: Mapping[str, Any]) -> str:
-    """Each reading with its interval, a lamp that has a shape of its own for each verdict, and the reason."""
-    rows = [_value_html(name, one) for name, one in readings.items()]
-    force_n = status.get("force_N")
-    if force_n is not None:
-        beside = f"<b>{number(float(force_n), 2)} N</b>"
-        rows.append(f'<div class="value"><span class="what">sensor beside</span>{beside}</div>')
-    image = status.get("image") or {}
-    if not readings and image.get("verdict"):
-        why = f'<span class="soft">{escape(str(image.get("why") or ""))}</span>'
-        verdict = escape(str(image["verdict"]))
-        rows.insert(
-            0,
-            f'<div class="value"><span class="what">without a calibration</span><b>{verdict}</b>{why}</div>',
-        )
-    return "".join(rows)
-
-
-SOFTNESS = {
-    "stiffness": "stiffness κ", "stiffness_both_cues": "κ with approach", "area_at_4_N": "area at 4 N",
-    "spread_rate": "spread rate", "modulus": "modulus E*", "radius": "radius",
-}  # fmt: skip
-LOPSIDED = 0.1  # of an interval, by which its middle may lie beside twice the value
-UNIT_WORDS = {"N_per_mm": "N/mm", "mm2": "mm²", "mm2_per_N": "mm²/N", "degrees": "°", "ratio": ""}
-
-
-def softness_html(compliance: Mapping[str, Any] | None) -> str:
-    """Softness of the last press, each value with its interval and its lamp; "" where it is not read."""
-    if compliance is None:
-        return ""
-    begin = "<h3>Softness of each press</h3>"
-    if compliance.get("why"):
-        return f'{begin}<p class="trouble">{escape(str(compliance["why"]))}</p>'
-    presses = compliance.get("presses") or ()
-    if not presses:
-        return f'{begin}<p class="soft">No press has ended yet. Press slowly, to 4.5 N or more.</p>'
-    last = presses[0]
-    about = f"press {last['press']}, to {number(float(last['force_N']), 2)} N, {last['frames']} frames"
-    told = "".join(
-        _value_html(SOFTNESS.get(one["quantity"], one["quantity"]), one) for one in last["readings"]
-    )
-    if last.get("why"):
-        lamp = '<span class="verdict"><i class="lamp no">✕</i> not read</span>'
-        why = f'<span class="soft">{escape(str(last["why"]))}</span>'
-        told = f'<div class="value invalid"><span class="what">stiffness κ</span><b>–</b>{lamp}{why}</div>'
-    earlier = [_kappa_words(one) for one in presses[1:]]
-    before = f'<p class="soft">before: {"; ".join(earlier)}</p>' if earlier else ""
-    return f'{begin}<p class="soft">{about}</p>{told}{before}'
-
-
-def _kappa_words(press: Mapping[str, Any]) -> str:
-    """Stiffness of a press before the last, in a few words."""
-    kappa = next((one for one in press.get("readings") or () if one["quantity"] == "stiffness"), None)
-    if kappa is None or kappa.get("value") is None:
-        return f"press {press['press']} not read"
-    unit = UNIT_WORDS.get(kappa["unit"], kappa["unit"])
-    return (
-        f"press {press['press']} {number(kappa['value'], 2)} {unit}{'' if kappa['valid'] else ' (not valid)'}"
-    )
-
-
 def strain_html(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
     """The strain of a patterned skin, drawn and in words; "" without one."""
     if not strain:
@@ -407,37 +368,6 @@ def motion_html(image: Mapping[str, Any] | None) -> str:
     told = f"marks moved on average {number(math.hypot(dx, dy), 1)} px along the skin"
     times = f"{live_drawing.MOTION_TIMES:g}"
     return f"{told}: {number(dx, 1)} to the right, {number(dy, 1)} down (thick arrow, {times} times as long)"
-
-
-def _interval_words(value: float, one: Mapping[str, Any], half: float) -> str:
-    """An interval as half its width, or by both ends where the value does not lie in its middle."""
-    low, high = float(one["low"]), float(one["high"])
-    if abs(low + high - 2 * value) <= LOPSIDED * (high - low):
-        return f"± {half_width_text(half)}"
-    return f"({rounded(low, half)} to {rounded(high, half)})".replace("-", "−")
-
-
-def _value_html(name: str, one: Mapping[str, Any]) -> str:
-    unit = str(one.get("unit", ""))
-    what = escape(name.removesuffix(f"_{unit}"))
-    valid, why = bool(one.get("valid")), str(one.get("why") or "")
-    lamp = '<i class="lamp ok">●</i> valid' if valid else '<i class="lamp no">✕</i> not valid'
-    value = one.get("value")
-    text = "–"
-    if isinstance(value, int | float):
-        low, high = one.get("low"), one.get("high")
-        half = (float(high) - float(low)) / 2 if low is not None and high is not None else None
-        text = number(float(value), 2) if half is None else rounded(float(value), half)
-        text = text.replace("-", "−") + f" {escape(UNIT_WORDS.get(unit, unit))}"
-        if valid and half is not None:
-            text += f' <span class="half">{_interval_words(float(value), one, half)}</span>'
-    elif value is not None:
-        text = escape(str(value))
-    reason = f'<span class="soft">{escape(why)}</span>' if not valid else ""
-    return (
-        f'<div class="value {"" if valid else "invalid"}"><span class="what">{what}</span><b>{text}</b>'
-        f'<span class="verdict">{lamp}</span>{reason}</div>'
-    )
 
 
 def facts_html(status: Mapping[str, Any]) -> str:
