@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
+import os
 import re
+import subprocess
 import time
 from pathlib import Path
 
@@ -21,6 +24,7 @@ from palpate.softness.control import LoopSample
 from palpate.softness.process import RenderingStatus, read_bench
 from palpate.studio import softness_drawing
 from palpate.studio.rendering_desk import RenderingDesk, age_s
+from palpate.studio.softness_page import no_object_html
 
 LINE = """
 name = "{name}"
@@ -170,6 +174,22 @@ def test_what_cannot_be_rendered_is_said_in_words_from_0_to_the_base() -> None:
     assert "132.7 mm²" in words[-1]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="the command is one of a POSIX shell")
+@pytest.mark.parametrize("there", [True, False])
+def test_a_folder_without_an_object_is_told_the_command_that_writes_one(tmp_path, there: bool) -> None:
+    folder = tmp_path / "my objects"
+    if there:
+        folder.mkdir()
+    told = no_object_html(folder)
+    assert "No object is here" in told
+    command = html.unescape(re.search('<pre class="commands">(.*?)</pre>', told, re.DOTALL).group(1))
+    subprocess.run(command, shell=True, check=True, timeout=30)  # noqa: S602 - as it is typed
+    found, refused = RenderingDesk(folder, read_bench(None)).objects()
+    assert {name: soft.name for name, soft in found.items()} == {"soft-ball": "soft ball"}
+    assert refused == {}
+    RenderingLaw(found["soft-ball"])  # which can be rendered
+
+
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
     folder = tmp_path_factory.mktemp("objects")
@@ -224,3 +244,27 @@ def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_s
         assert tab.said == []
     finally:
         browser.close()
+
+
+def test_no_card_is_empty_before_anything_is_rendered(tmp_path, monkeypatch) -> None:
+    if devtools.chromium() is None:
+        pytest.skip("there is no Chromium to drive")
+    (tmp_path / "objects").mkdir()
+    monkeypatch.setenv("OBJECTS", str(tmp_path / "objects"))
+    served, browser = Served(), devtools.Browser(tmp_path / "profile")
+    try:
+        tab = browser.open(f"http://localhost:{served.port}/softness")
+        tab.wait(f"!!document.querySelector('#beat') && {LIVE}")
+        assert "soft-ball.toml" in tab.run("document.querySelector('#refused').innerText")
+        for part in ("#skin", "#force-now", "#envelope"):
+            assert "there is no object yet" in tab.run(f"document.querySelector('{part}').innerText")
+        assert tab.run("document.querySelector('#begin').disabled")
+        (tmp_path / "objects" / "line.toml").write_text(LINE.format(name="line"))
+        tab.run("document.querySelector('#again').click()")
+        tab.wait("document.querySelector('#skin').innerText.includes('choose an object and begin')")
+        assert tab.run("document.querySelector('#refused').innerText") == ""
+        assert not tab.run("document.querySelector('#begin').disabled")
+        assert tab.said == []
+    finally:
+        browser.close()
+        served.close()

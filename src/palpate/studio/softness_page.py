@@ -5,14 +5,17 @@ Nothing is kept here: every tab shows what the server's `RenderingDesk` has, and
 
 from __future__ import annotations
 
+import shlex
 import time
 from html import escape
+from pathlib import Path
 
 from nicegui import run, ui
 
 from palpate.core import PalpateError
 from palpate.softness import Mode, RenderingLaw
 from palpate.studio import shown_ages, softness_drawing
+from palpate.studio.html_parts import commands_html
 from palpate.studio.page_shell import page_shell
 from palpate.studio.rendering_desk import RenderingDesk, age_s
 from palpate.studio.shown_ages import age_note
@@ -25,6 +28,11 @@ MODES = {
     Mode.CUTANEOUS: "CM3: the skin's alone",
 }
 LOOKS = {"opens": "warn", "renders": "busy", "ended": "calm"}
+EXAMPLE = (
+    'name = "soft ball"', "[hertz]", "modulus_kPa = 50", "radius_mm = 20", "poisson = 0.49",
+    "finger_modulus_kPa = 100", "finger_radius_mm = 8", "finger_poisson = 0.49", "until_N = 2",
+)  # fmt: skip
+"""Lines of an object's file: a ball of 50 kPa, as a finger of 100 kPa feels it."""
 LABEL = 'dense outlined options-dense stack-label aria-label="{}"'
 
 
@@ -126,11 +134,21 @@ class SoftnessPage:
         kept = self._object.value if self._object.value in found else next(iter(found), None)
         self._object.set_options({name: soft.name for name, soft in found.items()}, value=kept)
         lines = [f"{name} is no object: {why}" for name, why in refused.items()]
-        if not found:
-            lines.insert(
-                0, "No object's file is here. Write one such as docs/how-to/render-softness.md shows."
-            )
-        self._refused.set_content("".join(f'<p class="trouble">{escape(line)}</p>' for line in lines))
+        told = "".join(f'<p class="trouble">{escape(line)}</p>' for line in lines)
+        self._refused.set_content(("" if found else no_object_html(self._desk.folder)) + told)
+        self._begin.set_enabled(bool(found))
+        if self._drawn is None:
+            self._say_empty(bool(found))
+
+    def _say_empty(self, found: bool) -> None:
+        """Say in each card that shows a rendering what has to be done before it can."""
+        need = "choose an object and begin" if found else "there is no object yet; see Object and mode"
+        for part, what in (
+            (self._skin, "The object's curves, and what is felt of it, are drawn here"),
+            (self._now, "Force, area, displacement and pressure stand here"),
+            (self._envelope, "What the display can and cannot render of the object stands here"),
+        ):
+            part.set_content(f'<p class="empty">{what} once it is rendered: {need}.</p>')
 
     async def _begun(self) -> None:
         if not self._object.value:
@@ -199,3 +217,15 @@ class SoftnessPage:
                     for unit, (value, digits) in shown.items()
                 )
             )
+
+
+def no_object_html(folder: Path) -> str:
+    """What is missing in a folder without an object's file, and a command that makes one there."""
+    written = " ".join(map(shlex.quote, EXAMPLE))
+    command = f"printf '%s\\n' {written} > {shlex.quote(str(folder / 'soft-ball.toml'))}"
+    made = "" if folder.is_dir() else f"mkdir -p {shlex.quote(str(folder))} && "
+    return (
+        '<p class="trouble">No object is here, and a rendering needs the file of one: two curves or a body, as '
+        "docs/how-to/render-softness.md shows. This command writes one, a ball of 50 kPa; then read the folder "
+        f"again.</p>{commands_html([made + command])}"
+    )
