@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.cli.record.rig_verbs import stopped_by_signals
 from palpate.core.errors import DeviceError
+from palpate.recordings import Manifest, RunWriter
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import virtual_rig
 
@@ -94,3 +96,39 @@ def test_a_second_signal_does_not_cut_short_the_stop_that_the_first_began(name: 
         stop_twice()
     signal.signal(asked, kept)
     assert ended
+
+
+def test_frames_that_a_kill_left_without_labels_are_left_out_of_a_calibration_and_counted(
+    record_spots, tmp_path, changes_untried
+) -> None:
+    run = record_spots("killed", 12)
+    with RunWriter.resume(run.path) as writer:
+        for _ in range(3):  # shown, and killed before they were labelled
+            writer.frame(np.asarray(run.frame(0).image))
+    words = ["--targets", "x_mm", "--size", "12x16", "--split", "group:press", "--quiet"]
+    done = CliRunner().invoke(app, ["calibrate", str(run.path), *words, "--out", str(tmp_path / "cal")])
+    assert done.exit_code == 0, done.output
+    told = f"{run.path}: 3 frames have no label at all"
+    assert told in done.stderr
+    assert f"the other {len(run)} are used" in done.stderr
+    scored = CliRunner().invoke(
+        app, ["evaluate", str(tmp_path / "cal"), str(run.path), "--quiet", "--no-keep"]
+    )
+    assert scored.exit_code == 0, scored.output
+    assert told in scored.stderr
+    with RunWriter.resume(run.path) as writer:  # a label is missing: that is no kill, and is not guessed
+        labels = {"press": "press-000", "height_mm": 1.0, "flat_mm": 1.0, "reference": False}
+        writer.frame(np.asarray(run.frame(0).image), labels=labels)
+    refused = CliRunner().invoke(app, ["calibrate", str(run.path), *words, "--out", str(tmp_path / "other")])
+    assert refused.exit_code == 2
+    assert "'x_mm' holds no finite number in row" in refused.stderr
+
+
+def test_a_run_of_which_no_frame_has_a_label_is_refused_as_before(tmp_path) -> None:
+    with RunWriter.create(tmp_path / "bare", Manifest.new(sensor="one", labels={"x_mm": "number"})) as writer:
+        for _ in range(12):
+            writer.frame(np.zeros((24, 32), np.uint8))
+    words = ["calibrate", str(tmp_path / "bare"), "--targets", "x_mm", "--out", str(tmp_path / "cal")]
+    refused = CliRunner().invoke(app, words)
+    assert refused.exit_code == 2
+    assert "left out" not in refused.stderr

@@ -144,7 +144,7 @@ def calibrate(
 
     if ":" in model + split:
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
-    recorded, kind = joined([palpate.Run.open(run) for run in runs]), model_kind(model)
+    recorded, kind = joined([_labelled(run) for run in runs]), model_kind(model)
     crops = _crops(crop or [])
     if kind.regions and crops[0] is None:
         crops = model_regions(recorded.manifest, kind.regions)  # type: ignore[assignment]
@@ -177,6 +177,25 @@ def calibrate(
     with progress_bar(quiet) as progress:
         card = palpate.certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+
+
+def _labelled(path: Path) -> palpate.Run:
+    """A run without frames that have no label at all, as a kill leaves them; how many is said.
+
+    One of which no frame has any is left as it is, and refused with the reason by whoever needs labels.
+    """
+    whole = palpate.Run.open(path)
+    run = whole.labelled()
+    if not len(run) or run is whole:
+        return whole
+    lost = len(whole) - len(run)
+    has = "1 frame has" if lost == 1 else f"{lost} frames have"
+    typer.echo(
+        f"{path}: {has} no label at all, as a writer that was killed leaves them; left out, the other "
+        f"{len(run)} are used. The command that recorded it goes on where it was killed",
+        err=True,
+    )
+    return run
 
 
 def _others(targets: tuple[str, ...], classes: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
@@ -219,7 +238,7 @@ def evaluate(
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     with progress_bar(quiet) as progress:
-        scores = palpate.evaluate(estimator, palpate.Run.open(run), zero=zero, progress=progress)
+        scores = palpate.evaluate(estimator, _labelled(run), zero=zero, progress=progress)
     if out is not None:
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
@@ -491,7 +510,7 @@ def adapt(
         _set_intervals_anew(calibration, run, out, stated, json_, quiet)
         return
     with progress_bar(quiet) as progress:
-        card = take_over(calibration, palpate.Run.open(run), out, progress, instruments=stated)
+        card = take_over(calibration, _labelled(run), out, progress, instruments=stated)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
@@ -511,7 +530,7 @@ def _set_intervals_anew(
     from palpate.workflows.certification import REPORT_FILE
 
     with progress_bar(quiet) as progress:
-        card = reset_intervals(calibration, palpate.Run.open(run), out, progress, instruments=instruments)
+        card = reset_intervals(calibration, _labelled(run), out, progress, instruments=instruments)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
     print_found(card.model_dump(mode="json"), _reset_text(card, out, REPORT_FILE), json_)
