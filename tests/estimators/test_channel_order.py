@@ -15,14 +15,14 @@ ANYWHERE = slice(12, 52)
 
 
 def lamps(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
-    """Red light from the left and blue from the right on a gel: a touch is red on one side, blue on the other."""
+    """Red light from the left and blue from the right on a gel: a touch has a red side and a blue one."""
     slope = (COLUMNS - at[1]) * np.exp(-((ROWS - at[0]) ** 2 + (COLUMNS - at[1]) ** 2) / 60)
     red, blue = 90 - 0.8 * COLUMNS - 8 * slope, 40 + 0.8 * COLUMNS + 8 * slope
     return np.stack([red, np.full((64, 64), 70.0), blue], axis=-1) + rng.normal(0, 2, (64, 64, 3))
 
 
 def fringes(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
-    """Grey where nothing touches, as between polarisers; a touch is bright, in colours that follow each other."""
+    """Grey where nothing touches, as between polarisers; a touch is bright, in colours that follow on."""
     order = 1.3 * np.exp(-((ROWS - at[0]) ** 2 + (COLUMNS - at[1]) ** 2) / 300)
     light = [38 + 120 * np.sin(np.pi * order * 550 / nm) ** 2 for nm in (630, 540, 460)]
     return np.stack(light, axis=-1) + rng.normal(0, 2, (64, 64, 3))

@@ -83,8 +83,9 @@ def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
 
 
 LONG = (
-    "the image is unlike those calibrated on (distance 2.3, limit 1); it looks like a camera or skin that has "
-    "shifted, by which this model errs more than its intervals allow: seat it again and take a new zero, or adapt"
+    "the image is unlike those calibrated on (distance 2.3, limit 1); it looks like a camera or skin that "
+    "has shifted, by which this model errs more than its intervals allow: seat it again and take a new "
+    "zero, or adapt"
 )
 
 

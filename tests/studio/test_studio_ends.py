@@ -1,4 +1,4 @@
-"""How `palpate studio` begins and ends: on a folder that is there, and whoever ends it, with the rig's process."""
+"""How `palpate studio` begins and ends: on a folder that is there, and with the rig's process."""
 
 import importlib.util
 import signal

@@ -137,7 +137,7 @@ class LiveLoop(Closing):
             zero_at_start: take the first frames as those of the untouched sensor.
             zero_frames: how many are averaged to one untouched image.
             hand_over: where each reading is laid for a consumer; one of a file waits until it was taken.
-            max_frames: that are read, told and handed over, each one waiting then; None for no end of its own.
+            max_frames: that are read, told and handed over, each waiting until it was taken; None for no end.
         """
         self._opener, self._source = opener, source
         self._reader = reader

@@ -163,8 +163,8 @@ class StartSession:
         unit: str | None = None,
         scale_lag_s: float | None = None,
     ) -> None:
-        """Choose camera and scale. Others than before leave all later steps to be done anew, once `feed` could
-        open them; until then the session's file is as it was.
+        """Choose camera and scale. Others than before leave all later steps to be done anew, once `feed` has
+        opened them; until then the session's file is as it was.
 
         Args:
             camera, scale: as `open_feed` takes them.

@@ -202,8 +202,8 @@ def _refuse_missing(option: str, folder: Path) -> None:
 
     if not folder.exists():
         raise InputError(
-            f"{option} {folder}: there is no such folder in {folder.absolute().parent}; name one that is there, "
-            "or make it first"
+            f"{option} {folder}: there is no such folder in {folder.absolute().parent}; name one that is "
+            "there, or make it first"
         )
 
 

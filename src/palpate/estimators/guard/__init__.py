@@ -25,8 +25,8 @@ from palpate.estimators.guard.novelty import (
 )
 
 __all__ = [
-    "EXCHANGED", "MAX_HARM", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges", "LearnsFromRendered",
-    "NeighbourModel", "NoveltyDetector", "Registration", "RenderedImages", "Verdict", "cross_fitted",
-    "fit_known_changes", "fit_novelty_detector", "frame_features", "image_features", "kept_rows",
-    "rescaled", "thumbnail", "thumbnails",
+    "EXCHANGED", "MAX_HARM", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges",
+    "LearnsFromRendered", "NeighbourModel", "NoveltyDetector", "Registration", "RenderedImages", "Verdict",
+    "cross_fitted", "fit_known_changes", "fit_novelty_detector", "frame_features", "image_features",
+    "kept_rows", "rescaled", "thumbnail", "thumbnails",
 ]  # fmt: skip

@@ -1,14 +1,15 @@
 """Order of colour channels: whether a frame has red where the calibration's frames have blue.
 
-A frame of blue, green and red, as OpenCV gives them, differs little from one of red, green and blue where the
-picture is nearly grey, and a network reads it all the same. What differs turns its sign: the difference of red
-and blue. It is compared, pixel by pixel, with that of the picture which the calibration's frames make of it.
+A frame of blue, green and red, as OpenCV gives them, differs little from one of red, green and blue where
+the picture is nearly grey, and a network reads it all the same. What differs turns its sign: the difference
+of red and blue. It is compared, pixel by pixel, with that of the picture which the calibration's frames make
+of it.
 
 Light of another colour turns that difference as well, but changes it in proportion to the brightness or by a
 constant. So the difference is compared a second time after its linear regression on brightness is taken out.
-Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged back,
-the frame is like those calibrated on and more so than before (see `NoveltyDetector.judge`), which a picture of
-a place that is badly known is not.
+Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged
+back, the frame is like those calibrated on and more so than before (see `NoveltyDetector.judge`), which a
+picture of a place that is badly known is not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rows of readings on a page: each value in plain words with its interval, and beside all of them the reasons.
+"""Rows of readings on a page: each value in plain words with its interval, and below them the reasons.
 
 Every row is one line high whatever it says, and reasons have a room of their own: a page whose lines move as
 frames come cannot be read.
@@ -16,12 +16,12 @@ from palpate.studio.status_text import number
 Told = Mapping[str, Any]
 """A reading as its process tells it, in plain values."""
 
+GAMMA = (
+    "how far the skin's pattern has moved on average, scaled as published for the NUSense: near 0 where "
+    "nothing touches, and greater the harder it is pressed; it is no force"
+)
 NAMES = {
-    "gamma": (
-        "touch measure γ",
-        "how far the skin's pattern has moved on average, scaled as published for the NUSense: near 0 where "
-        "nothing touches, and greater the harder it is pressed; it is no force",
-    ),
+    "gamma": ("touch measure γ", GAMMA),
     "seen": (
         "marks seen",
         "share of the skin's marks that this frame shows; counted, and so without an interval",
@@ -57,7 +57,7 @@ def unread(known: Mapping[str, Told]) -> dict[str, Told]:
 
 
 def values_html(readings: Mapping[str, Told], status: Told) -> str:
-    """Each reading with its interval, a lamp that has a shape of its own for each verdict, and the reasons."""
+    """Each reading with its interval and a lamp that has a shape of its own for each verdict; the reasons."""
     units = {column: str(one.get("unit", "")) for column, one in readings.items()}
     rows = [
         _value_html(*named(column, units[column]), _in_percent(column, one))
