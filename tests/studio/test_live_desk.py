@@ -505,6 +505,27 @@ def test_a_scale_that_prints_bare_numbers_weighs_by_the_unit_that_the_page_asks_
     assert kept_session(tmp_path / "mine")["unit"] == "g"
 
 
+def test_a_session_whose_other_scale_is_refused_is_shown_as_it_is_kept(tmp_path):
+    class Heard(JobVoice):
+        def say(self, line):
+            lines.append(line)
+
+    lines = []
+    kept = start_session.StartSession(tmp_path / "mine")
+    kept.choose("virtual:tactip", "virtual", asked=12)
+    kept._done("untouched")
+    words = Namespace(
+        folder=tmp_path / "mine", camera="virtual:tactip", scale=str(tmp_path / "no-port"),
+        presses=12, seed=0, real_time=False, unit="",
+    )  # fmt: skip
+    with pytest.raises(DeviceError):
+        run_session(words, Heard())
+    told = [line["session"] for line in lines if "session" in line]
+    assert (told[0]["scale"], told[0]["step"]) == (words.scale, "settings")
+    assert (told[-1]["scale"], told[-1]["step"]) == ("virtual", "collect")
+    assert kept_session(tmp_path / "mine") == told[-1]
+
+
 def test_no_more_sessions_go_on_than_are_allowed_and_none_outlives_the_server(tmp_path):
     with StartDesk((sys.executable, "-c", SESSION)) as desk:
         runs = [desk.begin(tmp_path / str(k), "0", "typed", 10) for k in range(2)]

@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +125,12 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
 
     session = StartSession(words.folder)
     with session.held():
-        return _through_steps(session, words, voice)
+        try:
+            return _through_steps(session, words, voice)
+        except PalpateError:
+            with suppress(PalpateError):  # a choice that was refused is not shown as made
+                voice.say({"session": StartSession(words.folder).to_dict()})
+            raise
 
 
 def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
