@@ -17,8 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy import stats
-from scipy.signal import detrend
+from scipy.special import chdtri
 
 from palpate.core import Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
 from palpate.estimators.brightest_channel import brightest_channel
@@ -236,7 +235,7 @@ def _frequency(over_all: Float[ndarray, " n"], within: Float[ndarray, "n b"], ra
     n = len(over_all)
     signals = np.concatenate([over_all[:, None] * math.sqrt(within.shape[1]), within], axis=1)
     window, padded = np.hanning(n)[:, None], 8 * n
-    power = (np.abs(np.fft.rfft(detrend(signals, axis=0) * window, padded, axis=0)) ** 2).sum(axis=1)
+    power = (np.abs(np.fft.rfft(_level(signals) * window, padded, axis=0)) ** 2).sum(axis=1)
     beside = np.concatenate([[np.inf], power, [0.0]])
     peaks = (power >= beside[:-2]) & (power >= beside[2:])
     peaks[:8] = False  # slower than one period in all of the frames: drift
@@ -264,13 +263,19 @@ def _mains(frequency: float, rate_hz: float, n: int) -> float | None:
     return near if apart[near] < max(SAME_HZ * rate_hz / n, 0.02 * 2 * near) else None
 
 
+def _level(signals: Float[ndarray, "n b"]) -> Float[ndarray, "n b"]:
+    """Signals less the straight line through each, by least squares."""
+    line = np.vander(np.linspace(-1, 1, len(signals)), 2)
+    return np.asarray(signals - line @ np.linalg.lstsq(line, signals, rcond=None)[0])
+
+
 def _noise(grey: Float32[ndarray, "n h w"]) -> float:
     """Median standard deviation of a pixel over time, once the brightness of bands of rows is divided out."""
     level = np.maximum(grey.mean(axis=0), 1.0)
     bands = np.stack([cv2.blur((one / level).mean(axis=1), (1, 9)).ravel() for one in grey])
     even = grey / np.maximum(bands, 0.05)[:, :, None]
     freedom = len(grey) - 1  # the median of few frames' variances lies below their mean
-    usual = float(np.median(even.var(axis=0, ddof=1))) * freedom / float(stats.chi2.median(freedom))
+    usual = float(np.median(even.var(axis=0, ddof=1))) * freedom / float(chdtri(freedom, 0.5))
     return math.sqrt(usual)
 
 

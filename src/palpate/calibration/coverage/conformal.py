@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from sklearn.linear_model import GammaRegressor
-from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.coverage.group_quantiles import weighted_quantile
 from palpate.calibration.coverage.grouped_rates import group_sizes
@@ -117,6 +115,9 @@ def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
     every, count = np.arange(len(groups)), len(np.unique(groups))
     if count < 2:
         return iter([(every, every)])
+    # Here, since whoever reads an interval needs no scikit-learn.
+    from sklearn.model_selection import GroupKFold
+
     return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
@@ -131,6 +132,8 @@ def spread_terms(predicted: Outputs, groups: np.ndarray) -> int:
 
 def fit_spread(predicted: Outputs, errors: Values, count: int) -> ErrorSpread:
     """How the size of errors ``[n t]`` follows the outputs ``[n o]``, by so many terms of `design`."""
+    from sklearn.linear_model import GammaRegressor  # as above
+
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
     terms = design(scaler.scaled(predicted))

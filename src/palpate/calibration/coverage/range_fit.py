@@ -14,7 +14,6 @@ its widths, stands in decision 0020.
 from __future__ import annotations
 
 import numpy as np
-from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.coverage.group_quantiles import weighted_quantile
 from palpate.calibration.coverage.grouped_rates import group_sizes
@@ -76,6 +75,9 @@ def cell_limits(values: Row, groups: np.ndarray, least: float, greatest: float) 
 
 def group_parts(groups: np.ndarray) -> Int[np.ndarray, " n"]:
     """Number of each row's part, of five or as many as there are groups; groups are kept whole."""
+    # Here, since whoever reads an interval needs no scikit-learn.
+    from sklearn.model_selection import GroupKFold
+
     part = np.zeros(len(groups), np.int64)
     count = min(5, len(np.unique(groups)))
     for k, (_, held) in enumerate(GroupKFold(count).split(part, groups=groups) if count > 1 else ()):

@@ -18,10 +18,10 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from palpate.core import (
     NS_PER_S,
@@ -70,12 +70,11 @@ class ViscoelasticSkin:
             fades = math.exp(-step_s / time_s)
             # A change is spread over its step, so that half of the step's fading has happened to it.
             gain = share * math.exp(-step_s / 2 / time_s)
-            memory, after = lfilter([gain], [1.0, -fades], change, zi=[fades * self._memory[i]])
-            self._memory[i] = after[0] / fades
-            total += memory
-            pressed = np.maximum(depth_m, 0.0)
-            reached, _ = lfilter([1.0 - fades], [1.0, -fades], pressed, zi=[fades * self._reached_m[i]])
-            self._reached_m[i] = reached[-1] if len(reached) else self._reached_m[i]
+            memory = _fading(gain * change, fades, self._memory[i])
+            self._memory[i] = memory[-1]
+            total += memory[1:]
+            reached = (1.0 - fades) * np.maximum(depth_m, 0.0)
+            self._reached_m[i] = _fading(reached, fades, self._reached_m[i])[-1]
         if len(elastic):
             self._last = float(elastic[-1])
         return np.maximum(total, 0.0), elastic
@@ -95,6 +94,11 @@ class ViscoelasticSkin:
     def lateral_at(self, depth_m: float) -> float:
         """Force for a small shift along the skin [N/m]."""
         return float(np.interp(depth_m, self.law.depth_m, self.law.lateral_n_m, left=0.0))
+
+
+def _fading(added: Series, fades: float, before: float) -> Float[ndarray, " m"]:
+    """What is held before, and after each sample, of what is added at it and fades by a factor from each."""
+    return np.array(list(accumulate(added, lambda held, new: fades * held + new, initial=before)))
 
 
 class CreepingSpecimen(ViscoelasticSkin):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import brentq
+from scipy.special import log_ndtr
 
 from palpate.core import Float, ndarray
 
@@ -54,7 +54,7 @@ def upper_quantile(probability: float, weights: Float[ndarray, " k"], channels: 
         cumulant = -channels / 2 * float(np.log(left).sum())
         w = math.sqrt(2 * (t * value - cumulant))
         v = t * math.sqrt(curvature)
-        return value, float(stats.norm.logsf(w + math.log(v / w) / w))
+        return value, float(log_ndtr(-(w + math.log(v / w) / w)))
 
     low, high = 1e-3 / (2 * share.max()), (1 - 1e-9) / (2 * share.max())
     t = brentq(lambda t: beyond(t)[1] - math.log(probability), low, high)
