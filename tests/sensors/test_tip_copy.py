@@ -169,7 +169,7 @@ def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
     pushed = replace(one, moved_px=one.moved_px + np.array([4.0, 0.0]))
     with pytest.raises(ImageError, match=r"slides|leans|differ"):
         check_tip_weight(fitted.copy, [pushed], 0.2)
-    with pytest.raises(RangeError, match=r"a mass of 0\.0 kg"):
+    with pytest.raises(RangeError, match="a mass of 0 g"):
         check_tip_weight(fitted.copy, [one], 0.0)
 
 
