@@ -1,6 +1,6 @@
 """How often intervals of compliance presses contain the truth: many presses, by their pins' centres.
 
-    python tools/compliance_coverage.py --keep solved               # both presets, 0, 30 and 45 degrees
+    python tools/compliance_coverage.py --keep solved               # all presets, 0, 30 and 45 degrees
     python tools/compliance_coverage.py --preset 331-fitted --tilt 0 --presses 900 --calibrations 20
 
 Every press has a specimen of its own (1.5 to 6.5 N/mm), its own seating, noise and nuisances, and is read
@@ -36,7 +36,11 @@ from palpate.sensors.tactip import TacTipSpec, fitted_tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.workflows.tactip_trials import REPORT_N_M, UNKNOWN, record_press
 
-PRESETS = {"127": TacTipSpec(), "331-fitted": fitted_tactip()}
+PRESETS = {
+    "127": TacTipSpec(),
+    "331-fitted": fitted_tactip(),
+    "331-smooth": replace(fitted_tactip(), friction=0.0),  # whose inclined presses are of finite strain
+}
 TILTS_DEG = (0, 30, 45)
 REFERENCES = {name: kappa for name, kappa in REPORT_N_M.items() if name not in UNKNOWN}
 TRIALS = 5  # of each reference

@@ -1,4 +1,6 @@
-"""Inclined specimens of any stiffness, of linear bodies, read between some that are solved: for many presses.
+"""Inclined specimens of any stiffness for many presses: tables at finite strain, else linear bodies.
+
+A linear body that is not in a table is read between some that are solved.
 
 A solved specimen takes ten seconds and more. Between solved ones approach, contact area and the skin's motion
 at equal forces run smoothly over 1 / (1 + E / E0), as the head-on tables do, and are read by cubic splines.
@@ -18,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from palpate.core import Float, Probe, Specimen, ndarray
 from palpate.mechanics.axisymmetric.tip_table import TURNING_PA
-from palpate.sensors.tactip.inclined_press import Inclined, linear_inclined
+from palpate.sensors.tactip.inclined_press import Inclined, has_table, linear_inclined
 from palpate.sensors.tactip.tactip_press import TipOnSpecimen, modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
@@ -106,10 +108,10 @@ class InterpolatedTacTip(TacTip):
     _known: dict[tuple[float, float], TipOnSpecimen] = field(default_factory=dict, hash=False, compare=False)
 
     def tip_on(self, probe: Probe, specimen: Specimen | None) -> TipOnSpecimen:
-        """As the TacTip's own; inclined ones by the family of the nearest tilt."""
-        if not probe.tilt_rad:
-            return super().tip_on(probe, specimen)
+        """As the TacTip's own; inclined ones that no table holds by the family of the nearest tilt."""
         kappa = math.inf if specimen is None or specimen.stiffness_n_m is None else specimen.stiffness_n_m
+        if not probe.tilt_rad or has_table(self.spec, modulus_pa(self.spec.table, kappa), probe.tilt_rad):
+            return super().tip_on(probe, specimen)
         tilt = min(self.families, key=lambda one: abs(one - probe.tilt_rad))
         if (tilt, kappa) not in self._known:
             self._known.clear()  # one specimen at a time: each holds megabytes
