@@ -11,7 +11,7 @@ from palpate.calibration.compliance.compliance_calibration import calibrate_comp
 from palpate.calibration.compliance.compliance_reading import contained, read_touch
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.contact_seat import fit_seat
+from palpate.estimators.compliance.contact_seat import Seat, fit_seat
 from palpate.estimators.compliance.rate_calibration import fit_rate
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press, specimens_at
@@ -215,3 +215,13 @@ def test_intervals_of_rates_are_narrow_where_references_scatter_little(rng) -> N
 def test_rates_of_two_references_calibrate_none() -> None:
     with pytest.raises(InputError, match="six of three are needed"):
         fit_rate([1.0, 1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 2.0, 2.0, 2.0], [0, 0, 1, 1, 1])
+
+
+def test_a_nuisance_that_moves_all_pins_makes_no_press_off_centre_by_its_standard_size() -> None:
+    """On an inclined top all pins move far along one axis: there it counts with the seat, across not."""
+    seat = Seat(np.array([0.0, 1.0]), np.array([[-15.0, 0.0], [-16.0, 0.0]]), 0.05)
+    at, gained = np.array([-15.5 + 0.3, 0.0]), np.array([-15.5 + 0.6, 0.0])
+    assert seat.off(at, 0.5) == pytest.approx(0.3 / 0.05)
+    assert seat.off(at, 0.5, [gained]) == pytest.approx(0.3 / np.hypot(0.05, 0.3))
+    across = np.array([-15.5, 0.3])
+    assert seat.off(across, 0.5, [across + np.array([0.3, 0.0])]) == pytest.approx(0.3 / 0.05)

@@ -47,8 +47,8 @@ FROZEN = (
     "copied; record again"
 )
 OFF_CENTRE = (
-    "off centre: all pins move to one side, {:.1f} times as far as the references' seating scatters "
-    "({:g} are allowed); centre the tip on the specimen, or level its top"
+    "off centre: all pins move to one side, {:.1f} times as far as the references' seating and the stated "
+    "nuisances scatter ({:g} are allowed); centre the tip on the specimen, or level its top"
 )
 DRIFTED = "the untouched pins have moved against each other since calibration; calibrate anew"
 SPEED = "pressed at {:.3g} mm/s, calibrated at {:.3g} to {:.3g} mm/s; the skin may answer otherwise"
@@ -103,7 +103,10 @@ def _frozen(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
 def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
     if calibration.seat is None:
         return ""
-    off = calibration.seat.off(sideways_px(press, calibration.layout_px), calibration.touch.of(row[None]).s)
+    layout = calibration.layout_px
+    sizes = NONE if calibration.nuisances is None else calibration.nuisances
+    altered = [sideways_px(one, layout) for one in sizes.altered(press).values()]
+    off = calibration.seat.off(sideways_px(press, layout), calibration.touch.of(row[None]).s, altered)
     return OFF_CENTRE.format(off, MAX_OFF) if off > MAX_OFF else ""
 
 

@@ -33,10 +33,21 @@ class Seat:
     mean_px: Float[ndarray, "k 2"]
     spread_px: float
 
-    def off(self, sideways_px: Float[ndarray, 2], s: float) -> float:
-        """How far beside the references' seat, in standard deviations of their trials along one axis."""
+    def off(
+        self, sideways_px: Float[ndarray, 2], s: float, altered_px: Sequence[Float[ndarray, 2]] = ()
+    ) -> float:
+        """How far beside the references' seat, in standard deviations of their trials along one axis.
+
+        Args:
+            sideways_px: mean motion of the pins [px].
+            s: softness of what is pressed.
+            altered_px: what it would be under each nuisance of its standard size, by which it scatters as
+                well: on an inclined top all pins move to one side, and a wrong force tells how far wrongly.
+        """
         seat = [np.interp(s, self.softness, axis) for axis in self.mean_px.T]
-        return float(np.hypot(*(sideways_px - seat)) / self.spread_px)
+        beside = (sideways_px - seat) / self.spread_px
+        along = (np.reshape(altered_px, (-1, 2)) - sideways_px) / self.spread_px
+        return float(np.sqrt(beside @ np.linalg.solve(np.eye(2) + along.T @ along, beside)))
 
 
 def sideways_px(press: PinPress, layout_px: Float[ndarray, "p 2"]) -> Float[ndarray, 2]:
