@@ -7,6 +7,7 @@ run that exists goes on: nothing of it is overwritten.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -443,7 +444,6 @@ def presses_in(run: Run) -> list[LabelledPress]:
     found = []
     for _, rows in touched.groupby(["session", "press"], sort=False):
         first = rows.iloc[0]
-        seen = bool(np.isfinite(first["place_x_px"]))
-        place = (float(first["place_x_px"]), float(first["place_y_px"])) if seen else None
-        found.append(LabelledPress(float(rows["force_N"].mean()), place))
+        x, y = (float(first.get(name, np.nan)) for name in ("place_x_px", "place_y_px"))
+        found.append(LabelledPress(float(rows["force_N"].mean()), (x, y) if math.isfinite(x) else None))
     return found
