@@ -116,7 +116,8 @@ class ForceMonitor:
         self._sending_s = 0.0
         self._reported_m: float | None = None
         self._ended_ns: int | None = 0
-        self._asked_ns, self._ended_before_ns = 0, self._ended_ns
+        self._asked_ns = 0
+        self._ended_before_ns: int | None = 0
         self._restart()
 
     def new_tool(self) -> None:
