@@ -12,7 +12,8 @@ from numpy import ndarray
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 from oracles import Oracle
-from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable, TabulatedPress, shipped
+from palpate.mechanics.axisymmetric.disc_table import TabulatedPress
+from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable, shipped
 from palpate.mechanics.layers.bonded_layer import sphere_force
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -30,7 +30,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.sphere_table import SAME, TabulatedPress
+from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
 
 TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
 STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.mechanics.axisymmetric.sphere_table import SAME
+from palpate.mechanics.axisymmetric.disc_table import SAME
 
 TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
 FOLDER = "tip_tables"

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Bool, Contact, Float32, ndarray
-from palpate.mechanics.axisymmetric.sphere_table import TabulatedPress
+from palpate.mechanics.axisymmetric.disc_table import TabulatedPress
 from palpate.sensors.palm.fringe_view import cache_within
 from palpate.sensors.palm.palm_press import pressed
 from palpate.sensors.palm.palm_spec import PalmSpec

@@ -17,6 +17,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
+from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
     MAX_SHIFT,
@@ -24,9 +25,7 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     pulled_sphere_table,
 )
 from palpate.mechanics.axisymmetric.sphere_table import (
-    SAME,
     SphereTable,
-    TabulatedPress,
     is_tabled,
     press_finite_strain,
     shipped,

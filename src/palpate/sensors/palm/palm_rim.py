@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, PlaceEffect, Pose, RangeError, ndarray
+from palpate.mechanics.axisymmetric.disc_table import SAME
 from palpate.mechanics.axisymmetric.sphere_table import (
-    SAME,
     SLACK,
     EdgeReach,
     edge_correction_held,

@@ -38,8 +38,8 @@ from palpate.core import (
     ndarray,
 )
 from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
+from palpate.mechanics.axisymmetric.disc_table import SAME
 from palpate.mechanics.axisymmetric.shape_table import shape_table
-from palpate.mechanics.axisymmetric.sphere_table import SAME
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip import tactip_spec as specs
