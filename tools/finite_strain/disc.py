@@ -28,6 +28,11 @@ def graded(length: float, cell: float, dense_to: float, growth: float) -> Float[
     return np.concatenate([dense, dense[-1] + rest * np.cumsum(steps) / steps.sum()])
 
 
+def graded_inwards(cell: float, dense_from: float, growth: float) -> Float[ndarray, " n"]:
+    """Knots from 0 to below `dense_from`, where cells of size `cell` begin: each `growth` times the next."""
+    return np.append(0.0, dense_from - graded(dense_from, cell, 0.0, growth)[-2:0:-1])
+
+
 @dataclass(frozen=True)
 class Disc:
     """Mesh and precomputed shape functions of one disc.
@@ -36,19 +41,26 @@ class Disc:
         thickness: h [R].
         cell: size of the finest cells [R].
         radius: of the disc [R].
+        dense: material radii between which the mesh is finest [R].
+        growth: of a cell over the one before, outside them and down; None for one that keeps the same total
+            of cells a dense cell, so that halving `cell` halves every cell.
     """
 
     thickness: float
     cell: float
     radius: float = DISC_RADIUS
+    dense: tuple[float, float] = (0.0, DENSE_TO)
+    growth: float | None = None
 
     @cached_property
     def knots(self) -> tuple[Float[ndarray, " nr"], Float[ndarray, " nz"]]:
         """Cell borders along r and z [R]."""
-        # the growth keeps the same total of cells a dense cell, so that halving `cell` halves every cell
-        growth = 1.0 + 7.0 * self.cell
+        growth = self.growth or 1.0 + 7.0 * self.cell
+        first, last = self.dense
+        inner = graded_inwards(self.cell, first, growth) if first else np.zeros(0)
+        outer = first + graded(self.radius - first, self.cell, last - first, growth)
         return (
-            graded(self.radius, self.cell, DENSE_TO, growth),
+            np.concatenate([inner, outer]),
             graded(self.thickness, self.cell, 3.0 * self.cell, growth),
         )
 

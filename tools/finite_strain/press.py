@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,11 +40,12 @@ class Balanced:
 
 @dataclass
 class Press:
-    """One disc, one friction; remembers the pattern of its stiffness and counts its work."""
+    """One disc, one friction, one indenter; remembers the pattern of its stiffness and counts its work."""
 
     disc: Disc
     solid: NeoHookean
     friction: float
+    touch: Callable[..., Touch] = touch
     iterations: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -67,7 +68,9 @@ class Press:
         """The disc before first touch."""
         state = np.zeros(self.disc.unknowns)
         none = np.full(self.disc.top_radius.shape, np.nan)
-        return Balanced(0.0, state, touch(self.top(state), 0.0, self.friction, none, self._stiffness(0.0)))
+        return Balanced(
+            0.0, state, self.touch(self.top(state), 0.0, self.friction, none, self._stiffness(0.0))
+        )
 
     def through(self, depths: Iterable[float]) -> Iterator[Balanced]:
         """Balance at each of the ascending depths, by shorter steps where a step does not converge.
@@ -148,7 +151,7 @@ class Press:
         fu = (Bt @ P.reshape(cells, q * 5, 1))[..., 0]
         fp = (np.swapaxes(wN, 1, 2) @ (J - 1.0 - p / self.solid.lame)[..., None])[..., 0]
 
-        now = touch(self.top(state), depth, self.friction, anchor, normal, cautious)
+        now = self.touch(self.top(state), depth, self.friction, anchor, normal, cautious)
         M, tw = d.top_shapes, d.top_weight
         ft = -np.einsum("fq,fqa,fqi->fia", tw, M, now.traction).reshape(len(tw), 18)
         Kt = np.einsum("fq,fqa,fqij,fqb->fiajb", tw, M, now.stiffness, M, optimize=True)
