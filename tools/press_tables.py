@@ -56,8 +56,13 @@ def radii() -> Float[ndarray, " n"]:
 
 def fractions(thickness: float) -> Float[ndarray, " m"]:
     """Fractions zeta of the way from the top to the base: 0.016 R at the top, growing evenly."""
-    u = np.linspace(0.0, 1.0, 46)
-    first = 0.016 / thickness
+    return graded_fractions(thickness, 0.016, 46)
+
+
+def graded_fractions(thickness: float, first: float, count: int) -> Float[ndarray, " m"]:
+    """Such fractions, `count` and two before the base, the first of a height under the top [R]."""
+    u = np.linspace(0.0, 1.0, count)
+    first /= thickness
 
     def knots(stretch: float) -> Float[ndarray, " m"]:
         return np.expm1(stretch * u) / np.expm1(stretch)

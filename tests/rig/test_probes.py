@@ -86,7 +86,8 @@ def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "deep",
     [
-        small(indenters=("punch:6",), depth_mm=1.6),
+        small(indenters=("punch:7",), depth_mm=1.6),
+        small(indenters=("punch:6",), depth_mm=3.1),
         small(indenters=("punch:6",), depth_mm=1.6, lateral=Lateral(depths_mm=(1.6,), to_mm=((0.2, 0.0),))),
         small(depth_mm=5.9, step_mm=5.9),
     ],

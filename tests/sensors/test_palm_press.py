@@ -73,9 +73,9 @@ def test_the_deepest_press_is_allowed_and_nothing_beyond():
 def test_linear_layers_end_at_their_depth_but_for_rounding():
     beyond = LINEAR_DEPTH_M * 24 / 24
     assert beyond > LINEAR_DEPTH_M
-    assert layered("punch:6", beyond).force_n == pytest.approx(layered("punch:6", LINEAR_DEPTH_M).force_n)
+    assert layered("punch:7", beyond).force_n == pytest.approx(layered("punch:7", LINEAR_DEPTH_M).force_n)
     with pytest.raises(RangeError, match=r"depth 1\.500002 mm .* 0 to 1\.5 mm"):
-        layered("punch:6", 1.500002e-3)
+        layered("punch:7", 1.500002e-3)
 
 
 @pytest.mark.parametrize("radius_m", [3e-3, 4e-3, 8e-3])
@@ -113,7 +113,7 @@ def test_a_probe_turned_on_the_spot_presses_alike(words):
     np.testing.assert_allclose(ahead.pressure_pa.T, across.pressure_pa, atol=1e-5 * ahead.pressure_pa.max())
 
 
-@pytest.mark.parametrize("words", ["punch:6", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
+@pytest.mark.parametrize("words", ["punch:7", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
 def test_every_probe_s_pressure_adds_up_to_its_force(words):
     contact = layered(words)
     assert contact.force_n > 0
@@ -157,8 +157,10 @@ DEPTHS = [
     (-math.inf, None, r"0 to 6 mm"),
     (math.nan, None, r"0 to 6 mm"),
     (math.inf, None, r"0 to 6 mm"),
-    (-math.inf, "punch:6", r"0 to 1\.5 mm"),
-    (1.51e-3, "punch:6", r"0 to 1\.5 mm"),
+    (-math.inf, "punch:7", r"0 to 1\.5 mm"),
+    (-math.inf, "punch:6", r"0 to 3 mm"),
+    (1.51e-3, "punch:7", r"0 to 1\.5 mm"),
+    (3.01e-3, "punch:6", r"0 to 3 mm"),
     (math.nan, "sphere:8", r"0 to 1\.5 mm"),
 ]
 

@@ -150,22 +150,22 @@ def materials() -> Figure:
 
 
 def indenters() -> Figure:
-    """Probes other than the palm's ball, and a ball pulled sideways."""
+    """Probes other than the palm's ball, and a ball pulled sideways: a punch deep, all else to 1.2 mm."""
     figure, grid = sheet(3, 2, (9.4, 6.4))
     asked = (
-        ("punch:8", 0.0),
-        ("edge:12:90", 0.0),
-        ("cylinder:6:12", 0.0),
-        ("cylinder:6:12:90", 0.0),
-        ("two-points:5:8", 0.0),
-        ("sphere:10", 1.0),
+        ("punch:8", 3.0, 0.0),
+        ("edge:12:90", 1.2, 0.0),
+        ("cylinder:6:12", 1.2, 0.0),
+        ("cylinder:6:12:90", 1.2, 0.0),
+        ("two-points:5:8", 1.2, 0.0),
+        ("sphere:10", 1.2, 1.0),
     )
-    for axes, (words, pull) in zip(grid.ravel(), asked, strict=True):
+    for axes, (words, depth_mm, pull) in zip(grid.ravel(), asked, strict=True):
         probe = palm.parse_probe(words)
-        contact = palm.press(SPEC, Pose(0.0, 0.0, 1.2e-3), probe, (pull, 0.0))
+        contact = palm.press(SPEC, Pose(0.0, 0.0, depth_mm * 1e-3), probe, (pull, 0.0))
         show(axes, encode_srgb(palm.render_clean(contact, SPEC)[0]), SPEC.fringes, (-20, 20))
         pulled = f", pulled right with {pull:g} N" if pull else ""
-        axes.set_title(f"{words}, {contact.force_n:.1f} N{pulled}")
+        axes.set_title(f"{words}, {depth_mm:g} mm, {contact.force_n:.1f} N{pulled}")
     outer_labels(grid, "column [mm]")
     return figure
 

@@ -24,7 +24,6 @@ from .neo_hookean import deformation, volume_ratio
 from .press import (
     MAX_MOVE,
     RESIDUAL,
-    SHORTEST_STEP,
     Balanced,
     ConvergenceError,
     Press,
@@ -35,12 +34,14 @@ from .press import (
 from .sphere import NORMAL, Top, Touch
 
 EDGE = 0.1  # radius of the rounded edge, as of the palm's punches
-DENSE = (0.3, 0.97)  # radii at rest of what passes the edge, to half a radius of depth
-GROWTH = 1.2
+DENSE = (0.4, 0.97)  # radii at rest of the skin that comes to lie about the edge
+GROWTH = 1.3
+WIDTH = 2.85  # radius of the disc over its thickness: that of the palm's membrane
 HOLDS = 12  # times that points are let go or taken hold of at one depth
 LET_GO = 6  # after so many times none is let go
 PULLS = 0.01  # of the greatest pressure, that a point held by its spring may pull
 ITERATIONS = 15
+SHORTEST_STEP = 2e-3  # R of depth: where shorter ones are asked for, cells are crushed
 STIFF = 20.0  # p^2 / (mu cell): springs so stiff that the top does not wrinkle between them
 EVEN = (0.6, 1.3)  # of a volume's ratio at any point; what lies beyond has jumped to a state of folded cells
 
@@ -83,8 +84,8 @@ def touch(
 
 
 def punch_disc(thickness: float, cell: float) -> Disc:
-    """A disc whose mesh is fine where skin passes the edge."""
-    return Disc(thickness, cell, dense=DENSE, growth=GROWTH)
+    """A disc as wide as the palm's, whose mesh is fine where skin passes the edge."""
+    return Disc(thickness, cell, WIDTH * thickness, DENSE, GROWTH)
 
 
 @dataclass

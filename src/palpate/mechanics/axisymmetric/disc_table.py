@@ -25,6 +25,8 @@ from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, Range
 
 SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
 MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio
+FROM_TABLE = "finite-strain table"
+"""With which the model of a contact of a table begins."""
 NEAREST = 3  # tables of other thicknesses that one between them is drawn from
 
 Knots = Float[ndarray, " n"]
@@ -113,7 +115,7 @@ class DiscTable:
     @classmethod
     def load(cls: type[AnyTable], name: str) -> AnyTable:
         """A shipped table, read once."""
-        return _loaded(cls, name)
+        return _loaded(cls, name)  # type: ignore[arg-type]  # mypy takes no class for hashable
 
     @classmethod
     def open(cls: type[AnyTable], path: Path) -> AnyTable:
@@ -217,7 +219,8 @@ def disc_table_for(kind: type[AnyTable], ratio: float, friction: float, poisson_
     if len(near) == 1:
         return near[0]
     if near:
-        return _between(kind, tuple(t.thickness for t in near), ratio, friction, poisson_ratio)
+        solved = tuple(t.thickness for t in near)
+        return _between(kind, solved, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
     tables = [kind.load(name) for name in kind.shipped()]
     choices = "; ".join(
         f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables
@@ -278,10 +281,10 @@ def _between(
     def mixed(part: str) -> ndarray:
         return np.asarray(sum(w * getattr(t, part)[:n] for w, t in zip(weights, tables, strict=True)))
 
-    stress = sum(
-        w * _stress_at_shares_of(kind, h, first.thickness, friction, poisson_ratio)[:n]
-        for w, h in zip(weights, thicknesses, strict=True)
-    )
+    asked = first.thickness, friction, poisson_ratio
+    stress = np.zeros_like(first.stress[:n], dtype=float)
+    for weight, h in zip(weights, thicknesses, strict=True):
+        stress += weight * _stress_at_shares_of(kind, h, *asked)[:n]  # type: ignore[arg-type]
     return replace(
         first,
         thickness=ratio,
@@ -320,7 +323,7 @@ def pressed_contact(
         radius_m=at.contact_radius * R,
         probe=probe,
         pose=pose,
-        model=f"finite-strain table: rigid {table.INDENTER}, bonded neo-Hookean disc {table.thickness:g} R "
+        model=f"{FROM_TABLE}: rigid {table.INDENTER}, bonded neo-Hookean disc {table.thickness:g} R "
         f"thick, nu {table.poisson_ratio:g}, friction {table.friction:g}, "
         f"depth <= {table.greatest_depth:g} R",
         shear_pa=np.stack([inwards * east, inwards * north]) if table.friction > 0.0 else None,

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Contact, Float, ndarray
+from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.stack_field import field_below
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
-from palpate.sensors.palm.palm_press import field_of, pressed, stack_of
+from palpate.sensors.palm.palm_press import field_of, field_under, pressed, punched, stack_of
 from palpate.sensors.palm.palm_render import is_ball
 from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
@@ -49,9 +50,14 @@ def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
     Within two ball radii to the side, and down to the underside; under a light touch within six contact
     radii both ways, where its fringes are.
     """
-    press = pressed(spec, depth_m)
-    field, R = field_of(press, spec), spec.indenter_radius_m
-    reach = NEAR * press.contact_radius * R or np.inf
+    press, R = pressed(spec, depth_m), spec.indenter_radius_m
+    return _orders(spec, field_of(press, spec), R, press.contact_radius * R, points)
+
+
+def _orders(
+    spec: PalmSpec, field: AxisymmetricField, R: float, contact_radius_m: float, points: int = 121
+) -> Orders:
+    reach = NEAR * contact_radius_m or np.inf
     s = np.linspace(0, min(2 * R, reach), points)
     z = np.linspace(0, min(spec.thickness_m, reach), points)
     difference, shear = integrated(field, s, z)
@@ -113,6 +119,9 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     if is_ball(contact, spec):
         return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
+    if is_punched(contact):
+        under = field_under(spec, contact.probe, contact.pose.depth_m)
+        return _orders(spec, under, contact.probe.radius_m, contact.radius_m).greatest
     if is_pulled_ball(contact):
         return _pulled_order(contact, spec)
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
@@ -164,4 +173,7 @@ def _peak_pressure(contact: Contact, spec: PalmSpec) -> float | None:
     if is_ball(contact, spec) and contact.force_n > 0:
         press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)
         return float(press.peak_pressure * spec.youngs_modulus_pa * effect.force_ratio)
+    if is_punched(contact):
+        press = punched(spec, contact.probe, contact.pose.depth_m)
+        return float(press.peak_pressure * spec.youngs_modulus_pa)
     return float(contact.pressure_pa.max())

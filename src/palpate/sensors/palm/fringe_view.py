@@ -28,7 +28,7 @@ from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.wall_refraction import ColumnRays, round_rim
-from palpate.sensors.palm.palm_press import field_at
+from palpate.sensors.palm.palm_press import field_at, field_under
 from palpate.sensors.palm.palm_rim import applied_rim
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.probe_shapes import silhouette
@@ -101,15 +101,26 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
     """Light of every ray, marched from wall to wall; it is kept, and so cannot be written to."""
     here, ratio = _found_by(spec, Pose(x_m, y_m, depth_m))
-    spec = _stressed(here, ratio)
+    return _all_marched(_stressed(here, ratio), Pose(x_m, y_m, depth_m), None, slices)
+
+
+@cache_within(MARCHES_BYTES)
+def march_punch(spec: PalmSpec, probe: Probe, pose: Pose, slices: int = SLICES) -> Light:
+    """The same under an upright punch by its table, in a membrane as it is where it is pressed."""
+    return _all_marched(spec, pose, probe, slices)
+
+
+def _all_marched(spec: PalmSpec, pose: Pose, punch: Probe | None, slices: int) -> Light:
+    """Light of every ray, under a punch or the spec's ball."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
     rays = columns(spec, view)
-    offset, start, end = (part[rays.visible] for part in rays.about(x_m, y_m))
+    offset, start, end = (part[rays.visible] for part in rays.about(pose.x_m, pose.y_m))
     frozen = frozen_at(spec, rays.impact_m[rays.visible], view.down_m[:, None])
     frozen_pa = _stress_of(spec, *frozen)
-    light[:, rays.visible] = _marched(spec, depth_m, view.down_m, offset, start, end, frozen_pa, slices)
+    path = offset, start, end
+    light[:, rays.visible] = _marched(spec, pose.depth_m, view.down_m, *path, frozen_pa, slices, punch)
     light = mean_of(light, *spec.rays_per_pixel)
     light.setflags(write=False)
     return light
@@ -264,13 +275,16 @@ def _marched(
     end_m: Float[ndarray, " w"],
     frozen_pa: tuple[Numbers, Numbers],
     slices: int = SLICES,
+    punch: Probe | None = None,
 ) -> Light:
-    seen, field = spectrum(spec.bands), field_at(spec, depth_m)
+    probe = Probe("sphere", spec.indenter_radius_m) if punch is None else punch
+    field = field_at(spec, depth_m) if punch is None else field_under(spec, punch, depth_m)
+    seen = spectrum(spec.bands)
     light = np.full((len(z), len(offset_m), 3), spec.extinction, np.float32)
     skin = (z >= field.surface_m.min()) & (z <= field.thickness_m)  # no other row meets any
     z = z[skin]
     rows = z[:, None]
-    scale = np.sqrt(offset_m**2 + np.maximum(rows, 0) ** 2 + (0.2 * spec.indenter_radius_m) ** 2)
+    scale = np.sqrt(offset_m**2 + np.maximum(rows, 0) ** 2 + (0.2 * probe.radius_m) ** 2)
     made = march_axisymmetric(
         field,
         Rays(offset_m[None], rows, start_m[None], end_m[None], scale),
@@ -282,8 +296,8 @@ def _marched(
     )
     lit = with_leak(made.light, spec.extinction)
     grazed = (made.skin_m > 0) & (made.skin_m < (1 - GRAZED) * (end_m - start_m))
-    ball = silhouette(Probe("sphere", spec.indenter_radius_m), depth_m, offset_m, z)
-    lit[grazed | ((ball > 0) & (rows > 0))] = 0
+    body = silhouette(probe, depth_m, offset_m, z)
+    lit[grazed | ((body > 0) & (rows > 0))] = 0
     light[skin] = lit
     return light
 

@@ -1,8 +1,8 @@
-"""A probe on the palm's membrane: finite-strain tables for the ball, linear layers for all else.
+"""A probe on the palm's membrane: finite-strain tables for ball and upright punch, else linear layers.
 
-The tables reach 6 mm, with a lateral load as without. Linear layers are right to some 4 % in force up to
-1.5 mm under a 10 mm ball, and to that depth they are allowed; a ball under a moment is of them, and so are
-several balls at once.
+The ball's tables reach 6 mm, with a lateral load as without; those of punches of 6, 8 and 10 mm 3, 4 and
+4.8 mm, without. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that
+depth they are allowed; a ball under a moment is of them, and so are several balls at once.
 """
 
 from __future__ import annotations
@@ -23,6 +23,12 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     MAX_SHIFT,
     pulled as pulled_contact,
     pulled_sphere_table,
+)
+from palpate.mechanics.axisymmetric.punch_table import (
+    PunchTable,
+    is_punch_tabled,
+    press_punch,
+    punch_table_for,
 )
 from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
@@ -123,6 +129,48 @@ def _field_at(
     return None if press is None else _field(press, radius_m, modulus_pa, FINER)
 
 
+def has_punch_table(spec: PalmSpec, probe: Probe) -> bool:
+    """Tell whether there is a table for the spec's membrane under a probe that is an upright punch."""
+    return _punch_table(spec, probe) is not None
+
+
+def _punch_table(spec: PalmSpec, probe: Probe) -> PunchTable | None:
+    if probe.shape != "punch" or probe.tilt_rad:
+        return None
+    R = probe.radius_m
+    asked = spec.thickness_m / R, spec.friction, spec.poisson_ratio
+    if not is_punch_tabled(*asked):
+        return None
+    table = punch_table_for(*asked)
+    return table if table.disc_radius * R <= spec.radius_m * (1 + SAME) else None
+
+
+def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
+    """The table of an upright punch.
+
+    Raises:
+        RangeError: there is none for this membrane.
+    """
+    if (table := _punch_table(spec, probe)) is None:
+        raise RangeError(
+            f"no table for a {probe.shape} of {2e3 * probe.radius_m:g} mm on a membrane "
+            f"{spec.thickness_m * 1e3:g} mm thick and {spec.diameter_m * 1e3:g} mm wide, friction "
+            f"{spec.friction:g}; use an upright punch for which has_punch_table holds"
+        )
+    return table
+
+
+@lru_cache(maxsize=16)
+def punched(spec: PalmSpec, probe: Probe, depth_m: float) -> TabulatedPress:
+    """That table at one depth, in punch radii and moduli."""
+    return punch_table_of(spec, probe).at(depth_m / probe.radius_m)
+
+
+def field_under(spec: PalmSpec, probe: Probe, depth_m: float) -> AxisymmetricField:
+    """Stress under a punch that has a table, as `field_of` gives that under the ball."""
+    return _field(punched(spec, probe, depth_m), probe.radius_m, spec.youngs_modulus_pa, FINER)
+
+
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:
     """Depth of the spec's ball under a force, at a place where the spec applies the rim [m].
 
@@ -183,7 +231,7 @@ CELL_M = 0.15e-3  # and beyond it as many as that asks for, in whole
 BLOCK = 32  # so that probes of about one size share what is computed once for a grid
 MARGIN_M = 3e-3  # of grid beyond the probe's reach
 WHOLE_M = 1e-3  # to which half a grid's side is rounded up, for the same reason
-PULLED_REACH = 3.0  # ball radii of grid to each side of a ball that is pulled aside
+PULLED_REACH = 3.0  # radii of grid to each side of a ball that is pulled aside, or of a punch
 FRICTION = 1.0  # between probe and clean silicone, where a lateral load is asked for. Assumed.
 
 
@@ -217,9 +265,10 @@ def press(
 
     Args:
         spec: the palm.
-        pose: where, and how deep: up to 6 mm for the spec's ball without moment, to 1.5 mm for all else;
-            negative for a probe in the air. Under a lateral load the place is that of the ball then. The
-            contact must lie inside the membrane's rim.
+        pose: where, and how deep: up to 6 mm for the spec's ball without moment, to what its table reaches
+            for an upright punch without any lateral load, to 1.5 mm for all else; negative for a probe in the
+            air. Under a lateral load the place is that of the ball then. The contact must lie inside the
+            membrane's rim.
         probe: what presses; None for the spec's ball.
         lateral_n: force along x and y on top [N]; less than friction times the normal force, and no more than
             takes the ball 2.25 mm along.
@@ -250,6 +299,8 @@ def press(
         return _tabled(spec, pose)
     if probe == ball and not moment_nm and is_pulled_deep(spec):
         return _pulled_ball(spec, pose, lateral_n)
+    if not aside and has_punch_table(spec, probe):
+        return _punched(spec, pose, probe)
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
 
@@ -267,10 +318,22 @@ def _tabled(spec: PalmSpec, pose: Pose, grid: tuple[Knots | None, Knots | None] 
     return _near_rim(spec, press_finite_strain(ball, pose, *material, *grid))
 
 
+def _punched(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
+    """An upright punch by its finite-strain table."""
+    material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
+    around = _around(probe.radius_m)
+    return press_punch(probe, pose, *material, pose.x_m + around, pose.y_m + around)
+
+
+def _around(radius_m: float) -> Knots:
+    """Columns, or rows, about a table's press that hold all of its dimple [m]."""
+    reach = PULLED_REACH * radius_m
+    return (np.arange(2 * CELLS) + 0.5) * (reach / CELLS) - reach
+
+
 def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> Contact:
     """The same under a lateral load, of which a rim that is applied has its part."""
-    reach = PULLED_REACH * spec.indenter_radius_m
-    around = (np.arange(2 * CELLS) + 0.5) * (reach / CELLS) - reach
+    around = _around(spec.indenter_radius_m)
     contact = _tabled(spec, pose, (pose.x_m + around, pose.y_m + around))
     pull = lateral_n[0] - contact.lateral_n[0], lateral_n[1] - contact.lateral_n[1]
     modulus = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio
@@ -367,7 +430,7 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
         raise RangeError(
             f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
-            "ball without lateral load"
+            "ball or an upright punch that has a table, without lateral load"
         )
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)

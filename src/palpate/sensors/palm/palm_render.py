@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8, UInt16, ndarray
+from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
 from palpate.optics.colour import lamp_tint
 from palpate.optics.illumination import LedStrip, backlight
@@ -183,6 +184,9 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
     if not spec.membrane:
         _check_air(contact, spec)
         return np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
+    if is_punched(contact):
+        at = replace(pose, depth_m=max(pose.depth_m, 0.0))
+        return fringe_view.march_punch(spec.unlit, contact.probe, at).copy()
     if not is_ball(contact, spec):
         return fringe_rays.march_contact(spec, contact)
     depth_m = max(pose.depth_m, 0.0)

@@ -31,6 +31,7 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
+from palpate.mechanics.axisymmetric.disc_table import DiscTable
 from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
 from palpate.mechanics.half_space.tangential import tangential_stiffness
 from palpate.recordings.preparation import Preparation
@@ -38,11 +39,13 @@ from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
+    has_punch_table,
     is_pulled_deep,
     load_with_rim,
     press,
     press_layers,
     pull_of_shift,
+    punch_table_of,
     table_of,
 )
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
@@ -74,8 +77,8 @@ Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 class Palm:
     """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
 
-    Under its own ball, pulled aside or not, it is pressed by finite-strain tables, under any other probe by
-    linear layers. Under a lateral load or another probe the relaxed skin is drawn.
+    Under its own ball, pulled aside or not, and under an upright punch it is pressed by finite-strain tables,
+    under any other probe by linear layers. Under a lateral load or another probe the relaxed skin is drawn.
 
     Attributes:
         spec: every number of it.
@@ -173,14 +176,18 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth of the table under the own ball, pulled aside or not; of linear layers else [m]."""
+        """Greatest depth of the table under the own ball, pulled aside or not, or an upright punch; of linear
+        layers else [m].
+        """
         if not is_rigid(specimen):
             return 0.0
-        tabled = probe == self._ball and (is_pulled_deep(self.spec) or not lateral)
+        ball = probe == self._ball and (is_pulled_deep(self.spec) or not lateral)
+        tabled = ball or (has_punch_table(self.spec, probe) and not lateral)
         return self.force_law(probe).greatest_m if tabled else LINEAR_DEPTH_M
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """The table's under the own ball, a curve through presses of linear layers under any other.
+        """The table's under the own ball or an upright punch, a curve through presses of linear layers under
+        any other.
 
         Where the spec applies the rim, the own ball's knows what places do to it.
         """
@@ -337,7 +344,13 @@ def palm(preset: str = "palm") -> Palm:
 def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     """The law of a skin under a probe."""
     own = probe == Probe("sphere", spec.indenter_radius_m)
-    depth, force, radius = _of_table(spec) if own else _of_layers(replace(spec, gel=EVEN), probe)
+    even = replace(spec, gel=EVEN)
+    if own:
+        depth, force, radius = _of_table(spec, table_of(spec), spec.indenter_radius_m)
+    elif has_punch_table(even, probe):
+        depth, force, radius = _of_table(even, punch_table_of(even, probe), probe.radius_m)
+    else:
+        depth, force, radius = _of_layers(even, probe)
     lateral = radius * tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
     if own and is_pulled_deep(spec):
         R = spec.indenter_radius_m
@@ -347,8 +360,7 @@ def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     return ForceLaw(depth, force, radius, lateral, by_place)
 
 
-def _of_table(spec: PalmSpec) -> tuple[ndarray, ndarray, ndarray]:
-    table, R = table_of(spec), spec.indenter_radius_m
+def _of_table(spec: PalmSpec, table: DiscTable, R: float) -> tuple[ndarray, ndarray, ndarray]:
     depth = np.linspace(0.0, table.greatest_depth * R, KNOTS)
     force = table.force_at(depth / R) * spec.youngs_modulus_pa * R**2
     return depth, force, np.interp(depth, table.depth * R, table.contact_radius * R)

@@ -1,0 +1,145 @@
+"""An upright punch on the palm: by its finite-strain table, and by linear layers where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import Pose, RangeError
+from palpate.mechanics.axisymmetric.punch_table import EDGE, PunchTable, is_punched
+from palpate.mechanics.layers.contact_solver import press_stack
+from palpate.sensors import palm
+from palpate.sensors.palm import probe_shapes
+from palpate.sensors.palm.palm_press import (
+    LINEAR_DEPTH_M,
+    has_punch_table,
+    press_layers,
+    punch_table_of,
+    stack_of,
+)
+from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.probe_shapes import gap_of
+
+SPEC = palm.preset("debug")
+PUNCHES = ("punch:6", "punch:8", "punch:10")
+EXCESS = [0.068, 0.192]  # of linear layers at 1.5 and 3 mm
+DEEPEST = PunchTable.load("punch-h25-mu0").greatest_depth * 4e-3
+
+
+def pressed(words, depth_m, x_m=0.0, y_m=0.0, spec=SPEC, lateral_n=(0.0, 0.0)):
+    return palm.press(spec, Pose(x_m, y_m, depth_m), palm.parse_probe(words), lateral_n)
+
+
+def linear_force(words, depth_m):
+    """Of linear layers, also beyond the depth to which the palm allows them."""
+    x = (np.arange(160) + 0.5) * 0.09e-3 - 7.2e-3
+    gap = gap_of(palm.parse_probe(words), x, x, (0.0, 0.0))
+    return press_stack(stack_of(SPEC), gap, x, x, depth_m=depth_m).force_n
+
+
+def below(light, depth_m):
+    return light[SPEC.fringes.down_m > depth_m]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_the_palms_punches_are_rounded_as_the_tables():
+    assert probe_shapes.ROUNDED == EDGE
+
+
+@pytest.mark.parametrize("words", PUNCHES)
+def test_a_punch_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
+    probe = palm.parse_probe(words)
+    table = punch_table_of(SPEC, probe)
+    for share in (0.1, 0.5, 1.0):
+        contact = pressed(words, share * table.greatest_depth * probe.radius_m)
+        assert is_punched(contact)
+        unit = SPEC.youngs_modulus_pa * probe.radius_m**2
+        assert contact.force_n == pytest.approx(table.at(share * table.greatest_depth).force * unit, rel=1e-9)
+    most = table.greatest_depth * probe.radius_m
+    assert most > LINEAR_DEPTH_M
+    with pytest.raises(RangeError, match=rf"outside 0 to {most * 1e3:g} mm"):
+        pressed(words, most + 0.01e-3)
+
+
+@pytest.mark.parametrize("words", PUNCHES)
+def test_a_light_press_is_that_of_linear_layers_and_a_deep_one_is_not(words):
+    excess = {d: linear_force(words, d) / pressed(words, d).force_n - 1 for d in (0.05e-3, 0.4e-3, 1.5e-3)}
+    assert abs(excess[0.05e-3]) < 0.012
+    assert abs(excess[0.05e-3]) < excess[0.4e-3] < excess[1.5e-3]
+
+
+def test_linear_layers_would_be_a_fifth_too_high_at_three_millimetres():
+    """The negative control: they are right to 1 % at 0.05 mm."""
+    found = [linear_force("punch:8", d) / pressed("punch:8", d).force_n - 1 for d in (1.5e-3, 3e-3)]
+    assert found == pytest.approx(EXCESS, abs=0.005)
+
+
+def test_a_light_presss_light_is_that_of_linear_layers_and_a_deep_ones_is_not():
+    probe, apart = palm.parse_probe("punch:8"), {}
+    for depth in (0.1e-3, 1.5e-3):
+        table = palm.render_clean(pressed("punch:8", depth), SPEC)[0]
+        layers = palm.render_clean(press_layers(SPEC, Pose(0.0, 0.0, depth), probe).contact, SPEC)[0]
+        middle = np.abs(SPEC.fringes.x_m) < 12e-3
+        apart[depth] = rms(below(table - layers, depth + 0.3e-3)[:, middle])
+    assert apart[0.1e-3] < 4e-3
+    assert apart[1.5e-3] > 0.03
+
+
+def test_the_picture_of_a_deep_punch_is_its_own_mirror_and_has_more_fringes():
+    light, _ = palm.render_clean(pressed("punch:8", DEEPEST), SPEC)
+    np.testing.assert_allclose(light, light[:, ::-1], atol=2e-3)
+    orders = [
+        palm.contact_summary(pressed("punch:8", d), SPEC)["fringe_order_max"] for d in (1e-3, 2e-3, DEEPEST)
+    ]
+    assert orders[0] < orders[1] / 1.5 < orders[2] / 2.5
+
+
+def test_a_punch_pressed_off_the_middle_is_seen_where_it_is():
+    bare, columns = replace(SPEC, probe_edge_on=False), SPEC.fringes.x_m
+    light, still = palm.render_clean(pressed("punch:8", 2e-3), bare)
+    moved, moved_mirror = palm.render_clean(pressed("punch:8", 2e-3, 5e-3, 0.0), bare)
+
+    def centre(one):
+        sunk = np.abs(SPEC.fringes.down_m - 1e-3).argmin()  # a row that the punch stops in its middle
+        return columns[one[sunk].sum(axis=-1) == 0].mean()
+
+    assert centre(light) == pytest.approx(0.0, abs=0.3e-3)
+    assert centre(moved) == pytest.approx(5e-3 * SPEC.rim_index, abs=1e-3)
+    assert rms(moved_mirror - still) > 0.005
+
+
+@pytest.mark.parametrize("words", ["punch:7", "punch:8@5:0", "punch:11", "edge:8", "cylinder:8:10"])
+def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
+    assert not has_punch_table(SPEC, palm.parse_probe(words))
+    contact = pressed(words, 1.2e-3)
+    assert not is_punched(contact)
+    with pytest.raises(RangeError, match=r"0 to 1\.5 mm"):
+        pressed(words, 1.6e-3)
+
+
+def test_a_lateral_load_and_other_membranes_leave_a_punch_to_linear_layers():
+    assert not is_punched(pressed("punch:8", 1.2e-3, lateral_n=(0.5, 0.0)))
+    with pytest.raises(RangeError, match=r"0 to 1\.5 mm"):
+        pressed("punch:8", 2e-3, lateral_n=(0.5, 0.0))
+    for other in (
+        replace(SPEC, thickness_m=9.5e-3),
+        replace(SPEC, friction=0.5),
+        replace(SPEC, poisson_ratio=0.48),
+        replace(SPEC, diameter_m=50e-3),
+    ):
+        assert not has_punch_table(other, palm.parse_probe("punch:8"))
+
+
+def test_a_rigs_law_of_a_punch_is_the_tables_and_reaches_as_deep():
+    sensor, probe = Palm(SPEC), palm.parse_probe("punch:8")
+    law = sensor.force_law(probe)
+    assert law.greatest_m == pytest.approx(DEEPEST)
+    for depth in (0.4e-3, 1.5e-3, 3e-3):
+        alone = sensor.press(probe, Pose(0.0, 0.0, depth))
+        assert np.interp(depth, law.depth_m, law.force_n) == pytest.approx(alone.force_n, rel=1e-4)
+        assert np.interp(depth, law.depth_m, law.radius_m) == pytest.approx(alone.radius_m, rel=0.01)
+    assert sensor.known_depth_m(probe) == pytest.approx(DEEPEST)
+    assert sensor.known_depth_m(probe, lateral=True) == LINEAR_DEPTH_M
