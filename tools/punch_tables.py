@@ -4,7 +4,7 @@
     python tools/punch_tables.py solved --out src/palpate/mechanics/tables
     python tools/punch_tables.py solved --check          # the mesh study, to tools/punch_study.json
 
-Needs scikit-fem. A thickness takes some six minutes of one core, the study twice as long. With `--between`
+Needs scikit-fem. A thickness takes one to three minutes of one core, the study as long. With `--between`
 the generator also writes what it solved between the table's depths, so that a test can measure interpolation.
 """
 

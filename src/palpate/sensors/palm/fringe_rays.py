@@ -1,10 +1,10 @@
 """The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
 
-Punches, edges, cylinders, several points, leaning probes and moments have that of a linear layer, where the
-skin was at rest; the palm's ball under a lateral load has that of the finite-strain tables, where it is.
-The stress is laid out on planes; along each ray it is read in slices, finest where the ray passes the
-probe, or each ball of several. Neighbouring rays finer than the picture of stress are not all marched:
-between two that are, light runs straight.
+Punches without a table, edges, cylinders, several points, leaning probes and moments have that of a linear
+layer, where the skin was at rest; the palm's ball under a lateral load has that of the finite-strain tables,
+where it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
+passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress are not all
+marched: between two that are, light runs straight.
 """
 
 from __future__ import annotations

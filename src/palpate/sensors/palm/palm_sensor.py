@@ -163,7 +163,7 @@ class Palm:
         if not is_rigid(specimen):
             raise RangeError("the palm is pressed by rigid probes; a specimen that yields is not modelled")
         if probe != self._ball:
-            history = replace(history, stiffening=1.0)  # linear layers know the relaxed skin alone
+            history = replace(history, stiffening=1.0)  # all but the ball know the relaxed skin alone
         lateral_n = self._lateral_n(probe, pose, history)
         if lateral_n == (0.0, 0.0) and probe == self._ball:
             contact = press(self._stiffened(history), pose)
