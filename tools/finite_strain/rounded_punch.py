@@ -24,6 +24,7 @@ from .neo_hookean import deformation, volume_ratio
 from .press import (
     MAX_MOVE,
     RESIDUAL,
+    SHORTEST_STEP,
     Balanced,
     ConvergenceError,
     Press,
@@ -41,7 +42,6 @@ HOLDS = 12  # times that points are let go or taken hold of at one depth
 LET_GO = 6  # after so many times none is let go
 PULLS = 0.01  # of the greatest pressure, that a point held by its spring may pull
 ITERATIONS = 15
-SHORTEST_STEP = 2e-3  # R of depth: where shorter ones are asked for, cells are crushed
 STIFF = 20.0  # p^2 / (mu cell): springs so stiff that the top does not wrinkle between them
 EVEN = (0.6, 1.3)  # of a volume's ratio at any point; what lies beyond has jumped to a state of folded cells
 
