@@ -118,6 +118,7 @@ class ForceMonitor:
         self._ended_ns: int | None = 0
         self._asked_ns = 0
         self._ended_before_ns: int | None = 0
+        self._is_over = False  # the way is gone, whether or not a busy computer has seen that the stage stands
         self._restart()
 
     def new_tool(self) -> None:
@@ -182,6 +183,7 @@ class ForceMonitor:
         self._asked_ns, self._ended_before_ns = asked_ns, self._ended_ns
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
+        self._is_over = False
 
     def reported(self, way_m: float) -> None:
         """Way that the stage says it has gone in this move [m]."""
@@ -254,6 +256,7 @@ class ForceMonitor:
             way_m = min(way_m, self._reported_m + v * REPORT_S)
         step_m = max(way_m - self._way_m, 0.0) if self._ended_ns is None else 0.0
         self._way_m += step_m
+        self._is_over = step_m == 0.0 and v * (gone_s - v / a - LAG_S) > self._length_m <= self._way_m
         return self._phase, step_m
 
     def _late(self, time_ns: int) -> Doubt | None:
@@ -309,7 +312,7 @@ class ForceMonitor:
         """Hold the force against the way: it rises on the way down and falls on the way up."""
         noise_n, level_n = self._noise_n, self._level_n
         if phase is Phase.UP:
-            return self._on_the_way_back(step_m, rise_n)
+            return None if self._is_over else self._on_the_way_back(step_m, rise_n)
         if self._touched and level_n < GONE * noise_n:
             return self._doubt("lost", f"the force fell to {level_n:.3f} N though nothing moved away")
         if phase is not Phase.DOWN:
@@ -321,7 +324,7 @@ class ForceMonitor:
             self._deficit = self._excess = 0.0
             self._moved = 0
             return None
-        return self._on_the_way_down(step_m, rise_n)
+        return None if self._is_over else self._on_the_way_down(step_m, rise_n)
 
     def _on_the_way_down(self, step_m: float, rise_n: float) -> Doubt | None:
         force_n = max(self._level_n, CONTACT * self._noise_n)
