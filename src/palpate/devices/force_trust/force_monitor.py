@@ -118,7 +118,7 @@ class ForceMonitor:
         self._ended_ns: int | None = 0
         self._asked_ns = 0
         self._ended_before_ns: int | None = 0
-        self._is_over = False  # the way is gone, whether or not a busy computer has seen that the stage stands
+        self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
         self._restart()
 
     def new_tool(self) -> None:
