@@ -187,9 +187,9 @@ def test_what_cannot_be_opened_is_one_line(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("option", "value", "why"),
     [
-        ("--fps", "-3", "--fps -3; it has to be above 0 [Hz]"),
-        ("--fps", "inf", "--fps inf; it has to be above 0 [Hz]"),
-        ("--exposure-ms", "0", "--exposure-ms 0; it has to be above 0 [ms]"),
+        ("--fps", "-3", "--fps -3; it has to be above 0 [Hz] and finite"),
+        ("--fps", "inf", "--fps inf; it has to be above 0 [Hz] and finite"),
+        ("--exposure-ms", "0", "--exposure-ms 0; it has to be above 0 [ms] and finite"),
         ("--size", "0x480", "width is 0 px; it has to be greater than 0"),
         ("--size", "640x-2", "height is -2 px; it has to be greater than 0"),
     ],

@@ -56,14 +56,15 @@ def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(t
     assert touched["true_force_N"].to_numpy() == pytest.approx(touched["force_N"].to_numpy(), rel=0.1)
 
 
+@pytest.mark.parametrize("more", [(), ("--more", "5")])
 @pytest.mark.parametrize("scale", ["/dev/no-such-port", "virtul", ""])
-def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, tmp_path) -> None:
+def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, more, tmp_path) -> None:
     session = StartSession(tmp_path / "session")
     session.choose("virtual:tactip", "virtual", asked=10)
     session._done("train")
     kept = (session.folder / STATE).read_bytes()
     words = ["start", "--terminal", "--folder", str(session.folder), "--camera", "virtual:tactip"]
-    done = CliRunner().invoke(app, [*words, "--scale", scale, "--quiet"])
+    done = CliRunner().invoke(app, [*words, *more, "--scale", scale, "--quiet"])
     assert done.exit_code == 2, done.output
     assert (session.folder / STATE).read_bytes() == kept
     again = StartSession(session.folder)

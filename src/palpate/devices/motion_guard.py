@@ -355,17 +355,22 @@ class MotionGuard:
             if reached:
                 return True
         except HardwareStopError as e:
-            self.halt()
+            self._end()
             raise Tripped(Reason.HARDWARE_STOP, str(e)) from e
         except DeviceError as e:
-            self.halt()
+            self._end()
             raise Tripped(Reason.STAGE, f"the stage failed on its way: {e}") from e
         except BaseException:
-            self.halt()
+            self._end()
             raise
         self._control.check(asks)  # a stop from outside leaves it short of its target
         self._check_arrived(target)
         return False
+
+    def _end(self) -> None:
+        """Bring the stage to a stand, and have the force held against a stand from then on."""
+        self.halt()
+        self.monitor.end(self._clock.now_ns())
 
     def _follow(
         self,

@@ -18,7 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import NS_PER_S, Closing, DeviceError, Frame, Image, PalpateError, Readings, Wrench
+from palpate.core import (
+    NS_PER_S,
+    Closing,
+    DeviceError,
+    Frame,
+    Image,
+    InputError,
+    PalpateError,
+    Readings,
+    Wrench,
+)
 from palpate.core.reading import plain_number
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
@@ -143,6 +153,8 @@ class LiveLoop(Closing):
         self._reader = reader
         self._drift = None if reader is None else DriftWatch(reader)
         self._frames: NewestSlot[LiveFrame] = NewestSlot()
+        if max_frames is not None and max_frames < 1:
+            raise InputError(f"{max_frames} frames; ask for 1 or more, or None for no end")
         self._hand_over, self._left = hand_over, max_frames
         self._kept = StatisticsKeeper()
         self._zero_frames, self._zeros, self._zeroing = zero_frames, deque[Frame](), zero_at_start

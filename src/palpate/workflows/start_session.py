@@ -237,6 +237,8 @@ class StartSession:
     def ask_more(self, more: int) -> None:
         """Ask for more presses beside those that are there, which stay; a calibration of all follows.
 
+        The session's file is as it was until `feed` has opened camera and scale.
+
         Raises:
             InputError: fewer than one, or nothing was chosen yet.
         """
@@ -247,7 +249,6 @@ class StartSession:
         gone = bool(have) and not (self.run / MANIFEST).is_file()  # then all are pressed anew
         self.state.asked = more if gone else (have or self.state.asked) + more
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
-        self._write()
 
     def feed(self, *, real_time: bool = False) -> PressFeed:
         """Open the camera and the scale that were chosen, and keep that they were."""

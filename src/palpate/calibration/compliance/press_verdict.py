@@ -107,7 +107,7 @@ def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector
     sizes = NONE if calibration.nuisances is None else calibration.nuisances
     altered = [sideways_px(one, layout) for one in sizes.altered(press).values()]
     off = calibration.seat.off(sideways_px(press, layout), calibration.touch.of(row[None]).s, altered)
-    return OFF_CENTRE.format(off, MAX_OFF) if off > MAX_OFF else ""
+    return "" if off <= MAX_OFF else OFF_CENTRE.format(off, MAX_OFF)  # NaN of lost pins is not centred
 
 
 def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:

@@ -284,7 +284,7 @@ def _check_above_0(*options: tuple[str, float | None, str]) -> None:
 
     for name, value, unit in options:
         if value is not None and not 0 < value < math.inf:
-            raise InputError(f"{name} {value:g}; it has to be above 0{unit}, or is left out")
+            raise InputError(f"{name} {value:g}; it has to be above 0{unit} and finite, or is left out")
 
 
 def _each(folders: list[Path], count: int) -> list[Path | None]:

@@ -200,7 +200,7 @@ def _refuse_missing(option: str, folder: Path) -> None:
     """Refuse a folder that is not there: a misspelt one would be served empty."""
     from palpate.core import InputError
 
-    if not folder.exists():
+    if not folder.is_dir():
         raise InputError(
             f"{option} {folder}: there is no such folder in {folder.absolute().parent}; name one that is "
             "there, or make it first"

@@ -8,8 +8,9 @@ of it.
 Light of another colour turns that difference as well, but changes it in proportion to the brightness or by a
 constant. So the difference is compared a second time after its linear regression on brightness is taken out.
 Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged
-back, the frame is like those calibrated on and more so than before (see `NoveltyDetector.judge`), which a
-picture of a place that is badly known is not.
+back, the frame is like those calibrated on and its red less blue more so than before (see
+`NoveltyDetector.judge`), which a picture of a place that is badly known is not. Where red less blue goes with
+brightness all over, as on a skin of two colours, nothing can be told.
 """
 
 from __future__ import annotations
@@ -45,6 +46,11 @@ def channels_exchanged(picture: Picture, rebuilt: Picture) -> bool:
     slope = float(seen @ known) / float(known @ known)
     correlation = float(pure @ pure_known) / (size * size_known * len(seen))
     return slope < MAX_SLOPE and correlation < MAX_CORRELATION
+
+
+def colour_size(picture: Picture) -> float:
+    """Root mean square of red less blue [grey levels]."""
+    return _size(_red_less_blue(picture))
 
 
 def _red_less_blue(picture: Picture) -> Float[np.ndarray, " n"]:

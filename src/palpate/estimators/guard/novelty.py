@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
-from palpate.estimators.guard.channel_order import channels_exchanged
+from palpate.estimators.guard.channel_order import channels_exchanged, colour_size
 from palpate.estimators.guard.guard_features import frame_features
 from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
 
@@ -45,8 +45,8 @@ FLOOR_GREY_LEVELS = 0.05
 """Means over a block never agree better than this: thumbnails are kept in whole grey levels."""
 
 MAX_EXCHANGED_BACK = 0.75
-"""Novelty of a frame with red and blue exchanged back, over its own, for it to count as exchanged: of frames
-in the right order that a few calibrated ones show badly it was 0.96 and more."""
+"""Red less blue that is unlike the neighbours', rms, of a frame with both exchanged back, over that of it
+as it is, for it to count as exchanged. Novelty asks for means of channels, which both may share."""
 EXCHANGED_ATYPICALITY = 2.0
 """Least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else."""
 
@@ -316,8 +316,8 @@ class NoveltyDetector:
         thumb = thumbnail(prepared)
         novelty, unlike = self.novelty(thumb)
         if channels_exchanged(thumb, thumb - unlike):
-            back = self.novelty(np.ascontiguousarray(thumb[..., ::-1]))[0]
-            if back <= min(1.0, MAX_EXCHANGED_BACK * novelty):
+            back, unlike_back = self.novelty(np.ascontiguousarray(thumb[..., ::-1]))
+            if back <= 1.0 and colour_size(unlike_back) <= MAX_EXCHANGED_BACK * colour_size(unlike):
                 return Verdict(max(novelty, EXCHANGED_ATYPICALITY), EXCHANGED)
         if self.changes is None:
             return Verdict(novelty)
