@@ -137,7 +137,7 @@ def test_wear_and_light_are_drawn_as_asked_for(words, changed, frame):
         (["--depth-mm", "6.5"], "0 to 6 mm"),
         (["--depth-mm", "-inf"], "0 to 6 mm"),
         (["--depth-mm", "nan"], "0 to 6 mm"),
-        (["--depth-mm", "2", "--indenter", "punch:6"], "0 to 1.5 mm"),
+        (["--depth-mm", "2", "--indenter", "punch:7"], "0 to 1.5 mm"),
         (["--depth-mm", "1", "--x-mm", "28"], "rim at 28.5 mm"),
         (["--depth-mm", "1", "--y-mm", "inf"], "numbers in m"),
         (["--depth-mm", "1", "--haze", "1.5"], "0 to 1"),
