@@ -7,6 +7,7 @@ to; what it recorded is whole when it ends.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import signal
@@ -48,6 +49,7 @@ from palpate.sensing.view_overlay import rounded_overlay
 from palpate.sensors.owned import read_preset
 
 LOOK_S = 0.2
+FREE_EVERY_S = 60.0  # between two times that memory no longer used is given back
 TAIL = 60  # lines of the log that are told
 TOLD_PRESSES = 5  # whose softness is told
 PICTURE_S = 0.08  # between two pictures: a page shows no more than a dozen a second
@@ -472,13 +474,26 @@ def serve_live(name: str, options: LiveOptions, folder: Path | None, ended: thre
         server = LiveServer(service)
         service.start()
         path = publish(Address(name, server.port, server.token, os.getpid()), folder)
+        freed_s = time.monotonic()
         try:
             while not (ended.wait(LOOK_S) or server.ended.is_set()):
-                pass
+                if time.monotonic() - freed_s > FREE_EVERY_S:
+                    give_back_memory()
+                    freed_s = time.monotonic()
         finally:
             path.unlink(missing_ok=True)
             service.close()
             server.close()
+
+
+def give_back_memory() -> None:
+    """Give freed memory back to the system where the C library can, as glibc's.
+
+    Images of a frame are made and freed all day; the holes between them would stay with the process.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 if __name__ == "__main__":
