@@ -11,7 +11,7 @@ from palpate.core import NS_PER_S, RangeError, Travel, Wrench
 from palpate.devices import ForceBias, Limits, Reason, Tripped
 from palpate.devices.force_trust import AirNoise, ForceMonitor, Phase, SampleDating, StiffnessCorridor
 from palpate.devices.force_trust.air_noise import CHANCE, CHANCE_COARSE, MIN_RUN, period_of
-from palpate.devices.force_trust.stiffness_corridor import WIDE_HIGH, WIDE_LOW
+from palpate.devices.force_trust.stiffness_corridor import WIDE_HIGH, WIDE_LOW, ForceClimb
 
 TRAVEL = Travel((-20e-3,) * 3, (20e-3,) * 3, 50e-3, 0.5, 0.004)
 LIMITS = Limits((-15e-3,) * 3, (15e-3,) * 3)
@@ -199,6 +199,18 @@ def test_a_skin_that_relaxes_at_a_stand_is_no_doubt_however_late_its_samples_are
     assert any(doubts) == doubted
     if doubted:
         assert next(filter(None, doubts)).kind == "flat"
+
+
+@pytest.mark.parametrize(
+    ("forces", "rise"),
+    [((3.0, 2.0, 2.5, 1.0), 0.5), ((1.0, 0.4, 2.0, 1.5), 1.6), ((3.0, 2.0, 1.0), 0.0), ((2.0,), 0.0)],
+)
+def test_a_climb_is_from_any_force_to_a_later_one(forces: tuple[float, ...], rise: float) -> None:
+    """A fall before it or after it takes nothing off, and a force before the least is no part of it."""
+    climb = ForceClimb()
+    for one in forces:
+        climb.take(one)
+    assert (climb.from_n, climb.rise_n) == (forces[0], pytest.approx(rise))
 
 
 def test_a_press_that_is_forgotten_teaches_nothing() -> None:

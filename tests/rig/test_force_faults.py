@@ -175,6 +175,59 @@ def test_a_line_that_waits_for_its_answer_makes_no_healthy_force_look_dead(waits
     assert bench.guard.position_m()[2] - (bench.motion.contact_m or 0.0) == pytest.approx(3e-3, abs=1e-6)
 
 
+def block(bench: PressBench, before_s: float, after_s: float) -> None:
+    """Let each call that sends the stage wait before the stage begins, and answer so long after."""
+    move_to = bench.rig.stage.move_to
+
+    def blocked(position_m: Position, speed_m_s: float) -> None:
+        for wait_s, then in ((before_s, lambda: move_to(position_m, speed_m_s)), (after_s, lambda: None)):
+            if wait_s:
+                bench.clock.sleep(wait_s)
+            then()
+
+    bench.rig.stage.move_to = blocked  # type: ignore[method-assign]
+
+
+BLOCKED_S = [(0.0, 0.3), (0.5, 0.5), (0.0, 1.0)]
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S)
+def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is_found_on_that_step(
+    before_s: float, after_s: float
+) -> None:
+    """No sample of the step has a way of its own: what the step rose by is held against its length."""
+    bench = palm(seed=3)
+    go = palm_until(bench, "press")
+    block(bench, before_s, after_s)
+    stop = stop_of(bench, "force-numb", go)
+    assert stop.reason == "force-dead", bench.message
+    assert "does not rise on the way down" in bench.message
+    assert stop.after_m <= ALLOWED_MM * MM
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S[:2])
+@pytest.mark.parametrize("relaxation", [(), ((0.06, 0.2), (0.05, 5.0)), ((0.6, 0.1), (0.4, 2.0))])
+def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(
+    before_s: float, after_s: float, relaxation: tuple[tuple[float, float], ...]
+) -> None:
+    """What a skin loses, or gets back, before and after it was moved is no want of the move's."""
+    bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
+    block(bench, before_s, after_s)
+    bench.touch()
+    bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
+    bench.stepped(2e-3, 1e-3, 1.0)
+    assert bench.guard.monitor.corridor.is_learnt, "from whole steps, as no sample had a way"
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), [(0.0, 0.3), (0.5, 0.5)])
+def test_a_force_that_does_not_fall_on_a_blocked_way_back_is_found(before_s: float, after_s: float) -> None:
+    bench = palm(seed=3)
+    go = palm_until(bench, "retreat")
+    block(bench, before_s, after_s)
+    assert stop_of(bench, "force-numb", go).reason == "force-dead"
+    assert "does not fall on the way back" in bench.message
+
+
 def cut(plan: Known, sensor: str) -> Known:
     """A plan with one press at each of its places, and few frames."""
     few = {"cycles": 1, "reference_frames": 1, "taps": 0, "frames": 1, "wait_s": 0.1, "name": plan.name}

@@ -365,6 +365,8 @@ class MotionGuard:
             raise
         self._control.check(asks)  # a stop from outside leaves it short of its target
         self._check_arrived(target)
+        if not self._disbelieved and (doubt := self.monitor.arrived()) is not None:
+            raise self._named(doubt)
         return False
 
     def _end(self) -> None:

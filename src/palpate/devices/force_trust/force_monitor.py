@@ -34,7 +34,7 @@ from palpate.core import NS_PER_S, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.force_trust.air_noise import AirNoise, Six, six_of
 from palpate.devices.force_trust.sample_dating import SampleDating
-from palpate.devices.force_trust.stiffness_corridor import StiffnessCorridor
+from palpate.devices.force_trust.stiffness_corridor import ForceClimb, StiffnessCorridor
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 
 BLIND_M = 0.08e-3  # of way on one sample
@@ -119,6 +119,7 @@ class ForceMonitor:
         self._asked_ns = 0
         self._ended_before_ns: int | None = 0
         self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
+        self._climb, self._behind_n = ForceClimb(), 0.0
         self._restart()
 
     def new_tool(self) -> None:
@@ -184,6 +185,8 @@ class ForceMonitor:
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
         self._is_over = False
+        self._climb = ForceClimb()
+        self._behind_n = self._held if phase is Phase.UP else self._deficit if self._touched else 0.0
 
     def reported(self, way_m: float) -> None:
         """Way that the stage says it has gone in this move [m]."""
@@ -194,6 +197,45 @@ class ForceMonitor:
         self._ended_ns = now_ns
         if self._phase is Phase.LIFT:
             self._phase = Phase.STAND
+
+    def arrived(self) -> Doubt | None:
+        """Hold what the force changed by in a move against its length, once the stage stands at its target.
+
+        Where the call that sent the stage was blocked, no sample of the move had a way of its own.
+        """
+        if self.air is None or self._climb.from_n is None:
+            return None
+        if self._phase is Phase.UP:
+            return self._arrived_up(self._climb.rise_n)
+        return self._arrived_down(self._climb.from_n, self._climb.rise_n)
+
+    def _arrived_down(self, from_n: float, rise_n: float) -> Doubt | None:
+        if from_n < CONTACT * self._noise_n:
+            return None
+        if self._way_m == 0:
+            self.corridor.feel(from_n + rise_n / 2, rise_n, self._length_m)
+        least = self.corridor.least_n_m(from_n)
+        self._deficit = self._behind(self._deficit, least, rise_n)
+        return self._flat(least)
+
+    def _arrived_up(self, fall_n: float) -> Doubt | None:
+        if self._is_let_go:
+            return None
+        least = self.corridor.least_n_m(self._level_n) / 2
+        self._held = self._behind(self._held, least, fall_n)
+        return self._holds(least)
+
+    def _behind(self, summed_n: float, least_n_m: float, climb_n: float) -> float:
+        """Force that is missing after a whole move: by its samples, less what may have gone before the stage
+        was sent for certain, or by its length, whichever is more [N].
+        """
+        by_samples_n = summed_n - least_n_m * self._speed * self._early_s
+        return max(by_samples_n, self._behind_n + least_n_m * self._length_m - climb_n, 0.0)
+
+    @property
+    def _early_s(self) -> float:
+        """Time by which the stage may have moved before that was known [s]."""
+        return min(self._sending_s, self._length_m / self._speed) if self._speed > 0 else 0.0
 
     @property
     def oldest_s(self) -> float:
@@ -238,7 +280,7 @@ class ForceMonitor:
             self._late(time_ns)
             or self._repeats(six, step_m)
             or self._jump(time_ns, normal_n, phase)
-            or self._way(phase, step_m, self._level_n - level_before_n)
+            or self._way(phase, step_m, self._level_n - level_before_n, time_ns)
             or self._quietened(six)
         )
 
@@ -308,11 +350,14 @@ class ForceMonitor:
             f"over at most {way_m * 1e3:.3f} mm of way",
         )
 
-    def _way(self, phase: Phase, step_m: float, rise_n: float) -> Doubt | None:
+    def _way(self, phase: Phase, step_m: float, rise_n: float, time_ns: int) -> Doubt | None:
         """Hold the force against the way: it rises on the way down and falls on the way up."""
         noise_n, level_n = self._noise_n, self._level_n
+        sent = time_ns >= self._begun_ns  # before, nobody knows whether the stage moved already
+        if phase in (Phase.UP, Phase.DOWN) and time_ns >= self._asked_ns:
+            self._climb.take(-level_n if phase is Phase.UP else level_n)
         if phase is Phase.UP:
-            return None if self._is_over else self._on_the_way_back(step_m, rise_n)
+            return None if self._is_over else self._on_the_way_back(step_m, rise_n, sent)
         if self._touched and level_n < GONE * noise_n:
             return self._doubt("lost", f"the force fell to {level_n:.3f} N though nothing moved away")
         if phase is not Phase.DOWN:
@@ -324,33 +369,49 @@ class ForceMonitor:
             self._deficit = self._excess = 0.0
             self._moved = 0
             return None
-        return None if self._is_over else self._on_the_way_down(step_m, rise_n)
+        return None if self._is_over else self._on_the_way_down(step_m, rise_n, sent)
 
-    def _on_the_way_down(self, step_m: float, rise_n: float) -> Doubt | None:
+    def _on_the_way_down(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
+        """Hold a sample's rise against its way; before the stage was `sent` for certain, only an excess."""
         force_n = max(self._level_n, CONTACT * self._noise_n)
         self._moved += step_m > 0
-        if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
-            self.corridor.feel(force_n, rise_n, step_m)
         least, greatest = self.corridor.least_n_m(force_n), self.corridor.greatest_n_m(force_n)
-        self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
         self._excess = max(self._excess + rise_n - greatest * step_m, 0.0)
-        if self._deficit > self._slack_n(DEFICIT, least):
-            return self._doubt(
-                "flat", f"{self._level_n:.3f} N does not rise on the way down as it did before"
-            )
+        if not sent:
+            self._deficit = max(self._behind_n - self._climb.rise_n, 0.0)
+        else:
+            if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
+                self.corridor.feel(force_n, rise_n, step_m)
+            self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
+        if (doubt := self._flat(least, self._early_s)) is not None:
+            return doubt
         if self._excess > self._slack_n(EXCESS, greatest, self._sending_s):
             return self._doubt(
                 "steep", f"{self._level_n:.3f} N rises more steeply on the way down than it did before"
             )
         return None
 
-    def _on_the_way_back(self, step_m: float, rise_n: float) -> Doubt | None:
-        if self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n):
+    def _flat(self, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
+        if self._deficit <= self._slack_n(DEFICIT, least_n_m, early_s):
+            return None
+        return self._doubt("flat", f"{self._level_n:.3f} N does not rise on the way down as it did before")
+
+    def _on_the_way_back(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
+        if self._is_let_go:
             self._held = 0.0
             return None
         least = self.corridor.least_n_m(self._level_n) / 2
-        self._held = max(self._held + least * step_m + rise_n, 0.0)
-        if self._held <= self._slack_n(DEFICIT, least):
+        summed_n = self._held + least * step_m + rise_n if sent else self._behind_n - self._climb.rise_n
+        self._held = max(summed_n, 0.0)
+        return self._holds(least, self._early_s)
+
+    @property
+    def _is_let_go(self) -> bool:
+        """Whether so little force is left on the way back that it need not fall any more."""
+        return self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n)
+
+    def _holds(self, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
+        if self._held <= self._slack_n(DEFICIT, least_n_m, early_s):
             return None
         return self._doubt("holds", f"{self._level_n:.3f} N does not fall on the way back as it did before")
 

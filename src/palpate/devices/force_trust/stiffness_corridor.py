@@ -74,3 +74,28 @@ class StiffnessCorridor:
         if bin_ in self._median:
             return bin_
         return min(self._median, key=lambda known: abs(known - bin_))
+
+
+class ForceClimb:
+    """Greatest rise of a force within one move, from any sample to a later one, for the move's whole length.
+
+    Nobody need know when in the move the stage went. A skin that relaxes before or after takes nothing off
+    the climb, which serves where the call that sent the stage was blocked, and no sample can be given a way
+    of its own. On the way back the force is taken with its sign turned.
+
+    Attributes:
+        from_n: the force that it began at; None before the first [N].
+        rise_n: the most by which a force lay above an earlier one [N].
+    """
+
+    def __init__(self) -> None:
+        self.from_n: float | None = None
+        self.rise_n = 0.0
+        self._least_n = 0.0
+
+    def take(self, force_n: float) -> None:
+        """Take in the next force [N]."""
+        if self.from_n is None:
+            self.from_n = self._least_n = force_n
+        self._least_n = min(self._least_n, force_n)
+        self.rise_n = max(self.rise_n, force_n - self._least_n)
