@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
+from palpate.cli.sense.reading_words import reading_words
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ class ShownSensor:
         if reading.readings is None:
             parts.append(reading.why or self._picture())
         else:
-            parts += [str(one) for one in reading.readings.values()]
+            parts += reading_words(reading.readings)
         if self.live.advice:
             parts.append(self.live.advice)
         elif self.live.loop.zeroing:
