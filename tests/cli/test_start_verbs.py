@@ -56,6 +56,23 @@ def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(t
     assert touched["true_force_N"].to_numpy() == pytest.approx(touched["force_N"].to_numpy(), rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("more", "left"), [((), "7 presses of 12; 5 are"), (("--more", "3"), "7 presses of 10; 3 are")]
+)
+def test_another_scale_is_told_how_many_presses_are_missing(more, left, tmp_path, monkeypatch) -> None:
+    StartSession(tmp_path).choose("virtual:palm", "typed", asked=12)
+    monkeypatch.setattr(StartSession, "presses_held", property(lambda session: 7))
+
+    def none(session: StartSession, **_: object) -> None:
+        raise InputError("not opened here")
+
+    monkeypatch.setattr(StartSession, "feed", none)
+    words = ["start", "--terminal", "--folder", str(tmp_path), "--scale", "virtual", *more]
+    told = " ".join(CliRunner().invoke(app, words).output.split())
+    assert f"{left} still to be collected" in told, told
+    assert "which stays" not in told
+
+
 @pytest.mark.parametrize("more", [(), ("--more", "5")])
 @pytest.mark.parametrize("scale", ["/dev/no-such-port", "virtul", ""])
 def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, more, tmp_path) -> None:

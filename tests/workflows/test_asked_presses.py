@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from palpate.core import InputError
 from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection.press_collector import presses_in
-from palpate.workflows.start_session import StartSession, left_out_text
+from palpate.workflows.start_session import PRESSES, StartSession, left_out_text
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
@@ -44,6 +45,35 @@ def test_more_presses_are_collected_beside_the_old_ones_and_all_are_learnt_from(
     assert session.calibration != first
     with pytest.raises(InputError, match="1 or more"):
         session.ask_more(0)
+
+
+def test_another_scale_weighs_what_is_missing_beside_the_presses_that_are_there(
+    session: StartSession, tmp_path: Path
+) -> None:
+    """Ten of ten were collected: with another scale none is missing, and four more are asked for as four."""
+    shutil.copytree(session.folder, tmp_path / "s")
+    other, held = StartSession(tmp_path / "s"), session.presses_held
+    other.choose_if_other("virtual:tactip", "typed")
+    assert other.step == "settings", "another scale is opened anew"
+    assert (other.state.asked, other.presses_held) == (session.state.asked, held)
+    assert other.remaining.endswith(f"holds {held} presses of {held}; 0 are still to be collected")
+    other.ask_more(4)
+    assert other.state.asked == held + 4
+    assert other.remaining.endswith("; 4 are still to be collected")
+    stated = StartSession(tmp_path / "s")
+    stated.choose_if_other("virtual:tactip", "typed", asked=held + 7)
+    assert stated.remaining.endswith("; 7 are still to be collected")
+
+
+def test_a_session_that_holds_no_press_has_none_to_go_on_from(tmp_path: Path) -> None:
+    fresh = StartSession(tmp_path / "s")
+    fresh.choose_if_other("virtual:tactip", "virtual")
+    assert (fresh.state.asked, fresh.remaining, fresh.presses_held) == (PRESSES, "", 0)
+    fresh.choose_if_other("virtual:palm", "virtual", asked=12)
+    fresh.choose_if_other("virtual:palm", "typed")
+    assert fresh.state.asked == 12, "as it was begun for"
+    fresh.choose_if_other("virtual:tactip", "virtual")
+    assert fresh.state.asked == PRESSES, "another camera is another session"
 
 
 def test_frames_that_a_kill_left_without_labels_are_left_out_and_counted(session: StartSession) -> None:

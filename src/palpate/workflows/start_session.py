@@ -215,17 +215,24 @@ class StartSession:
         camera: str,
         scale: str,
         *,
-        asked: int = PRESSES,
+        asked: int | None = None,
         seed: int = 0,
         unit: str | None = None,
         scale_lag_s: float | None = None,
     ) -> None:
         """Choose as `choose` does, but keep the presses asked for where camera and scale are chosen already.
 
+        Args:
+            camera, scale, seed, unit, scale_lag_s: as `choose` takes them.
+            asked: presses that shall be collected, with those there are; None leaves what the session was
+                begun for, whichever scale weighs the others.
+
         Raises:
             InputError: as `choose`.
         """
         s = self.state
+        if asked is None:
+            asked = s.asked if camera == s.camera else PRESSES
         same = self.step != "camera" and (camera, scale) == (s.camera, s.scale)
         if same and unit in (None, s.unit) and scale_lag_s in (None, s.scale_lag_s):
             return
@@ -245,10 +252,32 @@ class StartSession:
         self._needs("camera")
         if more < 1:
             raise InputError(f"{more} more presses; ask for 1 or more")
-        have = int(self.state.collected.get("presses", 0)) if "collect" in self.state.done else 0
-        gone = bool(have) and not (self.run / MANIFEST).is_file()  # then all are pressed anew
-        self.state.asked = more if gone else (have or self.state.asked) + more
+        have = self.presses_held
+        self.state.asked = more if self.presses_gone else (have or self.state.asked) + more
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
+
+    @property
+    def presses_held(self) -> int:
+        """Presses that its run holds with their labels, by whichever scale."""
+        from palpate.recordings import Run
+        from palpate.sensing.collection.press_collector import presses_in
+
+        return len(presses_in(Run.open(self.run).labelled())) if (self.run / MANIFEST).is_file() else 0
+
+    @property
+    def presses_gone(self) -> bool:
+        """Whether presses were collected whose run is there no more: all are pressed anew then."""
+        return bool(self.state.collected.get("presses")) and not (self.run / MANIFEST).is_file()
+
+    @property
+    def remaining(self) -> str:
+        """Presses still to be collected beside those that are there, in words; empty where none are there."""
+        if not (have := self.presses_held):
+            return ""
+        return (
+            f"{self.folder} holds {have} presses of {self.state.asked}; "
+            f"{max(self.state.asked - have, 0)} are still to be collected"
+        )
 
     def feed(self, *, real_time: bool = False) -> PressFeed:
         """Open the camera and the scale that were chosen, and keep that they were."""
@@ -446,6 +475,17 @@ class StartSession:
             "commands": self.commands(),
         }
 
+    @property
+    def gone_text(self) -> str:
+        """What can be done about presses whose run was deleted or moved away."""
+        s, words = self.state, ["palpate", "start", "--terminal", "--folder", str(self.folder)]
+        words += ["--camera", s.camera, "--scale", s.scale, "--more", str(s.asked)]
+        reads = f"; {self.calibration} still reads, by `palpate live`" if self.calibration.exists() else ""
+        return (
+            f"{self.run}, which held the presses of this session, is gone: put it back, press anew by "
+            f"`{shlex.join(words)}`, or begin a session in another folder{reads}"
+        )
+
     def _kept_presses(self) -> Run:
         """Run of the presses that were collected.
 
@@ -454,15 +494,9 @@ class StartSession:
         """
         from palpate.recordings import Run
 
-        if (self.run / MANIFEST).is_file():
-            return Run.open(self.run)
-        s, words = self.state, ["palpate", "start", "--terminal", "--folder", str(self.folder)]
-        words += ["--camera", s.camera, "--scale", s.scale, "--more", str(s.asked)]
-        reads = f"; {self.calibration} still reads, by `palpate live`" if self.calibration.exists() else ""
-        raise RecordingError(
-            f"{self.run}, which held the presses of this session, is gone: put it back, press anew by "
-            f"`{shlex.join(words)}`, or begin a session in another folder{reads}"
-        )
+        if not (self.run / MANIFEST).is_file():
+            raise RecordingError(self.gone_text)
+        return Run.open(self.run)
 
     def _folds(self) -> int:
         table = self._kept_presses().labelled().labels

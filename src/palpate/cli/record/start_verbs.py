@@ -232,7 +232,10 @@ def start(
     ] = False,
     camera: CameraOption = "virtual:palm",
     scale: ScaleOption = "virtual",
-    presses: PressesOption = 40,
+    presses: Annotated[
+        int | None,
+        Option(help="Presses to collect; 40, or as many as a session that is there was begun for.", min=1),
+    ] = None,
     more: Annotated[
         int, Option(help="Presses to collect beside those that are there, and learn from all anew.", min=0)
     ] = 0,
@@ -263,6 +266,8 @@ def start(
         _choose(session, camera, scale, presses, seed, _unit(unit) or None, scale_lag_s)
         if more:
             session.ask_more(more)
+        if "collect" not in session.state.done and session.remaining:
+            say(session.remaining, err=True)
         if session.step in ("settings", "untouched", "collect"):
             feed = session.feed(real_time=real_time)
             try:
@@ -292,14 +297,14 @@ def _choose(
     session: StartSession,
     camera: str,
     scale: str,
-    presses: int,
+    presses: int | None,
     seed: int,
     unit: str | None,
     scale_lag_s: float | None,
 ) -> None:
     """Choose camera and scale, where that was not done yet or they are others."""
     session.choose_if_other(camera, scale, asked=presses, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
-    if presses != session.state.asked:
+    if presses not in (None, session.state.asked):
         say(
             f"{session.folder} was begun for {session.state.asked} presses, which stays; --more N asks for N "
             "beside them",
