@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -128,9 +129,9 @@ class StartDesk(Closing):
 
     def begin(
         self, folder: Path, camera: str, scale: str, presses: int, seed: int = 0, *,
-        unit: str = "", real_time: bool = False,
+        unit: str = "", real_time: bool = False, more: int = 0,
     ) -> StartRun:  # fmt: skip
-        """Begin a session, or go on with it.
+        """Begin a session, or go on with it; `more` presses beside those there, or anew where they are gone.
 
         Raises:
             InputError: it goes on already, or as many as are allowed do.
@@ -144,7 +145,7 @@ class StartDesk(Closing):
                 raise InputError(f"{MAX_SESSIONS} sessions go on; stop one first")
             words = [str(folder), "--camera", camera, "--scale", scale, "--presses", str(presses)]
             words += ["--seed", str(seed), *(["--unit", unit] if unit else [])]
-            words += [*(["--real-time"] if real_time else [])]
+            words += [*(["--real-time"] if real_time else []), *(["--more", str(more)] if more else [])]
             self._runs[folder] = StartRun([*self._command, *words])
             return self._runs[folder]
 
@@ -154,11 +155,19 @@ class StartDesk(Closing):
 
 
 def kept_session(folder: Path) -> dict[str, Any]:
-    """A folder's session as it was kept; empty where there is none, or its file cannot be read.
+    """A folder's session as it was kept; empty where there is none.
+
+    Where the run of its presses was deleted, "gone" says what can be done, and no commands are told.
 
     Raises:
         PalpateError: the file is not a session's.
     """
     from palpate.workflows.start_session import STATE, StartSession
 
-    return StartSession(folder).to_dict() if (folder / STATE).is_file() else {}
+    if not (folder / STATE).is_file():
+        return {}
+    session = StartSession(folder)
+    if not session.presses_gone:
+        return session.to_dict()
+    told = {"step": session.step, "calibration": str(session.calibration), "gone": session.gone_text}
+    return asdict(session.state) | told

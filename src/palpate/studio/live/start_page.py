@@ -70,6 +70,7 @@ class StartPage:
         self._cameras = cameras
         self._kept: dict[str, Any] = {}
         self._picture_number, self._chosen = -1, False
+        self._gone: str | None = None  # folder whose presses were deleted
         page_shell("start")
         PageBeat()
         page_title("Start", "from a plugged-in sensor to readings that say how sure they are")
@@ -110,6 +111,10 @@ class StartPage:
                 self._button = ui.button("Begin", on_click=self._begin).props(
                     'unelevated no-caps id="start-begin"'
                 )
+                self._anew = ui.button("Press anew", on_click=lambda: self._begin(anew=True)).props(
+                    'outline no-caps id="press-anew"'
+                )
+                self._anew.set_visibility(False)
                 self._stop = ui.button("Stop", on_click=self._stopped).props(
                     'outline no-caps id="start-stop"'
                 )
@@ -144,6 +149,9 @@ class StartPage:
             for element, known, key in ((self._camera, VIRTUAL, "camera"), (self._scale, SCALES, "scale")):
                 value = str(self._kept[key])
                 element.set_options({value: value} | known, value=value)
+            if "gone" in self._kept:
+                self._gone = str(self._folder.value)
+                self._trouble.set_content(trouble_html(str(self._kept["gone"])))
             self._unit.set_value(self._kept["unit"])
             self._presses.set_value(self._kept["asked"])
 
@@ -160,7 +168,8 @@ class StartPage:
         """Only a scale on a port has one to state."""
         self._unit.set_visibility(str(self._scale.value) not in SCALES)
 
-    async def _begin(self) -> None:
+    async def _begin(self, *, anew: bool = False) -> None:
+        """Begin, or go on; or press as many as were asked for `anew`, where those that were are gone."""
         self._trouble.set_content("")
         try:
             presses = self._presses.value
@@ -169,7 +178,8 @@ class StartPage:
             scale = str(self._scale.value)
             work = (self._path(), str(self._camera.value), scale, int(presses))
             unit = "" if scale in SCALES else str(self._unit.value or "")
-            await asyncio.to_thread(self._starts.begin, *work, unit=unit)
+            more = int(presses) if anew else 0
+            await asyncio.to_thread(self._starts.begin, *work, unit=unit, more=more)
         except PalpateError as e:
             self._trouble.set_content(trouble_html(str(e)))
             return
@@ -225,6 +235,8 @@ class StartPage:
         running = run is not None and run.running
         self._button.set_enabled(not running)
         self._button.set_text("Go on" if session and session.get("step") != "live" else "Begin")
+        collects = running or (run is not None and bool(run.collect))
+        self._anew.set_visibility(self._folder.value == self._gone and not collects)
         self._stop.set_visibility(running)
         self._clock.set_text(f"for {duration(time.monotonic() - run.begun_s)}" if running and run else "")
         if run is not None and run.why and not running:

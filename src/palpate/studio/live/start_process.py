@@ -136,6 +136,8 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
 def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
     unit = words.unit or None
     session.choose_if_other(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=unit)
+    if words.more:
+        session.ask_more(words.more)
     voice.say({"session": session.to_dict()})
     if session.step in RESTS:
         voice.progress("opening camera and scale", 0, 1)
@@ -161,6 +163,7 @@ def main() -> int:
     parser.add_argument("--camera", required=True)
     parser.add_argument("--scale", required=True)
     parser.add_argument("--presses", type=int, default=40)
+    parser.add_argument("--more", type=int, default=0, help="presses beside those that are there")
     parser.add_argument("--unit", default="", choices=["", *NEWTONS], help="of the scale's bare numbers")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true")

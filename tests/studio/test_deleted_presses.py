@@ -1,0 +1,92 @@
+"""A session whose presses were deleted: the page says so and has a button that presses them anew."""
+
+import json
+import sys
+from argparse import Namespace
+
+import pytest
+
+pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+from tests.studio.page_driving import opened, serving
+
+from palpate.core import DeviceError
+from palpate.studio.library.job_process import JobVoice
+from palpate.studio.live.start_desk import StartDesk, kept_session
+from palpate.studio.live.start_process import run_session
+from palpate.workflows.start_session import STATE, StartSession
+
+MAX_S = 120.0
+ASKED = 11
+TROUBLE = "document.querySelector('#start-trouble').innerText"
+ANEW = "document.querySelector('#press-anew')"
+
+
+@pytest.fixture
+def deleted(tmp_path):
+    """The folder of a session that is done, without the run of its presses."""
+    folder = tmp_path / "ws" / "mine"
+    (folder / "calibration").mkdir(parents=True)
+    kept = {
+        "camera": "virtual:tactip", "scale": "virtual", "sensor": "tactip", "asked": ASKED,
+        "done": ["camera", "settings", "untouched", "collect", "train"],
+        "collected": {"presses": ASKED, "text": f"{ASKED} of {ASKED}"}, "trained": {"folder": "calibration"},
+    }  # fmt: skip
+    (folder / STATE).write_text(json.dumps(kept))
+    return folder
+
+
+def test_what_is_kept_of_it_can_still_be_shown_with_what_can_be_done(deleted):
+    told = kept_session(deleted)
+    assert told["gone"] == StartSession(deleted).gone_text
+    assert (told["step"], told["camera"], told["asked"]) == ("live", "virtual:tactip", ASKED)
+    assert "commands" not in told
+    assert "gone" not in kept_session(deleted.parent / "none")
+
+
+@pytest.mark.parametrize(("more", "words"), [(0, []), (ASKED, ["--more", str(ASKED)])])
+def test_the_desk_hands_on_how_many_are_pressed_anew(deleted, more, words):
+    tells = "import json, sys; print(json.dumps({'done': {'session': {'words': sys.argv[1:]}}}))"
+    with StartDesk((sys.executable, "-c", tells)) as desk:
+        run = desk.begin(deleted, "virtual:tactip", "virtual", ASKED, more=more)
+        run._ear.join(MAX_S)
+        assert run.session["words"][-len(words) or None :] == (words or run.session["words"])
+        assert ("--more" in run.session["words"]) == bool(more)
+
+
+@pytest.mark.parametrize("more", [0, ASKED])
+def test_pressed_anew_are_as_many_as_were_asked_for_and_the_file_waits_for_the_camera(
+    deleted, more, monkeypatch
+):
+    """Without it the session cannot go on, as nothing is there to learn from."""
+    opened_for = []
+
+    def feed(session, **_):
+        opened_for.append((session.step, session.state.asked))
+        raise DeviceError("no camera here")
+
+    monkeypatch.setattr(StartSession, "feed", feed)
+    words = Namespace(folder=deleted, camera="virtual:tactip", scale="virtual", presses=ASKED,
+                      seed=0, unit="", real_time=False, more=more)  # fmt: skip
+    with pytest.raises(Exception, match="no camera here" if more else "is gone: put it back"):
+        run_session(words, JobVoice())
+    assert opened_for == ([("collect", ASKED)] if more else [])
+    assert kept_session(deleted)["gone"], "and it is told again until there are presses"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_button_is_reached_by_keyboard_and_presses_anew(deleted, browser, tmp_path):
+    with serving(tmp_path / "ws", tmp_path) as served:
+        tab = opened(browser, served, "/?folder=mine", until=f"!!{ANEW}")
+        tab.wait(f"{TROUBLE}.includes('is gone: put it back') && {ANEW}.offsetParent !== null", MAX_S)
+        assert tab.run(f"{ANEW}.focus(); document.activeElement.id") == "press-anew"
+        tab.key("Enter", 13)
+        tab.wait(f"/presses\\s+\\d+ of {ASKED}/.test(document.querySelector('#steps').innerText)", MAX_S)
+        assert tab.run(f"{ANEW}.offsetParent") is None, "it goes once presses are there"
+        assert tab.run(TROUBLE) == ""
+        tab.press("#start-stop")
+        tab.wait(f"{TROUBLE}.includes('go on when you are ready')", MAX_S)
+        assert tab.said == []
+    assert StartSession(deleted).state.asked == ASKED
