@@ -25,7 +25,13 @@ def even_lamps(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
     """The same with blue as bright as red over the whole picture, so that their means tell nothing."""
     image = lamps(rng, at)
     image[..., 2] -= 0.4
+    image[..., 1] += 0.4 * COLUMNS + 0.2 * ROWS  # a third lamp, which a mirror would move
     return image
+
+
+def dim_lamps(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
+    """Little light under the same noise: a mirrored picture is that of exchanged channels, but for noise."""
+    return 0.2 * lamps(rng, at) + rng.normal(0, 1.9, (64, 64, 3))
 
 
 def fringes(rng: np.random.Generator, at: np.ndarray) -> np.ndarray:
@@ -94,6 +100,17 @@ def test_touches_where_none_was_calibrated_are_no_exchange(scene) -> None:
 @pytest.mark.parametrize("scene", [lamps, fringes])
 def test_a_mirrored_picture_is_another_fault(scene) -> None:
     assert share(guard_of(scene), frames(scene, 4, 40)[:, :, ::-1]) == 0
+
+
+def test_what_may_be_mirrored_or_exchanged_is_refused_and_given_neither_name(monkeypatch) -> None:
+    guard, right = guard_of(dim_lamps), frames(dim_lamps, 4, 40)
+    mirrored = np.concatenate([right[:, :, ::-1], right[:, ::-1, ::-1]])
+    beyond = [guard.judge(np.ascontiguousarray(image)).atypicality > 1 for image in mirrored]
+    assert share(guard, right) == 0
+    assert share(guard, mirrored) < 0.1
+    monkeypatch.setattr(NoveltyDetector, "_may_be_mirrored", lambda *_: False)
+    assert share(guard, mirrored) > 0.3, "without asking, these would be called exchanged"
+    assert [guard.judge(np.ascontiguousarray(image)).atypicality > 1 for image in mirrored] == beyond
 
 
 def test_a_grey_sensor_and_one_channel_are_not_judged() -> None:

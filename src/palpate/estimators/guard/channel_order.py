@@ -10,7 +10,8 @@ constant. So the difference is compared a second time after its linear regressio
 Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged
 back, the frame is like those calibrated on and its red less blue more so than before (see
 `NoveltyDetector.judge`), which a picture of a place that is badly known is not. Where red less blue goes with
-brightness all over, as on a skin of two colours, nothing can be told.
+brightness all over, as on a skin of two colours, nothing can be told. Between lamps that face each other a
+mirrored picture is one with exchanged channels: what may as well be mirrored is refused without a name.
 """
 
 from __future__ import annotations

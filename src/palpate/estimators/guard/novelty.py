@@ -47,6 +47,9 @@ FLOOR_GREY_LEVELS = 0.05
 MAX_EXCHANGED_BACK = 0.75
 """Red less blue that is unlike the neighbours', rms, of a frame with both exchanged back, over that of it
 as it is, for it to count as exchanged. Novelty asks for means of channels, which both may share."""
+MAX_MIRRORED = 1.1
+"""The same of a frame that is mirrored back, over that of one with both exchanged back, up to which it may as
+well be mirrored: between two lamps that face each other both are one picture."""
 EXCHANGED_ATYPICALITY = 2.0
 """Least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else."""
 
@@ -317,12 +320,22 @@ class NoveltyDetector:
         novelty, unlike = self.novelty(thumb)
         if channels_exchanged(thumb, thumb - unlike):
             back, unlike_back = self.novelty(np.ascontiguousarray(thumb[..., ::-1]))
-            if back <= 1.0 and colour_size(unlike_back) <= MAX_EXCHANGED_BACK * colour_size(unlike):
-                return Verdict(max(novelty, EXCHANGED_ATYPICALITY), EXCHANGED)
+            left = colour_size(unlike_back)
+            if back <= 1.0 and left <= MAX_EXCHANGED_BACK * colour_size(unlike):
+                kind = "" if self._may_be_mirrored(thumb, left) else EXCHANGED
+                return Verdict(max(novelty, EXCHANGED_ATYPICALITY), kind)
         if self.changes is None:
             return Verdict(novelty)
         asked = unlike if self.changes.local else None
         return self.changes.judge(frame_features(prepared, thumb, self.changes.registration, asked), novelty)
+
+    def _may_be_mirrored(self, thumb: Thumbnail, left: float) -> bool:
+        """Whether a mirror explains a thumbnail as well as exchanged channels, which leave so much unlike."""
+        for mirrored in (thumb[:, ::-1], thumb[::-1], thumb[::-1, ::-1]):
+            novelty, unlike = self.novelty(np.ascontiguousarray(mirrored))
+            if novelty <= 1.0 and colour_size(unlike) <= MAX_MIRRORED * left:
+                return True
+        return False
 
     def novelty(self, thumb: Thumbnail) -> tuple[float, Thumbnail]:
         """Novelty of a thumbnail over its limit, whatever is known, and what is unlike its neighbours."""
