@@ -20,7 +20,7 @@ from palpate.rig.virtual import Variation, virtual_rig
 from palpate.rig.virtual.virtual_force import BIAS_N
 
 ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
-ALLOWED_COARSE_MM = 0.3  # before the first contact of a sensor whose quantum is thrice its noise
+ALLOWED_COARSE_MM = 0.3  # of a sensor whose quantum is thrice its noise: before contact, and on a soft specimen
 NAMES = {
     "force-stuck": "force-stuck",
     "force-dead": "force-dead",
@@ -116,13 +116,16 @@ def test_on_the_palm_each_fault_stops_within_its_way_and_has_its_name(kind: str,
 def test_on_the_tactip_too_at_5_mm_s_under_a_coarse_sensor(kind: str, phase: str, indenter: str) -> None:
     """Noise of 0.02 N in steps of 1/16 N, a skin of 0.3 N/mm at first: five deviations are 0.45 mm deep.
 
-    There a pull is told from noise only when it is more than a step of the quantum.
+    There a pull is told from noise only when it is more than a step of the quantum; and that a force stands
+    still, only when it should have risen by more than one, which on a soft specimen is further.
     """
     bench = tip(1, indenter)
     stop = stop_of(bench, kind, tip_until(bench, phase))
     assert stop.reason == NAMES[kind], bench.message
-    pulled = (kind, phase) == ("force-reversed", "seek")
-    assert stop.after_m <= (ALLOWED_COARSE_MM if pulled else ALLOWED_MM) * MM
+    coarse = (kind, phase) == ("force-reversed", "seek") or (
+        (kind, phase) == ("force-stuck", "press") and indenter != "rigid"
+    )
+    assert stop.after_m <= (ALLOWED_COARSE_MM if coarse else ALLOWED_MM) * MM
 
 
 @pytest.mark.slow
