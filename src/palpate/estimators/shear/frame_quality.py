@@ -7,6 +7,7 @@ reference's, and edges of the pattern as steep, over its contrast, as they were.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -49,12 +50,20 @@ def look_at(image: Shaped[ndarray, ...], box: tuple[slice, slice]) -> FrameLook:
     grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_RGB2GRAY)
     brightest = brightest_channel(part)
     some = grey[::STEP, ::STEP]
-    low, high = np.percentile(some, [10, 90])
-    contrast = max(float(high - low), 1.0)
+    low, high = _level(some, 10), _level(some, 90)
+    contrast = max(high - low, 1.0)
     smooth = cv2.GaussianBlur(grey, (0, 0), 0.8)  # noise is no edge
     gx, gy = (np.abs(g[::STEP, ::STEP]) for g in cv2.spatialGradient(smooth))
-    steep = tuple(float(np.percentile(g, 97)) / contrast for g in (gx, gy))
+    steep = tuple(_level(g, 97) / contrast for g in (gx, gy))
     return FrameLook(contrast, float((brightest[::STEP, ::STEP] >= CLIPPED).mean()), (steep[0], steep[1]))
+
+
+def _level(values: Shaped[ndarray, ...], percent: float) -> float:
+    """Percentile of whole numbers from 0 on, as `np.percentile` has it, by counting them: a tenth of the time."""
+    below = np.cumsum(np.bincount(values.ravel()))
+    place = percent / 100 * (below[-1] - 1)
+    lower, upper = np.searchsorted(below, [math.floor(place), math.ceil(place)], side="right")
+    return float(lower + (upper - lower) * (place % 1))
 
 
 def why_unreadable(now: FrameLook, reference: FrameLook) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -157,6 +157,7 @@ def find_rings(fields: StrainFields, peaks: list[ContactPeak] | None = None) -> 
     return rings
 
 
+@lru_cache(maxsize=1)  # of one frame's fields several ask
 def mark_pitch(fields: StrainFields) -> float:
     """Mean distance of the lattice's neighbours, from the area of a cell [unit]."""
     spans, seen = _spans(fields), fields.basis.supported.ravel()

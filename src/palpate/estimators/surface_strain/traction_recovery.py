@@ -283,8 +283,9 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
     """
     stretch = np.nan_to_num(fields.area_strain, nan=-np.inf)
     reach = LOST_BESIDE * mark_pitch(fields)
-    beside = [np.hypot(fields.at[0] - p.x, fields.at[1] - p.y) < reach for p in peaks]
-    lost = ~fields.basis.supported & np.any(beside, axis=0)
+    lost = ~fields.basis.supported
+    x, y = fields.at[:, lost]
+    lost[lost] = np.any([np.hypot(x - p.x, y - p.y) < reach for p in peaks], axis=0)
     high = fields.at[:, (stretch > STRETCHED * stretch.max()) | lost]
     low, top = high.min(axis=1) - REACH_M, high.max(axis=1) + REACH_M
     x, y = (np.arange(a, b + spacing, spacing) for a, b in zip(low, top, strict=True))
@@ -345,7 +346,6 @@ def _seen_motion(knots, at, nodes, tilt, cell, first_load):
     count, side = at.shape[0], knots.shape[0]
     seen = np.zeros((3, 2 * count, nodes.shape[0]))
     weight, cells = np.empty((2, 4)), np.empty(2, np.int64)
-    moved = np.empty((3, 3))
     for n in range(nodes.shape[0]):
         for k in range(count):
             inside = True
@@ -361,16 +361,16 @@ def _seen_motion(knots, at, nodes, tilt, cell, first_load):
                 weight[axis, 2] = 1 - weight[axis, 0] - weight[axis, 1] - weight[axis, 3]
             if not inside:
                 continue
-            moved[:] = 0.0
-            for b in range(4):
-                for a in range(4):
-                    share, knot = weight[1, b] * weight[0, a], knots[cells[1] + b, cells[0] + a]
-                    for load in range(first_load, 3):
-                        for i in range(3):
-                            moved[load, i] += share * knot[load, i]
             for load in range(first_load, 3):
-                seen[load, k, n] = moved[load, 0] + tilt[k, 0] * moved[load, 2]
-                seen[load, count + k, n] = moved[load, 1] + tilt[k, 1] * moved[load, 2]
+                x = y = z = 0.0
+                for b in range(4):
+                    for a in range(4):
+                        share, knot = weight[1, b] * weight[0, a], knots[cells[1] + b, cells[0] + a, load]
+                        x += share * knot[0]
+                        y += share * knot[1]
+                        z += share * knot[2]
+                seen[load, k, n] = x + tilt[k, 0] * z
+                seen[load, count + k, n] = y + tilt[k, 1] * z
     return seen
 
 
