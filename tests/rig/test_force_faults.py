@@ -20,7 +20,7 @@ from palpate.rig.virtual import Variation, virtual_rig
 from palpate.rig.virtual.virtual_force import BIAS_N
 
 ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
-ALLOWED_COARSE_MM = 0.3  # of a sensor whose quantum is thrice its noise: before contact, and on a soft specimen
+ALLOWED_COARSE_MM = 0.3  # whose quantum is thrice its noise: before contact, and on a soft specimen
 NAMES = {
     "force-stuck": "force-stuck",
     "force-dead": "force-dead",
