@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -183,6 +184,7 @@ class OffCentre:
 
     disc: HalfDisc
     iterations: int = field(default=0, init=False)
+    normal: ClassVar[float] = NORMAL
 
     def __post_init__(self) -> None:
         d = self.disc
@@ -202,9 +204,11 @@ class OffCentre:
         area = dr[..., 0] * dt[..., 1] - dr[..., 1] * dt[..., 0]
         self.top_area = (area * np.outer(w, w)).reshape(X.shape[:2])
 
-    def through(self, depths: Sequence[float]) -> Iterator[tuple[float, ndarray]]:
-        """Displacement of every node, balanced at each of the ascending depths."""
-        past = [(0.0, np.zeros(self.disc.starts[-1]))]
+    def through(
+        self, depths: Sequence[float], known: Sequence[tuple[float, Field]] = ()
+    ) -> Iterator[tuple[float, ndarray]]:
+        """Displacement of every node, balanced at each of the ascending depths, beyond those known."""
+        past = [(0.0, np.zeros(self.disc.starts[-1])), *known][-3:]
         for depth in depths:
             step = depth - past[-1][0]
             while past[-1][0] < depth - 1e-9:
@@ -230,9 +234,9 @@ class OffCentre:
         away = self.top_places(u) - np.array([self.disc.offset, 0.0, depth - 1.0])
         distance = np.linalg.norm(away, axis=-1)[..., None]
         n = away / distance
-        p = NORMAL * np.maximum(1.0 - distance, 0.0)
+        p = self.normal * np.maximum(1.0 - distance, 0.0)
         nn = n[..., :, None] * n[..., None, :]
-        stiff = np.where(p > 0.0, NORMAL, 0.0)[..., None] * nn - stress * (p / distance)[..., None] * (
+        stiff = np.where(p > 0.0, self.normal, 0.0)[..., None] * nn - stress * (p / distance)[..., None] * (
             np.eye(3) - nn
         )
         return p * n, stiff
@@ -272,7 +276,7 @@ class OffCentre:
         stretched_by = (F**2).sum(axis=(2, 3)) - 3.0
         solid = self.w * (SOLID.mu * (stretched_by / 2 - np.log(J)) + p**2 / SOLID.lame / 2)
         traction, _ = self.touch(u, depth)
-        springs = self.top_area * (traction**2).sum(axis=-1) / NORMAL / 2
+        springs = self.top_area * (traction**2).sum(axis=-1) / self.normal / 2
         return float(solid.sum() + springs.sum())
 
     def _assemble(

@@ -16,6 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core import Contact, Float, ndarray
 from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.stack_field import field_below
+from palpate.mechanics.probe_table import is_tabled_probe
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
@@ -23,7 +24,8 @@ from palpate.sensors.palm.palm_press import field_of, field_under, pressed, punc
 from palpate.sensors.palm.palm_render import is_ball
 from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.pulled_ball import is_pulled_ball, stress_about, summed_along
+from palpate.sensors.palm.probe_stress import stress_beneath
+from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, stress_about, summed_along
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
 WAVELENGTH_M = 550e-9
@@ -123,7 +125,9 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
         under = field_under(spec, contact.probe, contact.pose.depth_m)
         return _orders(spec, under, contact.probe.radius_m, contact.radius_m).greatest
     if is_pulled_ball(contact):
-        return _pulled_order(contact, spec)
+        return _laid_order(contact, spec, stress_about(spec, contact))
+    if is_tabled_probe(contact):
+        return _laid_order(contact, spec, stress_beneath(spec, contact))
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
     shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
     field = field_below(
@@ -142,9 +146,8 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     return float(np.quantile(order, 0.999))
 
 
-def _pulled_order(contact: Contact, spec: PalmSpec) -> float:
-    """That of the ball under a lateral load, on rays that no surface stops."""
-    laid = stress_about(spec, contact)
+def _laid_order(contact: Contact, spec: PalmSpec, laid: Laid) -> float:
+    """That of the ball under a lateral load or a probe without an axis, on rays that no surface stops."""
     x, difference, shear = summed_along(laid)
     sunk = np.interp(x, contact.x_m, contact.displacement_m.max(axis=0), left=0.0, right=0.0)
     C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
@@ -168,7 +171,7 @@ def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
 
 
 def _peak_pressure(contact: Contact, spec: PalmSpec) -> float | None:
-    if contact.probe.shape == "edge" and contact.probe.radius_m == 0:
+    if contact.probe.shape == "edge" and contact.probe.radius_m == 0 and not is_tabled_probe(contact):
         return None
     if is_ball(contact, spec) and contact.force_n > 0:
         press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)

@@ -1,8 +1,8 @@
 """The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
 
-Punches without a table, edges, cylinders, several points, leaning probes and moments have that of a linear
-layer, where the skin was at rest; the palm's ball under a lateral load has that of the finite-strain tables,
-where it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
+Probes without a table, leaning ones and moments have that of a linear layer, where the skin was at rest; the
+palm's ball under a lateral load and probes without an axis that have a table have that of finite strain, where
+it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
 passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress are not all
 marched: between two that are, light runs straight.
 """
@@ -17,12 +17,14 @@ from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
+from palpate.mechanics.probe_table import is_tabled_probe
 from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.wall_refraction import ColumnRays
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
+from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, rows_of, stress_about
 from palpate.sensors.palm.uneven_membrane import frozen_at
 
@@ -159,8 +161,8 @@ def _marched(
 
 def _laid(spec: PalmSpec, contact: Contact, z: Float[ndarray, " h"]) -> tuple[Laid, Float32[ndarray, "h n"]]:
     """Stress on planes, and the weights by which they give the rows of the picture."""
-    if is_pulled_ball(contact):
-        laid = stress_about(spec, contact)
+    if is_pulled_ball(contact) or is_tabled_probe(contact):
+        laid = (stress_about if is_pulled_ball(contact) else stress_beneath)(spec, contact)
         return laid, rows_of(laid.planes_m, z)
     planes = spec.thickness_m * np.linspace(0, 1, PLANES) ** 2
     load = contact.pressure_pa, contact.x_m, contact.y_m, contact.shear_pa

@@ -1,7 +1,7 @@
-"""A probe on the palm's membrane: finite-strain tables for ball and upright punch, else linear layers.
+"""A probe on the palm's membrane: finite-strain tables for those that have one, else linear layers.
 
-The ball's tables reach 6 mm, with a lateral load as without; those of punches of 6, 8 and 10 mm 3, 4 and
-4.8 mm, without. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that
+The ball's tables reach 6 mm, with a lateral load as without; those of upright punches of 6, 8 and 10 mm 3, 4
+and 4.8 mm, and those of a few probes without an axis (`mechanics.probe_table`) as deep as they tell, without. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that
 depth they are allowed; a ball under a moment is of them, and so are several balls at once.
 """
 
@@ -40,6 +40,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
+from palpate.mechanics.probe_table import ProbeTable, press_probe, probe_table_for, probe_tables
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach
@@ -158,6 +159,39 @@ def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
             f"{spec.friction:g}; use an upright punch for which has_punch_table holds"
         )
     return table
+
+
+def has_probe_table(spec: PalmSpec, probe: Probe) -> bool:
+    """Tell whether there is a table for the spec's membrane under a probe without an axis."""
+    return _probe_table(spec, probe) is not None
+
+
+def _probe_table(spec: PalmSpec, probe: Probe) -> ProbeTable | None:
+    return probe_table_for(probe, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio)
+
+
+def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
+    """The table of a probe without an axis.
+
+    Raises:
+        RangeError: there is none for this membrane.
+    """
+    if (table := _probe_table(spec, probe)) is None:
+        raise RangeError(
+            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; there are those of "
+            f"{_tabled_probes(spec)}, upright"
+        )
+    return table
+
+
+def _tabled_probes(spec: PalmSpec) -> str:
+    """Words of the probes without an axis that have tables for the spec's membrane."""
+    mm = 1e3 * spec.thickness_m
+    sizes = (
+        (t.shape, *(f"{round(size * mm, 6):g}" for size in (2 * t.radius, t.length) if size))
+        for t in probe_tables()
+    )
+    return ", ".join(":".join(words) for words in sizes)
 
 
 @lru_cache(maxsize=16)
@@ -301,6 +335,8 @@ def press(
         return _pulled_ball(spec, pose, lateral_n)
     if not aside and has_punch_table(spec, probe):
         return _punched(spec, pose, probe)
+    if not aside and has_probe_table(spec, probe):
+        return _probed(spec, pose, probe)
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
 
@@ -323,6 +359,14 @@ def _punched(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
     material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
     around = _around(probe.radius_m)
     return press_punch(probe, pose, *material, pose.x_m + around, pose.y_m + around)
+
+
+def _probed(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
+    """A probe without an axis by its finite-strain table."""
+    around = _around(probe.radius_m + probe.length_m / 2)
+    membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
+    table = probe_table_of(spec, probe)
+    return press_probe(table, probe, pose, *membrane, pose.x_m + around, pose.y_m + around)
 
 
 def _around(radius_m: float) -> Knots:
@@ -430,7 +474,8 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
         raise RangeError(
             f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
-            "ball or an upright punch that has a table, without lateral load"
+            "ball, an upright punch that has a table, or one of "
+            f"{_tabled_probes(spec)}, upright and without lateral load"
         )
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)

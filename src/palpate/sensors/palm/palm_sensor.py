@@ -34,16 +34,19 @@ from palpate.core import (
 from palpate.mechanics.axisymmetric.disc_table import DiscTable
 from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
 from palpate.mechanics.half_space.tangential import tangential_stiffness
+from palpate.mechanics.probe_table import ProbeTable
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
+    has_probe_table,
     has_punch_table,
     is_pulled_deep,
     load_with_rim,
     press,
     press_layers,
+    probe_table_of,
     pull_of_shift,
     punch_table_of,
     table_of,
@@ -77,8 +80,8 @@ Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 class Palm:
     """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
 
-    Under its own ball, pulled aside or not, and under an upright punch it is pressed by finite-strain tables,
-    under any other probe by linear layers. Under a lateral load or another probe the relaxed skin is drawn.
+    Under its own ball, pulled aside or not, and under an upright punch or another upright probe that has a table
+    it is pressed by finite-strain tables, under any other probe by linear layers. Under a lateral load or another probe the relaxed skin is drawn.
 
     Attributes:
         spec: every number of it.
@@ -176,17 +179,18 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth of the table under the own ball, pulled aside or not, or an upright punch; of linear
-        layers else [m].
+        """Greatest depth of the table under the own ball, pulled aside or not, or another probe that has one; of
+        linear layers else [m].
         """
         if not is_rigid(specimen):
             return 0.0
         ball = probe == self._ball and (is_pulled_deep(self.spec) or not lateral)
-        tabled = ball or (has_punch_table(self.spec, probe) and not lateral)
+        upright = has_punch_table(self.spec, probe) or has_probe_table(self.spec, probe)
+        tabled = ball or (upright and not lateral)
         return self.force_law(probe).greatest_m if tabled else LINEAR_DEPTH_M
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """The table's under the own ball or an upright punch, a curve through presses of linear layers under
+        """The table's under the own ball or another probe that has one, a curve through presses of linear layers under
         any other.
 
         Where the spec applies the rim, the own ball's knows what places do to it.
@@ -349,6 +353,8 @@ def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
         depth, force, radius = _of_table(spec, table_of(spec), spec.indenter_radius_m)
     elif has_punch_table(even, probe):
         depth, force, radius = _of_table(even, punch_table_of(even, probe), probe.radius_m)
+    elif has_probe_table(even, probe):
+        depth, force, radius = _of_probe_table(even, probe_table_of(even, probe))
     else:
         depth, force, radius = _of_layers(even, probe)
     lateral = radius * tangential_stiffness(1.0, spec.youngs_modulus_pa, spec.poisson_ratio)
@@ -364,6 +370,13 @@ def _of_table(spec: PalmSpec, table: DiscTable, R: float) -> tuple[ndarray, ndar
     depth = np.linspace(0.0, table.greatest_depth * R, KNOTS)
     force = table.force_at(depth / R) * spec.youngs_modulus_pa * R**2
     return depth, force, np.interp(depth, table.depth * R, table.contact_radius * R)
+
+
+def _of_probe_table(spec: PalmSpec, table: ProbeTable) -> tuple[ndarray, ndarray, ndarray]:
+    h = spec.thickness_m
+    depth = np.linspace(0.0, table.greatest_depth * h, KNOTS)
+    force = table.force_at(depth / h) * spec.youngs_modulus_pa * h**2
+    return depth, force, np.sqrt(table.area_at(depth / h) / math.pi) * h
 
 
 def _of_layers(spec: PalmSpec, probe: Probe) -> tuple[ndarray, ndarray, ndarray]:

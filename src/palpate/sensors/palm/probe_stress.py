@@ -1,0 +1,99 @@
+"""What light meets under a probe without an axis that has a table: the table's stress, laid out in space.
+
+The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
+turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that holds
+beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import map_coordinates
+
+from palpate.core import Contact, Float, Float32, Probe, ndarray
+from palpate.mechanics.layers.layer_stress import OnGrid
+from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
+from palpate.sensors.palm.palm_press import FADED, between, probe_table_of
+from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.pulled_ball import Laid
+
+NEAR_PLANES, DEEP_PLANES = 48, 20  # down to below the probe's lowest point, and to the base
+BELOW = 0.2  # thicknesses below it to which they are near
+BESIDE = 0.5  # thicknesses of the window beyond the probe
+CELLS = 160  # of the window's side, and of the wide grid's
+FINER = 2  # times as many knots of the quarter each way: straight lines run between them
+
+
+def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
+    """The five stresses of a ray about a probe.
+
+    Args:
+        spec: the palm as it is where it is pressed.
+        contact: for which `is_tabled_probe` holds.
+    """
+    h, probe = spec.thickness_m, contact.probe
+    deep = min(contact.pose.depth_m + BELOW * h, 0.9 * h)
+    planes = np.concatenate(
+        [
+            np.linspace(0.0, deep, NEAR_PLANES),
+            deep + (h - deep) * np.linspace(0, 1, DEEP_PLANES + 1)[1:] ** 1.5,
+        ]
+    )
+    halves = probe.radius_m + probe.length_m / 2 + BESIDE * h, spec.radius_m
+    return Laid(planes, *(_on_grid(spec, contact, planes, half) for half in halves))
+
+
+@lru_cache(maxsize=4)
+def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, Float32[ndarray, "6 m y x"]]:
+    """The quarter at one depth, and its stress on finer knots, faded out towards the table's sides [E]."""
+    at = probe_table_of(spec, probe).at(depth_m / spec.thickness_m)
+    stress = at.stress
+    for axis, knots in ((3, at.x), (2, at.y), (1, at.zeta)):
+        stress = PchipInterpolator(knots, stress, axis=axis)(between(knots, FINER))
+    start, end = FADED
+    out = np.hypot(between(at.x, FINER), between(at.y, FINER)[:, None]) / at.x[-1]
+    share = np.clip((out - start) / (end - start), 0, 1)
+    return at, np.asarray(stress * (1 - share**2 * (3 - 2 * share)), np.float32)
+
+
+def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> OnGrid:
+    pose, h = contact.pose, spec.thickness_m
+    at, stress = _finer(spec, contact.probe, pose.depth_m)
+    aside = (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
+    x, y = own_frame(contact.probe, pose, pose.x_m + aside[None, :], pose.y_m + aside[:, None])
+    x, y = x / h, y / h
+    top = at.on_top(at.surface, x, y)
+    right, down = (
+        np.interp(np.abs(place), between(knots, FINER), np.arange(FINER * (len(knots) - 1) + 1))
+        for place, knots in ((x, at.x), (y, at.y))
+    )
+    signs = [np.sign(x) ** odd * np.sign(y) ** across for odd, across in zip(ODD_ALONG, ODD_ACROSS, strict=True)]
+    laid = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
+    for k, z in enumerate(planes / h):
+        zeta = np.clip((z - top) / (1.0 - top), 0, 1)
+        in_depth = np.interp(zeta, between(at.zeta, FINER), np.arange(stress.shape[1]))
+        read = [
+            sign * map_coordinates(part, [in_depth, down, right], order=1)
+            for sign, part in zip(signs, stress, strict=True)
+        ]
+        laid[k] = _turned(read, contact.probe.turn_rad)
+    laid *= np.float32(spec.youngs_modulus_pa)
+    cell = 2 * half / CELLS
+    return OnGrid((float(pose.x_m + aside[0]), float(pose.y_m + aside[0])), (cell, cell), laid)
+
+
+def _turned(stress: list[ndarray], turn: float) -> list[ndarray]:
+    """The stresses of a ray in the palm's frame, from six in that of a probe turned from x towards y."""
+    xx, yy, zz, yz, xz, xy = stress
+    c, s = math.cos(turn), math.sin(turn)
+    return [
+        c * c * xx + s * s * yy - 2 * c * s * xy - zz,
+        s * s * xx + c * c * yy + 2 * c * s * xy - zz,
+        c * s * (xx - yy) + (c * c - s * s) * xy,
+        c * xz - s * yz,
+        s * xz + c * yz,
+    ]
