@@ -116,8 +116,8 @@ class ProbePress(OffCentre):
 
     def touch(self, u: ndarray, depth: float, stress: float = 1.0) -> tuple[ndarray, ndarray]:
         away, n, turning = self.probe.distance(self.top_places(u) - np.array([0.0, 0.0, depth]))
-        p = NORMAL * np.maximum(-away, 0.0)
-        stiff = np.where(p > 0.0, NORMAL, 0.0)[..., None, None] * n[..., :, None] * n[..., None, :]
+        p = self.normal * np.maximum(-away, 0.0)
+        stiff = np.where(p > 0.0, self.normal, 0.0)[..., None, None] * n[..., :, None] * n[..., None, :]
         return p[..., None] * n, stiff - stress * p[..., None, None] * turning
 
     def force(self, u: ndarray, depth: float) -> float:

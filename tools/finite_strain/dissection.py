@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
@@ -63,6 +64,19 @@ class Factors:
         return x.astype(np.float64)
 
 
+@numba.njit(cache=True)
+def _add(front, at, part):  # type: ignore[no-untyped-def]
+    """Add the lower triangle of a symmetric part where it lies in a front's lower triangle."""
+    for j in range(len(at)):
+        for i in range(j, len(at)):
+            a, b = at[i], at[j]
+            if a >= 0 and b >= 0:
+                if a >= b:
+                    front[a, b] += part[i, j]
+                else:
+                    front[b, a] += part[i, j]
+
+
 class Dissection:
     """The order of elimination of one mesh.
 
@@ -92,18 +106,17 @@ class Dissection:
             front = np.zeros((n, n), np.float32, order="F")
             if part.columns is not None:
                 for at, brick in zip(part.columns, part.bricks, strict=True):
-                    free = at >= 0
-                    front[np.ix_(at[free], at[free])] += K[brick][np.ix_(free, free)]
+                    _add(front, at, K[brick].T)
             for at, child in zip(part.halves, children, strict=True):
-                front[np.ix_(at, at)] += left.pop(child)
+                _add(front, at, left.pop(child))
             own = part.own
             lower, failed = spotrf(np.asfortranarray(front[:own, :own]), lower=1, clean=0, overwrite_a=1)
             if failed:
                 raise np.linalg.LinAlgError("the stiffness is not positive definite")
             across = strsm(1.0, lower, np.asfortranarray(front[own:, :own].T), lower=1)
             if own < n:
-                rest = ssyrk(-1.0, across, 1.0, np.asfortranarray(front[own:, own:]), trans=1, lower=1)
-                left[i] = np.tril(rest) + np.tril(rest, -1).T
+                rest = np.asfortranarray(front[own:, own:])
+                left[i] = ssyrk(-1.0, across, 1.0, rest, trans=1, lower=1, overwrite_c=1)
             lowers.append(lower)
             acrosses.append(across)
         return Factors(self.parts, lowers, acrosses)

@@ -55,9 +55,9 @@ class PressedLayer:
     force: float
     area: float
     peak_pressure: float
-    x: Knots
-    y: Knots
-    zeta: Knots
+    x: Float[ndarray, " nx"]
+    y: Float[ndarray, " ny"]
+    zeta: Float[ndarray, " m"]
     surface: Plane
     pressure: Plane
     stress: Float[ndarray, "6 m ny nx"]
@@ -94,9 +94,9 @@ class ProbeTable:
     force: Float[ndarray, " d"]
     area: Float[ndarray, " d"]
     peak_pressure: Float[ndarray, " d"]
-    x: Knots
-    y: Knots
-    zeta: Knots
+    x: Float[ndarray, " nx"]
+    y: Float[ndarray, " ny"]
+    zeta: Float[ndarray, " m"]
     surface_amount: Float[ndarray, "d k"]
     surface_mode: Int[ndarray, "k 2 ny nx"]
     stress_amount: Float[ndarray, "d l"]

@@ -45,7 +45,7 @@ from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_shapes import gap_of, reaches_of, upright_ball
+from palpate.sensors.palm.probe_shapes import as_pair, gap_of, reaches_of, upright_ball
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
 FINER = 3  # times as many knots each way: the march reads between them along straight lines
@@ -300,7 +300,7 @@ def press(
     Args:
         spec: the palm.
         pose: where, and how deep: up to 6 mm for the spec's ball without moment, to what its table reaches
-            for an upright punch without any lateral load, to 1.5 mm for all else; negative for a probe in the
+            for another probe that has one, without any lateral load, to 1.5 mm for all else; negative for a probe in the
             air. Under a lateral load the place is that of the ball then. The contact must lie inside the
             membrane's rim.
         probe: what presses; None for the spec's ball.
@@ -325,7 +325,7 @@ def press(
         raise InputError(f"the moment {moment_nm} N m is not finite; give a number in N m, or None")
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     ball = Probe("sphere", spec.indenter_radius_m)
-    probe = ball if probe is None else upright_ball(probe)
+    probe = ball if probe is None else as_pair(upright_ball(probe))
     if -math.inf < pose.depth_m < 0:
         return replace(press(spec, replace(pose, depth_m=0.0), probe), pose=pose)
     aside = lateral_n != (0.0, 0.0) or moment_nm not in (None, 0.0)

@@ -127,6 +127,16 @@ def upright_ball(probe: Probe) -> Probe:
     return Probe("sphere", probe.radius_m) if probe.shape == "sphere" else probe
 
 
+def as_pair(probe: Probe) -> Probe:
+    """The same probe; two upright balls of one height about its axis, however they were said, as two points."""
+    if probe.shape != "points" or len(probe.places_m) != 2 or probe.tilt_rad != 0.0:
+        return probe
+    (x, y, up), (other_x, other_y, other_up) = probe.places_m
+    if (x + other_x, y + other_y) != (0.0, 0.0) or up != other_up:
+        return probe
+    return Probe("two-points", probe.radius_m, 2 * math.hypot(other_x, other_y), math.atan2(other_y, other_x))
+
+
 def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
     """Parts of a probe, each with its place beside the axis and its height over the lowest [m].
 

@@ -1,0 +1,184 @@
+"""Tables of probes without an axis: balance, work, linear layers under a light touch, and two balls apart."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.layers.contact_solver import press_stack
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.probe_table import (
+    FROM_PROBE_TABLE,
+    ProbeTable,
+    press_probe,
+    probe_table_for,
+    probe_tables,
+)
+
+TABLES = {f"{t.shape}:{t.radius:g}:{t.length:g}": t for t in probe_tables()}
+LAYER = Stack((ElasticLayer(1.0, 1.0, 0.49),))
+STUDY = Path(__file__).resolve().parents[2] / "tools" / "probe_study.json"
+H, E = 10e-3, 0.32e6
+
+
+def depths_of(table, *shares):
+    return [share * table.greatest_depth for share in shares]
+
+
+def probe_of(table, turn=0.0):
+    return Probe(table.shape, table.radius * H, table.length * H, turn)
+
+
+def summed(values, along, across):
+    """Over the whole square, of a quarter's values."""
+    return 4.0 * np.trapezoid(np.trapezoid(values, along, axis=-1), across)
+
+
+def rounded_gap(table, x, y):
+    """Height of the table's probe, with its rounded edges, over the flat skin."""
+    along, across, e = np.abs(x[None, :]), np.abs(y[:, None]), table.rounding
+    if table.shape == "two-points":
+        r2 = (along - table.length / 2) ** 2 + across**2
+        inside = np.sqrt(np.maximum(table.radius**2 - r2, 0.0))
+        return np.where(r2 < table.radius**2, table.radius - inside, np.inf)
+    past = np.maximum(along - (table.length / 2 - e), 0.0)
+    left = np.sqrt(np.maximum(e**2 - past**2, 0.0))  # of the rounding's radius, so far along
+    if table.shape == "cylinder":
+        r = table.radius - e + left
+        height = table.radius - np.sqrt(np.maximum(r**2 - across**2, 0.0))
+        return np.where((past <= e) & (across <= r), height, np.inf)
+    slope = math.radians(30)
+    tip = across < left * math.sin(slope)
+    on_tip = e - np.sqrt(np.maximum(left**2 - across**2, 0.0))
+    on_side = e - left / math.cos(slope) + across * math.tan(slope)
+    return np.where(past <= e, np.where(tip, on_tip, on_side), np.inf)
+
+
+def linear_force(table, depth, cell=0.01):
+    nx, ny = (2 * round((half + 0.3) / cell) for half in (table.radius + table.length / 2, 0.4))
+    x, y = ((np.arange(n) + 0.5 - n / 2) * cell for n in (nx, ny))
+    return press_stack(LAYER, rounded_gap(table, x, y), x, y, depth_m=depth).force_n
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_pressure_and_the_load_on_the_base_sum_to_the_force(name):
+    table = TABLES[name]
+    for depth in (0.05, *depths_of(table, 0.3, 0.6, 1.0)):
+        at = table.at(depth)
+        assert summed(at.pressure, at.x, at.y) == pytest.approx(at.force, rel=2e-3)
+        assert summed(-at.stress[2, -1], at.x, at.y) == pytest.approx(at.force, rel=0.02)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_what_pulls_the_layer_beside_the_probe_is_held_by_its_base(name):
+    """Balance along x of what lies beyond a plane; with the shear's sign turned it fails."""
+    table = TABLES[name]
+    for depth in depths_of(table, 0.3, 0.6, 1.0):
+        at = table.at(depth)
+        i = int(np.searchsorted(at.x, table.length / 2 + table.radius + 0.15))
+        down = at.surface[:, i] + at.zeta[:, None] * (1.0 - at.surface[:, i])
+        pull = np.trapezoid(np.trapezoid(at.stress[0, :, :, i], down, axis=0), at.y)
+        held = np.trapezoid(np.trapezoid(at.stress[4, -1, :, i:], at.x[i:], axis=1), at.y)
+        assert pull == pytest.approx(held, abs=0.06 * abs(held))
+        assert pull != pytest.approx(-held, abs=0.06 * abs(held))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_forces_work_is_the_energy_of_the_layer(name):
+    table = TABLES[name]
+    rows = [r for r in json.loads(STUDY.read_text())["meshes"] if r["mesh"] == "table" and _is_of(r, table)]
+    depth = np.array([r["depth"] for r in rows])
+    assert table.depth == pytest.approx(depth)
+    assert table.force == pytest.approx([r["force"] for r in rows], abs=1e-6)
+    fine = np.linspace(depth[0], depth[-1], 2001)
+    work = np.concatenate([[0.0], np.cumsum(np.diff(fine) * (table.force_at(fine)[1:] + table.force_at(fine)[:-1]) / 2)])
+    gained = np.array([r["energy"] for r in rows]) - rows[0]["energy"]
+    assert np.interp(depth, fine, work)[1:] == pytest.approx(gained[1:], rel=5e-3)
+    assert [r["floor"] for r in rows] == pytest.approx([r["force"] for r in rows], rel=1e-3)
+
+
+def _is_of(row, table):
+    return table.shape in row["probe"]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_another_mesh_gives_the_same_force(name):
+    table = TABLES[name]
+    rows = [r for r in json.loads(STUDY.read_text())["meshes"] if r["mesh"] != "table" and _is_of(r, table)]
+    for row in rows:
+        assert row["force"] == pytest.approx(float(table.force_at(np.array([row["depth"]]))[0]), rel=0.015)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_light_press_is_that_of_linear_layers_and_a_deep_one_is_not(name):
+    table = TABLES[name]
+    for depth in (0.01, 0.03):
+        assert linear_force(table, depth) == pytest.approx(float(table.force_at(np.array([depth]))[0]), rel=0.03)
+    deep = min(table.greatest_depth, 0.3)
+    assert linear_force(table, deep) > 1.06 * float(table.force_at(np.array([deep]))[0])
+
+
+def test_two_balls_apart_press_less_than_two_alone_and_more_than_one():
+    table = TABLES["two-points:0.25:0.8"]
+    ball = SphereTable.load("sphere-h4-mu0")  # of the same radius in the same layer
+    for depth in (0.02, 0.1, 0.19):
+        alone = float(ball.force_at(np.array([depth / table.radius]))[0]) * table.radius**2
+        pair = float(table.force_at(np.array([depth]))[0])
+        assert 1.7 * alone < pair < 2.02 * alone
+
+
+def test_below_its_first_depth_a_table_goes_to_nothing_without_a_step():
+    for table in TABLES.values():
+        first = float(table.depth[0])
+        below, above = table.at(first * (1 - 1e-6)), table.at(first * (1 + 1e-6))
+        assert below.force == pytest.approx(above.force, rel=1e-4)
+        np.testing.assert_allclose(below.stress, above.stress, atol=1e-4 * np.abs(above.stress).max())
+        nothing = table.at(0.0)
+        assert nothing.force == nothing.area == np.abs(nothing.stress).max() == nothing.surface.max() == 0.0
+
+
+def test_a_turned_probes_contact_is_turned_and_moved_with_it():
+    table = next(iter(TABLES.values()))
+    grid = np.linspace(-15e-3, 15e-3, 61)
+    membrane = E, H, 28.5e-3
+
+    def press(turn, x_m=0.0, y_m=0.0):
+        pose = Pose(x_m, y_m, 0.1 * H)
+        return press_probe(table, probe_of(table, turn), pose, *membrane, grid + x_m, grid + y_m)
+
+    along, across = press(0.0), press(math.pi / 2, 4e-3, -3e-3)
+    assert along.model.startswith(FROM_PROBE_TABLE)
+    np.testing.assert_allclose(across.pressure_pa, along.pressure_pa.T, atol=1e-6 * along.pressure_pa.max())
+    assert np.abs(across.pressure_pa - along.pressure_pa).max() > 0.1 * along.pressure_pa.max()
+
+
+def test_only_exact_proportions_have_a_table():
+    table = next(iter(TABLES.values()))
+    probe, membrane = probe_of(table), (H, 28.5e-3, 0.0, 0.49)
+    assert probe_table_for(probe, *membrane) is table
+    assert probe_table_for(replace(probe, turn_rad=1.0), *membrane) is table
+    for other in (
+        replace(probe, length_m=1.01 * probe.length_m),
+        replace(probe, tilt_rad=0.01),
+        replace(probe, shape="punch"),
+    ):
+        assert probe_table_for(other, *membrane) is None
+    for other in ((0.99 * H, 28.5e-3, 0.0, 0.49), (H, 20e-3, 0.0, 0.49), (H, 28.5e-3, 0.5, 0.49), (H, 28.5e-3, 0.0, 0.48)):
+        assert probe_table_for(probe, *other) is None
+
+
+def test_a_table_holds_to_its_depth_and_to_the_rim():
+    table = next(iter(TABLES.values()))
+    grid = np.linspace(-15e-3, 15e-3, 61)
+    press = lambda pose: press_probe(table, probe_of(table), pose, E, H, 28.5e-3, grid + pose.x_m, grid)  # noqa: E731
+    for depth in (-1e-4, 1.001 * table.greatest_depth * H, math.nan):
+        with pytest.raises(RangeError, match="where its table was solved"):
+            press(Pose(0.0, 0.0, depth))
+    with pytest.raises(RangeError, match="over its rim"):
+        press(Pose(25e-3, 0.0, 1e-3))
+    assert issubclass(RangeError, Exception) and ProbeTable and InputError
