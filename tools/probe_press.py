@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from finite_strain.dissection import Dissection, Factors
 from finite_strain.rigid_probes import Distance, Points
-from off_centre import SOLID, HalfDisc, OffCentre, deformed, quadratic, stretched, with_middles
+from off_centre import SOLID, Cells, HalfDisc, OffCentre, deformed, quadratic, stretched, with_middles
 
 NORMAL = 4000.0  # E/h, springs of the contact; they give by less than 1e-3 h
 HALF_SIDE = 2.85  # h, of the square: the palm's rim, 28.5 mm from the middle of 10 mm
@@ -54,7 +54,7 @@ def graded(fine: list[tuple[float, float]], end: float, growth: float = 1.35) ->
 
 @dataclass(frozen=True)
 class Quarter(HalfDisc):
-    """A quarter of the square layer, its bricks between planes; the first two planes of x and y are symmetry's.
+    """A quarter of the square layer, its bricks between planes; the first ones of x and y are symmetry's.
 
     Attributes:
         knots: planes across x, y and z [h].
@@ -89,8 +89,6 @@ class Quarter(HalfDisc):
 
 def quarter(x: ndarray, y: ndarray, z: ndarray) -> Quarter:
     """The layer between these planes."""
-    from off_centre import Cells
-
     return Quarter(float(z[-1]), 0.0, Cells(len(x) - 1, 0, len(y) - 1, len(z) - 1), (x, y, z))
 
 
@@ -168,6 +166,3 @@ class ProbePress(OffCentre):
             rz, before = r @ z, rz
             p = z + rz / before * p
         raise ArithmeticError("conjugate gradients do not end")
-
-
-__all__ = ["HALF_SIDE", "LinAlgError", "ProbePress", "graded", "quarter"]

@@ -75,7 +75,8 @@ YOUNG = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1)
 MEMBERS = {
     "cylinder-6-12": Member(
         "cylinder", 0.3, 1.2, (*YOUNG, *np.arange(0.13, 0.5, 0.03).round(2)),
-        [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.03, 0.015), (0.12, 0.03), (0.36, 0.04)], [(0.06, 0.03)],
+        [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.03, 0.015), (0.12, 0.03), (0.36, 0.04)],
+        [(0.06, 0.03)],
     ),
     "two-points-5-8": Member(
         "two-points", 0.25, 0.8, (0.01, 0.02, 0.04, 0.06, 0.08, *np.arange(0.11, 0.45, 0.04).round(2)),
@@ -83,7 +84,8 @@ MEMBERS = {
     ),
     "edge-12": Member(
         "edge", 0.0, 1.2, (*YOUNG, *np.arange(0.13, 0.5, 0.03).round(2)),
-        [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.045, 0.015), (0.12, 0.025), (0.36, 0.04)], [(0.06, 0.03)],
+        [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.045, 0.015), (0.12, 0.025), (0.36, 0.04)],
+        [(0.06, 0.03)],
     ),
 }  # fmt: skip
 CHECKED = {"finer": 1.4, "coarser": 0.75}
@@ -161,7 +163,9 @@ class Solved:
         """Cauchy stress at the nodes, from straight fits within bricks, meaned over those that meet there."""
         d, press = self.press.disc, self.press
         F, J, _, p = deformed(press, self.u)
-        s = SOLID.mu / J[..., None, None] * (F @ F.swapaxes(2, 3) - np.eye(3)) + p[..., None, None] * np.eye(3)
+        s = SOLID.mu / J[..., None, None] * (F @ F.swapaxes(2, 3) - np.eye(3)) + p[..., None, None] * np.eye(
+            3
+        )
         s = np.stack([s[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))], axis=-1)
         places = triquadratic(3)[3]
         corners = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(27, 3)
@@ -186,7 +190,10 @@ class Solved:
         return np.where(deep > -AWAY, np.maximum(-normal, 0.0), 0.0)
 
     def table(self) -> tuple[ndarray, ndarray, float]:
-        """Top and pressure, scaled to sum to the force, ``[2 ny nx]``, stress ``[6 m ny nx]``, and the greatest pressure, not scaled."""
+        """Top and pressure ``[2 ny nx]``, stress ``[6 m ny nx]``, and the greatest pressure.
+
+        The pressure is scaled to sum to the force; the greatest one is not.
+        """
         x, y, zeta = map(with_middles, self.press.disc.knots)
         gx, gy = np.meshgrid(x, y)
         X = self.now.tops(gx.ravel(), gy.ravel())
@@ -215,7 +222,7 @@ def _gauss_weights(knots: ndarray, w: ndarray) -> ndarray:
     return (np.diff(knots)[:, None] / 2 * w).ravel()
 
 
-def modes(values: Float[ndarray, "d *n"], quantum: float) -> tuple[ndarray, ndarray]:
+def modes(values: Float[ndarray, "d ..."], quantum: float) -> tuple[ndarray, ndarray]:
     """Amounts, and modes as whole numbers, whose product is the values to a quantum."""
     flat = values.reshape(len(values), -1)
     U, s, V = np.linalg.svd(flat, full_matrices=False)

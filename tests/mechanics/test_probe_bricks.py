@@ -1,4 +1,4 @@
-"""The solver of probes without an axis: its shapes, its elimination, and a ball by it and by the ball's table."""
+"""The solver of probes without an axis: its shapes, its elimination, and a ball beside the ball's table."""
 
 import importlib
 import sys
@@ -31,9 +31,7 @@ def test_a_probes_normal_and_its_turning_are_the_slopes_of_its_distance(name):
     places = np.random.default_rng(0).uniform([0, 0, -0.1], [0.75, 0.35, 0.1], (4000, 3))
     distance, normal, turning = BODIES[name].distance(places)
     step = 1e-6
-    beside = [
-        [BODIES[name].distance(places + way * step * axis) for way in (1, -1)] for axis in np.eye(3)
-    ]
+    beside = [[BODIES[name].distance(places + way * step * axis) for way in (1, -1)] for axis in np.eye(3)]
     slope = np.stack([(after[0] - before[0]) / (2 * step) for after, before in beside], axis=-1)
     turned = np.stack([(after[1] - before[1]) / (2 * step) for after, before in beside], axis=-1)
     near = distance > -0.04

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -34,7 +35,9 @@ class NodalField:
 
     def at(self, X: Points) -> tuple[Float[ndarray, "n c"], Float[ndarray, "n c 3"]]:
         """Values and their slopes at places before loading."""
-        first, shapes, slopes = zip(*(_along(k, x) for k, x in zip(self.knots, X.T, strict=True)), strict=True)
+        first, shapes, slopes = zip(
+            *(_along(k, x) for k, x in zip(self.knots, X.T, strict=True)), strict=True
+        )
         value = np.zeros((len(X), self.values.shape[-1]))
         slope = np.zeros((*value.shape, 3))
         for a in range(3):
@@ -93,9 +96,9 @@ class Now:
 
     def _known(self, n: int) -> tuple[Points, Points]:
         axes = [
-            np.unique(np.concatenate([np.linspace(a, b, 2 * FINER + 1) for a, b in zip(k[:-1], k[1:], strict=True)]))
+            np.unique(np.concatenate([np.linspace(a, b, 2 * FINER + 1) for a, b in pairwise(k)]))
             for k in self.place.knots
-        ]  # fmt: skip
+        ]
         axes[2] = axes[2] if n == 3 else np.zeros(1)
         X = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return self.place.at(X)[0], X

@@ -1,8 +1,7 @@
 """Elimination of a symmetric stiffness on a regular layer of columns of bricks, in single precision.
 
-By nested dissection: the layer is halved again and again. What lies inside a half is eliminated before the cut between two halves
-is, so that the fronts are as large as a cut and not as the layer, and the work is some twenty times less than
-column by column.
+By nested dissection: the layer is halved again and again. What lies inside a half is eliminated before the
+cut between two halves is, so that the fronts are as large as a cut and not as the layer.
 
 Reference: A. George, Nested dissection of a regular finite element mesh, SIAM Journal on Numerical Analysis
 10 (1973), doi:10.1137/0710032.
@@ -81,7 +80,7 @@ class Dissection:
     """The order of elimination of one mesh.
 
     Args:
-        unknown: number of every displacement of the nodes ``[2 nx + 1, 2 ny + 1, 2 nz + 1, 3]``, -1 where held.
+        unknown: number of every displacement of nodes, -1 where held ``[2 nx + 1, 2 ny + 1, 2 nz + 1, 3]``.
         dofs: those of every brick ``[nx ny nz, k]``, bricks counted along z first, then along y.
     """
 

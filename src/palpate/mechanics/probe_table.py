@@ -80,8 +80,8 @@ class ProbeTable:
         depth: ascending, from the first that was solved, above 0.
         force, area, peak_pressure: at each depth.
         x, y, zeta: as of `PressedLayer`.
-        surface_amount, surface_mode: of the top, whose product is surface and pressure ``[d k]``, ``[k 2 ny nx]``.
-        stress_amount, stress_mode: of the stress, likewise ``[k 6 m ny nx]``.
+        surface_amount, surface_mode: surface and pressure are their product ``[d k]``, ``[k 2 ny nx]``.
+        stress_amount, stress_mode: of the stress, likewise ``[d l]``, ``[l 6 m ny nx]``.
     """
 
     shape: str
@@ -256,13 +256,15 @@ def press_probe(
         radius_m=math.sqrt(at.area / math.pi) * h,
         probe=probe,
         pose=pose,
-        model=f"{FROM_PROBE_TABLE}: rigid {probe.shape}, its edges rounded by {table.rounding * h * 1e3:g} mm, "
+        model=f"{FROM_PROBE_TABLE}: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
         f"bonded neo-Hookean layer, nu {table.poisson_ratio:g}, no friction, "
         f"depth <= {table.greatest_depth * h * 1e3:g} mm",
     )
 
 
-TOUCHES = 0.02  # of the greatest pressure, below which the table's straight lines between knots are no contact
+TOUCHES = (
+    0.02  # of the greatest pressure, below which the table's straight lines between knots are no contact
+)
 
 
 def _check_within(touching: ndarray, x_m: ndarray, y_m: ndarray, radius_m: float) -> None:

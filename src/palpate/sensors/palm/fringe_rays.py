@@ -1,8 +1,8 @@
 """The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
 
-Probes without a table, leaning ones and moments have that of a linear layer, where the skin was at rest; the
-palm's ball under a lateral load and probes without an axis that have a table have that of finite strain, where
-it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
+Probes without a table, leaning ones and moments have that of a linear layer, where the skin was at rest;
+the palm's ball under a lateral load, and probes without an axis that have a table, that of finite strain,
+where it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
 passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress are not all
 marched: between two that are, light runs straight.
 """

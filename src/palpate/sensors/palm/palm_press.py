@@ -1,8 +1,9 @@
 """A probe on the palm's membrane: finite-strain tables for those that have one, else linear layers.
 
 The ball's tables reach 6 mm, with a lateral load as without; those of upright punches of 6, 8 and 10 mm 3, 4
-and 4.8 mm, and those of a few probes without an axis (`mechanics.probe_table`) as deep as they tell, without. Linear layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that
-depth they are allowed; a ball under a moment is of them, and so are several balls at once.
+and 4.8 mm, and those of a few probes without an axis (`tabled_probes`) as deep as they tell, without. Linear
+layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that depth they are allowed; a
+ball under a moment is of them, and so are most holders of several balls.
 """
 
 from __future__ import annotations
@@ -40,12 +41,13 @@ from palpate.mechanics.axisymmetric.sphere_table import (
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
-from palpate.mechanics.probe_table import ProbeTable, press_probe, probe_table_for, probe_tables
+from palpate.mechanics.probe_table import press_probe
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import as_pair, gap_of, reaches_of, upright_ball
+from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
 FINER = 3  # times as many knots each way: the march reads between them along straight lines
@@ -161,39 +163,6 @@ def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
     return table
 
 
-def has_probe_table(spec: PalmSpec, probe: Probe) -> bool:
-    """Tell whether there is a table for the spec's membrane under a probe without an axis."""
-    return _probe_table(spec, probe) is not None
-
-
-def _probe_table(spec: PalmSpec, probe: Probe) -> ProbeTable | None:
-    return probe_table_for(probe, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio)
-
-
-def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
-    """The table of a probe without an axis.
-
-    Raises:
-        RangeError: there is none for this membrane.
-    """
-    if (table := _probe_table(spec, probe)) is None:
-        raise RangeError(
-            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; there are those of "
-            f"{_tabled_probes(spec)}, upright"
-        )
-    return table
-
-
-def _tabled_probes(spec: PalmSpec) -> str:
-    """Words of the probes without an axis that have tables for the spec's membrane."""
-    mm = 1e3 * spec.thickness_m
-    sizes = (
-        (t.shape, *(f"{round(size * mm, 6):g}" for size in (2 * t.radius, t.length) if size))
-        for t in probe_tables()
-    )
-    return ", ".join(":".join(words) for words in sizes)
-
-
 @lru_cache(maxsize=16)
 def punched(spec: PalmSpec, probe: Probe, depth_m: float) -> TabulatedPress:
     """That table at one depth, in punch radii and moduli."""
@@ -300,9 +269,9 @@ def press(
     Args:
         spec: the palm.
         pose: where, and how deep: up to 6 mm for the spec's ball without moment, to what its table reaches
-            for another probe that has one, without any lateral load, to 1.5 mm for all else; negative for a probe in the
-            air. Under a lateral load the place is that of the ball then. The contact must lie inside the
-            membrane's rim.
+            for another probe that has one, without any lateral load, to 1.5 mm for all else; negative for a
+            probe in the air. Under a lateral load the place is that of the ball then. The contact must lie
+            inside the membrane's rim.
         probe: what presses; None for the spec's ball.
         lateral_n: force along x and y on top [N]; less than friction times the normal force, and no more than
             takes the ball 2.25 mm along.
@@ -475,7 +444,7 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
             f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
             "ball, an upright punch that has a table, or one of "
-            f"{_tabled_probes(spec)}, upright and without lateral load"
+            f"{probes_with_table(spec)}, upright and without lateral load"
         )
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)

@@ -40,13 +40,11 @@ from palpate.sensors.palm import palm_spec
 from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
-    has_probe_table,
     has_punch_table,
     is_pulled_deep,
     load_with_rim,
     press,
     press_layers,
-    probe_table_of,
     pull_of_shift,
     punch_table_of,
     table_of,
@@ -55,6 +53,7 @@ from palpate.sensors.palm.palm_render import expose, is_ball, render, render_cle
 from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parse_probe
+from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of
 from palpate.sensors.palm.uneven_membrane import EVEN
 
 RATE_HZ = 30.0
@@ -80,8 +79,9 @@ Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 class Palm:
     """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
 
-    Under its own ball, pulled aside or not, and under an upright punch or another upright probe that has a table
-    it is pressed by finite-strain tables, under any other probe by linear layers. Under a lateral load or another probe the relaxed skin is drawn.
+    Under its own ball, pulled aside or not, and under another upright probe that has a table it is pressed by
+    finite-strain tables, under any other probe by linear layers. Under a lateral load or another probe the
+    relaxed skin is drawn.
 
     Attributes:
         spec: every number of it.
@@ -179,8 +179,8 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth of the table under the own ball, pulled aside or not, or another probe that has one; of
-        linear layers else [m].
+        """Greatest depth of the table under the own ball, pulled aside or not, or another probe that has one;
+        of linear layers else [m].
         """
         if not is_rigid(specimen):
             return 0.0
@@ -190,8 +190,8 @@ class Palm:
         return self.force_law(probe).greatest_m if tabled else LINEAR_DEPTH_M
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """The table's under the own ball or another probe that has one, a curve through presses of linear layers under
-        any other.
+        """The table's under the own ball or another probe that has one, a curve through presses of linear
+        layers under any other.
 
         Where the spec applies the rim, the own ball's knows what places do to it.
         """

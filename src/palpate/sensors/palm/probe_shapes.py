@@ -128,7 +128,7 @@ def upright_ball(probe: Probe) -> Probe:
 
 
 def as_pair(probe: Probe) -> Probe:
-    """The same probe; two upright balls of one height about its axis, however they were said, as two points."""
+    """The same probe; two upright balls of one height about its axis, however said, as two points."""
     if probe.shape != "points" or len(probe.places_m) != 2 or probe.tilt_rad != 0.0:
         return probe
     (x, y, up), (other_x, other_y, other_up) = probe.places_m

@@ -1,8 +1,8 @@
 """What light meets under a probe without an axis that has a table: the table's stress, laid out in space.
 
 The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
-turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that holds
-beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands.
+turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that
+holds beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from scipy.ndimage import map_coordinates
 from palpate.core import Contact, Float, Float32, Probe, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid
 from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
-from palpate.sensors.palm.palm_press import FADED, between, probe_table_of
+from palpate.sensors.palm.palm_press import FADED, between
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.pulled_ball import Laid
+from palpate.sensors.palm.tabled_probes import probe_table_of
 
 NEAR_PLANES, DEEP_PLANES = 48, 20  # down to below the probe's lowest point, and to the base
 BELOW = 0.2  # thicknesses below it to which they are near
@@ -71,7 +72,9 @@ def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], ha
         np.interp(np.abs(place), between(knots, FINER), np.arange(FINER * (len(knots) - 1) + 1))
         for place, knots in ((x, at.x), (y, at.y))
     )
-    signs = [np.sign(x) ** odd * np.sign(y) ** across for odd, across in zip(ODD_ALONG, ODD_ACROSS, strict=True)]
+    signs = [
+        np.sign(x) ** odd * np.sign(y) ** across for odd, across in zip(ODD_ALONG, ODD_ACROSS, strict=True)
+    ]
     laid = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
     for k, z in enumerate(planes / h):
         zeta = np.clip((z - top) / (1.0 - top), 0, 1)
