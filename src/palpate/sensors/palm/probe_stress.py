@@ -75,21 +75,26 @@ def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], ha
     signs = [
         np.sign(x) ** odd * np.sign(y) ** across for odd, across in zip(ODD_ALONG, ODD_ACROSS, strict=True)
     ]
+    columns = np.stack(
+        [
+            [sign * map_coordinates(level, [down, right], order=1) for level in part]
+            for sign, part in zip(signs, stress, strict=True)
+        ]
+    ).astype(np.float32)
+    levels = between(at.zeta, FINER)
     laid = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
     for k, z in enumerate(planes / h):
         zeta = np.clip((z - top) / (1.0 - top), 0, 1)
-        in_depth = np.interp(zeta, between(at.zeta, FINER), np.arange(stress.shape[1]))
-        read = [
-            sign * map_coordinates(part, [in_depth, down, right], order=1)
-            for sign, part in zip(signs, stress, strict=True)
-        ]
-        laid[k] = _turned(read, contact.probe.turn_rad)
+        i = np.clip(np.searchsorted(levels, zeta, side="right") - 1, 0, len(levels) - 2)
+        share = ((zeta - levels[i]) / (levels[i + 1] - levels[i])).astype(np.float32)
+        above, under = (np.take_along_axis(columns, (i + n)[None, None], axis=1)[:, 0] for n in (0, 1))
+        laid[k] = _turned(above + (under - above) * share, contact.probe.turn_rad)
     laid *= np.float32(spec.youngs_modulus_pa)
     cell = 2 * half / CELLS
     return OnGrid((float(pose.x_m + aside[0]), float(pose.y_m + aside[0])), (cell, cell), laid)
 
 
-def _turned(stress: list[ndarray], turn: float) -> list[ndarray]:
+def _turned(stress: Float32[ndarray, "6 ny nx"], turn: float) -> list[ndarray]:
     """The stresses of a ray in the palm's frame, from six in that of a probe turned from x towards y."""
     xx, yy, zz, yz, xz, xy = stress
     c, s = math.cos(turn), math.sin(turn)

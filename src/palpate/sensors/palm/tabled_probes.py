@@ -24,8 +24,8 @@ def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
     """
     if (table := _probe_table(spec, probe)) is None:
         raise RangeError(
-            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; there are those "
-            f"of {probes_with_table(spec)}, upright"
+            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; there are "
+            f"those of {probes_with_table(spec)}, upright"
         )
     return table
 

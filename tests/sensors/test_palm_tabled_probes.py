@@ -1,0 +1,138 @@
+"""Probes without an axis on the palm: by their finite-strain tables, and by linear layers where there are none."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.core import Pose, RangeError
+from palpate.mechanics.probe_table import is_tabled_probe
+from palpate.sensors import palm
+from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
+from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.probe_stress import stress_beneath
+from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
+
+SPEC = palm.preset("debug")
+PROBES = probes_with_table(SPEC).split(", ")
+
+
+def pressed(words, depth_m, x_m=0.0, y_m=0.0, spec=SPEC, lateral_n=(0.0, 0.0)):
+    return palm.press(spec, Pose(x_m, y_m, depth_m), palm.parse_probe(words), lateral_n)
+
+
+def deepest(words):
+    return probe_table_of(SPEC, palm.parse_probe(words)).greatest_depth * SPEC.thickness_m
+
+
+def light_of(words, depth_m, **place):
+    return palm.render_clean(pressed(words, depth_m, **place), SPEC)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_a_probe_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
+    table = probe_table_of(SPEC, palm.parse_probe(words))
+    most, unit = deepest(words), SPEC.youngs_modulus_pa * SPEC.thickness_m**2
+    assert most > LINEAR_DEPTH_M
+    for share in (0.1, 0.5, 1.0):
+        contact = pressed(f"{words}:30", share * most)
+        assert is_tabled_probe(contact)
+        assert contact.force_n == pytest.approx(table.at(share * table.greatest_depth).force * unit, rel=1e-9)
+        cell = (contact.x_m[1] - contact.x_m[0]) ** 2
+        assert contact.pressure_pa.sum() * cell == pytest.approx(contact.force_n, rel=0.01)
+    with pytest.raises(RangeError, match=rf"outside 0 to {most * 1e3:g} mm"):
+        pressed(words, most + 0.01e-3)
+
+
+@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("turn", [0, 90])
+def test_a_light_presss_light_is_that_of_linear_layers_and_a_deep_ones_is_not(words, turn):
+    words, apart = f"{words}:{turn}", {}
+    for depth in (0.3e-3, 1.5e-3):
+        layers = press_layers(SPEC, Pose(0.0, 0.0, depth), palm.parse_probe(words)).contact
+        below = SPEC.fringes.down_m > depth + 0.3e-3
+        apart[depth] = rms((light_of(words, depth)[0] - palm.render_clean(layers, SPEC)[0])[below])
+    assert apart[0.3e-3] < 0.012
+    assert apart[1.5e-3] > 2 * apart[0.3e-3]
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_the_picture_of_a_deep_probe_is_its_own_mirror(words):
+    for turn in (0, 90):
+        light, below = light_of(f"{words}:{turn}", deepest(words))
+        np.testing.assert_allclose(light, light[:, ::-1], atol=3e-3)
+        np.testing.assert_allclose(below, below[:, ::-1], atol=0.05)
+    one, other = (light_of(f"{words}:{turn}", deepest(words))[0] for turn in (30, -30))
+    np.testing.assert_allclose(one, other[:, ::-1], atol=3e-3)
+    assert rms(one - other) > 0.01
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_stress_turns_with_its_probe(words):
+    """About a probe at 90 degrees that at 0 degrees, with x and y exchanged; its shear with the sign of that."""
+    depth = 0.6 * deepest(words)
+    here, turned = (
+        stress_beneath(SPEC, pressed(f"{words}:{turn}", depth)).near.stress_pa for turn in (0, 90)
+    )
+    exchanged = here.swapaxes(2, 3)[:, [1, 0, 2, 4, 3]]
+    np.testing.assert_allclose(turned, exchanged, atol=2e-3 * np.abs(here).max())
+    assert np.abs(turned - here).max() > 0.05 * np.abs(here).max()
+
+
+def test_two_balls_are_two_points_however_they_are_said():
+    pair = [words for words in PROBES if words.startswith("two-points")]
+    for words in pair:
+        _, diameter, apart = (float(part) if part[0].isdigit() else part for part in words.split(":"))
+        balls = f"points:{diameter:g}:0,{-apart / 2:g};0,{apart / 2:g}"
+        assert pressed(balls, 2e-3).force_n == pytest.approx(pressed(words, 2e-3).force_n, rel=1e-12)
+        uneven = f"points:{diameter:g}:0,{-apart / 2:g};0,{apart / 2:g},0.1"
+        assert not is_tabled_probe(pressed(uneven, 1e-3))
+
+
+@pytest.mark.parametrize("words", ["cylinder:6:13", "edge:8", "two-points:4:8", "points:5:0,0;8,0"])
+def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
+    assert not has_probe_table(SPEC, palm.parse_probe(words))
+    assert not is_tabled_probe(pressed(words, 1.2e-3))
+    with pytest.raises(RangeError, match=r"0 to 1\.5 mm.*" + PROBES[0]):
+        pressed(words, 1.6e-3)
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_a_lateral_load_a_lean_and_other_membranes_leave_a_probe_to_linear_layers(words):
+    assert not is_tabled_probe(pressed(words, 1.2e-3, lateral_n=(0.3, 0.0)))
+    assert not has_probe_table(SPEC, palm.parse_probe(f"{words}@2"))
+    for other in (
+        replace(SPEC, thickness_m=9.5e-3),
+        replace(SPEC, friction=0.5),
+        replace(SPEC, poisson_ratio=0.48),
+        replace(SPEC, diameter_m=50e-3),
+    ):
+        assert not has_probe_table(other, palm.parse_probe(words))
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
+    sensor, probe = Palm(SPEC), palm.parse_probe(f"{words}:20")
+    law = sensor.force_law(probe)
+    assert law.greatest_m == pytest.approx(deepest(words))
+    for depth in (0.05e-3, 0.4e-3, 1.5e-3, 2.2e-3):
+        alone = sensor.press(probe, Pose(1e-3, -2e-3, depth))
+        assert np.interp(depth, law.depth_m, law.force_n) == pytest.approx(alone.force_n, rel=1e-3)
+        assert np.interp(depth, law.depth_m, law.radius_m) == pytest.approx(alone.radius_m, rel=0.01)
+    assert sensor.known_depth_m(probe) == pytest.approx(deepest(words))
+    assert sensor.known_depth_m(probe, lateral=True) == LINEAR_DEPTH_M
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_the_most_orders_rise_with_depth(words):
+    orders = [
+        palm.contact_summary(pressed(words, share * deepest(words)), SPEC)["fringe_order_max"]
+        for share in (0.2, 0.5, 1.0)
+    ]
+    assert 0 < orders[0] < orders[1] < orders[2]
+    assert math.isfinite(palm.contact_summary(pressed(words, 1e-3), SPEC)["peak_pressure_Pa"])
