@@ -74,22 +74,22 @@ class Member:
 YOUNG = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1)
 MEMBERS = {
     "cylinder-6-12": Member(
-        "cylinder", 0.3, 1.2, (*YOUNG, *np.arange(0.13, 0.5, 0.03).round(2)),
+        "cylinder", 0.3, 1.2, (*YOUNG, 0.13, 0.16, 0.19, 0.22, *np.arange(0.25, 0.35, 0.015).round(3)),
         [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.03, 0.015), (0.12, 0.03), (0.36, 0.04)],
         [(0.06, 0.03)],
     ),
     "two-points-5-8": Member(
-        "two-points", 0.25, 0.8, (0.01, 0.02, 0.04, 0.06, 0.08, *np.arange(0.11, 0.45, 0.04).round(2)),
+        "two-points", 0.25, 0.8, (0.01, 0.02, 0.04, 0.06, 0.08, *np.arange(0.11, 0.33, 0.04).round(2)),
         [(0.2, 0.05), (0.7, 0.035)], [(0.28, 0.035)], [(0.07, 0.035)],
     ),
     "edge-12": Member(
-        "edge", 0.0, 1.2, (*YOUNG, *np.arange(0.13, 0.5, 0.03).round(2)),
+        "edge", 0.0, 1.2, (*YOUNG, *np.arange(0.13, 0.38, 0.03).round(2)),
         [(0.36, 0.12), (0.48, 0.06), (0.66, 0.03)], [(0.045, 0.015), (0.12, 0.025), (0.36, 0.04)],
         [(0.06, 0.03)],
     ),
 }  # fmt: skip
-CHECKED = {"finer": 1.4, "coarser": 0.75}
-CHECK_DEPTHS = (0.02, 0.06, 0.1, 0.16, 0.22, 0.28, 0.34, 0.4)
+CHECKED = {"finer": 1.4, "coarser": 0.7}
+CHECKED_TO = 0.25  # h
 
 
 def press_of(member: Member, finer: float = 1.0) -> ProbePress:
@@ -104,7 +104,8 @@ def solve(member: Member, folder: Path, finer: float = 1.0) -> None:
     try:
         known = [(one.depth, one.state) for one in Solved.all_of(press, folder)]
         least = known[-1][0] + 1e-9 if known else 0.0
-        for depth, u in press.through([d for d in member.depths if d > least], known):
+        most = math.inf if finer == 1.0 else CHECKED_TO
+        for depth, u in press.through([d for d in member.depths if least < d <= most], known):
             np.savez_compressed(folder / f"{depth:.3f}.npz", depth=depth, u=u)
             print(
                 f"{folder.name} {depth:.3f} h: force {press.force(u, depth):.6f} E h^2, floor "

@@ -150,14 +150,14 @@ def materials() -> Figure:
 
 
 def indenters() -> Figure:
-    """Probes other than the palm's ball, and a ball pulled sideways: a punch deep, all else to 1.2 mm."""
+    """Probes other than the palm's ball, deep where they have a table, and a ball pulled sideways."""
     figure, grid = sheet(3, 2, (9.4, 6.4))
     asked = (
         ("punch:8", 3.0, 0.0),
         ("edge:12:90", 1.2, 0.0),
-        ("cylinder:6:12", 1.2, 0.0),
-        ("cylinder:6:12:90", 1.2, 0.0),
-        ("two-points:5:8", 1.2, 0.0),
+        ("cylinder:6:12", 2.5, 0.0),
+        ("cylinder:6:12:90", 2.5, 0.0),
+        ("two-points:5:8", 2.5, 0.0),
         ("sphere:10", 1.2, 1.0),
     )
     for axes, (words, depth_mm, pull) in zip(grid.ravel(), asked, strict=True):

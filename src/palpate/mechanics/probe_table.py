@@ -31,6 +31,9 @@ FROM_PROBE_TABLE = "finite-strain table in three dimensions"
 """With which the model of a contact of these tables begins."""
 SAME = 1e-6  # relative: two lengths that differ by rounding only
 STRESSES = ("xx", "yy", "zz", "yz", "xz", "xy")  # Voigt's order
+FADES = (0.75, 0.95)
+"""Shares of the square's half side from where to where what is far from the probe fades out: it is that of a
+square's rim, and would stand where there is no rim under a press elsewhere."""
 ODD_ALONG = np.array([0, 0, 0, 0, 1, 1])
 """Whether each stress changes sign with x; and with y: `ODD_ACROSS`."""
 ODD_ACROSS = np.array([0, 0, 0, 1, 0, 1])
@@ -61,6 +64,12 @@ class PressedLayer:
     surface: Plane
     pressure: Plane
     stress: Float[ndarray, "6 m ny nx"]
+
+    def share_at(self, x: ndarray, y: ndarray) -> ndarray:
+        """How much of the table is left where it fades out: 1 about the probe, 0 at the sides."""
+        start, end = FADES
+        out = np.clip((np.hypot(x, y) / self.x[-1] - start) / (end - start), 0, 1)
+        return np.asarray(1 - out**2 * (3 - 2 * out))
 
     def on_top(self, values: Plane, x: ndarray, y: ndarray) -> ndarray:
         """Values of the top at places of the whole layer, 0 beyond its sides."""
@@ -140,7 +149,9 @@ class ProbeTable:
         top = np.tensordot(self._amounts[0](solved), self.surface_mode, axes=1)
         stress = np.tensordot(self._amounts[1](solved), self.stress_mode, axes=1) * lighter
         peak = float(PchipInterpolator(self.depth, self.peak_pressure)(solved)) * lighter
-        knots, pressure = (self.x, self.y, self.zeta), np.maximum(top[1], 0.0) * lighter
+        pressure = np.maximum(top[1], 0.0)
+        summed = 4.0 * np.trapezoid(np.trapezoid(pressure, self.x, axis=1), self.y)
+        knots, pressure = (self.x, self.y, self.zeta), pressure * (force / summed)
         return PressedLayer(depth, force, area, peak, *knots, top[0] * (depth / solved), pressure, stress)
 
     def force_at(self, depth: Knots) -> Knots:
@@ -243,14 +254,15 @@ def press_probe(
         )
     at = table.at(min(pose.depth_m / h, table.greatest_depth))
     along, across = own_frame(probe, pose, x_m[None, :], y_m[:, None])
-    pressure: Field = at.on_top(at.pressure, along / h, across / h) * E
+    along, across = along / h, across / h
+    pressure: Field = at.on_top(at.pressure, along, across) * E
     touching = pressure > TOUCHES * at.peak_pressure * E
     _check_within(touching, x_m, y_m, radius_m)
     return Contact(
         x_m=x_m,
         y_m=y_m,
         pressure_pa=pressure,
-        displacement_m=at.on_top(at.surface, along / h, across / h) * h,
+        displacement_m=at.on_top(at.surface, along, across) * at.share_at(along, across) * h,
         touching=touching,
         force_n=at.force * E * h**2,
         radius_m=math.sqrt(at.area / math.pi) * h,

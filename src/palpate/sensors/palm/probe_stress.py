@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 from palpate.core import Contact, Float, Float32, Probe, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid
 from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
-from palpate.sensors.palm.palm_press import FADED, between
+from palpate.sensors.palm.palm_press import between
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.pulled_ball import Laid
 from palpate.sensors.palm.tabled_probes import probe_table_of
@@ -55,10 +55,8 @@ def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, 
     stress = at.stress
     for axis, knots in ((3, at.x), (2, at.y), (1, at.zeta)):
         stress = PchipInterpolator(knots, stress, axis=axis)(between(knots, FINER))
-    start, end = FADED
-    out = np.hypot(between(at.x, FINER), between(at.y, FINER)[:, None]) / at.x[-1]
-    share = np.clip((out - start) / (end - start), 0, 1)
-    return at, np.asarray(stress * (1 - share**2 * (3 - 2 * share)), np.float32)
+    left = at.share_at(between(at.x, FINER), between(at.y, FINER)[:, None])
+    return at, np.asarray(stress * left, np.float32)
 
 
 def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> OnGrid:
