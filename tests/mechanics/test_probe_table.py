@@ -58,7 +58,8 @@ def rounded_gap(table, x, y):
     return np.where(past <= e, np.where(tip, on_tip, on_side), np.inf)
 
 
-def linear_force(table, depth, cell=0.01):
+def linear_force(table, depth):
+    cell = 0.005 if table.shape == "edge" else 0.01
     nx, ny = (2 * round((half + 0.3) / cell) for half in (table.radius + table.length / 2, 0.4))
     x, y = ((np.arange(n) + 0.5 - n / 2) * cell for n in (nx, ny))
     return press_stack(LAYER, rounded_gap(table, x, y), x, y, depth_m=depth).force_n

@@ -1,4 +1,4 @@
-"""Probes without an axis on the palm: by their finite-strain tables, and by linear layers where there are none."""
+"""Probes without an axis on the palm: by their finite-strain tables, and by linear layers without."""
 
 import math
 from dataclasses import replace
@@ -74,7 +74,7 @@ def test_the_picture_of_a_deep_probe_is_its_own_mirror(words):
 
 @pytest.mark.parametrize("words", PROBES)
 def test_stress_turns_with_its_probe(words):
-    """About a probe at 90 degrees that at 0 degrees, with x and y exchanged; its shear with the sign of that."""
+    """About a probe at 90 degrees it is that at 0 degrees, with x and y exchanged."""
     depth = 0.6 * deepest(words)
     here, turned = (
         stress_beneath(SPEC, pressed(f"{words}:{turn}", depth)).near.stress_pa for turn in (0, 90)
