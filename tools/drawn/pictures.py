@@ -154,7 +154,7 @@ def indenters() -> Figure:
     figure, grid = sheet(3, 2, (9.4, 6.4))
     asked = (
         ("punch:8", 3.0, 0.0),
-        ("edge:12:90", 1.2, 0.0),
+        ("edge:12:90", 2.2, 0.0),
         ("cylinder:6:12", 2.5, 0.0),
         ("cylinder:6:12:90", 2.5, 0.0),
         ("two-points:5:8", 2.5, 0.0),
