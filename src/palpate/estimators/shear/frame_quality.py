@@ -59,7 +59,7 @@ def look_at(image: Shaped[ndarray, ...], box: tuple[slice, slice]) -> FrameLook:
 
 
 def _level(values: Shaped[ndarray, ...], percent: float) -> float:
-    """Percentile of whole numbers from 0 on, as `np.percentile` has it, by counting them."""
+    """Percentile of whole numbers from 0 on, as NumPy has it, by counting them."""
     below = np.cumsum(np.bincount(values.ravel()))
     place = percent / 100 * (below[-1] - 1)
     lower, upper = np.searchsorted(below, [math.floor(place), math.ceil(place)], side="right")
