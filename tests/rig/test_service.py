@@ -12,6 +12,7 @@ from contextlib import closing, contextmanager, suppress
 import pytest
 from hypothesis import given, strategies as st
 
+from palpate.cli.study.study_verbs import _leave as leave_rig
 from palpate.core import InputError, RecordingError
 from palpate.core.errors import DeviceError, ProtocolError, SafetyError
 from palpate.devices.device_proxies import StageProxy
@@ -461,3 +462,17 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
     found = shots_of(tmp_path / "runs" / "night")
     assert 0 < len(found) < 4
     assert address.token not in (folder / "devices-virtual-palm.log").read_text()
+
+
+def test_a_page_that_ends_leaves_alone_a_rig_at_which_another_is(tmp_path) -> None:
+    with served(tmp_path, accelerated=True) as (client, server, _):
+        with RigClient(RIG, tmp_path / "at") as other:
+            other.wait_for(lambda status: True, MAX_S)
+            assert client.ask_status()["clients"] == 2
+            assert "goes on as it is" in leave_rig(client, RIG)
+            assert not server.ended.is_set()
+        end_s = time.monotonic() + MAX_S
+        while client.ask_status()["clients"] > 1 and time.monotonic() < end_s:
+            time.sleep(0.02)
+        assert "its process ends" in leave_rig(client, RIG)
+        assert server.ended.wait(MAX_S)

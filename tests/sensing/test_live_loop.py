@@ -338,6 +338,23 @@ def test_bias_of_force_is_of_the_moment_of_the_zero_at_any_rate_of_samples(rate_
         until(lambda: loop.status()["force_N"] == 0.0)
 
 
+def test_no_force_is_told_while_its_first_zero_is_being_taken() -> None:
+    """Its bias would stand as newtons beside an untouched sensor."""
+    force, kept = Steps(), Kept()
+    source = HandedFrames(waits=True, force=force)
+    with ran(source, MeanReader(), subscribers=[kept], zero_at_start=True, zero_frames=2) as loop:
+        force.samples = [Wrench(i, (0.0, 0.0, 1.7)) for i in range(5)]
+        until(lambda: len(kept.forces) == 5)
+        assert loop.zeroing
+        assert loop.status()["force_N"] is None
+        source.give(numbered(0), numbered(1))
+        until(lambda: loop.status()["force_N"] == 0.0)
+        loop.zero()  # and again: what was zeroed once is told all the while
+        force.samples = [Wrench(9, (0.0, 0.0, 2.7))]
+        until(lambda: loop.status()["force_N"] == pytest.approx(1.0))
+        assert loop.zeroing
+
+
 def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> None:
     force, kept = Steps(), Kept()
     source = HandedFrames(waits=True, force=force)

@@ -155,6 +155,11 @@ class RpcServer:
         with self._lock:
             self._clients.discard(client)
 
+    @property
+    def clients(self) -> int:
+        """Clients that have been let in and are there now."""
+        return sum(client.admitted for client in self._all())
+
     def _all(self) -> list[_Connection]:
         with self._lock:
             return list(self._clients)

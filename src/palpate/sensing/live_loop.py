@@ -529,7 +529,8 @@ class LiveLoop(Closing):
 
     def _force_now(self) -> float | None:
         wrench = self._wrench
-        return None if wrench is None or self._force_why else wrench.force_n[2] - self._bias_n
+        unzeroed = self._zeroing and self._untouched is None  # its bias is yet to be taken
+        return None if wrench is None or self._force_why or unzeroed else wrench.force_n[2] - self._bias_n
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do a thread's work; what nobody thought of is told, and ends the loop as failed."""

@@ -178,10 +178,10 @@ class ShownSensor:
             parts.append(reading.why or self._picture())
         else:
             parts += reading_words(reading.readings)
-        if self.live.advice:
-            parts.append(self.live.advice)
-        elif self.live.loop.zeroing:
+        if self.live.loop.zeroing:  # what else is advised may come of that alone
             parts.append("taking the untouched sensor: let nothing touch it")
+        elif self.live.advice:
+            parts.append(self.live.advice)
         return " | ".join(part for part in parts if part)
 
     def summary(self) -> str:

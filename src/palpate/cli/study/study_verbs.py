@@ -267,6 +267,8 @@ def _leave(client: RigClient, rig: str) -> str:
     """Leave the rig safe; what was done."""
     try:
         status = client.ask_status()
+        if status["clients"] > 1:
+            return f"the rig {rig} goes on as it is: another page or program is at it"
         if not status["recording"]:
             client.shutdown()
             return f"the rig {rig} stands and nothing is recorded; its process ends"
