@@ -71,6 +71,7 @@ class StartPage:
         self._kept: dict[str, Any] = {}
         self._picture_number, self._chosen = -1, False
         self._gone: str | None = None  # folder whose presses were deleted
+        self._pressing: StartRun | None = None  # what presses anew there
         page_shell("start")
         PageBeat()
         page_title("Start", "from a plugged-in sensor to readings that say how sure they are")
@@ -180,6 +181,7 @@ class StartPage:
             unit = "" if scale in SCALES else str(self._unit.value or "")
             more = int(presses) if anew else 0
             await asyncio.to_thread(self._starts.begin, *work, unit=unit, more=more)
+            self._pressing = self._run()
         except PalpateError as e:
             self._trouble.set_content(trouble_html(str(e)))
             return
@@ -235,7 +237,7 @@ class StartPage:
         running = run is not None and run.running
         self._button.set_enabled(not running)
         self._button.set_text("Go on" if session and session.get("step") != "live" else "Begin")
-        collects = running or (run is not None and bool(run.collect))
+        collects = running or (run is not None and run is self._pressing and bool(run.collect))
         self._anew.set_visibility(self._folder.value == self._gone and not collects)
         self._stop.set_visibility(running)
         self._clock.set_text(f"for {duration(time.monotonic() - run.begun_s)}" if running and run else "")
