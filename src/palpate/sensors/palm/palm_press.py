@@ -440,11 +440,12 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
         RangeError: the depth lies beyond 0 to 1.5 mm, or the contact reaches over the rim.
     """
     if not 0 <= pose.depth_m <= LINEAR_DEPTH_M * (1 + SAME):
+        others = probes_with_table(spec)
         raise RangeError(
-            f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
+            f"depth {pose.depth_m * 1e3:.7g} mm of the probe ({probe.shape}) lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
-            "ball, an upright punch that has a table, or one of "
-            f"{probes_with_table(spec)}, upright and without lateral load"
+            f"ball or an upright punch that has a table{f', or one of {others}' if others else ''}, without "
+            "lateral load"
         )
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from palpate.core import Probe, RangeError
 from palpate.mechanics.probe_table import ProbeTable, probe_table_for, probe_tables
 from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.probe_shapes import parse_probe
 
 
 def has_probe_table(spec: PalmSpec, probe: Probe) -> bool:
@@ -24,17 +25,18 @@ def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
     """
     if (table := _probe_table(spec, probe)) is None:
         raise RangeError(
-            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; there are "
-            f"those of {probes_with_table(spec)}, upright"
+            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; upright there "
+            f"are those of: {probes_with_table(spec) or 'none'}"
         )
     return table
 
 
 def probes_with_table(spec: PalmSpec) -> str:
-    """Words of the probes without an axis that have tables for the spec's membrane."""
-    mm = 1e3 * spec.thickness_m
-    sizes = (
-        (t.shape, *(f"{round(size * mm, 6):g}" for size in (2 * t.radius, t.length) if size))
-        for t in probe_tables()
-    )
-    return ", ".join(":".join(words) for words in sizes)
+    """Words of the probes without an axis that have tables for the spec's membrane; empty where none has."""
+    mm, found = 1e3 * spec.thickness_m, []
+    for t in probe_tables():
+        sizes = [round(size * mm, 6) for size in (2 * t.radius, t.length) if size]
+        words = ":".join([t.shape, *(f"{size:g}" for size in sizes)])
+        if has_probe_table(spec, parse_probe(words)):
+            found.append(words)
+    return ", ".join(found)
