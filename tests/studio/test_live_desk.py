@@ -494,7 +494,7 @@ def test_a_scale_that_prints_bare_numbers_weighs_by_the_unit_that_the_page_asks_
     with FakeTerminal(HandScale(lambda _: 1.0)) as terminal:
         words = Namespace(
             folder=tmp_path / "mine", camera="virtual:tactip", scale=terminal.path,
-            presses=12, seed=0, real_time=False, unit="",
+            presses=12, seed=0, real_time=False, more=0, unit="",
         )  # fmt: skip
         with pytest.raises(DeviceError, match="carries no unit; say which it means"):
             run_session(words, VoiceUntilWeighed())
@@ -516,7 +516,7 @@ def test_a_session_whose_other_scale_is_refused_is_shown_as_it_is_kept(tmp_path)
     kept._done("untouched")
     words = Namespace(
         folder=tmp_path / "mine", camera="virtual:tactip", scale=str(tmp_path / "no-port"),
-        presses=12, seed=0, real_time=False, unit="",
+        presses=12, seed=0, real_time=False, more=0, unit="",
     )  # fmt: skip
     with pytest.raises(DeviceError):
         run_session(words, Heard())
