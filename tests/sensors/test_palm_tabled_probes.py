@@ -136,3 +136,15 @@ def test_the_most_orders_rise_with_depth(words):
     ]
     assert 0 < orders[0] < orders[1] < orders[2]
     assert math.isfinite(palm.contact_summary(pressed(words, 1e-3), SPEC)["peak_pressure_Pa"])
+
+
+def test_a_refusal_names_no_probe_that_this_membrane_has_no_table_of() -> None:
+    too_deep, cylinder = Pose(0.0, 0.0, 1.6e-3), palm.parse_probe("cylinder:6:12")
+    for changed in ({"friction": 0.3}, {"poisson_ratio": 0.48}, {"diameter_m": 56e-3}):
+        spec = replace(SPEC, **changed)
+        assert probes_with_table(spec) == ""
+        with pytest.raises(RangeError) as refused:
+            palm.press(spec, too_deep, cylinder)
+        assert "cylinder:" not in str(refused.value)
+    with pytest.raises(RangeError, match="cylinder:6:12"):
+        palm.press(SPEC, too_deep, palm.parse_probe("cylinder:6:13"))
