@@ -7,7 +7,8 @@ import signal
 import socket
 import stat
 import time
-from contextlib import closing, contextmanager, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, suppress
 
 import pytest
 from hypothesis import given, strategies as st
@@ -465,14 +466,23 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
 
 
 def test_a_page_that_ends_leaves_alone_a_rig_at_which_another_is(tmp_path) -> None:
-    with served(tmp_path, accelerated=True) as (client, server, _):
-        with RigClient(RIG, tmp_path / "at") as other:
-            other.wait_for(lambda status: True, MAX_S)
-            assert client.ask_status()["clients"] == 2
-            assert "goes on as it is" in leave_rig(client, RIG)
-            assert not server.ended.is_set()
-        end_s = time.monotonic() + MAX_S
-        while client.ask_status()["clients"] > 1 and time.monotonic() < end_s:
-            time.sleep(0.02)
-        assert "its process ends" in leave_rig(client, RIG)
+    with (
+        served(tmp_path, accelerated=True) as (client, server, _),
+        RigClient(RIG, tmp_path / "at") as other,
+    ):
+        other.wait_for(lambda status: True, MAX_S)
+        assert "goes on as it is" in leave_rig(client, RIG)
+        assert not server.ended.is_set()
+        assert "its process ends" in leave_rig(other, RIG)
         assert server.ended.wait(MAX_S)
+
+
+def test_of_pages_that_end_at_once_the_last_ends_the_rig_s_process(tmp_path) -> None:
+    with served(tmp_path, accelerated=True) as (client, _, _), ExitStack() as stack:
+        others = [stack.enter_context(RigClient(RIG, tmp_path / "at")) for _ in range(3)]
+        for one in others:
+            one.wait_for(lambda status: True, MAX_S)
+        with ThreadPoolExecutor(4) as pool:
+            stay = list(pool.map(lambda one: one.leave(), [client, *others]))
+        assert sorted(stay) == [0, 1, 2, 3]
+        assert client.leave() == 0  # who has said so once does not stay

@@ -115,8 +115,15 @@ def test_devices_of_one_s_own_are_opened_by_name_and_anybody_stops_them_by_the_b
 @pytest.mark.slow  # it waits for a process before it that may still be making its devices safe
 def test_two_renderings_do_not_hold_one_bench(own) -> None:
     bench = own()
-    with RenderingSession(bench, LINE, Mode.BOTH), pytest.raises(DeviceError, match="drives"):
-        RenderingSession(bench, LINE, Mode.BOTH)
+    for _ in range(3):  # a computer that is busy ends the first by a late period, and its bench is free
+        with RenderingSession(bench, LINE, Mode.BOTH) as first:
+            try:
+                RenderingSession(bench, LINE, Mode.BOTH).close()
+            except DeviceError as e:
+                assert "drives" in str(e)
+                return
+            assert "a period of" in first.status().why
+    pytest.skip("the computer is too busy to keep one rendering going")
 
 
 @pytest.mark.parametrize(
@@ -125,10 +132,15 @@ def test_two_renderings_do_not_hold_one_bench(own) -> None:
     ids=["fault", "hangs"],
 )
 def test_a_fault_ends_it_and_is_named(own, options: str, why: str) -> None:
-    with RenderingSession(own("FailingDisplay", options), LINE, Mode.BOTH) as session:
-        assert wait_until(lambda: ended(session), 8.0)
-        assert why in session.status().why
-        assert not session.status().wished
+    bench = own("FailingDisplay", options)
+    for _ in range(3):  # a computer that is busy ends it first, by a late period
+        with RenderingSession(bench, LINE, Mode.BOTH) as session:
+            assert wait_until(lambda: ended(session), 8.0)
+            status = session.status()
+        assert not status.wished
+        if "a period of" not in status.why:
+            break
+    assert why in status.why
 
 
 def test_a_process_that_is_killed_is_told_of_and_not_waited_for() -> None:

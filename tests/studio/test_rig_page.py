@@ -89,7 +89,8 @@ class Studio:
         raise AssertionError(self.process.stdout.read().decode())
 
     def ctrl_c(self, number=signal.SIGINT):
-        """What it says as it leaves."""
+        """What it says as it leaves, while nobody but its page stays at the rig."""
+        self.rig.leave()
         self.process.send_signal(number)
         said, _ = self.process.communicate(timeout=MAX_S)
         return said.decode()

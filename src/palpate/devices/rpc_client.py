@@ -64,6 +64,15 @@ class RpcClient(Closing):
         self._hang_up()
         self._thread.join(CONNECT_S + AGAIN_S)
 
+    def leave(self) -> int:
+        """Tell the process that this client goes soon; the number of clients that stay.
+
+        Raises:
+            DeviceError: the process is gone or does not answer.
+            InputError: the process is an older palpate's, which counts none.
+        """
+        return int(self.ask("leave"))
+
     def reached(self, within_s: float) -> bool:
         """Wait for the process to answer; False where it does not in time."""
         try:

@@ -155,10 +155,11 @@ class RpcServer:
         with self._lock:
             self._clients.discard(client)
 
-    @property
-    def clients(self) -> int:
-        """Clients that have been let in and are there now."""
-        return sum(client.admitted for client in self._all())
+    def leave(self, leaver: _Connection) -> int:
+        """Count those that stay when this one leaves; of all that leave at once, the last is told 0."""
+        with self._lock:
+            leaver.leaves = True
+            return sum(client.admitted and not client.leaves for client in self._clients)
 
     def _all(self) -> list[_Connection]:
         with self._lock:
@@ -219,6 +220,7 @@ class _Connection:
         self._socket = connection
         self.outbox = Outbox(connection, self.drop)
         self.admitted = False
+        self.leaves = False
         self._waiting = threading.Semaphore(MAX_WAITING)
         self._turn = threading.Lock()
 
@@ -279,7 +281,9 @@ class _Connection:
 
     def _do(self, request: Mapping[str, Any]) -> None:
         name = request.get("do")
-        if isinstance(name, str) and name in self._server.quick:
+        if name == "leave":
+            self._perform(request, lambda _: self._server.leave(self))
+        elif isinstance(name, str) and name in self._server.quick:
             self._perform(request, self._server.quick[name])
         elif isinstance(name, str) and name in self._server.slow:
             if not self._waiting.acquire(blocking=False):
@@ -287,7 +291,7 @@ class _Connection:
             work = threading.Thread(target=self._later, args=(request, self._server.slow[name]), daemon=True)
             work.start()
         else:
-            names = ", ".join([*self._server.quick, *self._server.slow])
+            names = ", ".join(["leave", *self._server.quick, *self._server.slow])
             raise InputError(f"there is nothing called {str(name)[:50]!r} to do; there are {names}")
 
     def _later(self, request: Mapping[str, Any], ask: Request) -> None:

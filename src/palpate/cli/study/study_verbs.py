@@ -263,12 +263,20 @@ def _page_address(host: str, port: int, secret: str, page: str) -> str:
     return f"http://{shown}:{port}/{page or (f'?token={secret}' if secret else '')}"
 
 
+def _others(client: RigClient) -> int:
+    """Pages and programs that stay at the rig; 0 beside a process of an older palpate, which counts none."""
+    try:
+        return client.leave()
+    except palpate.InputError:
+        return 0
+
+
 def _leave(client: RigClient, rig: str) -> str:
     """Leave the rig safe; what was done."""
     try:
-        status = client.ask_status()
-        if status.get("clients", 1) > 1:  # a process of an older palpate counts none
+        if _others(client):
             return f"the rig {rig} goes on as it is: another page or program is at it"
+        status = client.ask_status()
         if not status["recording"]:
             client.shutdown()
             return f"the rig {rig} stands and nothing is recorded; its process ends"

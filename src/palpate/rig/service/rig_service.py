@@ -437,7 +437,7 @@ class RigServer(RpcServer):
             "pause": lambda _: service.pause(),
             "resume": lambda _: service.resume(),
             "stop": lambda _: service.stop(),
-            "status": lambda _: {**service.status(), "clients": self.clients},
+            "status": lambda _: service.status(),
         }
         slow: dict[str, Request] = {
             "plan": lambda request: service.plan(request_field(request, "plan", (str, dict))),
