@@ -92,6 +92,7 @@ def test_an_affine_copy_is_recovered_to_noise_from_ten_presses(original, record_
     assert (card.split.groups, card.split.rows_scored) == (10, 50)
 
 
+@pytest.mark.slow
 def test_the_same_sensor_is_not_made_worse(original, record_spots, tmp_path) -> None:
     fresh = record_spots("fresh", 15, seed=2)
     adapt(original, record_spots("few", 10, seed=1), tmp_path / "adapted")
@@ -300,6 +301,7 @@ def test_a_press_left_out_has_no_part_in_what_is_said_of_it() -> None:
     assert np.abs(again.held_out[press != 4] - first.held_out[press != 4]).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_path) -> None:
     copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
     said = CliRunner().invoke(

@@ -85,6 +85,7 @@ def test_an_angle_is_read_across_the_turn_as_well_as_elsewhere(edges) -> None:
     assert read_card(folder / "plain").targets[0].score.mae > 5 * angle.score.mae
 
 
+@pytest.mark.slow
 def test_fresh_angles_are_covered_and_read_as_arcs(edges) -> None:
     folder, _ = edges
     estimator, fresh = Estimator.open(folder / "cal"), record_edges(folder / "fresh", 200, seed=1)

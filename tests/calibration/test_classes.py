@@ -160,6 +160,7 @@ def blobs(tmp_path_factory):
     return folder, run
 
 
+@pytest.mark.slow
 def test_classes_are_read_beside_quantities_and_hold_in_fresh_presses(blobs, tmp_path) -> None:
     folder, _ = blobs
     card, fresh = read_card(folder / "cal"), record_blobs(tmp_path / "fresh", 160, seed=1)

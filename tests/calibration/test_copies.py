@@ -87,6 +87,7 @@ def adapted(kept, tmp_path):
     return tmp_path / "adapted"
 
 
+@pytest.mark.slow
 def test_an_adapted_calibration_refuses_the_former_copys_frames(adapted, record_spots, tmp_path) -> None:
     card, estimator = read_card(adapted), Estimator.open(adapted)
     assert card.copy_of.name == "spots of few"

@@ -62,6 +62,7 @@ def test_a_shuffled_label_leaves_both_comparable(tmp_path, rng) -> None:
     assert order.splits[1].rows == N
 
 
+@pytest.mark.slow
 def test_long_blocks_of_a_sorted_label_are_the_meaningless_ones(tmp_path, rng) -> None:
     plan = CalibrationPlan(("depth_mm",), size_px=(8, 10), split="blocks:40")
     calibrate(recorded(tmp_path / "run", np.linspace(0, 5, N), rng), plan, tmp_path / "cal")

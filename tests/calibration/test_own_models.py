@@ -289,6 +289,7 @@ def test_a_model_that_fails_on_the_real_rows_is_named_with_its_fold(record_spots
         calibrate(record_spots("run", 10), plan, tmp_path / "cal")
 
 
+@pytest.mark.slow
 def test_a_certificate_of_an_own_model_is_opened_without_it(
     plugin, record_spots, tmp_path, monkeypatch
 ) -> None:

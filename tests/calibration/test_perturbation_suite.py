@@ -111,6 +111,7 @@ def test_frames_of_another_run_are_judged_as_the_card_says(spots, record_spots, 
     assert np.mean(["shifted" in why for why in moved]) >= 0.5
 
 
+@pytest.mark.slow
 def test_where_one_fold_is_scored_frames_learnt_from_are_known_to_be_unchanged_too(
     spots, record_spots, tmp_path
 ) -> None:

@@ -93,6 +93,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.slow
 def test_a_press_as_the_references_were_is_valid_in_every_quantity(calibration, made) -> None:
     readings = read_touch(calibration, [as_made(made)]).readings
     assert {one.quantity for one in readings if not one.valid} == {ALWAYS}

@@ -194,6 +194,7 @@ def test_a_network_that_is_not_the_one_scored_is_refused(calibration, run, tmp_p
         quantise(tmp_path / "cal", run, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_the_palms_network_of_two_views_in_differences_goes_the_same_way(tmp_path) -> None:
     run = record(tmp_path / "run", presses=20, two_views=True)
     plan = CalibrationPlan(
@@ -233,6 +234,7 @@ def test_first_convolutions_dense_layers_and_the_last_sum_are_not_rounded() -> N
     assert nodes_to_round(graph) == ["seen", "second", "residual"]
 
 
+@pytest.mark.slow
 def test_the_verb_prints_what_int8_costs(calibration, run, tmp_path) -> None:
     app, out = typer.Typer(), tmp_path / "int8"
     app.command()(verb)

@@ -47,6 +47,7 @@ def calibrated(tmp_path_factory):
     return run, out, json.loads(verb(*words).stdout), words
 
 
+@pytest.mark.slow
 def test_fit_makes_a_calibration_better_than_its_baselines(calibrated):
     _, out, record, words = calibrated
     assert ShearCalibration.load(out).id == record["calibration"]

@@ -19,6 +19,7 @@ def palpate(*words: object) -> Any:
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_each_class_is_told_with_both_cues_and_how_far_they_are_apart(tmp_path: Path) -> None:
     ended = palpate(*WORDS, "--force-n", 2, "--figure", tmp_path / "classes.png", "--json")
     assert ended.exit_code == 0, ended.stderr

@@ -63,6 +63,7 @@ def made_taps(made) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_circular_targets_and_vectors_are_asked_for_in_one_line(run, tmp_path) -> None:
     """The spot goes over half of the period, so that its place is a direction as well."""
     words = ("calibrate", run, "--targets", "x_mm", "--split", "random", "--size", "16x16", "--quiet")

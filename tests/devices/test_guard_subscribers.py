@@ -98,6 +98,7 @@ def test_a_subscriber_that_raises_stops_the_motion_it_hears_of() -> None:
     assert small.stage.position_m()[0] < x + 1e-3
 
 
+@pytest.mark.slow
 def test_who_watches_hears_during_a_sweep_as_well_as_the_sweep_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -68,6 +68,7 @@ def test_without_noise_the_slope_comes_back(light, slope) -> None:
     np.testing.assert_allclose(found.own_order, slope * UNEVEN + 0.02, atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_slope_about_as_often_as_it_says() -> None:
     light, slope, runs = one_line(589e-9), 0.18, 120
     hits = 0

@@ -39,6 +39,7 @@ def test_pins_are_found_to_a_few_hundredths_of_a_pixel(rng) -> None:
     assert_allclose(pins.xy_px[0], [149.3, 150.8], atol=0.06)
 
 
+@pytest.mark.slow
 def test_pins_are_followed_through_stretch_and_shift(rng) -> None:
     middle, lattice = np.array([149.5, 149.5]), hexagon(6, 18.0)
     truths = [middle + lattice * (1 + 0.004 * k) + 0.3 * k for k in range(20)]

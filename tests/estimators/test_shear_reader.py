@@ -177,6 +177,7 @@ def dots(places, pitch=40.0):
     return Frame(np.uint8(np.clip(image + np.random.default_rng(1).normal(0, 1, image.shape), 0, 255)))
 
 
+@pytest.mark.slow
 def test_dots_of_another_maker_are_read_by_their_description():
     grid = np.stack(np.meshgrid(np.arange(60, 600, 40.0), np.arange(60, 440, 40.0)), -1).reshape(-1, 2)
     centre = np.array([330.0, 230.0])

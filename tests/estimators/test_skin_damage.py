@@ -79,6 +79,7 @@ def test_a_tear_that_gapes_is_told_at_rest_and_under_a_press(depth):
         assert damage(before, 1e-3, 0.0, depth, seed=30 + i, tear=tear) == "yes"
 
 
+@pytest.mark.slow
 def test_tiles_that_came_off_at_random_are_no_tear_and_cost_little():
     """A tenth of them: the place may err by twice what 0.15 mm allows, and is not told at all at times."""
     rng, off = np.random.default_rng(6), []

@@ -66,6 +66,7 @@ def test_intervals_hold_as_often_as_they_say(world, rng, trials) -> None:
     assert np.mean(held) >= 0.85
 
 
+@pytest.mark.slow
 def test_without_a_bend_intervals_hold_as_often_as_they_say_and_no_more(world, rng) -> None:
     """0.9 from both sides, where the curve is known and nothing is added for what it may do between.
 

@@ -76,6 +76,7 @@ def test_force_falls_at_constant_depth_to_the_relaxed_bodys() -> None:
     assert (in_effect <= SKIN.instantaneous_pa * (1 + 1e-9)).all()
 
 
+@pytest.mark.slow
 def test_the_faster_press_takes_more_work_and_no_press_gives_energy() -> None:
     """Work put in lies between that on the relaxed and that on the fresh body."""
     works = []

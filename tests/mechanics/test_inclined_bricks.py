@@ -192,6 +192,7 @@ def test_a_cylinder_is_as_large_as_it_is_and_yields_as_fourier_modes_have_it() -
     assert_allclose(1e-3 * out.mean(), theirs[0], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_cylinders_base_holds_what_it_pushes(soft) -> None:
     """Forces on the bases of both, in one frame, undo each other."""
     press, state = soft

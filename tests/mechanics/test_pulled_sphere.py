@@ -51,6 +51,7 @@ def solver():
     return Pull(press, balanced)
 
 
+@pytest.mark.slow
 def test_without_friction_the_ball_slides_without_a_force(solver) -> None:
     """The disc is wide: the pressed state moved along is the same state, and costs no energy to reach."""
     stuck, free = solver.slipping(1.0, math.inf), solver.slipping(1.0, 0.0)

@@ -90,6 +90,7 @@ def _cut_yields(finer: float) -> float:
     return float(load @ np.linalg.solve(stiffness, load))
 
 
+@pytest.mark.slow
 def test_finer_elements_change_what_a_cut_yields_by_a_thousandth() -> None:
     coarse, used, fine = (_cut_yields(finer) for finer in (0.5, 1.0, 2.0))
     assert used == pytest.approx(fine, rel=2e-3)
@@ -107,6 +108,7 @@ def test_the_stiffness_of_a_cut_is_symmetric_and_positive() -> None:
         assert np.linalg.eigvalsh(one).min() > 0
 
 
+@pytest.mark.slow
 def test_skin_pulled_apart_across_a_cut_opens_it_and_shear_along_it_slides_it() -> None:
     apart = _under([(0.0, 4.0), (0.0, -4.0)], [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
     middle = len(apart.along_m) // 2

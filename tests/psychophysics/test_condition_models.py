@@ -175,6 +175,7 @@ def test_where_the_effect_differs_between_people_more_of_them_are_needed() -> No
         PlannedStudy(0.6, 0.8, 12, effect_sd=-1.0)
 
 
+@pytest.mark.slow
 def test_own_effects_deceive_the_mixed_model_and_neither_the_estimating_equation_nor_signs() -> None:
     rng, found, studies = np.random.default_rng(10), np.zeros(3), 120
     for _ in range(studies):

@@ -217,6 +217,7 @@ def test_people_alike_are_one_observer_and_those_good_at_either_cue_are_better_w
         predict_of_unlike_people(k, c, k, rng, log_scatter=1.0, people=7)
 
 
+@pytest.mark.slow
 def test_a_prediction_of_unlike_people_is_refuted_seldom_where_they_are_and_mostly_where_it_is_not() -> None:
     rng, refuted = np.random.default_rng(21), np.zeros(2)
     for _ in range(30):

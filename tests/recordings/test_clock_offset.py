@@ -114,6 +114,7 @@ def test_one_tap_does_if_it_is_slow() -> None:
     assert found.low_s <= 0.04 <= found.high_s
 
 
+@pytest.mark.slow
 def test_what_the_virtual_rig_delays_is_found_in_its_own_frames() -> None:
     from palpate.rig.virtual import virtual_rig
     from palpate.rig.virtual.disturbances import Variation

@@ -1,4 +1,4 @@
-"""The compliance report made again: small, upright, and whole as a slow test."""
+"""The compliance report made again: upright in some seconds, and whole in minutes; both with the slow tests."""
 
 import json
 import re
@@ -49,6 +49,7 @@ def number(entries, name: str) -> float:
     return found
 
 
+@pytest.mark.slow
 def test_every_number_has_its_fields_and_is_what_the_file_holds(upright) -> None:
     out, entries, _ = upright
 
@@ -65,6 +66,7 @@ def test_every_number_has_its_fields_and_is_what_the_file_holds(upright) -> None
     assert len(set(names)) == len(names)
 
 
+@pytest.mark.slow
 def test_what_the_report_prints_of_upright_specimens_is_beside_ours(upright) -> None:
     _, entries, _ = upright
     printed = {one["published"] for one in entries if one["published"] is not None}
@@ -73,6 +75,7 @@ def test_what_the_report_prints_of_upright_specimens_is_beside_ours(upright) -> 
     assert KAPPA_NEW[30].value not in printed
 
 
+@pytest.mark.slow
 def test_the_new_specimen_is_found_by_touch(upright) -> None:
     """Two trials: 15 % by touch, 6 % by both cues."""
     _, entries, _ = upright
@@ -82,6 +85,7 @@ def test_the_new_specimen_is_found_by_touch(upright) -> None:
     assert low < 5.3 < high
 
 
+@pytest.mark.slow
 def test_the_page_holds_its_figures_and_no_nan(upright) -> None:
     out, _, _ = upright
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -95,12 +99,14 @@ def test_the_page_holds_its_figures_and_no_nan(upright) -> None:
     assert "Virtual" in words
 
 
+@pytest.mark.slow
 def test_progress_is_told_of_every_press(upright) -> None:
     _, _, told = upright
     presses = [(done, total) for what, done, total in told if what == "presses at 0 degrees"]
     assert presses == [(i + 1, 16) for i in range(16)]  # 2 rigid, 3 x 4, 2 new
 
 
+@pytest.mark.slow
 def test_a_study_is_never_overwritten_and_needs_two_trials(upright, tmp_path) -> None:
     out, _, _ = upright
     with pytest.raises(ExistsError):
@@ -122,6 +128,7 @@ def test_a_stopped_study_leaves_nothing(tmp_path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_verb_says_that_it_is_virtual(upright, monkeypatch, tmp_path) -> None:
     _, entries, _ = upright
     asked = {}
@@ -165,6 +172,7 @@ def test_on_the_linear_rig_the_encoder_has_the_stiffness_and_the_command_the_dro
         assert_allclose(ideal.slope, kappa, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_the_linear_rig_is_a_condition_of_the_study(upright) -> None:
     out, entries, _ = upright
     at = "linear rig: stiffness of S1 by a rigid plate, over the"

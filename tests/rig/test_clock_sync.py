@@ -108,6 +108,7 @@ def test_the_force_in_a_sweeps_labels_is_that_of_the_frames_own_instant(tmp_path
     assert with_taps < without / 2
 
 
+@pytest.mark.slow
 def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begins(tmp_path: Path) -> None:
     class Elsewhere:
         """A camera that looks at something else."""

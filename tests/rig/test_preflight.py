@@ -185,6 +185,7 @@ def test_a_box_of_a_slow_rate_is_refused_for_its_limits(tmp_path: Path) -> None:
             check_ready(rig)
 
 
+@pytest.mark.slow
 def test_palpate_record_names_an_unplugged_load_and_ends_with_an_error(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab:
         lab.box.counts = RAIL

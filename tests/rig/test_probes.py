@@ -46,6 +46,7 @@ def test_linear_layers_and_the_table_agree_on_the_ball_where_both_hold() -> None
     assert other == pytest.approx(one, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_edge_is_recorded_from_first_touch_to_its_depth(tmp_path: Path) -> None:
     out = tmp_path / "run"
     outcome = record(rig(), small(indenters=("edge:10",), depth_mm=1.0, step_mm=0.5), out)
@@ -67,6 +68,7 @@ def test_each_indenter_of_a_plan_is_recorded_and_differs(tmp_path: Path) -> None
     assert np.abs(images["sphere:10"].astype(int) - images["punch:6"]).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
     aside = small(lateral=Lateral(depths_mm=(0.8,), to_mm=((0.2, 0.0), (0.0, -0.2)), steps=1))
     out = tmp_path / "run"

@@ -89,6 +89,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Swept:
     )
 
 
+@pytest.mark.slow
 def test_taps_at_12_frames_a_second_tell_the_clocks_apart(swept: Swept) -> None:
     assert swept.offset.low_s < TRANSPORT_S - LATENCY_S < swept.offset.high_s
     assert swept.offset.high_s - swept.offset.low_s < 2e-3

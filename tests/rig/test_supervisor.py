@@ -114,6 +114,7 @@ def wait_for(holds: Callable[[], object], seconds: float = 20.0) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_plan_is_recorded_under_a_supervisor_frame_for_frame(supervised, tmp_path: Path) -> None:
     bench = supervised()
     rig = open_rig(str(bench.path))
@@ -246,6 +247,7 @@ def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: s
     assert bench.z_m() == pytest.approx(FREE_M)
 
 
+@pytest.mark.slow
 def test_a_client_that_is_killed_while_a_stage_homes_ends_that_as_well(supervised) -> None:
     bench = supervised(stage="opens_s = 60.0")
     with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
@@ -356,6 +358,7 @@ def test_a_stop_while_a_stage_homes_ends_that_and_says_so(supervised) -> None:
         assert client.wait(20) != 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_a_stage_homes_ends_that(supervised) -> None:
     bench = supervised(stage="opens_s = 60.0")
     with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:

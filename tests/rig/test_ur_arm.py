@@ -564,6 +564,7 @@ def test_a_protective_stop_in_a_guarded_press_is_named(opened) -> None:
     assert told.value.reason is Reason.HARDWARE_STOP
 
 
+@pytest.mark.slow
 def test_the_check_of_a_rig_with_an_arm_passes(opened) -> None:
     whole = virtual_rig(clock=ManualClock(5_000_000_000))
     rig, stage = opened(clock=whole.clock, pose=(0.4, 0.1, 0.206, *TOOL))

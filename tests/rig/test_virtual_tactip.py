@@ -41,6 +41,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return Run.open(out)
 
 
+@pytest.mark.slow
 def test_a_run_on_specimens_is_read_as_an_experiments_folder(run: Run) -> None:
     folder = press_folder(run.path)
     assert [(one.name, one.stiffness_n_m) for one in folder.specimens] == [("rigid", math.inf), ("S3", None)]

@@ -36,6 +36,7 @@ def test_a_torn_pad_yields_more_and_hardly_so_far_from_the_cut() -> None:
     assert _touch(NuSense(spec), 1.2).force_n == pytest.approx(whole, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_pixels_beside_the_opening_are_those_that_the_motion_says() -> None:
     """Both lips of a cut that is pulled open, found in the frame, against the motion at the lips."""
     sensor, contact = _pulled_away()
@@ -69,6 +70,7 @@ def test_corners_on_both_sides_of_an_opened_cut_are_carried_apart() -> None:
     assert added[before, 1].mean() - added[behind, 1].mean() > 50e-6
 
 
+@pytest.mark.slow
 def test_a_cut_is_seen_at_rest_only_where_it_goes_through_the_tiles() -> None:
     rest = _touch(NuSense(SPEC), 0.0)
     whole = WHOLE.view(rest)

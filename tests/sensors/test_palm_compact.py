@@ -70,6 +70,7 @@ def data(recorded):
     return TrainingData(shape, recorded.values.astype(float), recorded.press, fetch, TARGETS)
 
 
+@pytest.mark.slow
 def test_drawn_presses_lie_all_over_the_palm_and_their_labels_are_a_rigs(drawn):
     depth, x, y, force = drawn.values.T
     away = np.hypot(x, y)
@@ -93,6 +94,7 @@ def test_the_same_seed_draws_the_same_and_another_does_not():
     assert (one.values != other.values).any()
 
 
+@pytest.mark.slow
 def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_asked_for(data, recorded):
     union = _Union(data, recorded)
     first = len(data.values)

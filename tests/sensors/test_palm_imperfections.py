@@ -223,6 +223,7 @@ def test_a_rig_s_force_law_is_harder_where_the_gel_is_and_refuses_an_uneven_thic
     assert_allclose(facts[0]["fringe_order_max"] / facts[1]["fringe_order_max"], ratios[0] / ratios[1])
 
 
+@pytest.mark.slow
 def test_a_sharp_edge_has_no_greatest_pressure_and_a_ball_of_8_mm_goes_as_deep_as_its_table() -> None:
     edge = press(SPEC, Pose(0.0, 0.0, 0.5e-3), parse_probe("edge:11"))
     assert contact_summary(edge, SPEC)["peak_pressure_Pa"] is None

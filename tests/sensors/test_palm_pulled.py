@@ -106,6 +106,7 @@ def test_a_light_pull_changes_light_as_under_linear_layers_and_not_as_the_other_
     assert rms(one + other) > 1.5 * rms(one)
 
 
+@pytest.mark.slow
 def test_finer_planes_and_cells_change_little(monkeypatch):
     contact = pressed(4.0, (3.0, 1.0))
     one = fringe_rays.march_contact(SPEC, contact)

@@ -22,6 +22,7 @@ def alone():
     return draw_presses(SPEC, 5, 3, np.random.default_rng(2))
 
 
+@pytest.mark.slow
 def test_what_is_drawn_does_not_depend_on_how_many_processes_draw(alone) -> None:
     together = draw_presses(SPEC, 5, 3, np.random.default_rng(2), processes=2)
     for part in ("images", "hanging", "press", "values"):

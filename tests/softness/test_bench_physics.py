@@ -60,6 +60,7 @@ def test_the_nominal_flow_of_the_cited_valve_is_a_hundred_litres_a_minute() -> N
     assert flow / ANR_DENSITY_KG_M3 * 60e3 == pytest.approx(100.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_closed_chamber_keeps_p_v_to_the_n_while_it_is_pushed_in() -> None:
     parts = BenchParts(
         chamber=Chamber(leak=0.0, polytropic=1.3), valve=ProportionalValve(overlap=0.9),

@@ -134,6 +134,7 @@ def test_how_fast_the_finger_presses_is_in_the_interval(two) -> None:
     assert high - low > 0.05 * wide.felt
 
 
+@pytest.mark.slow
 def test_a_display_of_half_the_force_is_seen_by_the_object_itself_and_not_by_the_interval(
     monkeypatch,
 ) -> None:

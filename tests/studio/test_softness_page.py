@@ -229,6 +229,7 @@ def begun_reloaded_and_stopped(tab: devtools.Tab) -> tuple[str, str]:
     return state, tab.wait("document.querySelector('#why').innerText")
 
 
+@pytest.mark.slow
 def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_stop(served, tmp_path) -> None:
     if devtools.chromium() is None:
         pytest.skip("there is no Chromium to drive")
@@ -246,6 +247,7 @@ def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_s
         browser.close()
 
 
+@pytest.mark.slow
 def test_no_card_is_empty_before_anything_is_rendered(tmp_path, monkeypatch) -> None:
     if devtools.chromium() is None:
         pytest.skip("there is no Chromium to drive")

@@ -258,6 +258,7 @@ def test_inclined_trials_with_friction_say_that_they_are_of_linear_bodies(spec, 
 SLOW_BODY = "viscous:E_MPa=0.1,E1_MPa=0.1,tau1_s=0.3"
 
 
+@pytest.mark.slow
 def test_a_viscous_specimens_force_falls_while_the_tip_stands_still() -> None:
     """Towards that of the relaxed one, and the contact shrinks with it; an elastic one's does not."""
     spec = tactip()

@@ -80,6 +80,7 @@ def test_bad_folders_are_refused(tmp_path):
         read_views(folder, BOARD)
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_board_is_refused_with_its_size(tmp_path):
     write_photographs(tmp_path, FISHEYE, BOARD, 2)
     with pytest.raises(InputError, match=r"--board 9x[67]"):

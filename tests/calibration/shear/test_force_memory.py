@@ -52,6 +52,7 @@ def calibration(pressed):
     return calibrate_shear(pressed, PAD.reference, SPEC.lens, SPEC.camera_m, law="placed", hysteresis=True)
 
 
+@pytest.mark.slow
 def test_memory_halves_the_error_of_loading_and_unloading(calibration):
     """Within 0.25 N in the mean on unseen cycles, with the history; twice that error without."""
     unseen = cycles(PAD, 5, 2, speed_m_s=FAST_M_S)
