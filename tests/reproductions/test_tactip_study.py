@@ -1,4 +1,4 @@
-"""The compliance report made again: upright in some seconds, and whole in minutes; both with the slow tests."""
+"""The compliance report made again: upright in some seconds, whole in minutes; both with the slow tests."""
 
 import json
 import re

@@ -10,6 +10,7 @@ seen, and pooling the folds gives every row a score even where there are few gro
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,7 +23,12 @@ from palpate.estimators.networks.model_interface import Scaler
 from palpate.estimators.target_layout import Outputs, TargetLayout
 
 ROWS_PER_COEFFICIENT = 20
+MIN_RATIO = 1e-6  # of an error to what is typical: a logarithm is taken of it
 GROUPS_FOR_SPREAD = 20
+"""Groups from which the width may follow the estimate."""
+MANY_GROUPS = 50
+"""Groups from which it does. With fewer it does where that foretells the errors of other groups better than one
+width, by more than a standard error: of forty presses such widths held 94 to 95 % of new ones for 90 %."""
 
 
 def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
@@ -68,10 +74,11 @@ def fit_intervals(
     """Intervals from held-out predictions.
 
     The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or with few
-    rows or groups one number. A row's own group
-    has no part in the spread that its error is scored by. Where there are groups enough, a target that does
-    not come round again keeps its rate in every part of its range, see `calibration.coverage`.
+    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or one number
+    with few rows or groups, see `spread_terms`.
+    A row's own group has no part in the spread that its error is scored by. Where there are groups enough, a
+    target that does not come round again keeps its rate in every part of its range, see
+    `calibration.coverage`.
 
     Args:
         predicted: held-out outputs of the model ``[n o]``.
@@ -92,7 +99,7 @@ def fit_intervals(
         else None
         for j, period in enumerate(layout.periods)
     )
-    spread = fit_spread(predicted, errors, spread_terms(predicted, groups))
+    spread = fit_spread(predicted, errors, spread_terms(predicted, errors, groups))
     return Intervals(spread, quantile, coverage, by_range, layout)
 
 
@@ -104,9 +111,13 @@ def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> 
         errors: their absolute errors ``[n t]``.
         groups: ``[n]`` label of each row's group.
     """
-    terms, expected = spread_terms(predicted, groups), np.empty_like(errors)
+    terms, expected = spread_terms(predicted, errors, groups), np.empty_like(errors)
+    one, typical = np.array(terms) == 1, fit_spread(predicted, errors, terms).typical
     for others, held in parts_by_group(groups):
-        expected[held] = fit_spread(predicted[others], errors[others], terms).at(predicted[held])
+        spread = fit_spread(predicted[others], errors[others], terms)
+        # One width is undone by the quantile: that of the others' errors would only add its own scatter.
+        spread = replace(spread, typical=np.where(one, typical, spread.typical))
+        expected[held] = spread.at(predicted[held])
     return expected
 
 
@@ -121,25 +132,50 @@ def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
     return GroupKFold(min(5, count)).split(every, groups=groups)
 
 
-def spread_terms(predicted: Outputs, groups: np.ndarray) -> int:
-    """Number of terms of `design` that the rows can carry: 1, the linear ones, or all."""
-    n, t = predicted.shape
-    if len(np.unique(groups)) < GROUPS_FOR_SPREAD:
-        return 1
+def spread_terms(predicted: Outputs, errors: Values, groups: np.ndarray) -> tuple[int, ...]:
+    """Number of terms of `design` that each target's spread has: 1, the linear ones, or all.
+
+    Args:
+        predicted: held-out outputs of the model ``[n o]``.
+        errors: their absolute errors ``[n t]``.
+        groups: ``[n]`` label of each row's group.
+    """
+    (n, t), targets, count = predicted.shape, errors.shape[1], len(np.unique(groups))
     wanted = (1 + t + t * (t + 1) // 2, 1 + t, 1)
-    return next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
+    most = next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
+    if most == 1 or count < GROUPS_FOR_SPREAD:
+        return (1,) * targets
+    if count >= MANY_GROUPS:
+        return (most,) * targets
+    following, one = (_deviances(predicted, errors, groups, terms) for terms in (most, 1))
+    gain = one - following
+    surely = gain.mean(axis=0) > gain.std(axis=0, ddof=1) / np.sqrt(count)
+    return tuple(most if better else 1 for better in surely)
 
 
-def fit_spread(predicted: Outputs, errors: Values, count: int) -> ErrorSpread:
-    """How the size of errors ``[n t]`` follows the outputs ``[n o]``, by so many terms of `design`."""
+def _deviances(
+    predicted: Outputs, errors: Values, groups: np.ndarray, terms: int
+) -> Float[np.ndarray, "g t"]:
+    """Mean gamma deviance of each group's errors from the spread that other groups' errors foretell."""
+    rows = np.empty_like(errors)
+    for others, held in parts_by_group(groups):
+        spread = fit_spread(predicted[others], errors[others], (terms,) * errors.shape[1])
+        ratio = np.maximum(errors[held] / spread.at(predicted[held]), MIN_RATIO)
+        rows[held] = 2 * (ratio - 1 - np.log(ratio))
+    return np.stack([rows[groups == one].mean(axis=0) for one in np.unique(groups)])
+
+
+def fit_spread(predicted: Outputs, errors: Values, terms: tuple[int, ...]) -> ErrorSpread:
+    """How the size of errors ``[n t]`` follows the outputs ``[n o]``, each by so many terms of `design`."""
     from sklearn.linear_model import GammaRegressor  # as above
 
     scaler = Scaler.of(predicted)
     typical = np.maximum(errors.mean(axis=0), np.finfo(np.float32).tiny)
-    terms = design(scaler.scaled(predicted))
-    coefficients = np.zeros((errors.shape[1], terms.shape[1]))
-    if count > 1:
-        for j, ratio in enumerate((errors / typical).T):
-            fitted = GammaRegressor(alpha=1e-2, max_iter=1000).fit(terms[:, 1:count], np.maximum(ratio, 1e-6))
+    columns = design(scaler.scaled(predicted))
+    coefficients = np.zeros((errors.shape[1], columns.shape[1]))
+    for j, (ratio, count) in enumerate(zip((errors / typical).T, terms, strict=True)):
+        if count > 1:
+            model = GammaRegressor(alpha=1e-2, max_iter=1000)
+            fitted = model.fit(columns[:, 1:count], np.maximum(ratio, MIN_RATIO))
             coefficients[j, :count] = [fitted.intercept_, *fitted.coef_]
     return ErrorSpread(scaler.mean, scaler.scale, typical, coefficients)

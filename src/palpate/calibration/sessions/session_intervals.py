@@ -128,7 +128,7 @@ def intervals_of_sessions(
         raise InputError("intervals for a new session need two sessions or more that were held out")
     layout = layout or TargetLayout((None,) * true.shape[1])
     errors = layout.differences(layout.decoded(predicted), true)
-    terms = spread_terms(predicted, groups)
+    terms = spread_terms(predicted, np.abs(errors), groups)
     whole = fit_spread(predicted, np.abs(errors), terms)
     scores = np.empty_like(true)
     for rest, held in parts_by_group(of):
