@@ -1,4 +1,4 @@
-"""Widths of few groups: one width where a following one foretells nothing, and following ones where they do."""
+"""Widths of few groups: one width where following the estimate foretells nothing, following where it does."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ MIN_RATIO = 1e-6  # of an error to what is typical: a logarithm is taken of it
 GROUPS_FOR_SPREAD = 20
 """Groups from which the width may follow the estimate."""
 MANY_GROUPS = 50
-"""Groups from which it does. With fewer it does where that foretells the errors of other groups better than one
-width, by more than a standard error: of forty presses such widths held 94 to 95 % of new ones for 90 %."""
+"""Groups from which it does. With fewer it does where that foretells the errors of other groups better than
+one width, by more than a standard error: of forty presses such widths held 94 to 95 % of new ones for 90."""
 
 
 def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
@@ -74,11 +74,10 @@ def fit_intervals(
     """Intervals from held-out predictions.
 
     The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or one number
-    with few rows or groups, see `spread_terms`.
-    A row's own group has no part in the spread that its error is scored by. Where there are groups enough, a
-    target that does not come round again keeps its rate in every part of its range, see
-    `calibration.coverage`.
+    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or one
+    number with few rows or groups, see `spread_terms`. A row's own group has no part in the spread that its
+    error is scored by. Where there are groups enough, a target that does not come round again keeps its rate
+    in every part of its range, see `calibration.coverage`.
 
     Args:
         predicted: held-out outputs of the model ``[n o]``.
