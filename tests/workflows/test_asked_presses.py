@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import palpate
 from palpate.core import InputError
+from palpate.estimators.session_folder import SESSION_FILE, calibration_in
 from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection.press_collector import presses_in
 from palpate.workflows.start_session import PRESSES, StartSession, left_out_text
@@ -43,6 +46,12 @@ def test_more_presses_are_collected_beside_the_old_ones_and_all_are_learnt_from(
     session.train(curve=False)
     assert session.state.trained["presses"] == 13
     assert session.calibration != first
+    assert calibration_in(session.folder) == session.calibration, "a session's folder means its newest"
+    assert calibration_in(first) == first
+    assert shlex.split(session.commands()[-1])[2] == str(session.calibration)
+    assert f"Calibration: {session.calibration}, the newest; {first.name} beside it" in session.newest_text
+    with palpate.live(session.folder, camera="virtual:tactip", max_frames=1) as live:
+        assert next(iter(live)).to_dict()["calibration"] == session.state.trained["id"]
     with pytest.raises(InputError, match="1 or more"):
         session.ask_more(0)
 
@@ -92,3 +101,22 @@ def test_a_file_in_place_of_the_folder_is_named_with_what_to_give(tmp_path: Path
     (tmp_path / "mine.txt").write_text("x")
     with pytest.raises(InputError, match="is a file, and a session is a folder: give the name of one"):
         StartSession(tmp_path / "mine.txt")
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        "",
+        "[]",
+        "{",
+        '{"trained": {}}',
+        '{"trained": {"folder": "../out"}}',
+        '{"trained": {"folder": "gone"}}',
+    ],
+)
+def test_a_folder_that_names_no_calibration_within_it_means_itself(kept: str, tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "s" / SESSION_FILE).write_text(kept)
+    assert calibration_in(tmp_path / "s") == tmp_path / "s"
+    assert calibration_in(tmp_path / "none") == tmp_path / "none"

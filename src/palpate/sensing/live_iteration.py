@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import Closing, DeviceError, Image, PathText
+from palpate.estimators.session_folder import calibration_in
 from palpate.recordings.exchange.image_files import read_image
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
 from palpate.sensing.live_sources import LiveSource, open_live_source
@@ -133,7 +134,8 @@ def live(
     """Open a sensor and read it live.
 
     Args:
-        calibration: a calibration's folder; without one, frames come without readings.
+        calibration: a calibration's folder, or a session's, whose newest calibration is taken; without one,
+            frames come without readings.
         camera: any address that `open_live_source` opens: a number, a USB serial number, a video, a folder, a
             run, ``-``, ``virtual:palm``.
         zero: an image of the untouched sensor, or its path; True takes it from the first frames, False does
@@ -164,6 +166,7 @@ def live(
     def opener() -> LiveSource:
         return open_live_source(camera, settings=settings, paced=paced, idle_s=idle_s)
 
+    calibration = None if calibration is None else calibration_in(calibration)
     image: Image | None = None
     if zero is not None and not isinstance(zero, bool):
         image = zero if isinstance(zero, np.ndarray) else read_image(zero)

@@ -30,6 +30,7 @@ from palpate.core import (
     silent,
     storage_errors,
 )
+from palpate.estimators.session_folder import SESSION_FILE
 from palpate.sensing.collection.press_collector import REST, PressCollector
 from palpate.workflows.press_feeds import PressFeed, open_feed
 
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from palpate.recordings import Run
 
 STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
-STATE, RUN, CALIBRATION, UNTOUCHED = "start.json", "presses", "calibration", "untouched.png"
+STATE, RUN, CALIBRATION, UNTOUCHED = SESSION_FILE, "presses", "calibration", "untouched.png"
 LOCK, MANIFEST = ".start.lock", "manifest.json"
 PRESSES = 40
 MIN_TO_LEARN = 10
@@ -465,6 +466,17 @@ class StartSession:
             found.append(shlex.join(["palpate", "live", str(self.calibration), "--camera", s.camera]))
         return found
 
+    @property
+    def newest_text(self) -> str:
+        """Which calibration the sentence is of, and the older ones beside it; empty before there is one."""
+        if "train" not in self.state.done:
+            return ""
+        beside = {path.name for path in self.folder.glob(f"{CALIBRATION}*") if path.is_dir()}
+        older = ", ".join(sorted(beside - {self.calibration.name}))
+        stay = f", the newest; {older} beside it stays as it was" if older else ""
+        read = shlex.join(["palpate", "live", str(self.folder), "--camera", self.state.camera])
+        return f"Calibration: {self.calibration}{stay}. `{read}` reads by the newest."
+
     def to_dict(self) -> dict[str, Any]:
         """Everything in plain values, for the page and for ``--json``."""
         return asdict(self.state) | {
@@ -472,6 +484,7 @@ class StartSession:
             "step": self.step,
             "run": str(self.run),
             "calibration": str(self.calibration),
+            "newest": self.newest_text,
             "commands": self.commands(),
         }
 

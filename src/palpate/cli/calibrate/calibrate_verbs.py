@@ -24,10 +24,14 @@ from palpate.cli.verb_support import (
     progress_bar,
     vectors_of,
 )
+from palpate.estimators.session_folder import calibration_in
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
 
+GivenCalibration = Annotated[
+    Path, Argument(help="Calibration folder, or a session's, whose newest is taken.")
+]
 Box = tuple[int, int, int, int]
 Instruments = Annotated[
     Path | None, Option(help="TOML file of what the labels were measured with, a section a column.")
@@ -212,7 +216,7 @@ def _crops(words: list[str]) -> tuple[Box | None, Box | None]:
 
 
 def evaluate(
-    calibration: Annotated[Path, Argument(help="Calibration folder.")],
+    calibration: GivenCalibration,
     run: Annotated[Path, Argument(help="Labelled run to score it on.")],
     out: Annotated[Path | None, Option(help="JSON file to write the scores to.")] = None,
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
@@ -234,6 +238,7 @@ def evaluate(
 
     if out is not None:
         refuse_existing(out)
+    calibration = calibration_in(calibration)
     estimator = palpate.Estimator.open(calibration)
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
@@ -249,7 +254,7 @@ def evaluate(
 
 
 def sense(
-    calibration: Annotated[Path, Argument(help="Calibration folder.")],
+    calibration: GivenCalibration,
     source: Annotated[Path, Argument(help="An image, a folder of images, or a run.")],
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
     lens: CameraLens = None,
@@ -263,7 +268,7 @@ def sense(
 
     Example: palpate sense cal images --json
     """
-    estimator = palpate.Estimator.open(calibration, threads=threads)
+    estimator = palpate.Estimator.open(calibration_in(calibration), threads=threads)
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies, frames = [], palpate.open_source(source)
@@ -288,7 +293,7 @@ def sense(
 
 
 def report(
-    calibration: Annotated[Path, Argument(help="Calibration folder.")],
+    calibration: GivenCalibration,
     out: Annotated[
         Path | None,
         Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
@@ -304,6 +309,7 @@ def report(
     """
     from palpate.estimators.certified import check_files, read_card
 
+    calibration = calibration_in(calibration)
     if steps:
         from palpate.estimators.reading_steps import reading_steps
 

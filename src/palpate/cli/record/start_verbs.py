@@ -288,6 +288,7 @@ def start(
         session.sentence,
         session.state.trained.get("left_out", ""),
         curve,
+        session.newest_text,
         "The same by commands:",
     ]
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)

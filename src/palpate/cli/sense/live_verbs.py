@@ -31,7 +31,11 @@ PLAIN_S = 1.0  # between two lines where no line can be redrawn
 def live(
     calibrations: Annotated[
         list[Path] | None,
-        Argument(metavar="[CAL]...", help="Calibration folder: none, one for all cameras, or one for each."),
+        Argument(
+            metavar="[CAL]...",
+            help="Calibration folder, or a session's, whose newest is taken: none, one for all cameras, or "
+            "one for each.",
+        ),
     ] = None,
     camera: Annotated[
         list[str] | None,

@@ -351,5 +351,6 @@ def result_html(session: Mapping[str, Any]) -> str:
     warning = f"<p>{state_word('simulated, not measured', 'warn')}</p>" if simulated else ""
     more = f'<p class="soft">{escape(str(curve))}</p>' if curve else ""
     sentence = f"<p>{escape(str(trained.get('sentence', '')))}</p>"
+    newest = f'<p class="soft">{escape(str(session.get("newest", "")))}</p>'
     begin = '<section class="card" aria-label="Certificate"><h2>Certificate</h2>'
-    return f"{begin}{warning}{sentence}{more}</section>"
+    return f"{begin}{warning}{sentence}{more}{newest}</section>"
