@@ -89,3 +89,76 @@ def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, mo
     with again.feed():
         assert StartSession(session.folder).state == again.state
     assert again.state.done == ["camera"]
+
+
+@pytest.fixture
+def complete(tmp_path, monkeypatch) -> StartSession:
+    """A session that holds its twelve presses and a calibration, and may open no camera."""
+    session = StartSession(tmp_path / "session")
+    session.choose("virtual:palm", "virtual", asked=12)
+    session.state.settings = {"size_px": [8, 8], "rate_hz": 1.0}
+    session._done("train")
+
+    def opened(session: StartSession, **_: object) -> None:
+        raise InputError(f"opened for {session.state.asked}")
+
+    monkeypatch.setattr(StartSession, "presses_held", property(lambda session: 12))
+    monkeypatch.setattr(StartSession, "feed", opened)
+    monkeypatch.setattr(StartSession, "commands", lambda session: [])
+    return session
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--scale", "typed"], "holds 12 presses of 12: nothing is left to collect"),
+        (["--scale", "typed", "--presses", "11"], "holds 12 presses of 12: nothing is left to collect"),
+        (["--presses", "11"], "holds 12 presses, and all are learnt from: 11 asks for none beside them"),
+    ],
+)
+def test_where_nothing_is_left_to_collect_it_is_said_and_nothing_is_done_again(words, told, complete) -> None:
+    kept = (complete.folder / STATE).read_bytes()
+    done = CliRunner().invoke(app, ["start", "--terminal", "--folder", str(complete.folder), *words])
+    assert (done.exit_code, told in " ".join(done.output.split())) == (0, True), done.output
+    assert "The same by commands" in done.output
+    assert (complete.folder / STATE).read_bytes() == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--presses", "15"], "opened for 15"),
+        (["--scale", "typed", "--presses", "15"], "opened for 15"),
+        (["--scale", "typed", "--more", "3"], "opened for 15"),
+        (["--presses", "15", "--more", "3"], "give one of them"),
+    ],
+)
+def test_how_many_presses_are_asked_for_is_heeded_or_refused(words, told, complete) -> None:
+    done = CliRunner().invoke(app, ["start", "--terminal", "--folder", str(complete.folder), *words])
+    assert (done.exit_code, told in " ".join(done.output.split())) == (2, True), done.output
+
+
+def test_what_is_chosen_for_the_page_stands_in_its_address_and_what_it_has_no_field_for_is_refused(
+    tmp_path, monkeypatch
+) -> None:
+    served: list[str] = []
+    monkeypatch.setattr(
+        "palpate.cli.study.study_verbs.serve_studio", lambda **words: served.append(words["page"])
+    )
+    words = [
+        "start",
+        "--folder",
+        str(tmp_path / "s"),
+        "--camera",
+        "0",
+        "--scale",
+        "/dev/x",
+        "--presses",
+        "20",
+    ]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    assert CliRunner().invoke(app, words[:3]).exit_code == 0
+    assert served == ["?folder=s&camera=0&scale=%2Fdev%2Fx&presses=20", "?folder=s"]
+    done = CliRunner().invoke(app, [*words, "--more", "3", "--seed", "2"])
+    assert (done.exit_code, len(served)) == (2, 2)
+    assert "no field for --more, --seed: give --terminal" in done.output

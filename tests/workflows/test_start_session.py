@@ -306,7 +306,7 @@ def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dic
 def test_unit_and_lag_of_a_scale_stay_until_others_are_stated(tmp_path: Path) -> None:
     session = StartSession(tmp_path / "session")
     session.choose_if_other("0", "/dev/ttyUSB0", asked=12, unit="kg", scale_lag_s=0.3)
-    session.choose_if_other("0", "/dev/ttyUSB0", asked=99)
+    session.choose_if_other("0", "/dev/ttyUSB0")
     kept = StartSession(tmp_path / "session").state
     assert (kept.unit, kept.scale_lag_s, kept.asked) == ("kg", 0.3, 12)
     session.choose_if_other("0", "/dev/ttyUSB0", unit="g")
@@ -383,3 +383,32 @@ def test_a_draw_of_presses_that_were_all_learnt_from_is_left_out_without_a_word(
     curve = curve_of(np.array([4, 8, 16]), errors, 16)
     assert curve.mae == pytest.approx((0.8, 0.4, 0.2))
     assert np.isfinite(curve.expected).all()
+
+
+def test_everything_may_be_chosen_anew_until_the_camera_has_given_a_frame(
+    whole: StartSession, tmp_path: Path
+) -> None:
+    session = StartSession(tmp_path / "session")
+    session.choose_if_other("9", "/dev/ttyUSB0", asked=12, seed=3)
+    assert StartSession(session.folder).unopened
+    session.choose_if_other("9", "/dev/ttyUSB0", asked=15, seed=4)
+    assert (session.state.asked, session.state.seed) == (15, 4)
+    session.choose_if_other("virtual:tactip", "virtual", asked=11)
+    with session.feed() as feed:
+        session.check_settings(feed)
+    assert not StartSession(session.folder).unopened
+    assert not whole.unopened
+    session.choose_if_other("virtual:tactip", "virtual", asked=15)
+    assert session.state.asked == 11
+
+
+def test_so_many_presses_in_all_are_asked_for_and_none_is_taken_away(whole: StartSession) -> None:
+    session = StartSession(whole.folder)
+    session._write = lambda: None  # type: ignore[method-assign]
+    assert (session.ask_for(10), session.step) == ("", "live")
+    session.state.asked = 12
+    assert "holds 10 presses, and all are learnt from: 10 asks for none" in session.ask_for(10)
+    assert (session.step, session.state.asked) == ("live", 12)
+    assert (session.ask_for(14), session.step, session.state.asked) == ("", "collect", 14)
+    with pytest.raises(InputError, match="10 or more make a calibration"):
+        session.ask_for(9)

@@ -179,10 +179,7 @@ class StartSession:
             InputError: presses of another sensor were collected here, or weighed in another unit, or fewer
                 presses than can be learnt from.
         """
-        if asked < MIN_TO_LEARN:
-            raise InputError(
-                f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one"
-            )
+        _refuse_few(asked)
         if camera != self.state.camera and (self.run / MANIFEST).is_file():
             raise InputError(
                 f"{self.folder} holds presses of {self.state.camera}; begin a session of {camera} in another "
@@ -211,6 +208,30 @@ class StartSession:
         if set(before) <= set(self.state.done):
             self._write()
 
+    @property
+    def unopened(self) -> bool:
+        """Whether its camera has given no frame yet, so that everything may still be chosen."""
+        return not (self.state.settings or self.state.collected or self._frames())
+
+    def has_nothing_left_by(self, camera: str, scale: str, asked: int | None) -> bool:
+        """Whether another scale would have nothing to weigh, since as many presses as asked for are there.
+
+        Args:
+            camera, scale: as `choose_if_other` takes them.
+            asked: presses that shall be there; None for as many as the session was begun for.
+        """
+        s = self.state
+        other = camera == s.camera and scale != s.scale and "collect" in s.done
+        return other and self.presses_held >= max(asked or s.asked, 1)
+
+    @property
+    def nothing_left_text(self) -> str:
+        """What is said where nothing is left to collect."""
+        return (
+            f"{self.folder} holds {self.presses_held} presses of {self.state.asked}: nothing is left to "
+            "collect, and what is there stays; --more N asks for N beside them"
+        )
+
     def choose_if_other(
         self,
         camera: str,
@@ -226,7 +247,8 @@ class StartSession:
         Args:
             camera, scale, seed, unit, scale_lag_s: as `choose` takes them.
             asked: presses that shall be collected, with those there are; None leaves what the session was
-                begun for, whichever scale weighs the others.
+                begun for, whichever scale weighs the others. Once the camera has given a frame, other presses
+                by the same scale are asked for by `ask_more` or `ask_for` alone.
 
         Raises:
             InputError: as `choose`.
@@ -235,10 +257,10 @@ class StartSession:
         if asked is None:
             asked = s.asked if camera == s.camera else PRESSES
         same = self.step != "camera" and (camera, scale) == (s.camera, s.scale)
-        if same and unit in (None, s.unit) and scale_lag_s in (None, s.scale_lag_s):
-            return
-        if same:
+        if same and not self.unopened:
             asked, seed = s.asked, s.seed
+        if same and asked == s.asked and unit in (None, s.unit) and scale_lag_s in (None, s.scale_lag_s):
+            return
         sensor = s.sensor if same else ""
         self.choose(camera, scale, sensor=sensor, asked=asked, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
 
@@ -256,6 +278,28 @@ class StartSession:
         have = self.presses_held
         self.state.asked = more if self.presses_gone else (have or self.state.asked) + more
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
+
+    def ask_for(self, asked: int) -> str:
+        """Ask for so many presses in all, with those that are there; what is said where that changes nothing.
+
+        The session's file is as it was until `feed` has opened camera and scale.
+
+        Raises:
+            InputError: fewer than can be learnt from, or nothing was chosen yet.
+        """
+        self._needs("camera")
+        _refuse_few(asked)
+        have = self.presses_held
+        if asked == self.state.asked or self.presses_gone:
+            return ""
+        if asked <= have:
+            return (
+                f"{self.folder} holds {have} presses, and all are learnt from: {asked} asks for none beside "
+                "them"
+            )
+        self.state.asked = asked
+        self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
+        return ""
 
     @property
     def presses_held(self) -> int:
@@ -482,6 +526,7 @@ class StartSession:
         return asdict(self.state) | {
             "folder": str(self.folder),
             "step": self.step,
+            "unopened": self.unopened,
             "run": str(self.run),
             "calibration": str(self.calibration),
             "newest": self.newest_text,
@@ -623,6 +668,12 @@ def _check_found(settings: dict[str, Any], collected: dict[str, Any]) -> None:
         raise ValueError(f"settings is {settings}")
     if settings and not {"size_px", "rate_hz"} <= set(settings):
         raise ValueError(f"settings is {settings}")
+
+
+def _refuse_few(asked: int) -> None:
+    """Refuse to ask for fewer presses than can be learnt from."""
+    if asked < MIN_TO_LEARN:
+        raise InputError(f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one")
 
 
 def left_out_text(frames: int) -> str:

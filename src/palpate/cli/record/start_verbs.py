@@ -234,7 +234,10 @@ def start(
     scale: ScaleOption = "virtual",
     presses: Annotated[
         int | None,
-        Option(help="Presses to collect; 40, or as many as a session that is there was begun for.", min=1),
+        Option(
+            help="Presses in all, with those that are there; 40, or as many as a session was begun for.",
+            min=1,
+        ),
     ] = None,
     more: Annotated[
         int, Option(help="Presses to collect beside those that are there, and learn from all anew.", min=0)
@@ -257,13 +260,19 @@ def start(
     Example: palpate start --terminal --more 20
     """
     if not terminal:
-        _open_page(folder, port)
+        _refuse_terminals_own({"--more": more, "--seed": seed, "--real-time": real_time}, scale_lag_s)
+        chosen = {"camera": camera, "scale": scale, "presses": presses, "unit": _unit(unit)}
+        _open_page(folder, port, chosen)
         return
     from palpate.workflows.start_session import StartSession
 
+    _refuse_both(presses, more)
     session = StartSession(folder)
     with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
-        _choose(session, camera, scale, presses, seed, _unit(unit) or None, scale_lag_s)
+        if not more and session.has_nothing_left_by(camera, scale, presses):
+            say(session.nothing_left_text, err=True)
+        else:
+            _choose(session, camera, scale, presses, seed, _unit(unit) or None, scale_lag_s)
         if more:
             session.ask_more(more)
         if "collect" not in session.state.done and session.remaining:
@@ -294,6 +303,17 @@ def start(
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
 
+def _refuse_both(presses: int | None, more: int) -> None:
+    """Refuse to be told in two ways how many presses shall be collected."""
+    from palpate.core import InputError
+
+    if presses is not None and more:
+        raise InputError(
+            f"--presses {presses} and --more {more}: --presses is how many there shall be in all, --more how "
+            "many beside those that are there; give one of them"
+        )
+
+
 def _choose(
     session: StartSession,
     camera: str,
@@ -303,14 +323,10 @@ def _choose(
     unit: str | None,
     scale_lag_s: float | None,
 ) -> None:
-    """Choose camera and scale, where that was not done yet or they are others."""
+    """Choose camera and scale, where that was not done yet or they are others, and how many presses."""
     session.choose_if_other(camera, scale, asked=presses, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
-    if presses not in (None, session.state.asked):
-        say(
-            f"{session.folder} was begun for {session.state.asked} presses, which stays; --more N asks for N "
-            "beside them",
-            err=True,
-        )
+    if presses is not None and (said := session.ask_for(presses)):
+        say(f"{said}; --more N does", err=True)
 
 
 def _unit(name: str) -> str:
@@ -325,8 +341,23 @@ def _unit(name: str) -> str:
     return name
 
 
-def _open_page(folder: Path, port: int) -> None:
-    """Serve the studio, whose first page leads through the steps."""
+def _refuse_terminals_own(given: dict[str, Any], scale_lag_s: float | None) -> None:
+    """Refuse what the page has no field for, in place of losing it."""
+    from palpate.core import InputError
+
+    lost = [name for name, value in given.items() if value]
+    lost += [] if scale_lag_s is None else ["--scale-lag-s"]
+    if lost:
+        raise InputError(
+            f"the page that leads through it has no field for {', '.join(lost)}: give --terminal, too"
+        )
+
+
+def _open_page(folder: Path, port: int, chosen: dict[str, Any]) -> None:
+    """Serve the studio, whose first page leads through the steps; what was chosen stands in its fields."""
     from palpate.cli.study.study_verbs import serve_studio
 
-    serve_studio(port=port, workspace=folder.absolute().parent, page=f"?{urlencode({'folder': folder.name})}")
+    usual = {"camera": "virtual:palm", "scale": "virtual"}
+    told = {name: value for name, value in chosen.items() if value and value != usual.get(name)}
+    page = f"?{urlencode({'folder': folder.name} | told)}"
+    serve_studio(port=port, workspace=folder.absolute().parent, page=page)
