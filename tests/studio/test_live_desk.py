@@ -27,8 +27,15 @@ from palpate.studio.live.live_desk import (
 from palpate.studio.live.live_drawing import lateral_motion, overlay_svg, place_svg, reading_svg, strain_svg
 from palpate.studio.live.live_page import SensorCard, facts_html, head_html, live_address
 from palpate.studio.live.reading_rows import NAMES, softness_html, unread, values_html
-from palpate.studio.live.start_desk import StartDesk, kept_session
-from palpate.studio.live.start_page import UNITS, collected_html, coverage_html, result_html, steps_html
+from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
+from palpate.studio.live.start_page import (
+    UNITS,
+    caption_of,
+    collected_html,
+    coverage_html,
+    result_html,
+    steps_html,
+)
 from palpate.studio.live.start_process import run_session
 from palpate.workflows import start_session
 
@@ -408,10 +415,39 @@ def test_each_step_says_in_a_word_how_it_stands():
     session |= {"done": ["camera", "settings", "untouched", "collect", "train"], "step": "live",
                 "trained": {"sentence": "errs by <0.2> N", "curve": {"text": "ten more"}}}  # fmt: skip
     assert re.findall(r'data-state="([^"]+)"', steps_html(session, None)) == ["done"] * 5 + ["ready"]
+    unopened = {**session, "done": ["camera"], "step": "settings", "unopened": True, "trained": {}}
+    states = re.findall(r'data-state="([^"]+)"', steps_html(unopened, None))
+    assert states == ["waits", *["to come"] * 5], "a camera that never gave a frame is not chosen for good"
     told = result_html(session)
     assert "simulated, not measured" in told
     assert "&lt;0.2&gt;" in told
     assert "simulated" not in result_html(session | {"camera": "0"})
+
+
+class ShownRun(StartRun):
+    """A run as it is shown, without its process."""
+
+    running, at, step, done, total, collect = True, "", "begins", 0, 0, {}
+
+
+def test_steps_that_are_done_again_read_as_under_way_and_the_presses_as_being_collected():
+    """A session that was whole presses anew: nothing of it reads as done before it is."""
+    whole = {"camera": "0", "scale": "typed", "step": "live", "collected": {"text": "12 of 12"},
+             "done": ["camera", "settings", "untouched", "collect", "train"]}  # fmt: skip
+    run = object.__new__(ShownRun)
+    order = ["camera", "settings", "untouched", "collect", "train"]
+    for at in ("", *order[1:]):
+        run.at = at
+        told = steps_html(whole, run)
+        k = order.index(at or "camera")
+        states = re.findall(r'data-state="([^"]+)"', told)
+        assert states == ["done"] * k + ["under way"] + ["to come"] * (5 - k)
+        assert ("being collected" in told) == (at == "collect")
+        assert ("12 of 12" in told) == (at == "train")
+        assert "sees now" in caption_of(run) if at in order[1:4] else "last picture" in caption_of(run)
+    run.running = False
+    assert "last picture" in caption_of(run)
+    assert re.findall(r'data-state="([^"]+)"', steps_html(whole, run)) == ["done"] * 5 + ["ready"]
 
 
 SESSION = """

@@ -161,7 +161,8 @@ def add_pages(parts: StudioParts) -> None:
     def start_page(request: Request) -> None:
         from palpate.studio.live.start_page import StartPage
 
-        StartPage(parts.workspace, parts.starts, parts.lives, request.query_params.get("folder", ""))
+        asked = dict(request.query_params)
+        StartPage(parts.workspace, parts.starts, parts.lives, asked.get("folder", ""), asked)
 
     @ui.page("/live", title="Live · palpate")
     def live_page(request: Request) -> None:

@@ -33,6 +33,7 @@ class StartRun:
         begun_s: when it began [s, monotonic time].
         session: the newest that it told of the session.
         collect: the newest that it told of the presses.
+        at: the step that it is at, also one that is done again; "" before it has told.
         step, done, total: how far it is.
         picture: number and JPEG bytes of the newest picture; None before the first.
         said: the last word on a weight that was typed.
@@ -45,7 +46,7 @@ class StartRun:
         self.collect: dict[str, Any] = {}
         self.step, self.done, self.total = "begins", 0, 0
         self.picture: tuple[int, bytes] | None = None
-        self.said = self.why = ""
+        self.said = self.why = self.at = ""
         self._process = subprocess.Popen(  # noqa: S603 - our own module, by our own interpreter
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
@@ -108,7 +109,7 @@ class StartRun:
             self.step, self.done, self.total = told["progress"]
         self.session = told.get("session", told.get("done", {}).get("session", self.session))
         self.collect = told.get("collect", self.collect)
-        self.said = str(told.get("said", self.said))
+        self.said, self.at = str(told.get("said", self.said)), str(told.get("at", self.at))
         self.why = str(told.get("error", self.why))
 
 

@@ -33,6 +33,7 @@ from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, pag
 from palpate.studio.status_text import duration, number
 
 REFRESH_S = 0.25
+MAX_ADDRESS, MAX_DIGITS = 200, 5  # of what the page's address states
 FIRST = "my-sensor"
 STEPS = {
     "camera": "Camera and scale",
@@ -59,15 +60,16 @@ class StartPage:
         workspace: in which the session's folder lies.
         starts, lives: of the server.
         name: of the session's folder, as in the address; "" for a new one.
+        asked: camera, scale, unit and presses, where the address states them as `palpate start` does.
         cameras: lists cameras by address, in words.
     """
 
     def __init__(
         self, workspace: Workspace, starts: StartDesk, lives: LiveDesk, name: str,
-        cameras: Cameras = plugged_in,
+        asked: Mapping[str, str] | None = None, cameras: Cameras = plugged_in,
     ) -> None:  # fmt: skip
         self._workspace, self._starts, self._lives = workspace, starts, lives
-        self._cameras = cameras
+        self._cameras, self._asked = cameras, dict(asked or {})
         self._kept: dict[str, Any] = {}
         self._picture_number, self._chosen = -1, False
         self._gone: str | None = None  # folder whose presses were deleted
@@ -126,6 +128,7 @@ class StartPage:
             ui.html("<h2>What the camera sees, and what was pressed</h2>", sanitize=False)
             self._picture = ui.interactive_image("", sanitize=False).classes("w-full camera")
             self._picture.props('alt="no picture yet"')
+            self._caption = ui.html("", sanitize=False).props('id="picture-caption" role="status"')
             self._collect = ui.html(NO_PRESSES, sanitize=False).props('id="collect"')
             with ui.row().classes("items-center") as self._typed:
                 self._weight = ui.number("weight lying there now", value=100.0, min=0.1, suffix="g")
@@ -137,6 +140,16 @@ class StartPage:
         cameras = await asyncio.to_thread(self._cameras)
         self._camera.set_options({**VIRTUAL, **cameras}, value=self._camera.value)
         await self._look()
+        self._take_asked()
+
+    def _take_asked(self) -> None:
+        """Take what the address states, which says more than what was chosen before."""
+        for element, key in ((self._camera, "camera"), (self._scale, "scale"), (self._unit, "unit")):
+            if value := self._asked.get(key, "")[:MAX_ADDRESS]:
+                _offer(element, value)
+        presses = self._asked.get("presses", "")
+        if presses.isascii() and presses.isdigit() and len(presses) < MAX_DIGITS:
+            self._presses.set_value(int(presses))
 
     async def _look(self) -> None:
         """Take in the session that the folder holds."""
@@ -147,9 +160,10 @@ class StartPage:
             self._trouble.set_content(trouble_html(str(e)))
         if self._kept and not self._chosen:
             self._chosen = True
-            for element, known, key in ((self._camera, VIRTUAL, "camera"), (self._scale, SCALES, "scale")):
+            for element, key in ((self._camera, "camera"), (self._scale, "scale")):
                 value = str(self._kept[key])
-                element.set_options({value: value} | known, value=value)
+                if value in element.options or not self._kept.get("unopened"):
+                    _offer(element, value)  # a camera that never gave a frame is chosen anew
             if "gone" in self._kept:
                 self._gone = str(self._folder.value)
                 self._trouble.set_content(trouble_html(str(self._kept["gone"])))
@@ -236,7 +250,8 @@ class StartPage:
         run, session = self._run(), self._session()
         running = run is not None and run.running
         self._button.set_enabled(not running)
-        self._button.set_text("Go on" if session and session.get("step") != "live" else "Begin")
+        goes_on = session and session.get("step") != "live" and not session.get("unopened")
+        self._button.set_text("Go on" if goes_on else "Begin")
         collects = running or (run is not None and run is self._pressing and bool(run.collect))
         self._anew.set_visibility(self._folder.value == self._gone and not collects)
         self._stop.set_visibility(running)
@@ -244,15 +259,20 @@ class StartPage:
         if run is not None and run.why and not running:
             self._set(self._trouble, trouble_html(run.why))
         self._set(self._steps, steps_html(session, run))
-        collected = (run.collect if run is not None else {}) or dict(session.get("collected") or {})
+        collected = _collected(session, run)
         said = trouble_html(run.said) if run is not None and run.said else ""
-        self._set(self._collect, (collected_html(collected) if collected else NO_PRESSES) + said)
+        empty = NOT_YET if running else NO_PRESSES
+        self._set(self._collect, (collected_html(collected) if collected else empty) + said)
         self._typed.set_visibility(running and session.get("scale") == "typed")
         if run is not None and run.picture is not None and run.picture[0] != self._picture_number:
             self._picture_number = run.picture[0]
             asked = urlencode({"folder": str(self._folder.value), "n": self._picture_number})
             self._picture.set_source(f"/start/picture?{asked}")
-            self._picture.props('alt="what the camera sees"')
+        if self._picture_number > 0:
+            words = caption_of(run)
+            if words not in self._caption.content:
+                self._picture.props(f'alt="{words}"')
+                self._caption.set_content(f'<p class="soft">{words}</p>')
         done = session.get("step") == "live" and not running
         self._live_button.set_visibility(done)
         self._set(self._result, result_html(session) if done else "")
@@ -266,26 +286,65 @@ class StartPage:
             element.set_content(text)
 
 
+def _offer(element: ui.select, value: str) -> None:
+    """Choose a value of a list, which is offered beside those that are there."""
+    element.set_options({value: value} | dict(element.options), value=value)
+
+
+NOT_YET = '<p class="empty">Collecting has not begun yet: leave the sensor untouched.</p>'
 NO_PRESSES = '<p class="empty">No press yet. Press anywhere, hold still for a second, let go.</p>'
 
 
 def steps_html(session: Mapping[str, Any], run: StartRun | None) -> str:
     """The steps as cards: done, under way, or still to come, each in a word and with what it found."""
-    done, running = list(session.get("done") or ()), run is not None and run.running
-    now = str(session.get("step") or "camera")
+    running = run is not None and run.running
     parts = []
     for place, (step, title) in enumerate(STEPS.items(), 1):
-        state, look = "to come", "warn"
-        if step in done or (step == "live" and now == "live"):
-            state, look = ("ready" if step == "live" else "done"), ""
-        elif step == now:
-            state = "under way" if running else "waits"
-        found = _found(step, session)
-        if step == now != "live" and run is not None and running:
+        state, look = _state_of(step, session, run if running else None)
+        found = _found(step, session if run is None else {**session, "collected": _collected(session, run)})
+        if run is not None and running and step == _at(run):
             found += progress_html(run.step, run.done, run.total, title)
-        heading = f"<h3>{place}. {title} {state_word(state, look)}</h3>"
+        words = "being collected" if (step, state) == ("collect", "under way") else state
+        heading = f"<h3>{place}. {title} {state_word(words, look)}</h3>"
         parts.append(f'<section class="card step" data-state="{state}">{heading}{found}</section>')
     return "".join(parts)
+
+
+def _collected(session: Mapping[str, Any], run: StartRun | None) -> dict[str, Any]:
+    """The presses so far; of a process that has yet to collect none, whatever was collected before."""
+    if run is not None and run.collect:
+        return run.collect
+    before = run is not None and run.running and _at(run) != "train"
+    return {} if before else dict(session.get("collected") or {})
+
+
+def _at(run: StartRun) -> str:
+    """The step that a process is at; before it has told, it looks for camera and scale."""
+    return run.at if run.at in STEPS else "camera"
+
+
+def _state_of(step: str, session: Mapping[str, Any], running: StartRun | None) -> tuple[str, str]:
+    """State of a step in words, and its look.
+
+    A process that runs says itself what it is at: it may do again what was done before.
+    """
+    order = list(STEPS)
+    if running is not None:
+        after = order.index(step) - order.index(_at(running))
+        return ("done", "") if after < 0 else ("to come" if after else "under way", "warn")
+    done, now = list(session.get("done") or ()), str(session.get("step") or "camera")
+    if session.get("unopened"):  # chosen, and never opened
+        done, now = [], "camera"
+    if step in done or (step == "live" and now == "live"):
+        return ("ready" if step == "live" else "done"), ""
+    return ("waits" if step == now else "to come"), "warn"
+
+
+def caption_of(run: StartRun | None) -> str:
+    """What the picture shows: the camera as it is read now, or the last of the presses."""
+    if run is not None and run.running and run.at in ("settings", "untouched", "collect"):
+        return "What the camera sees now."
+    return "The last picture that was taken; the camera is not being read now."
 
 
 def _found(step: str, session: Mapping[str, Any]) -> str:

@@ -134,26 +134,38 @@ def run_session(words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
 
 
 def _through_steps(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> dict[str, Any]:
-    unit = words.unit or None
-    session.choose_if_other(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=unit)
-    if words.more:
-        session.ask_more(words.more)
+    _choose(session, words, voice)
     voice.say({"session": session.to_dict()})
     if session.step in RESTS:
         voice.progress("opening camera and scale", 0, 1)
         feed = WatchedFeed(session.feed(real_time=words.real_time), voice)
         try:
+            voice.say({"at": "settings"})
             session.check_settings(feed)
-            voice.say({"session": session.to_dict()})
+            voice.say({"session": session.to_dict(), "at": "untouched"})
             session.take_untouched(feed)
-            voice.say({"session": session.to_dict()})
+            voice.say({"session": session.to_dict(), "at": "collect"})
             collect_presses(session, feed, voice)
             voice.say({"session": session.to_dict()})
         finally:
             feed.close()
     if session.step == "train":
+        voice.say({"at": "train"})
         session.train(voice.progress)
     return {"session": session.to_dict()}
+
+
+def _choose(session: StartSession, words: argparse.Namespace, voice: JobVoice) -> None:
+    """Choose camera, scale and how many presses; what changes nothing is said."""
+    if not words.more and session.has_nothing_left_by(words.camera, words.scale, words.presses):
+        voice.say({"said": session.nothing_left_text})
+        return
+    unit = words.unit or None
+    session.choose_if_other(words.camera, words.scale, asked=words.presses, seed=words.seed, unit=unit)
+    if words.more:
+        session.ask_more(words.more)
+    elif said := session.ask_for(words.presses):
+        voice.say({"said": said})
 
 
 def main() -> int:
