@@ -9,6 +9,8 @@ loudly, for then the operator must use the switch on the rig.
 from __future__ import annotations
 
 import asyncio
+import errno
+import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -51,6 +53,7 @@ def add_route(app: FastAPI, client: RigClient, desk: RenderingDesk) -> None:
 
 
 HOST = "127.0.0.1"
+HTTP_PORT, MAX_PORT = 8080, 65535
 LOOPBACK = (HOST, "localhost", "::1")
 KEPT = 30  # messages for a tab that loses its connection for a moment
 ENDS_S = 2
@@ -237,14 +240,30 @@ def check_host(host: str, token: str) -> None:
 
 
 def check_port(port: int, host: str = HOST) -> None:
-    """Refuse a port that is taken, or an address that is not here, before anything is started."""
-    import socket
+    """Refuse a port that is taken, or an address that is not here, before anything is started.
 
+    Raises:
+        DeviceError: nobody can listen there, with the port, the host and what to do.
+    """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.create_server((host, port), family=family):
             pass
     except OSError as e:
-        raise DeviceError(
-            f"port {port} on {host} cannot be used ({e.strerror or e}); give another --port"
-        ) from e
+        raise DeviceError(_no_port_text(port, host, e)) from e
+
+
+def _no_port_text(port: int, host: str, e: OSError) -> str:
+    """Why nobody can listen at a port, and what to do."""
+    other = port + 1 if port < MAX_PORT else HTTP_PORT
+    if e.errno == errno.EADDRINUSE:
+        shown = f"[{host}]" if ":" in host else host
+        return (
+            f"port {port} on {host} is in use by another program, perhaps a studio that runs already: open "
+            f"http://{shown}:{port}/, end that program, or give another port, such as --port {other}"
+        )
+    if e.errno == errno.EACCES:
+        return f"port {port} on {host} is kept for the system's own programs; give --port {HTTP_PORT}"
+    if e.errno == errno.EADDRNOTAVAIL or isinstance(e, socket.gaierror):
+        return f"--host {host} (port {port}) is no address of this computer; give one of its own, or none"
+    return f"port {port} on {host} cannot be used ({e.strerror or e}); give another, such as --port {other}"
