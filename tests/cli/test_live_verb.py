@@ -304,3 +304,23 @@ def test_an_end_that_never_comes_is_refused(option, value) -> None:
 
 def test_an_empty_address_is_not_the_folder_in_which_one_stands(spots) -> None:
     assert "address of a camera is empty" in typed("live", "--camera", "", status=2).output
+
+
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_a_reader_that_goes_as_head_does_ends_it_without_a_word(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    """With the status of a program that the closed pipe ends, and what is recorded whole."""
+    (tmp_path / "frames").mkdir()
+    for k in range(3):
+        (tmp_path / "frames" / f"{k}.png").write_bytes(encode(np.full((48, 64), 40 * k, np.uint8)))
+    code = "from palpate.cli import main; main()"
+    line = ["live", "--camera", str(tmp_path / "frames"), "--record", str(tmp_path / "run"), *words]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *line], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        told = process.stderr.read().decode() if process.stderr is not None else ""
+        assert (process.wait(60), told) == (141, "")
+    assert len(Run.open(tmp_path / "run")) > 0

@@ -38,20 +38,25 @@ INTERRUPTED_STAGE = (
     "is, and after a homing that was interrupted its place is not to be believed until it is homed"
 )
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+PIPE_CLOSED = 141  # as a shell tells of a program that SIGPIPE has ended
 ONCE_S = 2.0  # after a signal, in which another must not cut short the stop that the first began
 MOVING = ("home", "jog", "zero", "check", "setup")
 """Verbs of the group `rig` that move a stage."""
 
 
 def say(text: str, err: bool = False, nl: bool = True) -> None:
-    """Print to stdout or stderr; where that takes nothing more, end by one line, on the other if it can."""
+    """Print to stdout or stderr; where that takes nothing more, end by one line, on the other if it can.
+
+    Where whoever read it has gone, as ``head -1`` does, nothing is said, and the status is that of a program
+    which the closed pipe ends.
+    """
     try:
         typer.echo(text, err=err, nl=nl)
     except OSError as e:
-        if e.errno == errno.EPIPE:  # whoever read it has gone: click ends it
-            raise
         with suppress(OSError, ValueError):  # what is left in the buffer would be written again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
+        if e.errno == errno.EPIPE:
+            raise typer.Exit(PIPE_CLOSED) from e
         said = f"palpate: nothing more can be printed: {e.strerror or e}; what is on disk is kept"
         with suppress(OSError):
             typer.echo(said, err=True)

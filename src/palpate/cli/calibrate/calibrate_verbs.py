@@ -22,6 +22,7 @@ from palpate.cli.verb_support import (
     periods_of,
     print_found,
     progress_bar,
+    say,
     vectors_of,
 )
 from palpate.estimators.session_folder import calibration_in
@@ -194,7 +195,7 @@ def _labelled(path: Path) -> palpate.Run:
         return whole
     lost = len(whole) - len(run)
     has = "1 frame has" if lost == 1 else f"{lost} frames have"
-    typer.echo(
+    say(
         f"{path}: {has} no label at all, as a writer that was killed leaves them; left out, the other "
         f"{len(run)} are used. The command that recorded it goes on where it was killed",
         err=True,
@@ -250,7 +251,7 @@ def evaluate(
     print_found(scores, _scores_text(scores, estimator.card), json_)
     if keep:
         kept = keep_evaluation(calibration, scores, reference=reference is not None)
-        typer.echo(f"kept in {kept}", err=json_)
+        say(f"kept in {kept}", err=json_)
 
 
 def sense(
@@ -275,20 +276,20 @@ def sense(
     for sensed in palpate.sense(estimator, frames, zero):
         latencies.append(sensed.latency_s)
         if json_:
-            typer.echo(json.dumps(sensed.to_dict(), allow_nan=False))
+            say(json.dumps(sensed.to_dict(), allow_nan=False))
         else:
-            typer.echo("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
+            say("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
     if timing:
         from palpate.reports import latency_line
 
-        typer.echo(latency_line(latencies), err=True)
+        say(latency_line(latencies), err=True)
     if hasattr(frames, "run"):
         from palpate.sensing.streaming.replayed_frames import unfinished
 
         if why := unfinished(frames.run.path):
-            typer.echo(why, err=True)
+            say(why, err=True)
             if json_:
-                typer.echo(json.dumps({"source": str(source), "state": "ended", "why": why}))
+                say(json.dumps({"source": str(source), "state": "ended", "why": why}))
             raise typer.Exit(1)
 
 
@@ -357,7 +358,7 @@ def compare(
 def _tell_left_out(why: tuple[str, ...]) -> None:
     """A line on stderr for each evaluation that was refused, so that its absence is seen without the page."""
     for one in why:
-        typer.echo(f"left out: {' '.join(one.split())}", err=True)
+        say(f"left out: {' '.join(one.split())}", err=True)
 
 
 def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[str, Any]:

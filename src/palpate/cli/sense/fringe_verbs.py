@@ -7,10 +7,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-import typer
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, numbers_of, print_found, progress_bar
+from palpate.cli.verb_support import Json, Quiet, numbers_of, print_found, progress_bar, say
 from palpate.core import InputError
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def fringe_order(
 
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(seen, 1):
-            typer.echo(json.dumps(one.to_dict(), allow_nan=False) if json_ else _line(one))
+            say(json.dumps(one.to_dict(), allow_nan=False) if json_ else _line(one))
             if files is not None and one.found is not None and one.frame is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
             progress("frames", done, count)

@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Quiet, progress_bar
+from palpate.cli.verb_support import Quiet, progress_bar, say
 from palpate.core import Frame, InputError, Lens, Readings, new_folder, refuse_existing
 from palpate.core.sensor import sensor as find_sensor
 
@@ -70,9 +69,9 @@ def shear(
         progress = stack.enter_context(progress_bar(quiet))
         page = _page(source, reader, untouched) if html else None
         if not json_:
-            typer.echo(ROW.format(*HEAD).rstrip())
+            say(ROW.format(*HEAD).rstrip())
         for count, seen in enumerate(read_touches(frames, reader, force), 1):
-            typer.echo(json.dumps(seen.to_dict(), allow_nan=False) if json_ else _row(seen))
+            say(json.dumps(seen.to_dict(), allow_nan=False) if json_ else _row(seen))
             if folder:
                 write_fields(folder, seen)
             if page:
