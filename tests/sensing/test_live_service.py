@@ -67,6 +67,7 @@ def test_a_client_is_told_ten_times_a_second_with_a_picture(served) -> None:
     wanted = {"state", "why", "source", "calibration", "rate_hz", "p50_ms", "p95_ms", "p99_ms", "frames"}
     wanted |= {"dropped", "lost", "broken", "drift", "advice", "reading", "force_N", "image", "collect"}
     assert wanted <= set(client.status)
+    assert client.status["simulated"] is False
     assert client.status["rate_hz"] == pytest.approx(50.0, rel=0.1)
     assert service.loop.state is LiveState.LIVE
 

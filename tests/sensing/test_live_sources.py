@@ -35,6 +35,7 @@ from palpate.sensing.live_sources import (
     HandFrames,
     NoFrameYetError,
     PacedFrames,
+    is_simulated,
     open_live_source,
 )
 from palpate.sensing.streaming.replayed_frames import PipedFrames
@@ -173,6 +174,20 @@ def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(
         assert np.array_equal(frame.frame.image, stored.image)
         assert frame.frame.time_s == pytest.approx(stored.time_s, abs=1e-9)
         assert frame.frame.name == stored.name
+
+
+@pytest.mark.parametrize(("origin", "expected"), [("of a hand; virtual, not measured", True), ("", False)])
+def test_frames_of_a_virtual_sensor_are_called_simulated_however_they_come(
+    origin: str, expected: bool, tmp_path
+) -> None:
+    manifest = Manifest.new(sensor="spots", labels={}, origin=origin)
+    with RunWriter.create(tmp_path / "run", manifest) as writer:
+        writer.frame(images(1)[0])
+        writer.sync()
+        assert is_simulated(open_live_source(tmp_path / "run")) == expected, "while it is written"
+    assert is_simulated(open_live_source(tmp_path / "run")) == expected
+    assert is_simulated(open_live_source(tmp_path / "run", paced=True)) == expected
+    assert not is_simulated(open_live_source(video(tmp_path / "taps.avi", images(2))))
 
 
 def test_what_is_given_to_a_pipe_comes_out_whatever_lies_between(rng) -> None:

@@ -24,7 +24,15 @@ from palpate.studio.live.live_desk import (
     LiveSensor,
     edge_readings,
 )
-from palpate.studio.live.live_drawing import lateral_motion, overlay_svg, place_svg, reading_svg, strain_svg
+from palpate.studio.live.live_drawing import (
+    lateral_motion,
+    overlay_legend,
+    overlay_svg,
+    place_svg,
+    reading_svg,
+    shows_marks,
+    strain_svg,
+)
 from palpate.studio.live.live_page import SensorCard, facts_html, head_html, live_address
 from palpate.studio.live.reading_rows import NAMES, softness_html, unread, values_html
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
@@ -281,6 +289,8 @@ def test_a_frame_without_readings_keeps_the_rows_of_those_before():
 def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert "no connection" in head_html("live <x>", None)
     assert "&lt;x&gt;" in head_html("live <x>", told(0, 0.0, state="lost", why="unplugged"))
+    assert "simulated, not measured" in head_html("live x", told(0, 0.0, simulated=True))
+    assert "simulated" not in head_html("live x", told(0, 0.0, simulated=False))
     facts = facts_html(told(0, 0.0, image={"noise": 1.234, "clipped": 0.012}))
     assert all(
         part in facts for part in ("30.0", "95 % within 6.1", "0 dropped", "noise 1.23", "1.2 % clipped")
@@ -289,6 +299,21 @@ def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert live_address([]) == "/live"
     assert overlay_svg({"centre_px": [10.0, 20.0]}, (400, 300)).count("<circle") == 2
     assert overlay_svg(None, (400, 300)) == ""
+
+
+def test_every_sign_over_a_picture_stands_in_its_legend_with_a_shape_of_its_own():
+    marks = {"lines": [], "dots": [{"role": "mark", "at": [3, 4]}], "arrows": [], "arrow_times": 2.0}
+    region = {"dots": [{"role": "centre", "at": [3, 4]}], "lines": [{"role": "region", "points": [[1, 2]]}]}
+    assert (shows_marks(marks), shows_marks(region), shows_marks({})) == (True, False, False)
+    bare, marked = overlay_legend({}, marked=False), overlay_legend(marks, marked=True)
+    assert (bare.count("<li>"), marked.count("<li>")) == (2, 5)
+    assert all(word in bare for word in ("outline: where it differs", "cross or ring: the middle"))
+    assert all(
+        word in marked for word in ("has not moved", "moved, 2 times as long", "mean, 3 times as long")
+    )
+    shapes = re.findall(r"<svg.*?>(.*?)</svg>", marked)
+    uncoloured = {re.sub(r'(#\w+|stroke-width="[^"]*")', "", one) for one in shapes}
+    assert len(uncoloured) == 5, "told apart without colour"
 
 
 def test_lengths_and_angles_are_shown_in_mm_and_degrees_with_all_that_surrounds_them():

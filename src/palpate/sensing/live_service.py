@@ -37,7 +37,14 @@ from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.recordings.exchange.image_files import read_image
 from palpate.sensing.live_loop import LiveLoop, LiveState
-from palpate.sensing.live_sources import HandFrames, LiveFrame, LiveSource, open_live_source
+from palpate.sensing.live_sources import (
+    VIRTUAL,
+    HandFrames,
+    LiveFrame,
+    LiveSource,
+    is_simulated,
+    open_live_source,
+)
 from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_presses import PressReader, compliance_of
 from palpate.sensing.streaming.live_readers import CalibrationReader, FrameReader, open_reader
@@ -269,6 +276,7 @@ class LiveService:
             **found,
             "name": self.name,
             "camera": self.options.camera,
+            "simulated": self._simulated,
             "image": self._image_status(),
             "strain": self._strain_status(),
             "compliance": self._press_status(),
@@ -276,6 +284,11 @@ class LiveService:
             "collect": None if collector is None else collector.status,
             "log": self._log.tail(TAIL),
         }
+
+    @property
+    def _simulated(self) -> bool:
+        source = self.loop.source
+        return self.options.camera.startswith(VIRTUAL) if source is None else is_simulated(source)
 
     def picture(self, after: int = -1) -> dict[str, Any] | None:
         """The newest frame as a JPEG, numbered; None where none is newer than `after`, or none is due."""

@@ -27,6 +27,8 @@ from palpate.core import (
 from palpate.sensing.frame_sources import Unreadable
 
 VIRTUAL = "virtual:"
+NOT_MEASURED = "not measured"
+"""In the origin of every run that a virtual sensor gave."""
 STDIN = "-"
 PICAMERA2 = "picamera2"
 LOOK_S = 0.002  # between two looks for a frame of a camera
@@ -84,6 +86,14 @@ class LiveSource(Protocol):
 
     def close(self) -> None:
         """Let go of it. Closing again does nothing."""
+
+
+def is_simulated(source: LiveSource) -> bool:
+    """Whether frames are those of a virtual sensor, or of a run that was recorded on one."""
+    if isinstance(source, PacedFrames):
+        return is_simulated(source.played)
+    manifest = getattr(getattr(source, "run", source), "manifest", None)
+    return source.name.startswith(VIRTUAL) or (manifest is not None and NOT_MEASURED in manifest.origin)
 
 
 def live_frame(item: Frame | Unreadable, number: int, arrived_ns: int | None = None) -> LiveFrame:
@@ -268,6 +278,11 @@ class PacedFrames(Closing):
         time.sleep(max(self._due_s - time.monotonic(), 0.0))
         frame, self._next = self._next, None
         return frame
+
+    @property
+    def played(self) -> LiveSource:
+        """The file's own frames."""
+        return self._source
 
     def close(self) -> None:
         """Close the file."""

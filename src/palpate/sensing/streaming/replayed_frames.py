@@ -183,11 +183,14 @@ class GrowingRun(GrowingFrames):
 
     Each file is read on from where it was left, so that a long run costs no more than a short one. Frames are
     named by their index.
+
+    Attributes:
+        manifest: of the run.
     """
 
     def __init__(self, path: Path, idle_s: float) -> None:
         super().__init__(path, idle_s)
-        self._manifest = StoredManifest.read(path).manifest
+        self.manifest = StoredManifest.read(path).manifest
         self._segment, self._offset = -1, 0
 
     def _next(self) -> Frame | Unreadable | None:
@@ -205,14 +208,14 @@ class GrowingRun(GrowingFrames):
             return False
         chunks, self._offset = scan_growing(path, self._offset)
         for stored in frames_in(path, chunks):
-            at_s = (stored.time_ns - self._manifest.created_ns) / NS_PER_S
+            at_s = (stored.time_ns - self.manifest.created_ns) / NS_PER_S
             index = self._number + len(self._found)
             try:
                 image = stored.image(check=False)  # compared with its checksum a moment ago
             except PalpateError as e:
                 self._found.append(Unreadable(str(index), at_s, str(e)))
                 continue
-            self._found.append(Frame(image, at_s, None, self._manifest.sensor, str(index)))
+            self._found.append(Frame(image, at_s, None, self.manifest.sensor, str(index)))
         return bool(self._found)
 
     def _closed(self, number: int) -> bool:

@@ -293,6 +293,53 @@ def overlay_svg(image: Mapping[str, Any] | None, size_px: tuple[int, int]) -> st
     return "".join(parts)
 
 
+LEGEND_PX = (26, 18)  # width and height of a sign
+
+
+def shows_marks(overlay: Mapping[str, Any]) -> bool:
+    """Whether an overlay follows a skin's marks: then their signs belong in its legend."""
+    every = (*(overlay.get("dots") or ()), *(overlay.get("arrows") or ()))
+    return any(one.get("role") == "mark" for one in every)
+
+
+def overlay_legend(overlay: Mapping[str, Any], *, marked: bool) -> str:
+    """What the shapes over a live picture mean: each sign, drawn as it is there, beside its words.
+
+    The signs differ by their shapes, not by colour. They stand there before the first is drawn, so that
+    nothing moves as shapes come and go.
+
+    Args:
+        overlay: shapes, as `overlay_svg` draws them.
+        marked: whether the skin's marks are followed, whose signs are added.
+    """
+    times = float(overlay.get("arrow_times") or 1.0)
+    longer = "" if times == 1 else f", {times:g} times as long"
+    square = [(6, 3), (19, 2), (21, 14), (7, 15)]
+    signs = [
+        (_shape("lines", {"points": square}, 1.0), "outline: where it differs from the untouched sensor"),
+        (_shape("dots", {"role": "centre", "at": (13, 9)}, 0.8), "cross or ring: the middle of that"),
+    ]
+    if marked:
+        thick = "".join(
+            _long_arrow((3, 9), (22, 9), width, colour) for colour, width in (("#000", 4), (BOX, 2.6))
+        )
+        signs += [
+            (_shape("dots", {"at": (13, 9)}, 1.0), "dot: a mark that has not moved"),
+            (
+                _shape("arrows", {"start": (4, 9), "end": (22, 9)}, 1.1),
+                f"thin arrow: how a mark moved{longer}",
+            ),
+            (thick, f"thick arrow: their mean, {MOTION_TIMES:g} times as long"),
+        ]
+    width, height = LEGEND_PX
+    items = "".join(
+        f'<li><svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" aria-hidden="true">{sign}'
+        f"</svg>{escape(words)}</li>"
+        for sign, words in signs
+    )
+    return f'<ul aria-label="Signs over the picture">{items}</ul>'
+
+
 def _shape(kind: str, one: Mapping[str, Any], unit: float) -> str:
     stroke = f'fill="none" stroke="{BOX}" stroke-width="{1.6 * unit:.2f}"'
     match kind:

@@ -213,6 +213,7 @@ class SensorCard:
         self._known: dict[str, Told] = {}  # the last readings that a frame had, and the calibration's name
         self._known_by: object = None
         self._strained: Told | None = None
+        self._marked = False  # whether marks of the skin were ever followed
         old = f'data-age-of="{self.part}"'
         self._card = ui.element("section").classes("card live").props(f'aria-label="{escape(sensor.name)}"')
         with self._card:
@@ -229,6 +230,7 @@ class SensorCard:
                     self._picture = (
                         ui.interactive_image("", sanitize=False).classes("w-full camera").props(old)
                     )
+                    self._legend = ui.html("", sanitize=False).classes("legend")
                     self._moved = ui.html("", sanitize=False).classes("soft moved").props(old)
                     self._strain = ui.html("", sanitize=False).classes("strain").props(old)
                     self._place = ui.html("", sanitize=False).classes("place").props(old)
@@ -269,6 +271,9 @@ class SensorCard:
         self._set(self._values, values_html(readings, status))
         self._set(self._softness, softness_html(status.get("compliance")))
         self._set(self._strain, strain_html(strain, size_px))
+        overlay = (status.get("image") or {}).get("overlay") or {}
+        self._marked = self._marked or live_drawing.shows_marks(overlay)
+        self._set(self._legend, live_drawing.overlay_legend(overlay, marked=self._marked))
         self._set(self._moved, motion_html(status.get("image")))
         self._set(self._place, "" if strain else live_drawing.place_svg(readings))
         self._set(self._plots, self._plots_html(readings, status))
@@ -347,8 +352,9 @@ def head_html(name: str, status: Mapping[str, Any] | None) -> str:
         return f"{title} {state_word('no connection', 'bad')}</h2><p class='soft'>{gone}</p>"
     state = str(status.get("state"))
     why = f'<p class="trouble">{escape(str(status["why"]))}</p>' if status.get("why") else ""
+    simulated = f" {state_word('simulated, not measured', 'warn')}" if status.get("simulated") else ""
     zeroing = f" {state_word('taking the untouched sensor', 'warn')}" if status.get("zeroing") else ""
-    return f"{title} {state_word(state, LOOKS.get(state, ''))}{zeroing}</h2>{why}"
+    return f"{title} {state_word(state, LOOKS.get(state, ''))}{simulated}{zeroing}</h2>{why}"
 
 
 def strain_html(strain: Mapping[str, Any] | None, size_px: tuple[int, int]) -> str:
