@@ -385,6 +385,8 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
         (False, False, False, "shift", "adapt"),
         (True, False, False, "shift", "re-zero"),
         (False, False, False, "exchanged channels", "exchange"),
+        (True, False, False, "left for right", "flip"),
+        (False, False, False, "flipped", "flip"),
     ],
 )
 def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kind, action) -> None:

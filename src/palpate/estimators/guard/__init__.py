@@ -23,9 +23,10 @@ from palpate.estimators.guard.novelty import (
     thumbnail,
     thumbnails,
 )
+from palpate.estimators.guard.picture_flips import MIRRORED
 
 __all__ = [
-    "EXCHANGED", "MAX_HARM", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges",
+    "EXCHANGED", "MAX_HARM", "MIRRORED", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges",
     "LearnsFromRendered", "NeighbourModel", "NoveltyDetector", "Registration", "RenderedImages", "Verdict",
     "cross_fitted", "fit_known_changes", "fit_novelty_detector", "frame_features", "image_features",
     "kept_rows", "rescaled", "thumbnail", "thumbnails",

@@ -22,6 +22,7 @@ import numpy as np
 
 from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
 from palpate.estimators.guard.guard_features import LOCAL_FEATURES, Registration
+from palpate.estimators.guard.picture_flips import FLIPS, MIRRORED
 
 MAX_HARM = 0.01
 """A frame is refused where the share of readings beyond twice their half-width would rise by more."""
@@ -71,8 +72,8 @@ class Verdict:
 
     Attributes:
         atypicality: beyond 1 the frame should not be trusted.
-        kind: of the change that it looks most like, a name in `SIGNATURES` or `EXCHANGED`; "" where none is
-            known.
+        kind: of the change that it looks most like, a name in `SIGNATURES` or `MIRRORED`, or `EXCHANGED`; ""
+            where none is known.
         known: whether it is as near to known examples as they are to each other.
         costs: whether it was refused for what such a change costs the model.
     """
@@ -91,20 +92,23 @@ class Verdict:
                 "where they have red; give red, green, blue, of OpenCV's frames by cv2.COLOR_BGR2RGB"
             )
         unlike = f"the image is unlike those calibrated on (distance {self.atypicality:.1f}, limit 1)"
+        if self.kind in MIRRORED:
+            by = f", or by cv2.flip(image, {FLIPS[self.kind]})" if self.kind in FLIPS else ""
+            return (
+                f"{unlike}; it seems {MIRRORED[self.kind]}: flipped back it is like them, and what is bare "
+                f"in it is the untouched sensor; give frames as they were calibrated on{by}"
+            )
         if self.kind not in SIGNATURES:
             return unlike
         sign = SIGNATURES[self.kind]
-        if self.costs:
+        cost = ", by which this model errs more than its intervals allow" if self.costs else ""
+        if not self.known:
             return (
-                f"{unlike}; it looks like {sign.words}, by which this model errs more than its intervals "
-                f"allow: {sign.remedy}, or calibrate with such frames"
+                f"{unlike}, nor like any change that was tried; the nearest of those is {sign.words}{cost}: "
+                f"{sign.remedy}; where that is not it, adapt or calibrate again"
             )
-        if self.known:
-            return f"{unlike}; it looks like {sign.words}: {sign.remedy}, or adapt"
-        return (
-            f"{unlike}, nor like any change that was tried; the nearest is {sign.words}: {sign.remedy}; "
-            "where that is not it, adapt or calibrate again"
-        )
+        other = "calibrate with such frames" if self.costs else "adapt"
+        return f"{unlike}; it looks like {sign.words}{cost}: {sign.remedy}, or {other}"
 
 
 @dataclass(frozen=True)

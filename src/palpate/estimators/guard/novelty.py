@@ -32,6 +32,7 @@ from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indic
 from palpate.estimators.guard.channel_order import channels_exchanged, colour_size
 from palpate.estimators.guard.guard_features import frame_features
 from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
+from palpate.estimators.guard.picture_flips import FLIPS, flipped, told_flip, unflipped
 
 THUMBNAIL_VALUES = 1024
 """A thumbnail holds about this many values, in one channel or in three."""
@@ -324,15 +325,28 @@ class NoveltyDetector:
             if back <= 1.0 and left <= MAX_EXCHANGED_BACK * colour_size(unlike):
                 kind = "" if self._may_be_mirrored(thumb, left) else EXCHANGED
                 return Verdict(max(novelty, EXCHANGED_ATYPICALITY), kind)
+        verdict = self._by_changes(prepared, thumb, novelty, unlike)
+        flip = self._flip_of(thumb) if verdict.atypicality > 1 else ""
+        return Verdict(verdict.atypicality, flip) if flip else verdict
+
+    def _by_changes(self, prepared: Prepared, thumb: Thumbnail, novelty: float, unlike: Thumbnail) -> Verdict:
+        """Judgement by what changes cost, where that was tried."""
         if self.changes is None:
             return Verdict(novelty)
         asked = unlike if self.changes.local else None
         return self.changes.judge(frame_features(prepared, thumb, self.changes.registration, asked), novelty)
 
+    def _flip_of(self, thumb: Thumbnail) -> str:
+        """By which of `MIRRORED` a refused thumbnail seems flipped; "" where none is told."""
+        if self.reference is None:
+            return ""
+        back = unflipped(thumb, self.reference)
+        return told_flip({kind: self.novelty(one)[0] for kind, one in back.items()})
+
     def _may_be_mirrored(self, thumb: Thumbnail, left: float) -> bool:
         """Whether a mirror explains a thumbnail as well as exchanged channels, which leave so much unlike."""
-        for mirrored in (thumb[:, ::-1], thumb[::-1], thumb[::-1, ::-1]):
-            novelty, unlike = self.novelty(np.ascontiguousarray(mirrored))
+        for code in FLIPS.values():
+            novelty, unlike = self.novelty(flipped(thumb, code))
             if novelty <= 1.0 and colour_size(unlike) <= MAX_MIRRORED * left:
                 return True
         return False

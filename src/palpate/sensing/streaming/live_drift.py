@@ -14,7 +14,7 @@ from typing import Any
 
 from palpate.core import Drift, Image, ImageError, Readings
 from palpate.core.reading import plain_number
-from palpate.estimators.guard import EXCHANGED
+from palpate.estimators.guard import EXCHANGED, MIRRORED
 from palpate.sensing.streaming.live_readers import FrameReader
 
 LOOK_S = 0.25  # between two looks at drift, and at why frames are refused
@@ -27,11 +27,14 @@ RE_ZERO = "re-zero"
 REFOCUS = "refocus"
 ADAPT = "adapt"
 EXCHANGE = "exchange"
+FLIP = "flip"
 WORDS = {
     RE_ZERO: "re-zero: take everything off the skin, and take its untouched image anew",
     REFOCUS: "refocus: the image looks like one of a lens out of focus; turn it back, or lock the focus",
     ADAPT: "adapt: the sensor has changed since its calibration; record some fifty presses with labels and "
     "run `palpate adapt`, or calibrate again",
+    FLIP: "flip: the picture seems mirrored or turned by half a turn; have the camera or what reads it "
+    "give it as it was calibrated on",
     EXCHANGE: "exchange: red and blue seem exchanged; have the camera or what reads it give red, green, blue",
 }
 OUT_OF_FOCUS = "focus"  # the guard's name of that kind of change
@@ -99,6 +102,8 @@ class DriftWatch:
         kinds = Counter(look.kind for look in refused if look.kind)
         if much and kinds and kinds.most_common(1)[0][0] == OUT_OF_FOCUS:
             return REFOCUS
+        if much and kinds and kinds.most_common(1)[0][0] in MIRRORED:
+            return FLIP
         drift = self.drift
         if (drift is not None and drift.drifted) or (much and kinds):
             return RE_ZERO if self._reader.differential and not self._re_zeroed else ADAPT

@@ -350,7 +350,9 @@ def caption_of(run: StartRun | None) -> str:
 def _found(step: str, session: Mapping[str, Any]) -> str:
     """What a step has found, in words."""
     if step == "camera" and session.get("camera"):
-        return f'<p class="soft">{escape(str(session["camera"]))}, scale: {escape(str(session["scale"]))}</p>'
+        bare = "; no frame has come from it yet: choose again above" if session.get("unopened") else ""
+        words = f"{session['camera']}, scale: {session['scale']}{bare}"
+        return f'<p class="soft">{escape(words)}</p>'
     settings = session.get("settings") or {}
     if step == "settings" and settings:
         width, height = settings["size_px"]

@@ -1,0 +1,66 @@
+"""Pictures that are flipped: whether the untouched sensor in a frame is left for right, or upside down.
+
+A refused frame may be like those calibrated on once it is flipped back; but so may one of a touch at another
+place, where the sensor is as good as its own mirror image. What a touch leaves bare tells them apart: most of
+a frame is the untouched sensor. So a flip is told only where that fits the calibration's untouched sensor
+flipped back, and does not as it is. A sensor that is as good as its own mirror image tells none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from palpate.core import Float32
+
+Thumbnail = Float32[np.ndarray, "h w c"]
+
+FLIPPED = "flipped"
+FLIPS: Mapping[str, int] = {"left for right": 1, "upside down": 0, "half a turn": -1}
+"""Kinds of flip, and the code by which `cv2.flip` takes each back."""
+MIRRORED: Mapping[str, str] = {
+    "left for right": "mirrored, left for right",
+    "upside down": "mirrored, upside down",
+    "half a turn": "turned by half a turn",
+    FLIPPED: "mirrored or turned by half a turn",
+}
+"""Words for each kind, and for one that several explain, as on a skin that is nearly its own mirror image."""
+MAX_SECOND = 0.5
+"""Novelty flipped back by the best, over that by the second best, up to which it is told which flip it is."""
+MAX_FLIPPED_BACK = 0.5
+"""Median of how far a picture that is flipped back is from the untouched sensor, over that of it as it is."""
+MIN_AWAY_GREY_LEVELS = 2.0
+"""The latter at least: below, the picture fits the untouched sensor as it is."""
+
+
+def flipped(picture: Thumbnail, code: int) -> Thumbnail:
+    """A picture flipped as `cv2.flip` does it: 0 up and down, 1 left and right, -1 both."""
+    rows, columns = (slice(None, None, -1 if code in codes else 1) for codes in ((0, -1), (1, -1)))
+    return np.ascontiguousarray(picture[rows, columns])
+
+
+def unflipped(picture: Thumbnail, untouched: Thumbnail) -> dict[str, Thumbnail]:
+    """The picture flipped back, by each flip that explains where it differs from the untouched sensor.
+
+    Args:
+        picture: of a frame [grey levels].
+        untouched: of the calibration's untouched sensor [grey levels].
+    """
+    away = float(np.median(np.abs(picture - untouched)))
+    back = {kind: flipped(picture, code) for kind, code in FLIPS.items()}
+    most = MAX_FLIPPED_BACK * away if away >= MIN_AWAY_GREY_LEVELS else -1.0
+    return {kind: one for kind, one in back.items() if np.median(np.abs(one - untouched)) <= most}
+
+
+def told_flip(novelty: Mapping[str, float]) -> str:
+    """Kind of flip by how novel a picture is once flipped back by each; "" where it is like others by none.
+
+    Args:
+        novelty: of the picture flipped back by each kind, over its limit.
+    """
+    fit = sorted((value, kind) for kind, value in novelty.items() if value <= 1.0)
+    if not fit:
+        return ""
+    told = len(fit) == 1 or fit[0][0] <= MAX_SECOND * fit[1][0]
+    return fit[0][1] if told else FLIPPED

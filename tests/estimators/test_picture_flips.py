@@ -1,0 +1,100 @@
+"""Flipped pictures are called so where the untouched sensor tells it, and nothing else is ever called so."""
+
+import cv2
+import numpy as np
+import pytest
+
+from palpate.estimators.guard import MIRRORED, NoveltyDetector, fit_novelty_detector, thumbnails
+from palpate.estimators.guard.known_changes import Verdict
+from palpate.estimators.guard.picture_flips import FLIPPED, FLIPS, flipped, told_flip
+
+ROWS, COLUMNS = np.mgrid[0:48, 0:64]
+EVERYWHERE, LEFT = slice(8, 56), slice(8, 24)
+N = 120
+
+
+def frames(tilt: tuple[float, float], seed: int, n: int, where: slice = EVERYWHERE, touched: bool = True):
+    """A disc on a skin whose light falls off by a tilt to the right and down, evenly at (0, 0)."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(n):
+        across, down = rng.uniform(where.start, where.stop), rng.uniform(8, 40)
+        disc = 80 * touched * np.exp(-((ROWS - down) ** 2 + (COLUMNS - across) ** 2) / 50)
+        light = 100 + tilt[0] * (COLUMNS - 31.5) + tilt[1] * (ROWS - 23.5)
+        made.append((light + disc)[..., None] + rng.normal(0, 2, (48, 64, 1)))
+    return np.clip(made, 0, 255).astype(np.uint8)
+
+
+def guard_of(tilt: tuple[float, float], where: slice = EVERYWHERE, untouched: int = 6) -> NoveltyDetector:
+    folds = np.array_split(np.arange(N), 5)
+    rest = frames(tilt, 9, 6, touched=False)[:untouched]
+    seen = thumbnails(frames(tilt, 0, N, where))
+    return fit_novelty_detector(seen, folds, thumbnails(rest) if untouched else seen[:0])
+
+
+def kinds(guard: NoveltyDetector, images: np.ndarray) -> list[str]:
+    """Kinds of the flipped, "" for others; whoever is called flipped is refused."""
+    verdicts = [guard.judge(np.ascontiguousarray(image)) for image in images]
+    assert all(one.atypicality > 1 for one in verdicts if one.kind in MIRRORED)
+    return [one.kind if one.kind in MIRRORED else "" for one in verdicts]
+
+
+@pytest.mark.parametrize("kind", FLIPS)
+def test_a_flipped_picture_is_called_by_its_flip_and_what_takes_it_back_does(kind: str) -> None:
+    guard, right = guard_of((1.2, 0.9)), frames((1.2, 0.9), 1, 30)
+    code = FLIPS[kind]
+    wrong = np.stack([cv2.flip(one, code)[..., None] for one in right])
+    told = kinds(guard, wrong)
+    assert told.count(kind) >= 28
+    assert set(told) <= {kind, FLIPPED, ""}
+    assert set(kinds(guard, right)) == {""}
+    back = np.stack([cv2.flip(one, code)[..., None] for one in wrong])
+    assert (back == right).all()
+    assert np.array_equal(flipped(right[0].astype(np.float32), code), wrong[0])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda image: np.roll(image, 6, axis=1),
+        lambda image: cv2.GaussianBlur(image, (0, 0), 6)[..., None],
+        lambda image: np.clip(image * 0.6, 0, 255).astype(np.uint8),
+        lambda image: np.clip(image + 60.0, 0, 255).astype(np.uint8),
+        lambda image: 255 - image,
+    ],
+)
+def test_other_changes_are_called_no_flip(change) -> None:
+    guard = guard_of((1.2, 0.9))
+    assert set(kinds(guard, np.stack([change(one) for one in frames((1.2, 0.9), 2, 30)]))) == {""}
+
+
+def test_touches_that_were_calibrated_on_one_side_alone_are_no_flip_on_the_other() -> None:
+    """Flipped back they are like those calibrated on; the skin around them is not."""
+    even = frames((0.0, 0.0), 3, 30, slice(40, 56))
+    assert set(kinds(guard_of((0.0, 0.0), LEFT), even)) == {""}
+    assert set(kinds(guard_of((1.2, 0.9), LEFT), frames((1.2, 0.9), 3, 30, slice(40, 56)))) == {""}
+
+
+def test_without_an_untouched_sensor_or_with_one_that_is_its_own_mirror_image_none_is_told() -> None:
+    for guard, tilt in ((guard_of((1.2, 0.9), untouched=0), (1.2, 0.9)), (guard_of((0.0, 0.9)), (0.0, 0.9))):
+        assert set(kinds(guard, frames(tilt, 4, 30)[:, :, ::-1])) == {""}
+
+
+def test_which_flip_it_is_is_told_only_where_one_fits_much_better() -> None:
+    assert told_flip({"left for right": 0.4, "half a turn": 0.81}) == "left for right"
+    assert told_flip({"left for right": 0.4, "half a turn": 0.79}) == FLIPPED
+    assert told_flip({"left for right": 0.9, "half a turn": 1.1}) == "left for right"
+    assert told_flip({"left for right": 1.1}) == told_flip({}) == ""
+
+
+def test_what_is_said_of_a_flip_and_of_a_change_that_is_not_known_is_no_more_than_was_seen() -> None:
+    told = Verdict(3.0, "left for right").reason
+    assert "it seems mirrored, left for right" in told
+    assert "cv2.flip(image, 1)" in told
+    assert "cv2" not in Verdict(3.0, FLIPPED).reason
+    for costs in (False, True):
+        told = Verdict(3.0, "zoom", known=False, costs=costs).reason
+        assert "nor like any change that was tried; the nearest of those is a camera nearer" in told
+        assert "it looks like" not in told
+        assert ("errs more than its intervals" in told) == costs
+    assert "it looks like a camera nearer" in Verdict(3.0, "zoom", known=True).reason
