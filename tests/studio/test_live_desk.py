@@ -458,7 +458,8 @@ class ShownRun(StartRun):
 def test_steps_that_are_done_again_read_as_under_way_and_the_presses_as_being_collected():
     """A session that was whole presses anew: nothing of it reads as done before it is."""
     whole = {"camera": "0", "scale": "typed", "step": "live", "collected": {"text": "12 of 12"},
-             "done": ["camera", "settings", "untouched", "collect", "train"]}  # fmt: skip
+             "done": ["camera", "settings", "untouched", "collect", "train"],
+             "trained": {"id": "5ecc2b88cbde"}}  # fmt: skip
     run = object.__new__(ShownRun)
     order = ["camera", "settings", "untouched", "collect", "train"]
     for at in ("", *order[1:]):
@@ -468,7 +469,7 @@ def test_steps_that_are_done_again_read_as_under_way_and_the_presses_as_being_co
         states = re.findall(r'data-state="([^"]+)"', told)
         assert states == ["done"] * k + ["under way"] + ["to come"] * (5 - k)
         assert ("being collected" in told) == (at == "collect")
-        assert ("12 of 12" in told) == (at == "train")
+        assert ("12 of 12" in told, "5ecc2b88cbde" in told) == (at == "train", at == "train")
         assert "sees now" in caption_of(run) if at in order[1:4] else "last picture" in caption_of(run)
     run.running = False
     assert "last picture" in caption_of(run)

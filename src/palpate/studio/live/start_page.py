@@ -301,7 +301,10 @@ def steps_html(session: Mapping[str, Any], run: StartRun | None) -> str:
     parts = []
     for place, (step, title) in enumerate(STEPS.items(), 1):
         state, look = _state_of(step, session, run if running else None)
-        found = _found(step, session if run is None else {**session, "collected": _collected(session, run)})
+        told = {**session, "collected": _collected(session, run)}
+        if state == "to come":  # what there is of it is of before
+            told |= {"trained": {}}
+        found = _found(step, told)
         if run is not None and running and step == _at(run):
             found += progress_html(run.step, run.done, run.total, title)
         words = "being collected" if (step, state) == ("collect", "under way") else state
