@@ -257,6 +257,11 @@ class LiveLoop(Closing):
         return found
 
     @property
+    def doubt(self) -> str:
+        """Whether its source may be of another sensor than its calibration, in words; "" else."""
+        return str(getattr(self._reader, "doubt", ""))
+
+    @property
     def state(self) -> LiveState:
         """State that it is in now."""
         return self._state
@@ -333,6 +338,7 @@ class LiveLoop(Closing):
             "outages": self._outages,
             "drift": None if self._drift is None else self._drift.to_dict(),
             "advice": self.advice,
+            "doubt": self.doubt,
             "zeroing": self._zeroing,
             "zeroed": self._untouched is not None,
             "reading": reading,

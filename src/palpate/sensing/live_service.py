@@ -194,11 +194,11 @@ class LiveService:
     def use(self, calibration: str) -> dict[str, Any]:
         """Read by another calibration from now on; "" by none."""
         with self._asking:
-            self._reader = self._opened_reader(calibration) if calibration else None
-            source = self.loop.source
+            reader, source = self._opened_reader(calibration) if calibration else None, self.loop.source
             if source is not None:
-                self._attach(source)
-            self.loop.use(self._reader)
+                self._attach(source, reader)
+            self._reader = reader
+            self.loop.use(reader)
             self._log.add("operator", f"calibration {calibration or 'none'}")
             return {"calibration": None if self._reader is None else self._reader.id}
 
@@ -344,7 +344,11 @@ class LiveService:
 
     def _opened_source(self) -> LiveSource:
         source = self.options.open()
-        self._attach(source)
+        try:
+            self._attach(source, self._reader)
+        except BaseException:
+            source.close()
+            raise
         if not self.options.preset:
             self._watch.preset = preset_of_camera(self.options.camera)
         wanted = self.options.zero
@@ -353,9 +357,10 @@ class LiveService:
             self.loop.zero()
         return source
 
-    def _attach(self, source: LiveSource) -> None:
-        if isinstance(self._reader, CalibrationReader):
-            self._reader.attach(source)
+    @staticmethod
+    def _attach(source: LiveSource, reader: FrameReader | None) -> None:
+        if isinstance(reader, CalibrationReader):
+            reader.attach(source)
 
     def _opened_collector(self, request: Mapping[str, Any]) -> Any:
         from palpate.rig.real.scale import ScaleSpec, SerialScale

@@ -340,6 +340,8 @@ def _sensor(
     opened = live(folder, camera=address, zero=reference if zero is None else zero, **options)
     watch = recorder = None
     try:
+        if doubt := opened.loop.doubt:
+            say(doubt, err=True)
         if folder is None:
             watch = ImageWatch(opened.loop, preset or preset_of_camera(address))
             opened.loop.subscribe(watch)

@@ -10,6 +10,7 @@ import numpy as np
 from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.live_sources import LiveFrame, LiveSource
+from palpate.sensing.streaming.sensor_names import refuse_other_sensor, stated_sensor
 
 Zeros = dict[int, Zero]
 """Untouched images of single frames, by their numbers."""
@@ -54,14 +55,25 @@ class CalibrationReader:
     Args:
         estimator: the calibration.
         zero: of the untouched sensor; None where it is taken later, or not needed.
+
+    Attributes:
+        doubt: whether the source may be of another sensor than the calibration, in words; "" else.
     """
 
     def __init__(self, estimator: Estimator, zero: Zero | None = None) -> None:
         self.estimator = estimator
+        self.doubt = ""
         self._zero, self._zeros = zero, Zeros()
 
     def attach(self, source: LiveSource) -> None:
-        """Take the untouched images that a source has within, as a run does, unless one was given."""
+        """Take the untouched images that a source has within, as a run does, unless one was given.
+
+        Raises:
+            InputError: the source is of another kind of sensor than the calibration.
+        """
+        former = self.estimator.card.copy_of
+        of_copy = former is not None and former.name == stated_sensor(source)
+        self.doubt = "" if of_copy else refuse_other_sensor(self.estimator.card.sensor, source)
         run: Any = getattr(source, "run", None)
         if run is not None and self._zero is None:
             from palpate.calibration.evaluation import zeros_of  # loads tables, which no camera needs
@@ -127,6 +139,7 @@ def open_reader(
 
     Raises:
         CertificateError: no calibration, or a damaged one.
+        InputError: the source is of another kind of sensor.
         ImageError: the reference is of another size than the calibration's.
     """
     folder = Path(calibration)

@@ -264,7 +264,7 @@ class SensorCard:
             return
         self._serial = status.get("serial", -1)
         self._set(self._head, head_html(self.sensor.name, status))
-        advice = str(status.get("advice") or "")
+        advice = ". ".join(str(one) for key in ("doubt", "advice") if (one := status.get(key)))
         self._set(self._advice, f'<p class="advice">{escape(advice)}</p>' if advice else "")
         readings = self._rows(edge_readings((status.get("reading") or {}).get("readings", {})), status)
         strain, size_px = self._strain_of(status), (self.sensor.connection.picture or (0, b"", (640, 480)))[2]

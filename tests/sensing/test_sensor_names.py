@@ -1,0 +1,93 @@
+"""A calibration of one sensor is not read on another by the size of its frames alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import palpate
+from palpate.cli import app
+from palpate.core import InputError
+from palpate.recordings import Manifest, RunWriter
+from palpate.sensing.live_service import LiveOptions, LiveService
+from palpate.sensing.live_sources import open_live_source
+from palpate.sensing.streaming import sensor_names
+from palpate.sensing.streaming.sensor_names import refuse_other_sensor, sensor_family, stated_sensor
+
+
+def run_of(folder, sensor: str):
+    """A run of two bare frames, as large as those that `calibrate_spots` learns from."""
+    with RunWriter.create(
+        folder / sensor.replace(" ", "-"), Manifest.new(sensor=sensor, labels={})
+    ) as writer:
+        for _ in range(2):
+            writer.frame(np.zeros((48, 64), np.uint8))
+    return folder / sensor.replace(" ", "-")
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("palm-rig", "palm"),
+        ("virtual:palm", "palm"),
+        ("virtual tactip/S1=7.6", "tactip"),
+        ("tactip-3", "tactip"),
+        ("gelsight-mini", "gelsight-mini"),
+        ("palmistry", ""),
+        ("own", ""),
+        ("camera 0", ""),
+        ("", ""),
+    ],
+)
+def test_a_name_means_a_kind_of_sensor_only_where_it_surely_does(name: str, family: str) -> None:
+    assert sensor_family(name) == family
+
+
+def test_a_run_states_its_sensor_and_is_refused_where_that_is_of_another_kind(tmp_path) -> None:
+    run = run_of(tmp_path, "palm-rig")
+    for source in (open_live_source(run), open_live_source(run, paced=True)):
+        assert stated_sensor(source) == "palm-rig"
+        for same in ("palm-rig", "palm", "virtual palm", ""):
+            assert refuse_other_sensor(same, source) == ""
+        assert "frames of palm-rig and the calibration is of mine" in refuse_other_sensor("mine", source)
+        with pytest.raises(InputError, match=r"frames of palm-rig and the calibration is of tactip: give a"):
+            refuse_other_sensor("tactip", source)
+
+
+def test_a_virtual_sensor_states_its_own_and_images_none(tmp_path) -> None:
+    with open_live_source("virtual:tactip") as source:  # type: ignore[attr-defined]
+        assert stated_sensor(source) == "tactip"
+        with pytest.raises(
+            InputError, match="virtual:tactip gives frames of tactip and the calibration is of pal"
+        ):
+            refuse_other_sensor("palm-rig", source)
+    assert stated_sensor(open_live_source(tmp_path)) == ""
+    assert refuse_other_sensor("palm-rig", open_live_source(tmp_path)) == ""
+
+
+def test_live_names_both_sensors_and_refuses_those_of_another_kind(
+    calibrate_spots, tmp_path, monkeypatch
+) -> None:
+    cal = calibrate_spots(tmp_path / "cal", targets=("x_mm",), split="group:press", size_px=(24, 32))[1]
+    run = run_of(tmp_path, "other")
+    words = ["live", str(cal), "--camera", str(run), "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert "gives frames of other and the calibration is of spots: what is read holds only" in done.stderr
+    kinds = {"spots": "palm", "other": "tactip"}
+    monkeypatch.setattr(sensor_names, "sensor_family", kinds.get)
+    done = CliRunner().invoke(app, words)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert "gives frames of other and the calibration is of spots: give a calibration of other" in done.stderr
+    with pytest.raises(InputError, match="the calibration is of spots"):
+        palpate.live(cal, camera=run)
+    service = LiveService("live other", LiveOptions(camera=str(run), paced=True, repeat=True))
+    service.start()
+    try:
+        assert service.loop.wait(0.5) is False
+        with pytest.raises(InputError, match="the calibration is of spots"):
+            service.use(str(cal))
+        assert service.status()["calibration"] is None
+    finally:
+        service.close()
