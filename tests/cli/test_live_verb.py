@@ -95,7 +95,7 @@ def test_frames_of_another_size_than_the_calibration_s_end_it_by_a_message_with_
         "--json",
         status=2,
     )
-    assert "32x24 px and the calibration reads 64x48 px" in found.stderr
+    assert "32x24 px and the calibration of spots reads 64x48 px" in found.stderr
     assert "calibrate at this one" in found.stderr
     assert len(readings_of(found.stdout)) == (12 if changes else 1)
 

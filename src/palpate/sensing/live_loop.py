@@ -257,6 +257,11 @@ class LiveLoop(Closing):
         return found
 
     @property
+    def sensor(self) -> str:
+        """Name of the sensor that its calibration is of; "" without one."""
+        return str(getattr(self._reader, "sensor", ""))
+
+    @property
     def doubt(self) -> str:
         """Whether its source may be of another sensor than its calibration, in words; "" else."""
         return str(getattr(self._reader, "doubt", ""))

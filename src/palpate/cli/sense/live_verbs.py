@@ -216,10 +216,10 @@ class ShownSensor:
         if wanted is None or reading.why or (height, width) == wanted:
             self._fitting += not reading.why
             return
-        right = f"{wanted[1]}x{wanted[0]}"
+        right, of = f"{wanted[1]}x{wanted[0]}", f" of {loop.sensor}" if loop.sensor else ""
         self._other_size = (
-            f"{loop.name} gives frames of {width}x{height} px and the calibration reads {right} px: film at "
-            f"that size (--size {right} of a USB camera), or calibrate at this one"
+            f"{loop.name} gives frames of {width}x{height} px and the calibration{of} reads {right} px: give "
+            f"one of this sensor, film at that size (--size {right} of a USB camera), or calibrate at this one"
         )
         if not getattr(loop.source, "may_change", False):
             self.refuse_all_sizes()

@@ -91,6 +91,11 @@ class CalibrationReader:
         return bool(self.estimator.card.input.delta)
 
     @property
+    def sensor(self) -> str:
+        """Name of the sensor that it was calibrated on."""
+        return self.estimator.card.sensor
+
+    @property
     def frame_px(self) -> tuple[int, int]:
         """Height and width of the frames that it reads [px]."""
         return self.estimator.card.input.frame_px
