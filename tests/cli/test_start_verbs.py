@@ -52,6 +52,9 @@ def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(t
     touched = table[~table["reference"].astype(bool) & (table["press"] != "rest")]
     forces = touched.groupby("press")["force_N"].mean()
     assert sorted(forces) == pytest.approx([3.0, 0.5 * 9.80665])
+    again = CliRunner().invoke(app, words)
+    told = " ".join(again.output.split())
+    assert f"{out} holds 2 presses, and --presses 2 is how many there shall be in all: none" in told
     # A virtual hand lays a weight on by depth, and so is off by what places and seating do to the force.
     assert touched["true_force_N"].to_numpy() == pytest.approx(touched["force_N"].to_numpy(), rel=0.1)
 

@@ -229,7 +229,7 @@ class StartSession:
         """What is said where nothing is left to collect."""
         return (
             f"{self.folder} holds {self.presses_held} presses of {self.state.asked}: nothing is left to "
-            "collect, and what is there stays; --more N asks for N beside them"
+            "collect, and what is there stays; ask for more presses, which are collected beside them"
         )
 
     def choose_if_other(

@@ -26,7 +26,7 @@ ScaleOption = Annotated[
     str,
     Option(help="Serial port of a scale; typed for known weights; virtual beneath a virtual sensor."),
 ]
-PressesOption = Annotated[int, Option(help="Presses to collect.", min=1)]
+PressesOption = Annotated[int, Option(help="Presses to collect, with those that the run holds.", min=1)]
 SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
 UnitOption = Annotated[
     str, Option(help="Unit of the scale's lines that carry none: g, kg, N, oz or lb; a unit in a line wins.")
@@ -73,6 +73,12 @@ def collect(
                 frame_late_s=feed.frame_late_s, truth=feed.truth, truths=feed.truths, origin=feed.origin,
                 regions=feed.regions, dark_field=getattr(feed, "dark_field", None), clock=feed.clock,
             ) as collector:  # fmt: skip
+                if (have := len(collector.presses)) >= presses:
+                    say(
+                        f"{out} holds {have} presses, and --presses {presses} is how many there shall be in "
+                        f"all: none is collected; give {have + 1} or more",
+                        err=True,
+                    )
                 _pressed(feed, collector, progress, quiet or json_)
                 status = collector.status
         finally:

@@ -219,7 +219,7 @@ class ShownSensor:
         right, of = f"{wanted[1]}x{wanted[0]}", f" of {loop.sensor}" if loop.sensor else ""
         self._other_size = (
             f"{loop.name} gives frames of {width}x{height} px and the calibration{of} reads {right} px: give "
-            f"one of this sensor, film at that size (--size {right} of a USB camera), or calibrate at this one"
+            f"one of this sensor, film at that size (--size {right} of a USB camera) or calibrate at this one"
         )
         if not getattr(loop.source, "may_change", False):
             self.refuse_all_sizes()
