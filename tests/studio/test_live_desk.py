@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from argparse import Namespace
+from contextlib import suppress
 
 import pytest
 from tests.rig.hand_scale import HandScale
@@ -586,6 +587,44 @@ def test_a_session_whose_other_scale_is_refused_is_shown_as_it_is_kept(tmp_path)
     assert (told[0]["scale"], told[0]["step"]) == (words.scale, "settings")
     assert (told[-1]["scale"], told[-1]["step"]) == ("virtual", "collect")
     assert kept_session(tmp_path / "mine") == told[-1]
+
+
+@pytest.mark.parametrize(
+    ("scale", "presses", "said", "opened"),
+    [
+        ("typed", 12, "holds 12 presses of 12: nothing is left to collect", []),
+        ("virtual", 11, "holds 12 presses, and all are learnt from", []),
+        ("virtual", 12, "", []),
+        ("virtual", 15, "", [15]),
+        ("typed", 15, "", [15]),
+    ],
+)
+def test_the_pages_number_of_presses_is_how_many_there_shall_be_in_all(
+    scale, presses, said, opened, tmp_path, monkeypatch
+):
+    class Heard(JobVoice):
+        def say(self, line):
+            lines.append(line)
+
+    def feed(session, **_):
+        asked.append(session.state.asked)
+        raise DeviceError("opened")
+
+    lines, asked = [], []
+    kept = start_session.StartSession(tmp_path / "mine")
+    kept.choose("virtual:tactip", "virtual", asked=12)
+    kept.state.settings = {"size_px": [8, 8], "rate_hz": 1.0}
+    kept._done("train")
+    monkeypatch.setattr(start_session.StartSession, "presses_held", property(lambda session: 12))
+    monkeypatch.setattr(start_session.StartSession, "commands", lambda session: [])
+    monkeypatch.setattr(start_session.StartSession, "feed", feed)
+    words = Namespace(folder=tmp_path / "mine", camera="virtual:tactip", scale=scale, presses=presses,
+                      seed=0, real_time=False, more=0, unit="")  # fmt: skip
+    with suppress(DeviceError):
+        run_session(words, Heard())
+    assert asked == opened
+    told = [line["said"] for line in lines if "said" in line]
+    assert [said in one for one in told] == [True] * bool(said)
 
 
 def test_no_more_sessions_go_on_than_are_allowed_and_none_outlives_the_server(tmp_path):
