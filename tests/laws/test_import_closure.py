@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-MAX_MODULES = 151
+MAX_MODULES = 153
 PLAN = """
 name = "one place"
 kind = "stepped"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.core import Pose, RangeError
-from palpate.mechanics.probe_table import is_tabled_probe
+from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
@@ -39,7 +39,7 @@ def test_a_probe_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
     table = probe_table_of(SPEC, palm.parse_probe(words))
     most, unit = deepest(words), SPEC.youngs_modulus_pa * SPEC.thickness_m**2
     assert most > LINEAR_DEPTH_M
-    for share in (0.1, 0.5, 1.0):
+    for share in (0.2, 0.5, 1.0):
         contact = pressed(f"{words}:30", share * most)
         assert is_tabled_probe(contact)
         assert contact.force_n == pytest.approx(table.at(share * table.greatest_depth).force * unit, rel=1e-9)
@@ -148,3 +148,22 @@ def test_a_refusal_names_no_probe_that_this_membrane_has_no_table_of() -> None:
         assert "cylinder:" not in str(refused.value)
     with pytest.raises(RangeError, match="cylinder:6:12"):
         palm.press(SPEC, too_deep, palm.parse_probe("cylinder:6:13"))
+
+
+@pytest.mark.parametrize(("words", "depth"), [(PROBES[0], 0.1e-3), (PROBES[-1], 0.3e-3)])
+def test_stress_joins_where_the_table_takes_over(words, depth):
+    below, above = (
+        stress_beneath(SPEC, pressed(f"{words}:30", depth + off)).far.stress_pa for off in (-1e-9, 1e-9)
+    )
+    np.testing.assert_allclose(below, above, atol=1e-4 * np.abs(above).max())
+
+
+def test_the_light_of_a_light_touch_is_that_of_linear_layers():
+    """Of two balls, which have no edge to be rounded; its stress, read on other planes and grids."""
+    words, depth = next(each for each in PROBES if each.startswith("two")), 0.05e-3
+    layers = press_layers(SPEC, Pose(1e-3, 0.0, depth), palm.parse_probe(words)).contact
+    alike = pressed(words, depth, 1e-3)
+    assert alike.force_n == pytest.approx(layers.force_n, rel=0.01)
+    for seen, other in zip(palm.render_clean(alike, SPEC), palm.render_clean(layers, SPEC), strict=True):
+        assert rms(seen - other) < 2e-5
+    assert rms(palm.render_clean(alike, SPEC)[0] - light_of(words, 0.06e-3, x_m=1e-3)[0]) > 3e-5

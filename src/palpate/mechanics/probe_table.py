@@ -6,8 +6,7 @@ same proportions. The material is that of `axisymmetric.disc_table`, the base is
 around the contact are free, and the probe has no friction. Edges of the probe's body are rounded, by
 `rounding`. Solved by `tools/probe_tables.py`; `tools/probe_study.json` holds what its mesh costs.
 
-Below the first depth that was solved every press is like that, only smaller: force and area by powers of the
-depth that the first two depths show, stress and pressure as the force.
+The first depths are those of few bricks; `probe_contact` presses by linear layers there.
 
 In the probe's own frame x points along its length, y across, z into the layer.
 """
@@ -24,11 +23,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
-from palpate.core import Contact, Field, Float, Int, Pose, Probe, RangeError, ndarray
+from palpate.core import Float, Int, Pose, Probe, RangeError, ndarray
 
 FOLDER = resources.files("palpate.mechanics") / "tables"
-FROM_PROBE_TABLE = "finite-strain table in three dimensions"
-"""With which the model of a contact of these tables begins."""
 SAME = 1e-6  # relative: two lengths that differ by rounding only
 STRESSES = ("xx", "yy", "zz", "yz", "xz", "xy")  # Voigt's order
 FADES = (0.75, 0.95)
@@ -137,40 +134,32 @@ class ProbeTable:
         Raises:
             RangeError: the depth lies outside the table.
         """
-        if not 0.0 <= depth <= self.greatest_depth * (1 + SAME):
+        least, most = float(self.depth[0]), self.greatest_depth
+        if not least * (1 - SAME) <= depth <= most * (1 + SAME):
             raise RangeError(
-                f"depth {depth:g} h lies outside 0 to {self.greatest_depth:g} h, where the table of a "
-                f"{self.shape} was solved; press less"
+                f"depth {depth:g} h lies outside {least:g} to {most:g} h, where the table of a {self.shape} "
+                "was solved; press to within it"
             )
-        depth = min(depth, self.greatest_depth)
-        force, area = (float(part[0]) for part in self._scalars(np.array([depth])))
-        solved = max(depth, float(self.depth[0]))
-        lighter = force / float(self.force_at(np.array([solved]))[0])
-        top = np.tensordot(self._amounts[0](solved), self.surface_mode, axes=1)
-        stress = np.tensordot(self._amounts[1](solved), self.stress_mode, axes=1) * lighter
-        peak = float(PchipInterpolator(self.depth, self.peak_pressure)(solved)) * lighter
+        depth = min(max(depth, least), most)
+        force, area, peak = map(float, self._law(depth))
+        top = np.tensordot(self._amounts[0](depth), self.surface_mode, axes=1)
+        stress = np.tensordot(self._amounts[1](depth), self.stress_mode, axes=1)
         pressure = np.maximum(top[1], 0.0)
         summed = 4.0 * np.trapezoid(np.trapezoid(pressure, self.x, axis=1), self.y)
         knots, pressure = (self.x, self.y, self.zeta), pressure * (force / summed)
-        return PressedLayer(depth, force, area, peak, *knots, top[0] * (depth / solved), pressure, stress)
+        return PressedLayer(depth, force, area, peak, *knots, top[0], pressure, stress)
+
+    def law_at(self, depth: Knots) -> Float[ndarray, "3 n"]:
+        """Force [E h^2], area [h^2] and greatest pressure [E] at depths within the table [h]."""
+        return np.asarray(self._law(depth).T)
 
     def force_at(self, depth: Knots) -> Knots:
-        """Forces at many depths [h], as `at` gives them one by one [E h^2]."""
-        return self._scalars(depth)[0]
+        """The forces alone [E h^2]."""
+        return np.asarray(self.law_at(depth)[0])
 
-    def area_at(self, depth: Knots) -> Knots:
-        """Areas of the contact likewise [h^2]."""
-        return self._scalars(depth)[1]
-
-    def _scalars(self, depth: Knots) -> tuple[Knots, Knots]:
-        first, second = self.depth[:2]
-        ratio = np.minimum(np.asarray(depth) / first, 1.0)
-        force, area = (
-            PchipInterpolator(self.depth, part)(np.maximum(depth, first))
-            * ratio ** (np.log(part[1] / part[0]) / np.log(second / first))
-            for part in (self.force, self.area)
-        )
-        return np.asarray(force), np.asarray(area)
+    @cached_property
+    def _law(self) -> PchipInterpolator:
+        return PchipInterpolator(self.depth, np.stack([self.force, self.area, self.peak_pressure], axis=1))
 
     @cached_property
     def _amounts(self) -> tuple[PchipInterpolator, PchipInterpolator]:
@@ -207,83 +196,8 @@ def probe_table_for(
     return None
 
 
-def is_tabled_probe(contact: Contact) -> bool:
-    """Tell whether a contact is of these tables."""
-    return contact.model.startswith(FROM_PROBE_TABLE)
-
-
 def own_frame(probe: Probe, pose: Pose, x_m: ndarray, y_m: ndarray) -> tuple[ndarray, ndarray]:
     """Places along and across a probe that is turned about its middle [m]."""
     c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
     x, y = x_m - pose.x_m, y_m - pose.y_m
     return c * x + s * y, c * y - s * x
-
-
-def press_probe(
-    table: ProbeTable,
-    probe: Probe,
-    pose: Pose,
-    youngs_modulus_pa: float,
-    thickness_m: float,
-    radius_m: float,
-    x_m: Float[ndarray, " nx"],
-    y_m: Float[ndarray, " ny"],
-) -> Contact:
-    """Press a probe into a bonded layer by its table, at finite strain.
-
-    Args:
-        table: for which `probe_table_for` gave the probe.
-        probe: turned anyhow about z.
-        pose: where, and how deep, from 0 to the table's depth.
-        youngs_modulus_pa: of the layer [Pa].
-        thickness_m, radius_m: of the layer [m].
-        x_m, y_m: columns and rows of the contact's grid [m].
-
-    Returns:
-        The contact. Its pressure is that normal to the skin and sums to the force over the area seen from
-        above. Its radius is that of a disc of the contact's area.
-
-    Raises:
-        RangeError: the depth lies outside the table, or the contact reaches over the rim.
-    """
-    h, E = thickness_m, youngs_modulus_pa
-    if not 0.0 <= pose.depth_m <= table.greatest_depth * h * (1 + SAME):
-        raise RangeError(
-            f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
-            f"{table.greatest_depth * h * 1e3:g} mm, where its table was solved; press less"
-        )
-    at = table.at(min(pose.depth_m / h, table.greatest_depth))
-    along, across = own_frame(probe, pose, x_m[None, :], y_m[:, None])
-    along, across = along / h, across / h
-    pressure: Field = at.on_top(at.pressure, along, across) * E
-    touching = pressure > TOUCHES * at.peak_pressure * E
-    _check_within(touching, x_m, y_m, radius_m)
-    return Contact(
-        x_m=x_m,
-        y_m=y_m,
-        pressure_pa=pressure,
-        displacement_m=at.on_top(at.surface, along, across) * at.share_at(along, across) * h,
-        touching=touching,
-        force_n=at.force * E * h**2,
-        radius_m=math.sqrt(at.area / math.pi) * h,
-        probe=probe,
-        pose=pose,
-        model=f"{FROM_PROBE_TABLE}: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
-        f"bonded neo-Hookean layer, nu {table.poisson_ratio:g}, no friction, "
-        f"depth <= {table.greatest_depth * h * 1e3:g} mm",
-    )
-
-
-TOUCHES = (
-    0.02  # of the greatest pressure, below which the table's straight lines between knots are no contact
-)
-
-
-def _check_within(touching: ndarray, x_m: ndarray, y_m: ndarray, radius_m: float) -> None:
-    rows, columns = np.nonzero(touching)
-    furthest = float(np.hypot(x_m[columns], y_m[rows]).max(initial=0.0))
-    if furthest > radius_m:
-        raise RangeError(
-            f"the contact reaches {furthest * 1e3:.1f} mm from the membrane's axis, over its rim at "
-            f"{radius_m * 1e3:g} mm; press nearer to the middle"
-        )

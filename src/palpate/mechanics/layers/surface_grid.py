@@ -74,6 +74,25 @@ def block_span(indices: Int[ndarray, " n"], count: int) -> slice:
     return slice(start, start + length)
 
 
+Places = Float[ndarray, "v u"]
+
+
+def laid_onto(
+    values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
+) -> Field:
+    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance."""
+    onto = np.zeros((len(y_m), len(x_m)))
+    loaded = values > 0.0
+    column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])
+    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
+    right_share, low_share = column - left, row - top
+    for down in (0, 1):
+        for aside in (0, 1):
+            share = np.abs(1 - aside - right_share) * np.abs(1 - down - low_share)
+            np.add.at(onto, (top + down, left + aside), share * values[loaded])
+    return onto
+
+
 MEAN_WAVE = 1e-6  # of the least wavenumber: the one that stands for the mean
 ALIKE = 6  # decimals of (k/dk)^2 up to which waves count as equally long
 GAUSS_WIDTH = 6.0  # dk: where a Gaussian load's waves have fallen to 1/e

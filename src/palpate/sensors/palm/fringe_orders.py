@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core import Contact, Float, ndarray
 from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.stack_field import field_below
-from palpate.mechanics.probe_table import is_tabled_probe
+from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees

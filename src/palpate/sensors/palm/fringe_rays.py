@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
-from palpate.mechanics.probe_table import is_tabled_probe
+from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.optics.compiled_march import march_colour
 from palpate.optics.polariscope import plane_amplitude, with_leak
 from palpate.optics.wall_refraction import ColumnRays

@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.core import Bool, Field, Float, Pose, Probe, RangeError, ndarray
+from palpate.core import Bool, Float, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.influence import normal_influence
 from palpate.mechanics.layers.stack import Stack
-from palpate.mechanics.layers.surface_grid import cells
+from palpate.mechanics.layers.surface_grid import cells, laid_onto
 from palpate.sensors.palm.probe_shapes import gap_of, parts_of, reaches_of
 
 ACROSS = 64  # least number of cells of the box's side: 16 or so across an edge's contact
@@ -29,7 +29,6 @@ SHRUNK = 0.9  # of its side: a box that shrinks by less fits
 MAX_ZOOMS = 20
 
 Axis = Float[ndarray, " n"]
-Places = Float[ndarray, "v u"]
 Box = list[tuple[float, float]]
 
 
@@ -55,7 +54,7 @@ def press_narrow(
     c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
     u, v = narrow.x_m[None, :], narrow.y_m[:, None]
     coarse = cells(x_m, y_m)
-    laid_n = _laid(force_n, pose.x_m + c * u - s * v, pose.y_m + s * u + c * v, x_m, y_m)
+    laid_n = laid_onto(force_n, pose.x_m + c * u - s * v, pose.y_m + s * u + c * v, x_m, y_m)
     pressure_pa = laid_n / coarse.area_m2
     return replace(
         narrow,
@@ -123,19 +122,3 @@ def _centres(low: float, high: float, cell_m: float) -> Axis:
     count = max(ACROSS, math.ceil((high - low) / cell_m))
     step = (high - low) / count
     return (low + high) / 2 + (np.arange(count + 2) - (count + 1) / 2) * step
-
-
-def _laid(
-    values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
-) -> Field:
-    """Values at places, summed onto a grid: each to the four points about it, by its distance."""
-    onto = np.zeros((len(y_m), len(x_m)))
-    loaded = values > 0.0
-    column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])
-    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
-    right_share, low_share = column - left, row - top
-    for down in (0, 1):
-        for aside in (0, 1):
-            share = np.abs(1 - aside - right_share) * np.abs(1 - down - low_share)
-            np.add.at(onto, (top + down, left + aside), share * values[loaded])
-    return onto

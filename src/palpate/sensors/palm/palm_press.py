@@ -41,7 +41,7 @@ from palpate.mechanics.axisymmetric.sphere_table import (
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
-from palpate.mechanics.probe_table import press_probe
+from palpate.mechanics.probe_contact import press_probe
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach

@@ -34,6 +34,7 @@ from palpate.core import (
 from palpate.mechanics.axisymmetric.disc_table import DiscTable
 from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
 from palpate.mechanics.half_space.tangential import tangential_stiffness
+from palpate.mechanics.probe_contact import probe_law
 from palpate.mechanics.probe_table import ProbeTable
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
@@ -375,8 +376,8 @@ def _of_table(spec: PalmSpec, table: DiscTable, R: float) -> tuple[ndarray, ndar
 def _of_probe_table(spec: PalmSpec, table: ProbeTable) -> tuple[ndarray, ndarray, ndarray]:
     h = spec.thickness_m
     depth = np.linspace(0.0, table.greatest_depth * h, KNOTS)
-    force = table.force_at(depth / h) * spec.youngs_modulus_pa * h**2
-    return depth, force, np.sqrt(table.area_at(depth / h) / math.pi) * h
+    force, area, _ = probe_law(table, depth / h)
+    return depth, force * spec.youngs_modulus_pa * h**2, np.sqrt(area / math.pi) * h
 
 
 def _of_layers(spec: PalmSpec, probe: Probe) -> tuple[ndarray, ndarray, ndarray]:

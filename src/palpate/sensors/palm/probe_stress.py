@@ -2,7 +2,8 @@
 
 The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
 turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that
-holds beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands.
+holds beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands. Of a light
+press the share that `probe_contact` gives to linear layers is their stress, on the same planes.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import map_coordinates
 
-from palpate.core import Contact, Float, Float32, Probe, ndarray
-from palpate.mechanics.layers.layer_stress import OnGrid
+from palpate.core import Bool, Contact, Float, Float32, Probe, ndarray
+from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
+from palpate.mechanics.probe_contact import light_pressure, share_of_table
 from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
 from palpate.sensors.palm.palm_press import between
 from palpate.sensors.palm.palm_spec import PalmSpec
@@ -26,7 +28,10 @@ NEAR_PLANES, DEEP_PLANES = 48, 20  # down to below the probe's lowest point, and
 BELOW = 0.2  # thicknesses below it to which they are near
 BESIDE = 0.5  # thicknesses of the window beyond the probe
 CELLS = 160  # of the window's side, and of the wide grid's
+LIGHT_PLANES = 20  # of linear layers' stress, finest at the surface; between them it is smooth
 FINER = 2  # times as many knots of the quarter each way: straight lines run between them
+
+Stress = Float32[ndarray, "nz 5 ny nx"]
 
 
 def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
@@ -45,7 +50,59 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
         ]
     )
     halves = probe.radius_m + probe.length_m / 2 + BESIDE * h, spec.radius_m
-    return Laid(planes, *(_on_grid(spec, contact, planes, half) for half in halves))
+    share = float(share_of_table(contact.pose.depth_m / h))
+    layers = _of_layers(spec, contact) if share < 1.0 else None
+    made = []
+    for half in halves:
+        stress = np.zeros((len(planes), 5, CELLS, CELLS), np.float32)
+        if share > 0.0:
+            stress += np.float32(share) * _of_table(spec, contact, planes, half)
+        if layers is not None:
+            stress += np.float32(1.0 - share) * _read_layers(spec, contact, layers, planes, half)
+        first = contact.pose.x_m - half + half / CELLS, contact.pose.y_m - half + half / CELLS
+        made.append(OnGrid(first, (2 * half / CELLS, 2 * half / CELLS), stress))
+    return Laid(planes, *made)
+
+
+def _of_layers(spec: PalmSpec, contact: Contact) -> tuple[OnGrid, OnGrid]:
+    """Stress of linear layers under a light press, on `LIGHT_PLANES` planes."""
+    table, h = probe_table_of(spec, contact.probe), spec.thickness_m
+    pressure = light_pressure(table, contact.probe, contact.pose, h, contact.x_m, contact.y_m)
+    planes = h * np.linspace(0, 1, LIGHT_PLANES) ** 2
+    load = spec.youngs_modulus_pa * pressure, contact.x_m, contact.y_m
+    return stress_under(h, spec.poisson_ratio, planes, *load)
+
+
+def _read_layers(
+    spec: PalmSpec,
+    contact: Contact,
+    layers: tuple[OnGrid, OnGrid],
+    planes: Float[ndarray, " nz"],
+    half: float,
+) -> Stress:
+    """That stress on other planes of a square grid about the probe."""
+    aside = _aside(half)
+    x, y = contact.pose.x_m + aside, contact.pose.y_m + aside
+    (near, is_near), (far, _) = (_read_grid(grid, x, y) for grid in layers)
+    read = np.where(is_near, near, far)
+    onto = CubicSpline(np.linspace(0, 1, LIGHT_PLANES), np.eye(LIGHT_PLANES))(
+        np.sqrt(planes / spec.thickness_m)
+    ).astype(np.float32)
+    return np.asarray(np.tensordot(onto, read, axes=1))
+
+
+def _read_grid(grid: OnGrid, x: ndarray, y: ndarray) -> tuple[Stress, Bool[ndarray, "ny nx"]]:
+    """Stress of a grid along straight lines at columns and rows, 0 beyond it; and where it is not beyond."""
+    rows, columns = grid.stress_pa.shape[2:]
+    i, j = (x - grid.first_m[0]) / grid.cell_m[0], (y - grid.first_m[1]) / grid.cell_m[1]
+    across, down = (_weights(at, count) for at, count in ((i, columns), (j, rows)))
+    inside = ((j >= 0) & (j <= rows - 1))[:, None] & ((i >= 0) & (i <= columns - 1))
+    return down @ grid.stress_pa @ across.T * inside, inside
+
+
+def _weights(at: ndarray, count: int) -> Float32[ndarray, "n count"]:
+    """Weights by which straight lines between points 0, 1 and so on read at places."""
+    return np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
@@ -59,10 +116,15 @@ def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, 
     return at, np.asarray(stress * left, np.float32)
 
 
-def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> OnGrid:
-    pose, h = contact.pose, spec.thickness_m
+def _aside(half: float) -> Float[ndarray, " n"]:
+    """Columns, or rows, of a grid beside the probe [m]."""
+    return (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
+
+
+def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
+    """The table's stress on planes of a square grid about the probe."""
+    pose, h, aside = contact.pose, spec.thickness_m, _aside(half)
     at, stress = _finer(spec, contact.probe, pose.depth_m)
-    aside = (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
     x, y = own_frame(contact.probe, pose, pose.x_m + aside[None, :], pose.y_m + aside[:, None])
     x, y = x / h, y / h
     top = at.on_top(at.surface, x, y)
@@ -88,8 +150,7 @@ def _on_grid(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], ha
         above, under = (np.take_along_axis(columns, (i + n)[None, None], axis=1)[:, 0] for n in (0, 1))
         laid[k] = _turned(above + (under - above) * share, contact.probe.turn_rad)
     laid *= np.float32(spec.youngs_modulus_pa)
-    cell = 2 * half / CELLS
-    return OnGrid((float(pose.x_m + aside[0]), float(pose.y_m + aside[0])), (cell, cell), laid)
+    return laid
 
 
 def _turned(stress: Float32[ndarray, "6 ny nx"], turn: float) -> list[ndarray]:

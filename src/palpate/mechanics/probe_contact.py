@@ -1,0 +1,161 @@
+"""A rigid probe without an axis on a bonded layer: a light press by linear layers, a deep one by its table.
+
+To the depth from which a table holds, `LIGHT`, linear layers press the probe (`light_touch`), from three
+times that its finite-strain table does; between, both do, and their force, area, pressure, surface and stress
+are added by shares, which change smoothly. There the two differ by 2 % in force; the table's bricks, which
+are few under a light press, have the greatest pressure of an edge or a cylinder 12 to 27 % lower.
+
+In the probe's own frame x points along its length, y across, z into the layer.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from palpate.core import Contact, Field, Float, Mask, Pose, Probe, RangeError, ndarray
+from palpate.mechanics.layers.influence import normal_influence
+from palpate.mechanics.layers.stack import ElasticLayer, Stack
+from palpate.mechanics.layers.surface_grid import Cells, laid_onto
+from palpate.mechanics.light_touch import MAX_LIGHT, RoundedBody, light_law, light_touch
+from palpate.mechanics.probe_table import SAME, ProbeTable, own_frame
+
+FROM_PROBE_TABLE = "finite-strain table in three dimensions"
+"""With which the model of a contact of these tables begins."""
+LIGHT = MAX_LIGHT / 3
+"""Depth to which linear layers press alone [h]; to `MAX_LIGHT` they and the table do."""
+TOUCHES = 0.02
+"""Share of the grid's greatest pressure below which straight lines between knots or cells are no contact."""
+
+Knots = Float[ndarray, " n"]
+
+
+def is_tabled_probe(contact: Contact) -> bool:
+    """Tell whether a contact is of a probe without an axis that has a table."""
+    return contact.model.startswith(FROM_PROBE_TABLE)
+
+
+def share_of_table(depth: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
+    """How much of a press at a depth [h] is the table's; what is left is linear layers'."""
+    way = np.clip((np.asarray(depth) - LIGHT) / (MAX_LIGHT - LIGHT), 0.0, 1.0)
+    return np.asarray(way**2 * (3 - 2 * way))
+
+
+def probe_law(table: ProbeTable, depth: Knots) -> Float[ndarray, "3 n"]:
+    """Force [E h^2], area [h^2] and greatest pressure [E] at depths from 0 to the table's greatest [h]."""
+    share, light = share_of_table(depth), np.minimum(depth, MAX_LIGHT)
+    deep = table.law_at(np.clip(depth, table.depth[0], table.greatest_depth))
+    if np.all(share == 1.0):
+        return deep
+    return np.asarray(share * deep + (1 - share) * light_law(_body(table), table.poisson_ratio)(light))
+
+
+def press_probe(
+    table: ProbeTable,
+    probe: Probe,
+    pose: Pose,
+    youngs_modulus_pa: float,
+    thickness_m: float,
+    radius_m: float,
+    x_m: Float[ndarray, " nx"],
+    y_m: Float[ndarray, " ny"],
+) -> Contact:
+    """Press a probe into a bonded layer: lightly by linear layers, deeper by its table, at finite strain.
+
+    Args:
+        table: for which `probe_table_for` gave the probe.
+        probe: turned anyhow about z.
+        pose: where, and how deep, from 0 to the table's depth.
+        youngs_modulus_pa: of the layer [Pa].
+        thickness_m, radius_m: of the layer [m].
+        x_m, y_m: columns and rows of the contact's grid, which holds all of it [m].
+
+    Returns:
+        The contact. Its pressure is that normal to the skin and sums to the force over the area seen from
+        above. Its radius is that of a disc of the contact's area. Its touching cells are two or three across,
+        or more.
+
+    Raises:
+        RangeError: the depth lies outside the table, or the contact reaches over the rim.
+    """
+    h, E = thickness_m, youngs_modulus_pa
+    if not 0.0 <= pose.depth_m <= table.greatest_depth * h * (1 + SAME):
+        raise RangeError(
+            f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
+            f"{table.greatest_depth * h * 1e3:g} mm, where its table was solved; press less"
+        )
+    depth = min(pose.depth_m / h, table.greatest_depth)
+    share = float(share_of_table(depth))
+    pressure, surface = np.zeros((2, len(y_m), len(x_m)))
+    if share > 0.0:
+        at = table.at(depth)
+        along, across = (place / h for place in own_frame(probe, pose, x_m[None, :], y_m[:, None]))
+        pressure += share * at.on_top(at.pressure, along, across)
+        surface += share * at.on_top(at.surface, along, across) * at.share_at(along, across)
+    if share < 1.0 and depth > 0.0:
+        light = light_pressure(table, probe, pose, h, x_m, y_m)
+        pressure += (1 - share) * light
+        surface += (1 - share) * _sunk(table, light, x_m / h, y_m / h)
+    force, area, _ = probe_law(table, np.array([depth]))[:, 0]
+    touching = pressure > TOUCHES * pressure.max()
+    _check_within(touching, x_m, y_m, radius_m)
+    return Contact(
+        x_m=x_m,
+        y_m=y_m,
+        pressure_pa=pressure * E,
+        displacement_m=surface * h,
+        touching=touching,
+        force_n=float(force) * E * h**2,
+        radius_m=math.sqrt(area / math.pi) * h,
+        probe=probe,
+        pose=pose,
+        model=f"{FROM_PROBE_TABLE}: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
+        f"bonded neo-Hookean layer, nu {table.poisson_ratio:g}, no friction, "
+        f"depth <= {table.greatest_depth * h * 1e3:g} mm; linear to {LIGHT * h * 1e3:g} mm",
+    )
+
+
+def light_pressure(
+    table: ProbeTable,
+    probe: Probe,
+    pose: Pose,
+    thickness_m: float,
+    x_m: Float[ndarray, " nx"],
+    y_m: Float[ndarray, " ny"],
+) -> Field:
+    """Pressure of linear layers under a light press, of which `press_probe` takes its share [E].
+
+    Args:
+        table, probe, pose: of a depth above 0 to `MAX_LIGHT`.
+        thickness_m: of the layer [m].
+        x_m, y_m: columns and rows of a grid that holds all of the contact [m].
+    """
+    body, depth = _body(table), pose.depth_m / thickness_m
+    touch = light_touch(body, table.poisson_ratio, depth)
+    c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
+    along, across = touch.x[None, :] * thickness_m, touch.y[:, None] * thickness_m
+    places = pose.x_m + c * along - s * across, pose.y_m + s * along + c * across
+    force = float(light_law(body, table.poisson_ratio)(np.array([depth]))[0, 0])
+    laid = laid_onto(touch.pressure * (force / touch.pressure.sum()), *places, x_m, y_m)
+    return np.asarray(laid * (thickness_m**2 / ((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))))
+
+
+def _sunk(table: ProbeTable, pressure: Field, x: Float[ndarray, " nx"], y: Float[ndarray, " ny"]) -> Field:
+    """Displacement of a linear layer's top under a pressure; all lengths in its thickness."""
+    grid = Cells(len(x), len(y), round(float(x[1] - x[0]), 9), round(float(y[1] - y[0]), 9))
+    return normal_influence(Stack((ElasticLayer(1.0, 1.0, table.poisson_ratio),)), grid).apply(0, pressure)
+
+
+def _body(table: ProbeTable) -> RoundedBody:
+    return RoundedBody(table.shape, table.radius, table.length, table.rounding)
+
+
+def _check_within(touching: Mask, x_m: ndarray, y_m: ndarray, radius_m: float) -> None:
+    rows, columns = np.nonzero(touching)
+    furthest = float(np.hypot(x_m[columns], y_m[rows]).max(initial=0.0))
+    if furthest > radius_m:
+        raise RangeError(
+            f"the contact reaches {furthest * 1e3:.1f} mm from the membrane's axis, over its rim at "
+            f"{radius_m * 1e3:g} mm; press nearer to the middle"
+        )
