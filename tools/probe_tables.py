@@ -178,7 +178,10 @@ class Solved:
         flat, share = d.bricks.ravel(), np.repeat(press.w.sum(axis=1), 27)
         total = np.bincount(flat, share)
         mean = [np.bincount(flat, share * part) / total for part in nodal.reshape(-1, 6).T]
-        return NodalField(d.knots, np.stack(mean, axis=-1).reshape(*d.nodes.shape[:3], 6))
+        values = np.stack(mean, axis=-1).reshape(*d.nodes.shape[:3], 6)
+        values[0][..., [4, 5]] = 0.0  # xz and xy, of which the other side of the plane x = 0 has the opposite
+        values[:, 0][..., [3, 5]] = 0.0  # yz and xy, on y = 0
+        return NodalField(d.knots, values)
 
     def _touching(self, X: ndarray) -> tuple[ndarray, ndarray]:
         """How far places of the top are in the probe, and the probe's normal there."""

@@ -12,6 +12,7 @@ from palpate.mechanics.axisymmetric.sphere_table import SphereTable
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 probe_press = importlib.import_module("probe_press")
 shapes = importlib.import_module("finite_strain.rigid_probes")
+tables = importlib.import_module("probe_tables")
 sys.path.pop(0)
 
 BODIES = {
@@ -78,3 +79,12 @@ def test_a_light_spring_would_be_noticed():
     (depth, u), *_ = press.through([0.1])
     asked = float(table.force_at(np.array([0.2]))[0]) * 0.25
     assert press.force(u, depth) < 0.97 * asked
+
+
+def test_a_solved_layers_odd_stresses_vanish_on_its_planes_of_symmetry():
+    press = coarse(BODIES["edge"], 0.3)
+    (depth, u), *_ = press.through([0.03])
+    nodal = tables.Solved(press, depth, u).stress.values
+    for plane, odd, even in ((nodal[0], [4, 5], [0, 1, 2, 3]), (nodal[:, 0], [3, 5], [0, 1, 2, 4])):
+        assert np.abs(plane[..., odd]).max() == 0.0
+        assert np.all(np.abs(plane[..., even]).max(axis=(0, 1)) > 1e-3)

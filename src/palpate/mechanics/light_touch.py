@@ -106,7 +106,7 @@ class LightTouch:
 
 @lru_cache(maxsize=64)
 def light_touch(body: RoundedBody, poisson_ratio: float, depth: float) -> LightTouch:
-    """Press a body into a bonded linear layer, `MIN_LIGHT` to `MAX_LIGHT` deep; less deep, as at the least."""
+    """Press a body into a bonded linear layer, `MIN_LIGHT` to `MAX_LIGHT` deep; less deep as at the least."""
     solved = max(depth, MIN_LIGHT)
     (along, across), side = body.reach(solved), body.sharpest(solved)
     share = 2 if body.rounding else 1  # contact falls off in less than a rounded end, and in all of a ball

@@ -144,6 +144,8 @@ class ProbeTable:
         force, area, peak = map(float, self._law(depth))
         top = np.tensordot(self._amounts[0](depth), self.surface_mode, axes=1)
         stress = np.tensordot(self._amounts[1](depth), self.stress_mode, axes=1)
+        stress[ODD_ALONG > 0, :, :, 0] = 0.0  # a plane of symmetry's, where a table may hold what one side's
+        stress[ODD_ACROSS > 0, :, 0, :] = 0.0  # bricks have, before the other side's is taken from it
         pressure = np.maximum(top[1], 0.0)
         summed = 4.0 * np.trapezoid(np.trapezoid(pressure, self.x, axis=1), self.y)
         knots, pressure = (self.x, self.y, self.zeta), pressure * (force / summed)
