@@ -42,6 +42,7 @@ from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
     has_punch_table,
+    has_table,
     is_pulled_deep,
     load_with_rim,
     press,
@@ -53,9 +54,9 @@ from palpate.sensors.palm.palm_press import (
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
 from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_shapes import parse_probe
+from palpate.sensors.palm.probe_shapes import as_pair, parse_probe, upright_ball
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of
-from palpate.sensors.palm.uneven_membrane import EVEN
+from palpate.sensors.palm.uneven_membrane import EVEN, thickness_range
 
 RATE_HZ = 30.0
 """R (see `spec`)."""
@@ -65,6 +66,7 @@ RECTIFIED_PX = 224
 
 RIG_PX = 128  # side of both regions on a virtual rig
 KNOTS = 1201  # of depth, between which force is read along straight lines
+PLACES = 7  # thicknesses of an uneven membrane, for each of which a depth has to be known
 PRESSES = 13  # of linear layers, between which a curve is laid
 FIRST = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2])  # of the first of them, where an edge already carries much
 LEVEL_M = 50e-6
@@ -180,15 +182,17 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth of the table under the own ball, pulled aside or not, or another probe that has one;
-        of linear layers else [m].
+        """Greatest depth that `press` takes wherever the probe is on the membrane [m].
+
+        The table's under the own ball, pulled aside or not, or another probe that has one; of linear layers
+        else. Where a membrane's thickness is uneven, other probes' tables do not hold; 0 where the own ball
+        has no table at some place.
         """
         if not is_rigid(specimen):
             return 0.0
-        ball = probe == self._ball and (is_pulled_deep(self.spec) or not lateral)
-        upright = has_punch_table(self.spec, probe) or has_probe_table(self.spec, probe)
-        tabled = ball or (upright and not lateral)
-        return self.force_law(probe).greatest_m if tabled else LINEAR_DEPTH_M
+        even = replace(self.spec, gel=EVEN)
+        each = np.linspace(*thickness_range(self.spec), PLACES if self.spec.gel.thickness else 1)
+        return min(_deepest(replace(even, thickness_m=float(h)), probe, lateral) for h in each)
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
         """The table's under the own ball or another probe that has one, a curve through presses of linear
@@ -345,16 +349,29 @@ def palm(preset: str = "palm") -> Palm:
     return Palm(palm_spec.preset(preset))
 
 
+def _deepest(spec: PalmSpec, probe: Probe, lateral: bool) -> float:
+    """Greatest depth to which `palm_press.press` takes a probe on an even membrane [m]."""
+    probe, R = as_pair(upright_ball(probe)), spec.indenter_radius_m
+    if probe == Probe("sphere", R) and (is_pulled_deep(spec) or not lateral):
+        return table_of(spec).greatest_depth * R if has_table(spec) else 0.0
+    if not lateral and has_punch_table(spec, probe):
+        return punch_table_of(spec, probe).greatest_depth * probe.radius_m
+    if not lateral and has_probe_table(spec, probe):
+        return probe_table_of(spec, probe).greatest_depth * spec.thickness_m
+    return LINEAR_DEPTH_M
+
+
 @lru_cache(maxsize=16)
 def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
-    """The law of a skin under a probe."""
+    """The law of a skin under a probe: that of its thickness where this is even, by which it is pressed."""
+    probe = as_pair(upright_ball(probe))
     own = probe == Probe("sphere", spec.indenter_radius_m)
-    even = replace(spec, gel=EVEN)
+    even, alike = replace(spec, gel=EVEN), spec.gel.thickness == 0.0
     if own:
         depth, force, radius = _of_table(spec, table_of(spec), spec.indenter_radius_m)
-    elif has_punch_table(even, probe):
+    elif alike and has_punch_table(even, probe):
         depth, force, radius = _of_table(even, punch_table_of(even, probe), probe.radius_m)
-    elif has_probe_table(even, probe):
+    elif alike and has_probe_table(even, probe):
         depth, force, radius = _of_probe_table(even, probe_table_of(even, probe))
     else:
         depth, force, radius = _of_layers(even, probe)

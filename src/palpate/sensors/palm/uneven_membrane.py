@@ -142,6 +142,17 @@ def thickness_at(spec: PalmSpec, x_m: float, y_m: float) -> float:
     return spec.thickness_m * math.exp(share * _at(spec, 1, x_m, y_m)) if share else spec.thickness_m
 
 
+def thickness_range(spec: PalmSpec) -> tuple[float, float]:
+    """The thinnest and the thickest that the membrane is, to 1e-3 of what they differ by [m]."""
+    if not spec.gel.thickness:
+        return spec.thickness_m, spec.thickness_m
+    away, angle = np.linspace(0.0, 1.0, 41), np.linspace(0.0, 2 * np.pi, 120, endpoint=False)
+    modes = disc_modes(np.outer(away, np.cos(angle)), np.outer(away, np.sin(angle)))
+    field = np.tensordot(np.array(_weights(spec.gel.seed, 1, len(modes))), modes, axes=1)
+    thinnest, thickest = spec.thickness_m * np.exp(spec.gel.thickness * np.array([field.min(), field.max()]))
+    return float(thinnest), float(thickest)
+
+
 def _at(spec: PalmSpec, stream: int, x_m: float, y_m: float) -> float:
     R = spec.radius_m
     modes = disc_modes(np.asarray(x_m / R), np.asarray(y_m / R))
