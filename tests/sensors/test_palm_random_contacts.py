@@ -1,9 +1,11 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.mechanics.resultant import resultant_of
 from palpate.sensors import palm
 from palpate.sensors.palm import random_presses
@@ -128,3 +130,21 @@ def test_what_cannot_be_drawn_is_refused():
         drawn("banana")
     with pytest.raises(InputError, match="1 or more"):
         drawn("lateral", 0)
+
+
+def test_a_shape_that_has_a_table_is_pressed_by_it_and_all_others_by_linear_layers():
+    """Also of one seed with a membrane that has none, so that no other draw has moved."""
+    even, other = SPEC, replace(SPEC, friction=1e-3)
+    tabled = set()
+    for seed in range(40):
+        contact, values = random_presses.shapes(even, np.random.default_rng(seed))
+        if is_tabled_probe(contact):
+            tabled.add((contact.probe.shape, contact.probe.length_m))
+        layered, before = random_presses.shapes(other, np.random.default_rng(seed))
+        assert (contact.pose, contact.probe, values[:-1]) == (layered.pose, layered.probe, before[:-1])
+        linear = press_layers(even, contact.pose, contact.probe).contact.force_n
+        assert before[-1] == linear
+        assert (values[-1] == linear) != is_tabled_probe(contact)
+        by_itself = palm.press(even, contact.pose, contact.probe).force_n
+        assert values[-1] == (by_itself if is_tabled_probe(contact) else linear)
+    assert tabled == {("edge", 12e-3), ("cylinder", 12e-3)}

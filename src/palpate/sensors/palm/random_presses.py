@@ -4,9 +4,10 @@ Presses lie anywhere. Like a rig's press, each has one frame of the untouched sk
 it, and then frames at several depths. Palms, lamps, cameras and what a rig calls contact differ by a law of
 its own, see `PressLaw`; what differs on a rig besides (tilt, leaning, dents) is left out.
 
-Other contacts are those beyond one upright ball, on the palm as designed. All are pressed by linear layers,
-the palm's own ball too, so that no kind is told from another by its law. What is drawn at random is spread
-evenly over its range, unless said otherwise; relaxation and wear are left out.
+Other contacts are those beyond one upright ball, on the palm as designed. They are pressed by linear layers,
+the palm's own ball too, so that no kind is told from another by its law; of the shapes an edge or a cylinder
+is pressed by its table where the membrane has one, as `press` does, its edges rounded. What is drawn at
+random is spread evenly over its range, unless said otherwise; relaxation and wear are left out.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.press_law import PRESS_LAW, PressLaw
 from palpate.sensors.palm.probe_shapes import parts_of, points_probe, reaches_of
+from palpate.sensors.palm.tabled_probes import has_probe_table
+from palpate.sensors.palm.uneven_membrane import pressed_at
 
 DEPTHS = 96  # distinct ones, over all copies, between which pictures are shared
 DEPTH_MM = (0.06, 5.3)
@@ -339,7 +342,8 @@ def shapes(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
     radius, length = SIZES_M[SHAPES[which]][size]
     probe = Probe(SHAPES[which], radius, length, math.radians(turn) if length else 0.0)
     pose = _pose(spec, probe, rng)
-    contact = press_layers(spec, pose, probe).contact
+    tabled = has_probe_table(pressed_at(spec, pose.x_m, pose.y_m), probe)
+    contact = press(spec, pose, probe) if tabled else press_layers(spec, pose, probe).contact
     turned = turn if probe.length_m else 0.0
     return Drawn(contact, (*_place(pose), which, turned, contact.force_n))
 
