@@ -9,10 +9,12 @@ import pytest
 from palpate.core import Pose, RangeError
 from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.sensors import palm
+from palpate.sensors.palm import fringe_orders
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
+from palpate.sensors.palm.uneven_membrane import UnevenGel, modulus_ratio
 
 SPEC = palm.preset("debug")
 PROBES = probes_with_table(SPEC).split(", ")
@@ -167,3 +169,28 @@ def test_the_light_of_a_light_touch_is_that_of_linear_layers():
     for seen, other in zip(palm.render_clean(alike, SPEC), palm.render_clean(layers, SPEC), strict=True):
         assert rms(seen - other) < 2e-5
     assert rms(palm.render_clean(alike, SPEC)[0] - light_of(words, 0.06e-3, x_m=1e-3)[0]) > 3e-5
+
+
+@pytest.mark.parametrize("words", PROBES)
+def test_the_greatest_pressure_told_is_the_tables_and_not_the_grids(words, monkeypatch):
+    """Turned and moved, the grid finds less of it; by linear layers under a light touch."""
+    monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)  # which takes seconds
+    table, h, E = probe_table_of(SPEC, palm.parse_probe(words)), SPEC.thickness_m, SPEC.youngs_modulus_pa
+    for depth in (0.5e-3, 1.5e-3):
+        contact = pressed(f"{words}:30", depth, 1e-3, 2e-3)
+        told = fringe_orders.contact_summary(contact, SPEC)["peak_pressure_Pa"]
+        assert told == pytest.approx(table.at(depth / h).peak_pressure * E, rel=1e-9)
+        assert contact.pressure_pa.max() < 1.02 * told
+    light = [fringe_orders.contact_summary(pressed(words, d), SPEC)["peak_pressure_Pa"] for d in (0, 0.01e-3)]
+    assert light[0] == 0.0
+    assert light[1] > pressed(words, 0.01e-3).pressure_pa.max()
+
+
+def test_the_greatest_pressure_told_of_an_uneven_membrane_is_that_of_its_place(monkeypatch):
+    monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)
+    uneven = replace(SPEC, gel=UnevenGel(0.08, 0.0, seed=2))
+    for x, y in ((-9e-3, 4e-3), (8e-3, -6e-3)):
+        contact = pressed(PROBES[0], 1e-3, x, y, spec=uneven)
+        told = fringe_orders.contact_summary(contact, uneven)["peak_pressure_Pa"]
+        even = fringe_orders.contact_summary(pressed(PROBES[0], 1e-3), SPEC)["peak_pressure_Pa"]
+        assert told == pytest.approx(even * modulus_ratio(uneven, x, y), rel=1e-9)

@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core import Contact, Float, ndarray
 from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.stack_field import field_below
-from palpate.mechanics.probe_contact import is_tabled_probe
+from palpate.mechanics.probe_contact import is_tabled_probe, probe_law
 from palpate.optics.axisymmetric_march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
@@ -26,6 +26,7 @@ from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, stress_about, summed_along
+from palpate.sensors.palm.tabled_probes import probe_table_of
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
 WAVELENGTH_M = 550e-9
@@ -171,7 +172,11 @@ def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
 
 
 def _peak_pressure(contact: Contact, spec: PalmSpec) -> float | None:
-    if contact.probe.shape == "edge" and contact.probe.radius_m == 0 and not is_tabled_probe(contact):
+    if is_tabled_probe(contact):
+        depth = np.array([contact.pose.depth_m / spec.thickness_m])
+        greatest = probe_law(probe_table_of(spec, contact.probe), np.maximum(depth, 0.0))[2, 0]
+        return float(greatest * spec.youngs_modulus_pa)
+    if contact.probe.shape == "edge" and contact.probe.radius_m == 0:
         return None
     if is_ball(contact, spec) and contact.force_n > 0:
         press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)

@@ -54,11 +54,10 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
     layers = _of_layers(spec, contact) if share < 1.0 else None
     made = []
     for half in halves:
-        stress = np.zeros((len(planes), 5, CELLS, CELLS), np.float32)
-        if share > 0.0:
-            stress += np.float32(share) * _of_table(spec, contact, planes, half)
+        stress = _of_table(spec, contact, planes, half) if share > 0.0 else np.float32(0.0)
         if layers is not None:
-            stress += np.float32(1.0 - share) * _read_layers(spec, contact, layers, planes, half)
+            light = _read_layers(spec, contact, layers, planes, half)
+            stress = np.float32(share) * stress + np.float32(1.0 - share) * light
         first = contact.pose.x_m - half + half / CELLS, contact.pose.y_m - half + half / CELLS
         made.append(OnGrid(first, (2 * half / CELLS, 2 * half / CELLS), stress))
     return Laid(planes, *made)
