@@ -90,7 +90,7 @@ def stress_under(
         )
     if not (np.all(np.diff(depths_m) > 0.0) and depths_m[0] >= 0.0 and depths_m[-1] <= thickness_m):
         raise RangeError(f"planes {depths_m} m; give depths that rise within 0 to {thickness_m:g} m")
-    rows, columns = _loaded(pressure_pa)
+    rows, columns = _loaded(pressure_pa if shear_pa is None else np.abs([pressure_pa, *shear_pa]).max(axis=0))
     key = tuple(float(z) for z in depths_m)
     plan = _plan(
         thickness_m,

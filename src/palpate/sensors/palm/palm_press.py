@@ -1,9 +1,10 @@
 """A probe on the palm's membrane: finite-strain tables for those that have one, else linear layers.
 
 The ball's tables reach 6 mm, with a lateral load as without; those of upright punches of 6, 8 and 10 mm 3, 4
-and 4.8 mm, and those of a few probes without an axis (`tabled_probes`) as deep as they tell, without. Linear
-layers are right to some 4 % in force up to 1.5 mm under a 10 mm ball, and to that depth they are allowed; a
-ball under a moment is of them, and so are most holders of several balls.
+and 4.8 mm, and those of a few probes without an axis (`tabled_probes`) as deep as they tell, without; to
+1.5 mm linear layers add a lateral load's shear to a press of the latter. Linear layers are right to some 4 %
+in force up to 1.5 mm under a 10 mm ball, and to that depth they are allowed; a ball under a moment is of
+them, and so are most holders of several balls.
 """
 
 from __future__ import annotations
@@ -304,8 +305,10 @@ def press(
         return _pulled_ball(spec, pose, lateral_n)
     if not aside and has_punch_table(spec, probe):
         return _punched(spec, pose, probe)
-    if not aside and has_probe_table(spec, probe):
-        return _probed(spec, pose, probe)
+    is_deep = pose.depth_m > LINEAR_DEPTH_M * (1 + SAME)
+    if has_probe_table(spec, probe) and not (aside and is_deep):
+        contact = _probed(spec, pose, probe)
+        return pulled(_as_layered(spec, contact), lateral_n, moment_nm) if aside else contact
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
 
@@ -336,6 +339,17 @@ def _probed(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
     membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
     table = probe_table_of(spec, probe)
     return press_probe(table, probe, pose, *membrane, pose.x_m + around, pose.y_m + around)
+
+
+def _as_layered(spec: PalmSpec, contact: Contact) -> Layered:
+    """A contact of a table as linear layers shear it, which its normal pressure does not change by."""
+    held = np.where(contact.touching, contact.pressure_pa, 0.0)
+    force_n, area_m2 = contact.force_n, math.pi * contact.radius_m**2
+    surface = held, contact.displacement_m, contact.touching
+    pressed = StackContact(
+        contact.x_m, contact.y_m, *surface, force_n, area_m2, contact.pose.depth_m, stack_of(spec), 0, 0.0
+    )
+    return Layered(pressed, replace(contact, model=f"{contact.model}; lateral load by linear layers"))
 
 
 def _around(radius_m: float) -> Knots:

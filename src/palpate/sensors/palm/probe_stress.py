@@ -3,7 +3,8 @@
 The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
 turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that
 holds beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands. Of a light
-press the share that `probe_contact` gives to linear layers is their stress, on the same planes.
+press the share that `probe_contact` gives to linear layers is their stress, on the same planes, and so is
+what the shear of a lateral load adds.
 """
 
 from __future__ import annotations
@@ -51,25 +52,28 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
     )
     halves = probe.radius_m + probe.length_m / 2 + BESIDE * h, spec.radius_m
     share = float(share_of_table(contact.pose.depth_m / h))
-    layers = _of_layers(spec, contact) if share < 1.0 else None
+    layers = _of_layers(spec, contact, 1.0 - share) if share < 1.0 or contact.shear_pa is not None else None
     made = []
     for half in halves:
-        stress = _of_table(spec, contact, planes, half) if share > 0.0 else np.float32(0.0)
+        stress = np.zeros((len(planes), 5, 1, 1), np.float32)
+        if share > 0.0:
+            stress = _of_table(spec, contact, planes, half)
         if layers is not None:
-            light = _read_layers(spec, contact, layers, planes, half)
-            stress = np.float32(share) * stress + np.float32(1.0 - share) * light
+            stress = np.float32(share) * stress + _read_layers(spec, contact, layers, planes, half)
         first = contact.pose.x_m - half + half / CELLS, contact.pose.y_m - half + half / CELLS
         made.append(OnGrid(first, (2 * half / CELLS, 2 * half / CELLS), stress))
     return Laid(planes, *made)
 
 
-def _of_layers(spec: PalmSpec, contact: Contact) -> tuple[OnGrid, OnGrid]:
-    """Stress of linear layers under a light press, on `LIGHT_PLANES` planes."""
-    table, h = probe_table_of(spec, contact.probe), spec.thickness_m
-    pressure = light_pressure(table, contact.probe, contact.pose, h, contact.x_m, contact.y_m)
+def _of_layers(spec: PalmSpec, contact: Contact, share: float) -> tuple[OnGrid, OnGrid]:
+    """Stress of linear layers under their share of a light press and all shear, on `LIGHT_PLANES` planes."""
+    h, x, y = spec.thickness_m, contact.x_m, contact.y_m
+    pressure = np.zeros_like(contact.pressure_pa)
+    if share > 0.0:
+        table, modulus = probe_table_of(spec, contact.probe), share * spec.youngs_modulus_pa
+        pressure = modulus * light_pressure(table, contact.probe, contact.pose, h, x, y)
     planes = h * np.linspace(0, 1, LIGHT_PLANES) ** 2
-    load = spec.youngs_modulus_pa * pressure, contact.x_m, contact.y_m
-    return stress_under(h, spec.poisson_ratio, planes, *load)
+    return stress_under(h, spec.poisson_ratio, planes, pressure, x, y, contact.shear_pa)
 
 
 def _read_layers(
