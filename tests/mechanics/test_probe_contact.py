@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.mechanics.test_probe_table import TABLES, probe_of, rounded_gap
 
-from palpate.core import Pose, RangeError
+from palpate.core import InputError, Pose, RangeError
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.light_touch import MAX_LIGHT, MIN_LIGHT, RoundedBody, light_law, light_touch
@@ -162,3 +162,13 @@ def test_a_press_holds_to_the_tables_depth_and_to_the_rim():
     for depth in (1e-3, 0.1):
         with pytest.raises(RangeError, match="over its rim"):
             pressed(table, depth, x_m=25e-3)
+
+
+@pytest.mark.parametrize("turn", [0.0, math.pi / 2])
+def test_a_grid_that_does_not_hold_a_light_contact_is_refused(turn):
+    table, pose = TABLES["cylinder:0.3:1.2"], Pose(0.0, 0.0, 1e-4)
+    short = GRID[np.abs(GRID) < 5e-3]
+    across = (short, GRID) if turn == 0.0 else (GRID, short)
+    with pytest.raises(InputError, match="along x" if turn == 0.0 else "along y"):
+        press_probe(table, probe_of(table, turn), pose, E, H, 28.5e-3, *across)
+    press_probe(table, probe_of(table, turn), pose, E, H, 28.5e-3, *across[::-1])

@@ -77,6 +77,7 @@ def press_probe(
         or more.
 
     Raises:
+        InputError: a light contact reaches beyond the grid.
         RangeError: the depth lies outside the table, or the contact reaches over the rim.
     """
     h, E = thickness_m, youngs_modulus_pa

@@ -80,11 +80,21 @@ Places = Float[ndarray, "v u"]
 def laid_onto(
     values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
 ) -> Field:
-    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance."""
+    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance.
+
+    Raises:
+        InputError: a value that is not 0 lies beyond the grid.
+    """
     onto = np.zeros((len(y_m), len(x_m)))
     loaded = values > 0.0
     column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])
     left, top = np.floor(column).astype(int), np.floor(row).astype(int)
+    for name, at, axis in (("x", left, x_m), ("y", top, y_m)):
+        if at.size and not (at.min() >= 0 and at.max() < len(axis) - 1):
+            raise InputError(
+                f"what presses reaches beyond the grid, {axis[0]:g} to {axis[-1]:g} m along {name}; give a "
+                "larger grid"
+            )
     right_share, low_share = column - left, row - top
     for down in (0, 1):
         for aside in (0, 1):
