@@ -15,7 +15,8 @@ from palpate.core import DeviceError
 from palpate.studio.library.job_process import JobVoice
 from palpate.studio.live.start_desk import StartDesk, kept_session
 from palpate.studio.live.start_process import run_session
-from palpate.workflows.start_session import STATE, StartSession
+from palpate.workflows.start_session import StartSession
+from palpate.workflows.start_state import STATE
 
 MAX_S = 120.0
 ASKED = 11

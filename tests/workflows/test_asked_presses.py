@@ -14,7 +14,9 @@ from palpate.core import InputError
 from palpate.estimators.session_folder import SESSION_FILE, calibration_in
 from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection.press_collector import presses_in
-from palpate.workflows.start_session import PRESSES, StartSession, left_out_text
+from palpate.workflows.certificate_sentence import left_out_text
+from palpate.workflows.start_session import StartSession
+from palpate.workflows.start_state import PRESSES
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 

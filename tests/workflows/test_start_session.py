@@ -22,14 +22,10 @@ from palpate.rig.fakes.printing_scale import PrintingScale
 from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.sensing.collection.press_collector import REST
+from palpate.workflows.certificate_sentence import beats_the_mean, honest_sentence, rate_beyond
 from palpate.workflows.press_feeds import CameraFeed, FedFrame, VirtualFeed, open_feed
-from palpate.workflows.start_session import (
-    STATE,
-    StartSession,
-    beats_the_mean,
-    honest_sentence,
-    rate_beyond,
-)
+from palpate.workflows.start_session import StartSession
+from palpate.workflows.start_state import STATE
 
 
 def begun(folder: Path, presses: int = 10) -> StartSession:

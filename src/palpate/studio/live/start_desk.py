@@ -163,11 +163,12 @@ def kept_session(folder: Path) -> dict[str, Any]:
     Raises:
         PalpateError: the file is not a session's.
     """
-    from palpate.workflows.start_session import STATE, StartSession
+    from palpate.workflows.start_state import STATE
+    from palpate.workflows.stored_session import StoredSession
 
     if not (folder / STATE).is_file():
         return {}
-    session = StartSession(folder)
+    session = StoredSession(folder)
     if not session.presses_gone:
         return session.to_dict()
     told = {"step": session.step, "calibration": str(session.calibration), "gone": session.gone_text}

@@ -1,0 +1,208 @@
+"""First session as its folder keeps it: what it holds, what is said of it, and the commands that do it again.
+
+Nothing here changes the folder; the steps that fill it are those of `StartSession`.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from palpate.core import InputError, PathText, RecordingError
+from palpate.workflows.certificate_sentence import FOLDS, TARGET
+from palpate.workflows.start_state import CALIBRATION, STEPS, read_state
+
+if TYPE_CHECKING:
+    from palpate.calibration.calibration_plan import CalibrationPlan
+    from palpate.recordings import Run
+
+RUN, UNTOUCHED, MANIFEST = "presses", "untouched.png", "manifest.json"
+MODEL, SPLIT = "kernel-ridge", "group:press"
+
+
+class StoredSession:
+    """Session of one sensor as it lies in a folder.
+
+    Args:
+        folder: of it; that of a new session where it is not there.
+
+    Raises:
+        RecordingError: its file is not a session's.
+        InputError: a file has the folder's name.
+
+    Attributes:
+        folder: of it.
+        state: as its file keeps it.
+    """
+
+    def __init__(self, folder: PathText) -> None:
+        self.folder = Path(folder)
+        if self.folder.exists() and not self.folder.is_dir():
+            raise InputError(
+                f"{self.folder} is a file, and a session is a folder: give the name of one, such as "
+                f"{self.folder.with_suffix('') if self.folder.suffix else 'my-sensor'}"
+            )
+        self.state = read_state(self.folder)
+
+    @property
+    def step(self) -> str:
+        """The first step that is not done; "live" where all before it are."""
+        return next((one for one in STEPS if one not in self.state.done), STEPS[-1])
+
+    @property
+    def run(self) -> Path:
+        """Run of the presses."""
+        return self.folder / RUN
+
+    @property
+    def calibration(self) -> Path:
+        """Folder of the calibration that is or will be made of them."""
+        return self.folder / self.state.trained.get("folder", CALIBRATION)
+
+    @property
+    def untouched(self) -> Path:
+        """Image of the untouched sensor."""
+        return self.folder / UNTOUCHED
+
+    @property
+    def unopened(self) -> bool:
+        """Whether its camera has given no frame yet, so that everything may still be chosen."""
+        return not (self.state.settings or self.state.collected or self._frames())
+
+    def has_nothing_left_by(self, camera: str, scale: str, asked: int | None) -> bool:
+        """Whether another scale would have nothing to weigh, since as many presses as asked for are there.
+
+        Args:
+            camera, scale: as `StartSession.choose_if_other` takes them.
+            asked: presses that shall be there; None for as many as the session was begun for.
+        """
+        s = self.state
+        other = camera == s.camera and scale != s.scale and "collect" in s.done
+        return other and self.presses_held >= max(asked or s.asked, 1)
+
+    @property
+    def nothing_left_text(self) -> str:
+        """What is said where nothing is left to collect."""
+        return (
+            f"{self.folder} holds {self.presses_held} presses of {self.state.asked}: nothing is left to "
+            "collect, and what is there stays; ask for more presses, which are collected beside them"
+        )
+
+    @property
+    def presses_held(self) -> int:
+        """Presses that its run holds with their labels, by whichever scale."""
+        from palpate.recordings import Run
+        from palpate.sensing.collection.press_collector import presses_in
+
+        return len(presses_in(Run.open(self.run).labelled())) if (self.run / MANIFEST).is_file() else 0
+
+    @property
+    def presses_gone(self) -> bool:
+        """Whether presses were collected whose run is there no more: all are pressed anew then."""
+        return bool(self.state.collected.get("presses")) and not (self.run / MANIFEST).is_file()
+
+    @property
+    def remaining(self) -> str:
+        """Presses still to be collected beside those that are there, in words; empty where none are there."""
+        if not (have := self.presses_held):
+            return ""
+        return (
+            f"{self.folder} holds {have} presses of {self.state.asked}; "
+            f"{max(self.state.asked - have, 0)} are still to be collected"
+        )
+
+    def plan(self) -> CalibrationPlan:
+        """Plan of the calibration: whole presses held out, colour learnt from where there is any."""
+        from palpate.calibration.calibration_plan import CalibrationPlan
+
+        channels: Literal[1, 3] = 3 if self._in_colour() else 1
+        return CalibrationPlan(
+            (TARGET,), model=MODEL, split=SPLIT, folds=self._folds(), seed=self.state.seed, channels=channels
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The certificate in one sentence; empty before there is one."""
+        return str(self.state.trained.get("sentence", ""))
+
+    def commands(self) -> list[str]:
+        """Commands that do what was done here, in order."""
+        s, done = self.state, self.state.done
+        found = []
+        if "collect" in done or self.run.exists():
+            args = ["palpate", "collect", "--camera", s.camera, "--scale", s.scale, "--presses", str(s.asked)]
+            args += ["--sensor", s.sensor] if s.sensor else []
+            args += ["--seed", str(s.seed)] if s.seed else []
+            args += ["--unit", s.unit] if s.unit else []
+            args += ["--scale-lag-s", f"{s.scale_lag_s:g}"] if s.scale_lag_s is not None else []
+            found.append(shlex.join([*args, "--out", str(self.run)]))
+        if "train" in done:
+            args = ["palpate", "calibrate", str(self.run), "--targets", TARGET, "--model", MODEL]
+            args += ["--split", SPLIT, "--folds", str(self._folds())]
+            args += ["--seed", str(s.seed)] if s.seed else []
+            args += ["--rgb"] if self._in_colour() else []
+            found.append(shlex.join([*args, "--out", str(self.calibration)]))
+            found.append(shlex.join(["palpate", "live", str(self.calibration), "--camera", s.camera]))
+        return found
+
+    @property
+    def newest_text(self) -> str:
+        """Which calibration the sentence is of, and the older ones beside it; empty before there is one."""
+        if "train" not in self.state.done:
+            return ""
+        beside = {path.name for path in self.folder.glob(f"{CALIBRATION}*") if path.is_dir()}
+        older = ", ".join(sorted(beside - {self.calibration.name}))
+        stay = f", the newest; {older} beside it stays as it was" if older else ""
+        read = shlex.join(["palpate", "live", str(self.folder), "--camera", self.state.camera])
+        return f"Calibration: {self.calibration}{stay}. `{read}` reads by the newest."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain values, for the page and for ``--json``."""
+        return asdict(self.state) | {
+            "folder": str(self.folder),
+            "step": self.step,
+            "unopened": self.unopened,
+            "run": str(self.run),
+            "calibration": str(self.calibration),
+            "newest": self.newest_text,
+            "commands": self.commands(),
+        }
+
+    @property
+    def gone_text(self) -> str:
+        """What can be done about presses whose run was deleted or moved away."""
+        s, words = self.state, ["palpate", "start", "--terminal", "--folder", str(self.folder)]
+        words += ["--camera", s.camera, "--scale", s.scale, "--more", str(s.asked)]
+        reads = f"; {self.calibration} still reads, by `palpate live`" if self.calibration.exists() else ""
+        return (
+            f"{self.run}, which held the presses of this session, is gone: put it back, press anew by "
+            f"`{shlex.join(words)}`, or begin a session in another folder{reads}"
+        )
+
+    def _kept_presses(self) -> Run:
+        """Run of the presses that were collected.
+
+        Raises:
+            RecordingError: it was deleted or moved away, with what can be done.
+        """
+        from palpate.recordings import Run
+
+        if not (self.run / MANIFEST).is_file():
+            raise RecordingError(self.gone_text)
+        return Run.open(self.run)
+
+    def _folds(self) -> int:
+        table = self._kept_presses().labelled().labels
+        return max(2, min(FOLDS, len(table[["session", "press"]].drop_duplicates())))
+
+    def _frames(self) -> int:
+        """Frames that its run holds."""
+        from palpate.recordings import Run
+
+        return len(Run.open(self.run)) if (self.run / MANIFEST).is_file() else 0
+
+    def _in_colour(self) -> bool:
+        image = self._kept_presses().frame(0).image
+        return image.ndim == 3 and bool((image != image[..., :1]).any())
