@@ -2,7 +2,7 @@
 
 A sensor that measures shows noise: a coarse one repeats a sample now and then, a dead one repeats all. How
 often this one repeats itself in the air says how long a row of equal samples may become before it is no
-chance.
+chance. A sensor that is dead, slower than it states or another than at the last tare is refused by name.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from palpate.core import NS_PER_S, Float, Wrench, ndarray
+from palpate.devices.motion_limits import Reason, Tripped
 
 CHANCE = 1e-5  # of a row of equal samples that is still taken for noise
 CHANCE_COARSE = 1e-7  # where repeats are frequent, and their probability moves with the zero
@@ -27,6 +29,11 @@ NEAR = 0.005  # relative
 TOGETHER = 0.25  # of a period between two samples
 MIN_TIMED = 10  # samples that are left to tell the rate
 DIGITS = 9  # to which values are compared for their quantum [N]
+SLOW = 0.8  # of the stated rate
+BURST_S = 0.05  # between two samples in the air
+BURST_PERIODS = 6.0
+LEAP = 5.0  # between the noise of two tares
+SAME_SCALE = 0.05  # relative, of the reading in the air from one tare to the next, on all axes together
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -130,6 +137,76 @@ def period_of(times_s: Float[ndarray, " n"], stated_hz: float | None) -> float:
     if stated_hz is not None and abs(period_s - 1 / stated_hz) <= max(DOUBT * error_s, NEAR / stated_hz):
         return 1 / stated_hz
     return period_s
+
+
+def check_pace(times_s: Sequence[float], stated_hz: float) -> None:
+    """Refuse samples that come more slowly than is stated, or in bursts.
+
+    Args:
+        times_s: of the samples in the air, oldest first; two at least [s].
+        stated_hz: samples a second that the sensor states [Hz].
+
+    Raises:
+        Tripped: they do.
+    """
+    steps = [after - before for before, after in pairwise(times_s)]
+    span_s, period_s = times_s[-1] - times_s[0], 1.0 / stated_hz
+    if span_s > 0 and len(steps) / span_s < SLOW * stated_hz:
+        raise Tripped(
+            Reason.FORCE_SLOW,
+            f"the force sensor measures {len(steps) / span_s:.3g} times a second and states {stated_hz:g}; "
+            "set it to the rate it states",
+        )
+    if (longest_s := max(steps)) > max(BURST_S, BURST_PERIODS * period_s):
+        raise Tripped(
+            Reason.FORCE_LATE,
+            f"the force came in bursts {longest_s * 1e3:.0f} ms apart at {stated_hz:g} samples a second; "
+            "look at what lies between the sensor and this computer",
+        )
+
+
+def check_same_air(before: AirNoise, air: AirNoise) -> None:
+    """Refuse a sensor whose zero or noise is another one than at the last tare.
+
+    Raises:
+        Tripped: all axes read a multiple of what they did, or one is far noisier.
+    """
+    old, new, noise_n = before.mean[:3], air.mean[:3], 3 * max(*before.noise_n, *air.noise_n)
+    size2 = math.fsum(a * a for a in old)
+    scale = math.fsum(a * b for a, b in zip(old, new, strict=True)) / size2 if size2 > 0 else 1.0
+    off_n = math.dist(new, [scale * a for a in old])
+    told = sum(abs((scale - 1) * a) > noise_n for a in old) > 1  # one axis alone has drifted
+    if (
+        told
+        and scale != 0
+        and abs(scale - 1) > SAME_SCALE
+        and off_n < noise_n
+        and math.dist(old, new) > 3 * off_n
+    ):
+        raise Tripped(
+            Reason.FORCE_SCALED,
+            f"in the air all axes read {scale:.3g} times what they did before the last press: has the "
+            "sensor's gain or unit changed?",
+        )
+    for axis, was, is_ in zip("xyz", before.noise_n, air.noise_n, strict=True):
+        if is_ > LEAP * was:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"the noise along the sensor's {axis} is {is_:.4f} N, and was {was:.4f} N before the last "
+                "press",
+            )
+
+
+def constant_air(air: AirNoise, was_alive: bool) -> Tripped:
+    """Name of a sensor that reads but one value in the air: dead, or stuck where it was alive before."""
+    zero = not any(air.mean)
+    reason = Reason.FORCE_STUCK if was_alive and not zero else Reason.FORCE_DEAD
+    return Tripped(
+        reason,
+        f"all {air.count + 1} samples in the air are the same on all six axes"
+        + (", zero" if zero else "")
+        + ": a sensor that measures shows noise; is its load connected, or is it set too coarse?",
+    )
 
 
 def _pooled(airs: Sequence[AirNoise]) -> AirNoise:

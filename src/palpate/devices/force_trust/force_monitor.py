@@ -28,14 +28,20 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import pairwise
 
 from palpate.core import NS_PER_S, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
-from palpate.devices.force_trust.air_noise import AirNoise, Six, six_of
+from palpate.devices.force_trust.air_noise import (
+    AirNoise,
+    Six,
+    check_pace,
+    check_same_air,
+    constant_air,
+    six_of,
+)
 from palpate.devices.force_trust.sample_dating import SampleDating
 from palpate.devices.force_trust.stiffness_corridor import ForceClimb, StiffnessCorridor
-from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.motion_limits import Limits
 
 BLIND_M = 0.08e-3  # of way on one sample
 MIN_PERIODS = 4  # of samples that may be missing, however fast the stage moves
@@ -64,11 +70,6 @@ QUIET = 0.12  # of the noise's square, over `QUIET_SAMPLES`
 QUIET_SAMPLES = 24
 KEPT = 12  # samples before a doubt, for its name
 AIRS = 8  # tares that are remembered
-SLOW = 0.8  # of the stated rate
-BURST_S = 0.05  # between two samples in the air
-BURST_PERIODS = 6.0
-LEAP = 5.0  # between the noise of two tares
-SAME_SCALE = 0.05  # relative, of the reading in the air from one tare to the next, on all axes together
 
 
 class Phase(Enum):
@@ -134,12 +135,12 @@ class ForceMonitor:
             Tripped: it comes too slowly, in bursts, repeats itself, or is not what it was at the last tare.
         """
         times = [one.time_ns / NS_PER_S for one in samples]
-        _check_pace(times, stated_hz)
+        check_pace(times, stated_hz)
         air = AirNoise.of(samples, stated_hz)
         if self.air is not None:
-            _check_same(self.air, air)
+            check_same_air(self.air, air)
         if air.is_constant:
-            raise _constant(air, self.air is not None)
+            raise constant_air(air, self.air is not None)
         self.learn_press()
         self._airs.append(air)
         self.air = air
@@ -448,62 +449,3 @@ class ForceMonitor:
 
     def _doubt(self, kind: str, text: str) -> Doubt:
         return Doubt(kind, text, tuple(self._before))
-
-
-def _check_pace(times_s: Sequence[float], stated_hz: float) -> None:
-    steps = [after - before for before, after in pairwise(times_s)]
-    span_s, period_s = times_s[-1] - times_s[0], 1.0 / stated_hz
-    if span_s > 0 and len(steps) / span_s < SLOW * stated_hz:
-        raise Tripped(
-            Reason.FORCE_SLOW,
-            f"the force sensor measures {len(steps) / span_s:.3g} times a second and states {stated_hz:g}; "
-            f"set "
-            "it to the rate it states",
-        )
-    if (longest_s := max(steps)) > max(BURST_S, BURST_PERIODS * period_s):
-        raise Tripped(
-            Reason.FORCE_LATE,
-            f"the force came in bursts {longest_s * 1e3:.0f} ms apart at {stated_hz:g} samples a second; "
-            f"look "
-            "at what lies between the sensor and this computer",
-        )
-
-
-def _check_same(before: AirNoise, air: AirNoise) -> None:
-    """Refuse a sensor whose zero or noise is another one than at the last tare."""
-    old, new, noise_n = before.mean[:3], air.mean[:3], 3 * max(*before.noise_n, *air.noise_n)
-    size2 = math.fsum(a * a for a in old)
-    scale = math.fsum(a * b for a, b in zip(old, new, strict=True)) / size2 if size2 > 0 else 1.0
-    off_n = math.dist(new, [scale * a for a in old])
-    told = sum(abs((scale - 1) * a) > noise_n for a in old) > 1  # one axis alone has drifted
-    if (
-        told
-        and scale != 0
-        and abs(scale - 1) > SAME_SCALE
-        and off_n < noise_n
-        and math.dist(old, new) > 3 * off_n
-    ):
-        raise Tripped(
-            Reason.FORCE_SCALED,
-            f"in the air all axes read {scale:.3g} times what they did before the last press: has the "
-            f"sensor's "
-            "gain or unit changed?",
-        )
-    for axis, was, is_ in zip("xyz", before.noise_n, air.noise_n, strict=True):
-        if is_ > LEAP * was:
-            raise Tripped(
-                Reason.FORCE_NOISE,
-                f"the noise along the sensor's {axis} is {is_:.4f} N, and was {was:.4f} N before the last "
-                f"press",
-            )
-
-
-def _constant(air: AirNoise, was_alive: bool) -> Tripped:
-    zero = not any(air.mean)
-    reason = Reason.FORCE_STUCK if was_alive and not zero else Reason.FORCE_DEAD
-    return Tripped(
-        reason,
-        f"all {air.count + 1} samples in the air are the same on all six axes"
-        + (", zero" if zero else "")
-        + ": a sensor that measures shows noise; is its load connected, or is it set too coarse?",
-    )
