@@ -163,3 +163,19 @@ def test_what_cannot_be_sheared_is_refused():
     nothing = press_stack(contact.stack, indenters.paraboloid(X, X, R), X, X, depth_m=0.0)
     with pytest.raises(RangeError, match="carries no shear"):
         shear_stack(nothing, MU, shift_m=(1e-5, 0.0))
+
+
+@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.5, 0.7, 0.95])
+@pytest.mark.parametrize("way", [0.0, 0.7, math.pi / 2])
+def test_every_pull_below_friction_is_found_under_a_punch_and_under_a_blunt_edge(part, way):
+    """Secants through motions that the tolerance does not tell apart lead away; then 0.95 is refused."""
+    layer, x = Stack((ElasticLayer(10e-3, E, 0.49),)), np.linspace(-7e-3, 7e-3, 80)
+    punch = indenters.flat_punch(x, x, 4e-3, 0.4e-3)
+    edge = np.where(np.abs(x[None, :]) < 6e-3, np.tan(math.radians(30)) * np.abs(x[:, None]), np.inf)
+    for gap, depth in ((punch, 0.5e-3), (edge, 0.8e-3)):
+        contact = press_stack(layer, gap, x, x, depth_m=depth)
+        pull = part * MU * contact.force_n
+        asked = pull * math.cos(way), pull * math.sin(way)
+        found = shear_stack(contact, MU, force_n=asked)
+        np.testing.assert_allclose(found.force_n, asked, atol=2e-4 * pull)
+        assert found.force_n @ found.shift_m > 0.0

@@ -28,6 +28,10 @@ AT_LIMIT = 1 - 1e-9  # of the limit: a traction that rounding alone keeps from i
 STEPS = 1000
 SHIFTS = 50
 FIRST, CLOSER = 1e-2, 0.1  # tolerance of the first motion of a load; of the next ones, over what is missing
+SOFTEST, FIRMEST = 1e-3, 1.2
+"""Stiffness along a step over that without slip, between which a secant is one: beyond, the skin has not
+followed the step within the tolerance, or all of it slips."""
+LONGEST = 0.5  # of the motion, the next step
 NEARLY = 0.9  # of friction: up to there Mindlin's law of a shifted sphere gives the first guess
 
 Pair = Float[ndarray, "2"]
@@ -237,7 +241,7 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
     endless = np.where(problem.touching, np.inf, 0.0)
     unit_tractions = [problem.solve(scale * unit, problem.none, endless, FIRST) for unit in np.eye(3)[free]]
     compliance = scale * np.linalg.inv(np.stack([problem.load(q)[free] for q in unit_tractions], axis=1))
-    motion, target = np.zeros(3), load[free]
+    stiffest, motion, target = np.linalg.inv(compliance), np.zeros(3), load[free]
     size, tolerance, q = float(np.linalg.norm(target)), FIRST, problem.none
     if size == 0.0:
         return motion, q
@@ -253,10 +257,12 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
         off = float(np.linalg.norm(missing)) / size
         if off <= FORCE_TOLERANCE and tolerance <= TOLERANCE:
             return motion, q
-        response = compliance @ (before - missing)
-        if step @ response != 0.0:  # else the skin, still within the tolerance, has not followed
+        gained, most = before - missing, float(step @ stiffest @ step)
+        response = compliance @ gained
+        if SOFTEST * most < step @ gained < FIRMEST * most and step @ response > 0.0:
             compliance = compliance + np.outer(step - response, step @ compliance) / (step @ response)
-        step, tolerance = compliance @ missing, min(CLOSER * off, FIRST)
+        step, tolerance = compliance @ missing, min(CLOSER * off, tolerance)
+        step = step * min(1.0, LONGEST * float(np.linalg.norm(motion) / np.linalg.norm(step)))
     raise RangeError(
         f"no shift and turn were found for a force of {math.hypot(*load[:2]):g} N and a moment of "
         f"{load[2] * problem.radius:g} N m, within {FORCE_TOLERANCE:g}; together they may make the whole "
