@@ -120,8 +120,43 @@ def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
         pressed(words, 1.6e-3)
 
 
-def test_a_lateral_load_and_other_membranes_leave_a_punch_to_linear_layers():
-    assert not is_punched(pressed("punch:8", 1.2e-3, lateral_n=(0.5, 0.0)))
+@pytest.mark.parametrize("depth", [0.2e-3, 1.5e-3])
+def test_a_lateral_load_leaves_a_punchs_press_as_it_is_and_its_shear_is_odd_in_it(depth):
+    alone = pressed("punch:8", depth)
+    pull = 0.4 * alone.force_n
+    there, back = (pressed("punch:8", depth, lateral_n=(sign * pull, 0.0)) for sign in (1, -1))
+    for contact in (there, back):
+        assert is_punched(contact)
+        assert (contact.force_n, contact.radius_m) == (alone.force_n, alone.radius_m)
+        np.testing.assert_array_equal(contact.pressure_pa, alone.pressure_pa)
+    np.testing.assert_allclose(there.shear_pa, -back.shear_pa, atol=1e-6 * np.abs(there.shear_pa).max())
+    cell = (alone.x_m[1] - alone.x_m[0]) ** 2
+    assert there.shear_pa[0].sum() * cell == pytest.approx(pull, rel=2e-3)
+
+
+def test_a_pulled_punchs_light_goes_to_that_of_no_pull_and_is_mirrored_with_the_pull():
+    """Laid out on planes, its stress gives the light of its own march to 0.002; linear layers to 0.005."""
+    depth = 1.5e-3
+    alone = palm.render_clean(pressed("punch:8", depth), SPEC)[0]
+    pull = 0.5 * pressed("punch:8", depth).force_n
+    least, there, back = (
+        palm.render_clean(pressed("punch:8", depth, lateral_n=(share * pull, 0.0)), SPEC)[0]
+        for share in (1e-4, 1.0, -1.0)
+    )
+    linear = press_layers(SPEC, Pose(0.0, 0.0, depth), palm.parse_probe("punch:8")).contact
+    assert rms(least - alone) < 0.002 < 0.4 * rms(palm.render_clean(linear, SPEC)[0] - alone)
+    np.testing.assert_allclose(there, back[:, ::-1], atol=3e-3)
+    assert rms(there - back) > 0.02
+    orders = [
+        palm.contact_summary(pressed("punch:8", depth, lateral_n=(share * pull, 0.0)), SPEC)[
+            "fringe_order_max"
+        ]
+        for share in (0.0, 1e-4)
+    ]
+    assert orders[0] == pytest.approx(orders[1], rel=0.05)
+
+
+def test_other_membranes_leave_a_punch_to_linear_layers_and_so_does_a_deep_pull():
     with pytest.raises(RangeError, match=r"0 to 1\.5 mm"):
         pressed("punch:8", 2e-3, lateral_n=(0.5, 0.0))
     for other in (

@@ -122,12 +122,12 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     if is_ball(contact, spec):
         return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
-    if is_punched(contact):
+    if is_punched(contact) and contact.shear_pa is None:
         under = field_under(spec, contact.probe, contact.pose.depth_m)
         return _orders(spec, under, contact.probe.radius_m, contact.radius_m).greatest
     if is_pulled_ball(contact):
         return _laid_order(contact, spec, stress_about(spec, contact))
-    if is_tabled_probe(contact):
+    if is_punched(contact) or is_tabled_probe(contact):
         return _laid_order(contact, spec, stress_beneath(spec, contact))
     z = spec.thickness_m * np.linspace(0.02, 1, 40)
     shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
@@ -148,7 +148,7 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
 
 
 def _laid_order(contact: Contact, spec: PalmSpec, laid: Laid) -> float:
-    """That of the ball under a lateral load or a probe without an axis, on rays that no surface stops."""
+    """That under a lateral load or of a probe without an axis, on rays that no surface stops."""
     x, difference, shear = summed_along(laid)
     sunk = np.interp(x, contact.x_m, contact.displacement_m.max(axis=0), left=0.0, right=0.0)
     C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])

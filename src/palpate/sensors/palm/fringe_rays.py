@@ -1,10 +1,10 @@
 """The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
 
 Probes without a table, leaning ones and moments have that of a linear layer, where the skin was at rest;
-the palm's ball under a lateral load, and probes without an axis that have a table, that of finite strain,
-where it is. The stress is laid out on planes; along each ray it is read in slices, finest where the ray
-passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress are not all
-marched: between two that are, light runs straight.
+the palm's ball and a punch under a lateral load, and probes without an axis that have a table, that of
+finite strain, where it is. The stress is laid out on planes; along each ray it is read in slices, finest
+where the ray passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress
+are not all marched: between two that are, light runs straight.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
+from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
 from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.optics.compiled_march import march_colour
@@ -161,7 +162,7 @@ def _marched(
 
 def _laid(spec: PalmSpec, contact: Contact, z: Float[ndarray, " h"]) -> tuple[Laid, Float32[ndarray, "h n"]]:
     """Stress on planes, and the weights by which they give the rows of the picture."""
-    if is_pulled_ball(contact) or is_tabled_probe(contact):
+    if is_pulled_ball(contact) or is_punched(contact) or is_tabled_probe(contact):
         laid = (stress_about if is_pulled_ball(contact) else stress_beneath)(spec, contact)
         return laid, rows_of(laid.planes_m, z)
     planes = spec.thickness_m * np.linspace(0, 1, PLANES) ** 2

@@ -2,7 +2,7 @@
 
 The ball's tables reach 6 mm, with a lateral load as without; those of upright punches of 6, 8 and 10 mm 3, 4
 and 4.8 mm, and those of a few probes without an axis (`tabled_probes`) as deep as they tell, without; to
-1.5 mm linear layers add a lateral load's shear to a press of the latter. Linear layers are right to some 4 %
+1.5 mm linear layers add a lateral load's shear to a press of both. Linear layers are right to some 4 %
 in force up to 1.5 mm under a 10 mm ball, and to that depth they are allowed; a ball under a moment is of
 them, and so are most holders of several balls.
 """
@@ -303,12 +303,9 @@ def press(
         return _tabled(spec, pose)
     if probe == ball and not moment_nm and is_pulled_deep(spec):
         return _pulled_ball(spec, pose, lateral_n)
-    if not aside and has_punch_table(spec, probe):
-        return _punched(spec, pose, probe)
-    is_deep = pose.depth_m > LINEAR_DEPTH_M * (1 + SAME)
-    if has_probe_table(spec, probe) and not (aside and is_deep):
-        contact = _probed(spec, pose, probe)
-        return pulled(_as_layered(spec, contact), lateral_n, moment_nm) if aside else contact
+    tabled = None if aside and pose.depth_m > LINEAR_DEPTH_M * (1 + SAME) else _by_table(spec, pose, probe)
+    if tabled is not None:
+        return pulled(_as_layered(spec, tabled), lateral_n, moment_nm) if aside else tabled
     layered = press_layers(spec, pose, probe)
     return pulled(layered, lateral_n, moment_nm) if aside else layered.contact
 
@@ -326,19 +323,16 @@ def _tabled(spec: PalmSpec, pose: Pose, grid: tuple[Knots | None, Knots | None] 
     return _near_rim(spec, press_finite_strain(ball, pose, *material, *grid))
 
 
-def _punched(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
-    """An upright punch by its finite-strain table."""
-    material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
-    around = _around(probe.radius_m)
-    return press_punch(probe, pose, *material, pose.x_m + around, pose.y_m + around)
-
-
-def _probed(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact:
-    """A probe without an axis by its finite-strain table."""
+def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
+    """An upright punch or a probe without an axis by its finite-strain table; None if it has none."""
     around = _around(probe.radius_m + probe.length_m / 2)
     membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
-    table = probe_table_of(spec, probe)
-    return press_probe(table, probe, pose, *membrane, pose.x_m + around, pose.y_m + around)
+    grid = pose.x_m + around, pose.y_m + around
+    if has_punch_table(spec, probe):
+        return press_punch(probe, pose, *membrane, spec.friction, spec.poisson_ratio, *grid)
+    if has_probe_table(spec, probe):
+        return press_probe(probe_table_of(spec, probe), probe, pose, *membrane, *grid)
+    return None
 
 
 def _as_layered(spec: PalmSpec, contact: Contact) -> Layered:

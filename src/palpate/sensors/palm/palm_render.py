@@ -184,7 +184,7 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
     if not spec.membrane:
         _check_air(contact, spec)
         return np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
-    if is_punched(contact):
+    if is_punched(contact) and contact.shear_pa is None:
         at = replace(pose, depth_m=max(pose.depth_m, 0.0))
         return fringe_view.march_punch(spec.unlit, contact.probe, at).copy()
     if not is_ball(contact, spec):

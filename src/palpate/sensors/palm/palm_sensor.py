@@ -83,9 +83,9 @@ class Palm:
     """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
 
     Under its own ball, pulled aside or not, and under another upright probe that has a table it is pressed by
-    finite-strain tables, under any other probe by linear layers. To a press of a probe without an axis by its
-    table linear layers add a lateral load's shear; a punch under one is of linear layers alone. Under a
-    lateral load or another probe the relaxed skin is drawn.
+    finite-strain tables, under any other probe by linear layers. To a press of another probe than the ball by
+    its table linear layers add a lateral load's shear. Under a lateral load or another probe the relaxed skin
+    is drawn.
 
     Attributes:
         spec: every number of it.

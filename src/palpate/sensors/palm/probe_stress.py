@@ -1,4 +1,4 @@
-"""What light meets under a probe without an axis that has a table: the table's stress, laid out in space.
+"""What light meets under a probe without an axis, or a pulled punch, by its table: stress laid out in space.
 
 The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
 turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that
@@ -17,10 +17,11 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import map_coordinates
 
 from palpate.core import Bool, Contact, Float, Float32, Probe, ndarray
+from palpate.mechanics.axisymmetric.punch_table import is_punched
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
 from palpate.mechanics.probe_contact import light_pressure, share_of_table
 from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
-from palpate.sensors.palm.palm_press import between
+from palpate.sensors.palm.palm_press import between, field_under
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.pulled_ball import Laid
 from palpate.sensors.palm.tabled_probes import probe_table_of
@@ -40,7 +41,7 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
 
     Args:
         spec: the palm as it is where it is pressed.
-        contact: for which `is_tabled_probe` holds.
+        contact: for which `is_tabled_probe` or `is_punched` holds.
     """
     h, probe = spec.thickness_m, contact.probe
     deep = min(contact.pose.depth_m + BELOW * h, 0.9 * h)
@@ -51,13 +52,14 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
         ]
     )
     halves = probe.radius_m + probe.length_m / 2 + BESIDE * h, spec.radius_m
-    share = float(share_of_table(contact.pose.depth_m / h))
+    share = 1.0 if is_punched(contact) else float(share_of_table(contact.pose.depth_m / h))
+    of_table = _of_punch if is_punched(contact) else _of_table
     layers = _of_layers(spec, contact, 1.0 - share) if share < 1.0 or contact.shear_pa is not None else None
     made = []
     for half in halves:
         stress = np.zeros((len(planes), 5, 1, 1), np.float32)
         if share > 0.0:
-            stress = _of_table(spec, contact, planes, half)
+            stress = of_table(spec, contact, planes, half)
         if layers is not None:
             stress = np.float32(share) * stress + _read_layers(spec, contact, layers, planes, half)
         first = contact.pose.x_m - half + half / CELLS, contact.pose.y_m - half + half / CELLS
@@ -153,6 +155,29 @@ def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], h
         above, under = (np.take_along_axis(columns, (i + n)[None, None], axis=1)[:, 0] for n in (0, 1))
         laid[k] = _turned(above + (under - above) * share, contact.probe.turn_rad)
     laid *= np.float32(spec.youngs_modulus_pa)
+    return laid
+
+
+def _of_punch(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
+    """The same of an upright punch's table."""
+    base, aside = field_under(spec, contact.probe, contact.pose.depth_m), _aside(half)
+    r = np.hypot(aside[None, :], aside[:, None])
+    c, s = aside[None, :] / r, aside[:, None] / r
+    top, out = np.interp(r, base.r_m, base.surface_m), np.interp(r, base.r_m, np.arange(len(base.r_m)))
+    laid = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
+    for k, z in enumerate(planes):
+        zeta = np.clip((z - top) / (base.thickness_m - top), 0, 1)
+        down = np.interp(zeta, base.zeta, np.arange(len(base.zeta)))
+        rr, tt, zz, rz = (
+            map_coordinates(part, [down, out], order=1, mode="nearest") for part in base.stress_pa
+        )
+        laid[k] = (
+            rr * c * c + tt * s * s - zz,
+            rr * s * s + tt * c * c - zz,
+            (rr - tt) * s * c,
+            rz * c,
+            rz * s,
+        )
     return laid
 
 
