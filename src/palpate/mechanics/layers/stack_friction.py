@@ -28,10 +28,10 @@ AT_LIMIT = 1 - 1e-9  # of the limit: a traction that rounding alone keeps from i
 STEPS = 1000
 SHIFTS = 50
 FIRST, CLOSER = 1e-2, 0.1  # tolerance of the first motion of a load; of the next ones, over what is missing
-SOFTEST, FIRMEST = 1e-3, 1.2
+MIN_FIRM, MAX_FIRM = 1e-3, 1.2
 """Stiffness along a step over that without slip, between which a secant is one: beyond, the skin has not
 followed the step within the tolerance, or all of it slips."""
-LONGEST = 0.5  # of the motion, the next step
+MAX_STEP = 0.5  # of the motion, the next step
 NEARLY = 0.9  # of friction: up to there Mindlin's law of a shifted sphere gives the first guess
 
 Pair = Float[ndarray, "2"]
@@ -259,10 +259,11 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
             return motion, q
         gained, most = before - missing, float(step @ stiffest @ step)
         response = compliance @ gained
-        if SOFTEST * most < step @ gained < FIRMEST * most and step @ response > 0.0:
+        if MIN_FIRM * most < step @ gained < MAX_FIRM * most and step @ response > 0.0:
             compliance = compliance + np.outer(step - response, step @ compliance) / (step @ response)
         step, tolerance = compliance @ missing, min(CLOSER * off, tolerance)
-        step = step * min(1.0, LONGEST * float(np.linalg.norm(motion) / np.linalg.norm(step)))
+        longest, length = MAX_STEP * np.linalg.norm(motion), np.linalg.norm(step)
+        step = step * float(longest / length) if length > longest else step
     raise RangeError(
         f"no shift and turn were found for a force of {math.hypot(*load[:2]):g} N and a moment of "
         f"{load[2] * problem.radius:g} N m, within {FORCE_TOLERANCE:g}; together they may make the whole "
