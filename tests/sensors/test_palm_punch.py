@@ -134,6 +134,7 @@ def test_a_lateral_load_leaves_a_punchs_press_as_it_is_and_its_shear_is_odd_in_i
     assert there.shear_pa[0].sum() * cell == pytest.approx(pull, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_pulled_punchs_light_goes_to_that_of_no_pull_and_is_mirrored_with_the_pull():
     """Laid out on planes, its stress gives the light of its own march to 0.002; linear layers to 0.005."""
     depth = 1.5e-3
