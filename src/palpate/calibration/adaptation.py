@@ -25,7 +25,7 @@ import pandas as pd
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
-from palpate.calibration.coverage.conformal import fit_intervals
+from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.evaluation import learnt_frames
 from palpate.calibration.leakage import audit
 from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
@@ -72,10 +72,19 @@ def intervals_of_presses(
     of P presses, the rows' rate is coverage (P + 1) / P. With ten presses and 90 % that is 99 % of the rows.
     So the presses' distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118,
     2491 (2023), doi:10.1080/01621459.2022.2060112), which holds on average over presses.
+
+    Where presses are too few for a width that follows the estimate, the one width is the errors' own
+    quantile: scaling each by what the others' typical error is would only add their scatter.
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
-    return replace(fit_intervals(predicted, true, groups, raised, layout), coverage=coverage)
+    intervals = replace(fit_intervals(predicted, true, groups, raised, layout), coverage=coverage)
+    if presses >= GROUPS_FOR_SPREAD:
+        return intervals
+    scores = np.abs(intervals.errors(predicted, true)) / intervals.spread.at(predicted)
+    return replace(
+        intervals, quantile=np.array([pooled_quantile(column, groups, raised) for column in scores.T])
+    )
 
 
 def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) -> SplitCard:

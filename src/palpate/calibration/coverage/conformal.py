@@ -112,9 +112,11 @@ def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> 
     """
     terms, expected = spread_terms(predicted, errors, groups), np.empty_like(errors)
     one, typical = np.array(terms) == 1, fit_spread(predicted, errors, terms).typical
+    one &= len(np.unique(groups)) >= GROUPS_FOR_SPREAD
     for others, held in parts_by_group(groups):
         spread = fit_spread(predicted[others], errors[others], terms)
-        # One width is undone by the quantile: that of the others' errors would only add its own scatter.
+        # One width is undone by the quantile: that of the others' errors would only add its own scatter. With
+        # few groups that scatter makes up for a quantile whose rank is raised by a row and not by a group.
         spread = replace(spread, typical=np.where(one, typical, spread.typical))
         expected[held] = spread.at(predicted[held])
     return expected
@@ -140,23 +142,25 @@ def spread_terms(predicted: Outputs, errors: Values, groups: np.ndarray) -> tupl
         groups: ``[n]`` label of each row's group.
     """
     (n, t), targets, count = predicted.shape, errors.shape[1], len(np.unique(groups))
-    wanted = (1 + t + t * (t + 1) // 2, 1 + t, 1)
-    most = next(terms for terms in wanted if terms == 1 or n >= ROWS_PER_COEFFICIENT * terms)
-    if most == 1 or count < GROUPS_FOR_SPREAD:
+    wanted = [terms for terms in (1 + t + t * (t + 1) // 2, 1 + t) if n >= ROWS_PER_COEFFICIENT * terms]
+    if not wanted or count < GROUPS_FOR_SPREAD:
         return (1,) * targets
     if count >= MANY_GROUPS:
-        return (most,) * targets
-    following, one = (_deviances(predicted, errors, groups, terms) for terms in (most, 1))
-    gain = one - following
-    surely = gain.mean(axis=0) > gain.std(axis=0, ddof=1) / np.sqrt(count)
-    return tuple(most if better else 1 for better in surely)
+        return (wanted[0],) * targets
+    one = _deviances(predicted, errors, groups, 1)
+    gains = np.stack([one - _deviances(predicted, errors, groups, terms) for terms in wanted])
+    mean, error = gains.mean(axis=1), gains.std(axis=1, ddof=1) / np.sqrt(count)
+    best = np.where(mean > error, mean, 0.0)
+    return tuple(
+        wanted[k] if gain > 0 else 1 for k, gain in zip(best.argmax(axis=0), best.max(axis=0), strict=True)
+    )
 
 
 def _deviances(
     predicted: Outputs, errors: Values, groups: np.ndarray, terms: int
 ) -> Float[np.ndarray, "g t"]:
     """Mean gamma deviance of each group's errors from the spread that other groups' errors foretell."""
-    rows = np.empty_like(errors)
+    rows = np.empty(errors.shape)
     for others, held in parts_by_group(groups):
         spread = fit_spread(predicted[others], errors[others], (terms,) * errors.shape[1])
         ratio = np.maximum(errors[held] / spread.at(predicted[held]), MIN_RATIO)
