@@ -47,9 +47,13 @@ class RoundedBody:
     length: float
     rounding: float
 
-    def height(self, x: Float[ndarray, " nx"], y: Float[ndarray, " ny"]) -> Field:
-        """Height of its underside over its lowest point, infinite where it has none ``[ny nx]``."""
-        along, across = np.abs(x[None, :]), np.abs(y[:, None])
+    def height(self, x: Float[ndarray, "#ny #nx"], y: Float[ndarray, "#ny #nx"]) -> Field:
+        """Height of its underside over its lowest point, infinite where it has none ``[ny nx]``.
+
+        Args:
+            x, y: along and across it; a row and a column, or both at each place.
+        """
+        along, across = np.abs(x), np.abs(y)
         if self.shape == "two-points":
             return _over(self.radius, self.radius, np.hypot(along - self.length / 2, across))
         past = np.maximum(along - self.length / 2 + self.rounding, 0.0)
@@ -111,9 +115,8 @@ def light_touch(body: RoundedBody, poisson_ratio: float, depth: float) -> LightT
     (along, across), side = body.reach(solved), body.sharpest(solved)
     share = 2 if body.rounding else 1  # contact falls off in less than a rounded end, and in all of a ball
     x, y = _cells(along, 2 * math.ceil(along * ACROSS / (2 * share * side))), _cells(across, ACROSS)
-    found = press_stack(
-        Stack((ElasticLayer(1.0, 1.0, poisson_ratio),)), body.height(x, y), x, y, depth_m=solved
-    )
+    layer, gap = Stack((ElasticLayer(1.0, 1.0, poisson_ratio),)), body.height(x[None, :], y[:, None])
+    found = press_stack(layer, gap, x, y, depth_m=solved)
     return LightTouch(x, y, found.pressure_pa, found.force_n, found.area_m2)
 
 

@@ -89,15 +89,17 @@ def press_probe(
     depth = min(pose.depth_m / h, table.greatest_depth)
     share = float(share_of_table(depth))
     pressure, surface = np.zeros((2, len(y_m), len(x_m)))
+    along, across = (place / h for place in own_frame(probe, pose, x_m[None, :], y_m[:, None]))
     if share > 0.0:
         at = table.at(depth)
-        along, across = (place / h for place in own_frame(probe, pose, x_m[None, :], y_m[:, None]))
         pressure += share * at.on_top(at.pressure, along, across)
         surface += share * at.on_top(at.surface, along, across) * at.share_at(along, across)
     if share < 1.0 and depth > 0.0:
         light = light_pressure(table, probe, pose, h, x_m, y_m)
         pressure += (1 - share) * light
-        surface += (1 - share) * _sunk(table, light, x_m / h, y_m / h)
+        # The skin lies nowhere above the probe, which cells wider than the contact do not show by themselves.
+        sunk = _sunk(table, light, x_m / h, y_m / h)
+        surface += (1 - share) * np.maximum(sunk, depth - _body(table).height(along, across))
     force, area, _ = probe_law(table, np.array([depth]))[:, 0]
     touching = pressure > TOUCHES * pressure.max()
     _check_within(touching, x_m, y_m, radius_m)
