@@ -166,3 +166,28 @@ def test_what_is_chosen_for_the_page_stands_in_its_address_and_what_it_has_no_fi
     done = CliRunner().invoke(app, [*words, "--more", "3", "--seed", "2"])
     assert (done.exit_code, len(served)) == (2, 2)
     assert "no field for --more, --seed: give --terminal" in done.output
+
+
+def test_a_session_keeps_its_own_camera_and_scale_where_none_is_given(tmp_path, monkeypatch) -> None:
+    StartSession(tmp_path).choose("virtual:tactip", "typed", asked=12)
+
+    def none(session: StartSession, **_: object) -> None:
+        raise InputError(f"opens {session.state.camera} and {session.state.scale}")
+
+    monkeypatch.setattr(StartSession, "feed", none)
+
+    def told(*words: str) -> str:
+        return CliRunner().invoke(app, ["start", "--terminal", "--folder", str(tmp_path), *words]).output
+
+    assert "opens virtual:tactip and typed" in told()
+    assert "opens virtual:tactip and virtual" in told("--scale", "virtual")
+    assert "opens virtual:tactip and virtual" in told(), "the last that was given"
+    assert "opens virtual:palm and virtual" in told("--camera", "virtual:palm"), (
+        "another camera, another scale"
+    )
+
+
+def test_a_page_that_is_asked_for_json_is_refused(tmp_path) -> None:
+    done = CliRunner().invoke(app, ["start", "--folder", str(tmp_path / "s"), "--json"])
+    assert done.exit_code == 2
+    assert "no field for --json: give --terminal, too" in done.output

@@ -51,7 +51,7 @@ def test_more_presses_are_collected_beside_the_old_ones_and_all_are_learnt_from(
     assert calibration_in(session.folder) == session.calibration, "a session's folder means its newest"
     assert calibration_in(first) == first
     assert shlex.split(session.commands()[-1])[2] == str(session.calibration)
-    assert f"Calibration: {session.calibration}, the newest; {first.name} beside it" in session.newest_text
+    assert f"Calibration: {session.calibration}, the newest; beside it, as before: {first.name}." in session.newest_text
     with palpate.live(session.folder, camera="virtual:tactip", max_frames=1) as live:
         assert next(iter(live)).to_dict()["calibration"] == session.state.trained["id"]
     with pytest.raises(InputError, match="1 or more"):
@@ -67,7 +67,7 @@ def test_another_scale_weighs_what_is_missing_beside_the_presses_that_are_there(
     other.choose_if_other("virtual:tactip", "typed")
     assert other.step == "settings", "another scale is opened anew"
     assert (other.state.asked, other.presses_held) == (session.state.asked, held)
-    assert other.remaining.endswith(f"holds {held} presses of {held}; 0 are still to be collected")
+    assert other.remaining.endswith(f"holds {held} presses of {held}; nothing is still to be collected")
     kept = StartSession(tmp_path / "s")
     ways = (("typed", None), ("typed", held), ("typed", held + 1), (kept.state.scale, None))
     assert [kept.has_nothing_left_by("virtual:tactip", *way) for way in ways] == [True, True, False, False]

@@ -31,7 +31,7 @@ PositionColumn = Annotated[str | None, Option(help="Its column of position, if n
 ForceRate = Annotated[float | None, Option(help="Rate of its rows [Hz], if it has no time_s.")]
 
 
-INTERRUPTED = "stopped; nothing half-written is left, and a calibration goes on where it was"
+INTERRUPTED = "stopped; nothing half-written is left; the same command goes on where it can"
 INTERRUPTED_STAGE = (
     "interrupted: what moved was stopped, and the probe is not lifted but stays where it is, perhaps in "
     "contact. Look whether the stage stands; `palpate rig stop` stops it, `palpate rig status` says where it "

@@ -59,6 +59,8 @@ def read_card(folder: PathText) -> Card:
         CertificateError: it is missing, damaged or altered, or another version of palpate has to read it.
     """
     path = Path(folder) / CARD_FILE
+    if not path.parent.exists():
+        raise CertificateError(f"there is no {folder} here; name a calibration's folder, or a session's")
     if not path.is_file():
         raise CertificateError(f"{folder} is not a calibration: it has no {CARD_FILE}; {_meant(path.parent)}")
     if path.stat().st_size > MAX_CARD_BYTES:

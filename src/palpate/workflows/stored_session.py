@@ -87,7 +87,8 @@ class StoredSession:
         """What is said where nothing is left to collect."""
         return (
             f"{self.folder} holds {self.presses_held} presses of {self.state.asked}: nothing is left to "
-            "collect, and what is there stays; ask for more presses, which are collected beside them"
+            "collect, and what is there stays; --more N, or a larger number of presses on the page, collects "
+            "others beside them"
         )
 
     @property
@@ -108,10 +109,9 @@ class StoredSession:
         """Presses still to be collected beside those that are there, in words; empty where none are there."""
         if not (have := self.presses_held):
             return ""
-        return (
-            f"{self.folder} holds {have} presses of {self.state.asked}; "
-            f"{max(self.state.asked - have, 0)} are still to be collected"
-        )
+        left = max(self.state.asked - have, 0)
+        are = {0: "nothing is", 1: "1 is"}.get(left, f"{left} are")
+        return f"{self.folder} holds {have} presses of {self.state.asked}; {are} still to be collected"
 
     def plan(self) -> CalibrationPlan:
         """Plan of the calibration: whole presses held out, colour learnt from where there is any."""
@@ -154,7 +154,7 @@ class StoredSession:
             return ""
         beside = {path.name for path in self.folder.glob(f"{CALIBRATION}*") if path.is_dir()}
         older = ", ".join(sorted(beside - {self.calibration.name}))
-        stay = f", the newest; {older} beside it stays as it was" if older else ""
+        stay = f", the newest; beside it, as before: {older}" if older else ""
         read = shlex.join(["palpate", "live", str(self.folder), "--camera", self.state.camera])
         return f"Calibration: {self.calibration}{stay}. `{read}` reads by the newest."
 

@@ -236,8 +236,20 @@ def start(
     terminal: Annotated[
         bool, Option("--terminal", help="Do it all here, without pages; by default on a virtual sensor.")
     ] = False,
-    camera: CameraOption = "virtual:palm",
-    scale: ScaleOption = "virtual",
+    camera: Annotated[
+        str | None,
+        Option(
+            help="Camera: its number, path or USB serial number; or virtual:palm, virtual:tactip. By default "
+            "the session's own; of a new one virtual:palm."
+        ),
+    ] = None,
+    scale: Annotated[
+        str | None,
+        Option(
+            help="Serial port of a scale; typed for known weights; virtual beneath a virtual sensor. By "
+            "default the session's own; of a new one virtual."
+        ),
+    ] = None,
     presses: Annotated[
         int | None,
         Option(
@@ -262,11 +274,14 @@ def start(
     presses, training, and the commands that do the same are printed. Left half-way, the same command goes on.
 
     Example: palpate start
+
     Example: palpate start --terminal --camera 0 --scale /dev/ttyUSB0
+
     Example: palpate start --terminal --more 20
     """
     if not terminal:
-        _refuse_terminals_own({"--more": more, "--seed": seed, "--real-time": real_time}, scale_lag_s)
+        own = {"--more": more, "--seed": seed, "--real-time": real_time, "--json": json_}
+        _refuse_terminals_own(own, scale_lag_s)
         chosen = {"camera": camera, "scale": scale, "presses": presses, "unit": _unit(unit)}
         _open_page(folder, port, chosen)
         return
@@ -274,6 +289,10 @@ def start(
 
     _refuse_both(presses, more)
     session = StartSession(folder)
+    if camera is None:
+        camera = session.state.camera or "virtual:palm"
+    if scale is None:
+        scale = (session.state.scale if camera == session.state.camera else "") or "virtual"
     with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
         if not more and session.has_nothing_left_by(camera, scale, presses):
             say(session.nothing_left_text, err=True)
@@ -304,7 +323,7 @@ def start(
         session.state.trained.get("left_out", ""),
         curve,
         session.newest_text,
-        "The same by commands:",
+        "The same by commands, where these folders are not there yet:",
     ]
     print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
 
@@ -363,7 +382,6 @@ def _open_page(folder: Path, port: int, chosen: dict[str, Any]) -> None:
     """Serve the studio, whose first page leads through the steps; what was chosen stands in its fields."""
     from palpate.cli.study.study_verbs import serve_studio
 
-    usual = {"camera": "virtual:palm", "scale": "virtual"}
-    told = {name: value for name, value in chosen.items() if value and value != usual.get(name)}
+    told = {name: value for name, value in chosen.items() if value not in (None, "")}
     page = f"?{urlencode({'folder': folder.name} | told)}"
     serve_studio(port=port, workspace=folder.absolute().parent, page=page)

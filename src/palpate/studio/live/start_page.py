@@ -189,7 +189,10 @@ class StartPage:
         try:
             presses = self._presses.value
             if presses is None or presses != int(presses):
-                raise InputError(f"{presses} presses; give a whole number, 40 is a good one")
+                from palpate.workflows.start_session import MIN_TO_LEARN
+
+                given = "no number of presses" if presses is None else f"{presses:g} presses"
+                raise InputError(f"{given}; give a whole number of {MIN_TO_LEARN} or more, 40 is a good one")
             scale = str(self._scale.value)
             work = (self._path(), str(self._camera.value), scale, int(presses))
             unit = "" if scale in SCALES else str(self._unit.value or "")
@@ -262,7 +265,7 @@ class StartPage:
         collected = _collected(session, run)
         said = trouble_html(run.said) if run is not None and run.said else ""
         empty = NOT_YET if running else NO_PRESSES
-        self._set(self._collect, (collected_html(collected) if collected else empty) + said)
+        self._set(self._collect, (collected_html(collected, reads_now(run)) if collected else empty) + said)
         self._typed.set_visibility(running and session.get("scale") == "typed")
         if run is not None and run.picture is not None and run.picture[0] != self._picture_number:
             self._picture_number = run.picture[0]
@@ -343,9 +346,14 @@ def _state_of(step: str, session: Mapping[str, Any], running: StartRun | None) -
     return ("waits" if step == now else "to come"), "warn"
 
 
+def reads_now(run: StartRun | None) -> bool:
+    """Whether camera and scale are being read."""
+    return run is not None and run.running and run.at in ("settings", "untouched", "collect")
+
+
 def caption_of(run: StartRun | None) -> str:
     """What the picture shows: the camera as it is read now, or the last of the presses."""
-    if run is not None and run.running and run.at in ("settings", "untouched", "collect"):
+    if reads_now(run):
         return "What the camera sees now."
     return "The last picture that was taken; the camera is not being read now."
 
@@ -369,14 +377,14 @@ def _found(step: str, session: Mapping[str, Any]) -> str:
     return ""
 
 
-def collected_html(collect: Mapping[str, Any]) -> str:
-    """Presses so far: how many, what is missing, how it stands now, and where and how hard was pressed."""
+def collected_html(collect: Mapping[str, Any], now_too: bool = True) -> str:
+    """Presses so far: how many, what is missing, where and how hard was pressed, and how it stands now."""
     force = collect.get("force_N")
     now = "hold still …" if collect.get("touched") else "untouched"
     now = "held still" if collect.get("holding") else now
     shown = f", {number(force, 2)} N" if isinstance(force, int | float) else ""
     told = f"<p><b>{escape(str(collect.get('text', '')))}</b></p>"
-    told += f'<p class="soft">now: {now}{shown}</p>' if "touched" in collect else ""
+    told += f'<p class="soft">now: {now}{shown}</p>' if now_too and "touched" in collect else ""
     refused = collect.get("last_refused")
     if refused:
         why = escape(str(refused["why"]))
