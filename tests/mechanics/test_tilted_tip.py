@@ -33,7 +33,6 @@ def test_head_on_it_is_finite_strain_while_the_approach_is_small(tip, approach_m
     assert_allclose(state.lift_n / both.force_n(1e-3 * approach_mm), over_hertz, rtol=0.04)
 
 
-@pytest.mark.slow
 def test_two_bodies_yield_in_series(tip, top) -> None:
     both = Body(5e4 / (1 - NU**2), 0.02).against(Body(1e5 / (1 - NU**2), np.inf))
     (state,) = pressed(tip, top, 0.0, 0.0, [2e-3])
