@@ -190,6 +190,8 @@ def test_the_force_sensor_beside_is_drawn_dashed_and_only_beside_newtons():
         for k in range(3)
     ]
     assert reading_svg(beside, "force_N", "N", 50.2).count("stroke-dasharray") == 1
+    assert "force [N]; dashed: the sensor beside" in reading_svg(beside, "force_N", "N", 50.2)
+    assert "dashed" not in reading_svg(beside, "x_mm", "mm", 50.2).replace("stroke-dasharray", "")
     assert "stroke-dasharray" not in reading_svg(beside, "x_mm", "mm", 50.2)
 
 

@@ -58,6 +58,7 @@ def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: fl
         words = f"{number(last['value'], 2)} {unit} now, {'valid' if last['valid'] else 'not valid'}"
     name = name or column.removesuffix(f"_{unit}")
     shown = f"{name} [{unit}]" if unit not in ("", "ratio") else name
+    shown += "; dashed: the sensor beside" if force else ""
     return axes.svg(f"{name} of the last {SPAN_S:g} s", words, shown)
 
 
