@@ -30,8 +30,8 @@ PAGES = {
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("workspace")
-    for name in ("one", "two"):
-        write_small_run(folder / "runs" / name)
+    for name, origin in (("one", "a virtual hand; virtual, not measured"), ("two", "pressed by hand")):
+        write_small_run(folder / "runs" / name, origin=origin)
     calibrate = ("calibrate", "runs/one", "--split", "group:press", "--folds", "3", "--quiet")
     for words in (
         (*calibrate, "--model", "pca-ridge", "--out", "cal-one"),
@@ -50,6 +50,10 @@ def served(workspace):
         yield served
 
 
+BADGES = "[...document.querySelectorAll({!r})].filter((e) => e.innerText.includes('simulated')).length"
+"""How many of these parts of a page say that what they show is simulated."""
+
+
 def seek(tab, index):
     """Move the first player to a frame, as its slider does."""
     event = "new Event('input', {bubbles: true})"
@@ -62,6 +66,7 @@ def seek(tab, index):
 def test_runs_are_listed_and_one_is_played_noted_on_and_split(browser, served, workspace):
     tab = opened(browser, served, "/recordings")
     tab.wait("document.body.innerText.includes('2 runs')", MAX_S)
+    assert tab.run(BADGES.format("tbody tr")) == 1  # the other was measured
     tab.press("a[href='/recordings?run=runs%2Fone']")
     tab.wait("document.querySelector('.player img')?.naturalWidth === 32", MAX_S)
     tab.wait("document.querySelector('[data-labels]').innerText.includes('force_N 0')")
@@ -87,6 +92,10 @@ def test_two_runs_move_together(browser, served):
     tab = opened(browser, served, PAGES["two runs"])
     tab.wait("document.querySelectorAll('.player').length === 2", MAX_S)
     tab.wait("[...document.querySelectorAll('.player img')].every((i) => i.naturalWidth === 32)", MAX_S)
+    assert tab.run("[...document.querySelectorAll('main h2')].slice(0, 2).map((e) => e.innerText)") == [
+        "runs/one simulated, not measured",
+        "runs/two",
+    ]
     seek(tab, 9)
     tab.wait(
         "[...document.querySelectorAll('.player output')].every((o) => o.innerText.startsWith('frame 9'))"

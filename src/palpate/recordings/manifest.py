@@ -28,6 +28,8 @@ from palpate.version import __version__, needed_version
 
 MANIFEST = "manifest.json"
 FORMAT = "palpate-run/1"
+NOT_MEASURED = "not measured"
+"""In the origin of every run that a virtual sensor gave."""
 MAX_MANIFEST_BYTES = 1 << 20  # ten thousand label columns fit; more is no manifest
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -160,6 +162,11 @@ class Manifest(BaseModel):
     def created_ns(self) -> int:
         """`created_utc` since 1970 [ns], what the segments' times count from."""
         return _nanoseconds(self.created_utc)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a virtual sensor gave the run, or a part of it, as its origin says."""
+        return NOT_MEASURED in self.origin
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,6 @@ from palpate.core import (
 from palpate.sensing.frame_sources import Unreadable
 
 VIRTUAL = "virtual:"
-NOT_MEASURED = "not measured"
-"""In the origin of every run that a virtual sensor gave."""
 STDIN = "-"
 PICAMERA2 = "picamera2"
 LOOK_S = 0.002  # between two looks for a frame of a camera
@@ -93,7 +91,7 @@ def is_simulated(source: LiveSource) -> bool:
     if isinstance(source, PacedFrames):
         return is_simulated(source.played)
     manifest = getattr(getattr(source, "run", source), "manifest", None)
-    return source.name.startswith(VIRTUAL) or (manifest is not None and NOT_MEASURED in manifest.origin)
+    return source.name.startswith(VIRTUAL) or (manifest is not None and manifest.is_simulated)
 
 
 def live_frame(item: Frame | Unreadable, number: int, arrived_ns: int | None = None) -> LiveFrame:

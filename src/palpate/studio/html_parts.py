@@ -11,8 +11,19 @@ def state_word(text: str, look: str = "") -> str:
     return f'<span class="word {look}">{escape(text)}</span>'
 
 
-def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of cells that are HTML; on a narrow page each cell says its column's name itself."""
+def simulated_badge(simulated: bool) -> str:
+    """The mark of what no real sensor gave, to stand behind a name; "" for what was measured."""
+    return f" {state_word('simulated, not measured', 'warn')}" if simulated else ""
+
+
+def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]], look: str = "") -> str:
+    """A table of cells that are HTML; on a narrow page each cell says its column's name itself.
+
+    Args:
+        heads: names of the columns.
+        rows: their cells.
+        look: class of the style sheet, for columns of widths of their own.
+    """
     head = "".join(f"<th>{escape(name)}</th>" for name in heads)
     body = ""
     for row in rows:
@@ -20,7 +31,7 @@ def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         body += (
             "<tr>" + "".join(f'<td data-name="{escape(h)}"><div>{c}</div></td>' for h, c in cells) + "</tr>"
         )
-    return f'<table class="table stacks"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<table class="table stacks {look}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
 
 
 def progress_html(step: str, done: int, total: int, label: str) -> str:

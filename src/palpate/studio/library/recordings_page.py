@@ -18,7 +18,7 @@ from palpate.core import InputError, PalpateError, has_unit, refuse_existing
 from palpate.recordings import Run, split
 from palpate.recordings.run_notes import MAX_NOTE, RunNote, add_note, read_notes
 from palpate.studio import page_style
-from palpate.studio.html_parts import state_word, table_html
+from palpate.studio.html_parts import simulated_badge, state_word, table_html
 from palpate.studio.library import run_drawing
 from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
 from palpate.studio.library.calibrations_page import calibration_address, job_html
@@ -134,7 +134,8 @@ class RecordingsPage:
         with (
             ui.element("section").classes("card").props(f'aria-label="Player of {escape(name, quote=True)}"')
         ):
-            ui.html(f"<h2>{escape(name)}</h2>", sanitize=False)
+            badge = simulated_badge(opened.manifest.is_simulated)
+            ui.html(f"<h2>{escape(name)}{badge}</h2>", sanitize=False)
             if not len(opened):
                 ui.html('<p class="empty">This run holds no frame.</p>', sanitize=False)
                 return
@@ -279,7 +280,7 @@ def runs_table(runs: list[RunSummary]) -> str:
     for one in runs:
         link = f'<a href="{address(one.name)}">{escape(one.name)}</a>'
         rows.append((
-            link if one.frames else escape(one.name),
+            (link if one.frames else escape(one.name)) + simulated_badge(one.simulated),
             f"{one.frames:,}",
             duration(one.length_s) if one.length_s is not None else "only an order",
             escape(", ".join(one.labels) or "none"),
@@ -287,7 +288,7 @@ def runs_table(runs: list[RunSummary]) -> str:
             f"{one.size_bytes / 1e6:.1f} MB",
             f"{state_word(one.state, WORDS_OF_STATE[one.state])} {escape(one.why)}",
         ))  # fmt: skip
-    return table_html(HEADS, rows)
+    return table_html(HEADS, rows, "runs")
 
 
 def player_html(name: str, opened: Run, notes: list[RunNote], frame: int, param: str) -> str:

@@ -50,6 +50,7 @@ class RunSummary:
         size_bytes: of its files.
         state: "whole", "empty", "being written", "not closed" or "damaged".
         why: what is wrong, in words; "" otherwise.
+        simulated: whether its manifest says that it was not measured.
     """
 
     name: str
@@ -62,6 +63,7 @@ class RunSummary:
     size_bytes: int
     state: str
     why: str
+    simulated: bool = False
 
 
 class Workspace:
@@ -167,6 +169,7 @@ class Workspace:
         return RunSummary(
             name, len(run), float(times_s[-1] - times_s[0]) if timed else None, tuple(about.labels),
             tuple(about.targets), about.sensor, about.created_utc, size, state, why,
+            about.is_simulated,
         )  # fmt: skip
 
     def _walk(self) -> Iterator[tuple[Path, str]]:

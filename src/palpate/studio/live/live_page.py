@@ -17,7 +17,7 @@ from urllib.parse import quote, urlencode
 from nicegui import ui
 
 from palpate.core import PalpateError
-from palpate.studio.html_parts import state_word
+from palpate.studio.html_parts import simulated_badge, state_word
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live import live_drawing
 from palpate.studio.live.live_desk import LiveDesk, LiveSensor, edge_readings
@@ -352,7 +352,7 @@ def head_html(name: str, status: Mapping[str, Any] | None) -> str:
         return f"{title} {state_word('no connection', 'bad')}</h2><p class='soft'>{gone}</p>"
     state = str(status.get("state"))
     why = f'<p class="trouble">{escape(str(status["why"]))}</p>' if status.get("why") else ""
-    simulated = f" {state_word('simulated, not measured', 'warn')}" if status.get("simulated") else ""
+    simulated = simulated_badge(bool(status.get("simulated")))
     zeroing = f" {state_word('taking the untouched sensor', 'warn')}" if status.get("zeroing") else ""
     return f"{title} {state_word(state, LOOKS.get(state, ''))}{simulated}{zeroing}</h2>{why}"
 

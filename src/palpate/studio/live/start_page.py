@@ -17,7 +17,13 @@ from nicegui import ui
 
 from palpate.core import InputError, PalpateError
 from palpate.rig.real.scale.weight_line import NEWTONS
-from palpate.studio.html_parts import commands_html, progress_html, state_word, trouble_html
+from palpate.studio.html_parts import (
+    commands_html,
+    progress_html,
+    simulated_badge,
+    state_word,
+    trouble_html,
+)
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_page import (
@@ -419,8 +425,8 @@ def result_html(session: Mapping[str, Any]) -> str:
     """What the certificate says in one sentence, and what ten more presses would bring."""
     trained = session.get("trained") or {}
     curve = (trained.get("curve") or {}).get("text", "")
-    simulated = str(session.get("camera", "")).startswith("virtual:")
-    warning = f"<p>{state_word('simulated, not measured', 'warn')}</p>" if simulated else ""
+    badge = simulated_badge(str(session.get("camera", "")).startswith("virtual:"))
+    warning = f"<p>{badge}</p>" if badge else ""
     more = f'<p class="soft">{escape(str(curve))}</p>' if curve else ""
     sentence = f"<p>{escape(str(trained.get('sentence', '')))}</p>"
     newest = f'<p class="soft">{escape(str(session.get("newest", "")))}</p>'
