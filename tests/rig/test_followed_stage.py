@@ -176,3 +176,4 @@ def test_a_plan_is_recorded_on_firmware_with_a_virtual_force_and_camera_and_says
     assert (pressed["force_N"] > 0.05).all()
     assert len(pressed)
     assert run.manifest.origin == "a bench; force virtual, not measured; camera virtual, not measured"
+    assert run.manifest.is_simulated

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
 from palpate.devices.supervisor.guard_messages import encode_message
 from palpate.rig import State, open_rig, record
+from palpate.rig.engine import manifest_of
 from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.rig_file import GrblPart, opened_rig, read_rig
@@ -117,8 +119,28 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
     opened.rig.close()
     plain = served_rig.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
     assert [region.name for region in plain.rig.regions] == ["fringes", "mirror"]
+    assert plain.rig.is_simulated  # whatever its file calls it
     assert not plain.real_time
     plain.rig.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "origin", "simulated"),
+    [
+        ("virtual:palm", None, True),
+        ("bench", "a bench; camera virtual, not measured", True),
+        ("bench", "a bench", False),
+        ("bench", "", False),
+    ],
+)
+def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(
+    name: str, origin: str | None, simulated: bool
+) -> None:
+    made = virtual_rig()
+    rig = replace(made, name=name, origin=made.origin if origin is None else origin)
+    assert rig.is_simulated == simulated
+    assert manifest_of(rig, plan()).is_simulated == simulated
+    rig.close()
 
 
 def test_a_rigs_process_is_found_by_its_files_whole_path_however_long(tmp_path: Path) -> None:

@@ -187,6 +187,12 @@ def test_whatever_is_sent_is_answered_with_an_error_and_changes_nothing(quick, f
     assert set(folder.glob("runs/*")) == runs
 
 
+def test_a_virtual_rig_is_told_to_be_simulated(quick):
+    client, _, rig = quick
+    assert client.ask_status()["simulated"]
+    assert rig.is_simulated
+
+
 def test_a_line_without_an_end_is_refused_and_not_kept(quick):
     client, server, _ = quick
     with closing(known(server, b"x" * (3 * ASKED_BYTES) + b"\n" + b'{"do":"status","id":5}\n')) as connection:

@@ -8,6 +8,7 @@ from tests.studio.small_run import write_small_run
 
 from palpate.studio.library.recordings_page import runs_table
 from palpate.studio.library.workspace import Workspace
+from palpate.studio.rig_page import title_html
 
 BADGE = "simulated, not measured"
 VIRTUAL_HAND = "pressed by a virtual hand; virtual, not measured"
@@ -35,3 +36,10 @@ def test_a_run_that_cannot_be_opened_is_not_called_simulated(two_runs) -> None:
     found = two_runs.summary("virtual-palm")
     assert found.state == "damaged"
     assert BADGE not in runs_table([found])
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_rigs_page_says_of_a_virtual_rig_that_it_is_simulated(simulated) -> None:
+    status = {"rig": "bench <3>", "real_time": True, "simulated": simulated}
+    assert (BADGE in title_html(status)) == simulated
+    assert "bench &lt;3&gt;" in title_html(status)

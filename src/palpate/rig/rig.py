@@ -10,6 +10,7 @@ from typing import NamedTuple
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import Limits, Mounting, SupervisorLink
+from palpate.recordings.manifest import NOT_MEASURED
 
 VIRTUAL = "virtual:"
 """What the name of a virtual rig begins with, before its sensor's."""
@@ -91,6 +92,11 @@ class Rig:
     label_force: ForceSensor | None = None
     label_mounting: Mounting = field(default_factory=Mounting)
     supervisor: SupervisorLink | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether it is virtual, or one of its devices is, so that what it records is not all measured."""
+        return self.name.startswith(VIRTUAL) or NOT_MEASURED in self.origin
 
     def from_origin_mm(self, at_m: Position) -> Position:
         """A place of the stage, from the layer's centre at its expected surface [mm]."""

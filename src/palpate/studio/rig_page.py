@@ -16,6 +16,7 @@ from nicegui import run, ui
 from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio import shown_ages, status_text, svg_drawing
+from palpate.studio.html_parts import simulated_badge
 from palpate.studio.operator_lease import Operator, RigLease
 from palpate.studio.page_shell import page_shell
 from palpate.studio.page_style import AXES, paint
@@ -203,9 +204,7 @@ class RigPage:
     def _show_recording(self, status: Mapping[str, Any]) -> None:
         recording, paused = bool(status["recording"]), status["state"] == "paused"
         command = status["asked"]
-        faster = "" if status["real_time"] else ", faster than real time"
-        under = f'<div class="under">{escape(status["rig"])}{faster}</div>'
-        self._title.set_content(f"<h1>Indentation rig</h1>{under}")
+        self._title.set_content(title_html(status))
         shots, planned = int(status["shots"]), int(status["planned"])
         share = 100 * shots / planned if planned else 0
         self._progress.set_content(
@@ -282,6 +281,13 @@ class RigPage:
             self._picture.props["data-alt"] = f"the camera's newest picture, {size}; boxes: {names or 'none'}"
             self._picture.update()
         self._picture.set_source(f"/picture?{number}")
+
+
+def title_html(status: Mapping[str, Any]) -> str:
+    """Heading of the page, and below it the rig's name with what is not as on a real one."""
+    faster = "" if status["real_time"] else ", faster than real time"
+    badge = simulated_badge(bool(status.get("simulated")))
+    return f'<h1>Indentation rig</h1><div class="under">{escape(status["rig"])}{faster}{badge}</div>'
 
 
 def _device_line(device: Mapping[str, str]) -> str:

@@ -286,6 +286,7 @@ class RigService:
         ages = {**self._devices.ages_s(), "engine": engine_s}
         return {
             "rig": self._rig.name,
+            "simulated": self._rig.is_simulated,
             "real_time": self._real_time,
             "recording": recording,
             "state": status.state.value,
