@@ -105,6 +105,7 @@ def test_two_runs_move_together(browser, served):
 def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own(browser, served):
     tab = opened(browser, served, "/calibrations?cal=cal-one&beside=cal-two&run=runs%2Ftwo")
     tab.wait("document.querySelectorAll('.calibration table').length === 2", MAX_S)
+    assert tab.run(BADGES.format(".calibration h3")) == 2
     tab.press("#score")
     tab.wait("document.querySelector('#jobs').innerText.includes('mean error')", 2 * MAX_S)
     tab.press("#compare")

@@ -454,9 +454,7 @@ def learnt_from(card: Card, run: Run) -> bool:
 
 def _recordings(card: Card) -> dict[str, str]:
     """Hash and id of every recording that a calibration had part of its content from."""
-    runs = [card.run, *(card.sessions.runs if card.sessions else ())]
-    runs += [card.interval_reset.run] if card.interval_reset else []
-    return {one.hash: one.run_id for one in runs}
+    return {one.hash: one.run_id for one in card.runs}
 
 
 def same_session(estimator: Estimator, run: Run) -> str:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer
 
 from palpate.core import CertificateError
+from palpate.recordings.manifest import NOT_MEASURED
 from palpate.version import needed_version
 
 
@@ -45,6 +46,11 @@ class RunCard(CardPart):
     frames: int
     origin: str
     licence: str
+
+    @property
+    def is_simulated(self) -> bool:
+        """As `recordings.Manifest.is_simulated`."""
+        return NOT_MEASURED in self.origin
 
 
 def card_id(content: Mapping[str, Any]) -> str:

@@ -452,6 +452,20 @@ class Card(SealedCard):
         """The targets' columns, in the model's order."""
         return [target.column for target in self.targets]
 
+    @property
+    def runs(self) -> list[RunCard]:
+        """Every recording that it has part of its content from, as far as it names them.
+
+        What an adapted calibration was adapted from is told by that one's own card.
+        """
+        parts = self.sessions.runs if self.sessions else ()
+        return [self.run, *parts, *([self.interval_reset.run] if self.interval_reset else ())]
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether a virtual sensor gave a recording of these."""
+        return any(one.is_simulated for one in self.runs)
+
 
 def sealed(content: Mapping[str, Any]) -> Card:
     """A card with its steps and its id set from its content (given as keyword values, without `id`)."""

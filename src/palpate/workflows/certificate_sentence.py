@@ -41,7 +41,7 @@ def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
         presses: that were learnt from.
     """
     score = card.targets[0].score
-    if score.says_nothing or not beats_the_mean(predictions):
+    if is_useless(card, predictions):
         return (
             f"Useless: on presses that it had not seen it errs by {score.mae:.3g} N on average, not surely "
             f"less than always saying the mean does ({score.mean_mae:.3g} N). Look whether each label "
@@ -55,6 +55,11 @@ def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
         f"errors of other presses held {held:.0f} % of frames ({low:.0f} to {high:.0f} %, from {presses} "
         f"presses): by one hand, {when}, with one probe; what another day brings is not tested."
     )
+
+
+def is_useless(card: Card, predictions: pd.DataFrame) -> bool:
+    """Whether estimates of presses that it had not seen are not surely better than always saying the mean."""
+    return card.targets[0].score.says_nothing or not beats_the_mean(predictions)
 
 
 def rate_beyond(predictions: pd.DataFrame) -> tuple[float, float, float]:

@@ -17,7 +17,14 @@ from nicegui import ui
 from palpate.core import PalpateError, half_width_text, rounded
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.reports.evaluation_text import day_text
-from palpate.studio.html_parts import commands_html, progress_html, state_word, table_html, trouble_html
+from palpate.studio.html_parts import (
+    commands_html,
+    progress_html,
+    simulated_badge,
+    state_word,
+    table_html,
+    trouble_html,
+)
 from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
@@ -45,6 +52,7 @@ class CalibrationsPage:
         self._workspace, self._jobs = workspace, jobs
         self._chosen = chosen
         self._shown: dict[int, ui.html] = {}
+        self._useless: set[str] = set()
         page_shell("calibrations")
         PageBeat()
         page_title("Calibrations", f"in {workspace.folder}")
@@ -66,9 +74,12 @@ class CalibrationsPage:
         cards: CARDS = {}
         for name in self._workspace.found("calibration"):
             try:
-                cards[name] = self._workspace.card(name)
+                card = cards[name] = self._workspace.card(name)
             except PalpateError as e:
                 cards[name] = str(e)
+                continue
+            if self._workspace.is_useless(name, card):
+                self._useless.add(name)
         return cards, self._workspace.found("run")
 
     def _list(self, cards: CARDS) -> None:
@@ -87,7 +98,7 @@ class CalibrationsPage:
                 damaged = f"<h3>{escape(name)} {state_word('damaged', 'bad')}</h3>{trouble_html(card)}"
                 ui.html(damaged, sanitize=False)
                 return
-            ui.html(f"<h3>{escape(name)}</h3>{card_html(card)}", sanitize=False)
+            ui.html(f"{heading_html(name, card, name in self._useless)}{card_html(card)}", sanitize=False)
             ui.button("Report", on_click=lambda: self._begin_report(name)).props(
                 f'outline dense no-caps aria-label="Report of {escape(name, quote=True)}"'
             ).classes("report-button q-px-md")
@@ -154,6 +165,12 @@ class CalibrationsPage:
             text = job_html(job) if job else '<p class="soft">This job is kept no longer.</p>'
             if text != shown.content:
                 shown.set_content(text)
+
+
+def heading_html(name: str, card: Card, useless: bool) -> str:
+    """A calibration's name, and what is to be known of it before its numbers are read."""
+    unsure = f" {state_word('not surely better than the mean', 'bad')}" if useless else ""
+    return f"<h3>{escape(name)}{simulated_badge(card.is_simulated)}{unsure}</h3>"
 
 
 def card_html(card: Card) -> str:

@@ -83,6 +83,7 @@ class Workspace:
         self._turn = threading.Lock()
         self._runs: OrderedDict[Path, tuple[Stamp, Run]] = OrderedDict()
         self._summaries: dict[Path, tuple[Stamp, str, RunSummary]] = {}
+        self._useless: dict[str, bool] = {}
 
     def resolve(self, name: str) -> Path:
         """The path of something in the workspace, by its name from there.
@@ -154,6 +155,24 @@ class Workspace:
             PalpateError: it is not in the workspace, or no calibration, or damaged.
         """
         return read_card(self.resolve(name))
+
+    def is_useless(self, name: str, card: Card) -> bool:
+        """Whether a calibration of force by hand presses is not surely better than always saying the mean.
+
+        As its session says, by its predictions. Of any other calibration this is not said, nor of one whose
+        predictions cannot be read: False.
+        """
+        from palpate.calibration.certificate import read_predictions
+        from palpate.workflows.certificate_sentence import TARGET, is_useless
+
+        if card.columns != [TARGET] or card.split.columns != ("press",):
+            return False
+        if card.id not in self._useless:  # which stands for the predictions too, by their hash
+            try:
+                self._useless[card.id] = is_useless(card, read_predictions(self.resolve(name), card))
+            except PalpateError:
+                return False
+        return self._useless[card.id]
 
     def _summary(self, name: str, path: Path, stamp: Stamp) -> RunSummary:
         size = sum(size for _, size, _ in stamp)
