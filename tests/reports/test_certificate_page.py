@@ -13,7 +13,7 @@ from palpate.calibration.evaluation import score
 from palpate.cli import app
 from palpate.core import CertificateError
 from palpate.estimators import read_card
-from palpate.reports import scores_table, verdict, write_report
+from palpate.reports import render_report, scores_table, verdict, write_report
 from palpate.reports.sections import MIN_TOLD, outer_ranges
 from palpate.reports.terminal_text import latency_line
 
@@ -36,6 +36,16 @@ def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> Non
     assert page.count("data:image/png") >= 6 + 2  # worst cases, an example and the untouched sensor
     assert "<script" not in page
     assert "http" not in page
+
+
+@pytest.mark.parametrize(
+    ("origin", "simulated"), [("", False), ("a bench", False), ("a virtual rig; virtual, not measured", True)]
+)
+def test_the_head_of_the_page_says_where_the_recording_was_simulated(calibration, origin, simulated) -> None:
+    card = read_card(calibration)
+    told = card.model_copy(update={"run": card.run.model_copy(update={"origin": origin})})
+    head = render_report(calibration, told).split("<section")[0]
+    assert ("simulated, not measured" in head) == simulated
 
 
 def test_a_page_is_not_written_from_altered_predictions(calibration, tmp_path) -> None:

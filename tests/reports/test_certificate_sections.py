@@ -642,6 +642,7 @@ def test_words_and_marks_stand_out_by_day_and_by_night() -> None:
             *((word, "page", 4.5) for word in ("ink", "soft", "accent", "bad")),
             ("ink", "ground", 4.5),
             ("ink", "band", 3.0),
+            ("warn", "notice", 4.5),
         ):
             pair = sorted((luminance(theme[name]), luminance(theme[ground])))
             assert (pair[1] + 0.05) / (pair[0] + 0.05) >= least, (name, theme)
