@@ -49,7 +49,7 @@ class RunCard(CardPart):
 
     @property
     def is_simulated(self) -> bool:
-        """As `recordings.Manifest.is_simulated`."""
+        """Whether a virtual sensor gave it, see `recordings.Manifest.is_simulated`."""
         return NOT_MEASURED in self.origin
 
 
