@@ -45,6 +45,7 @@ def test_the_whole_route_runs_on_frames(usual) -> None:
     assert usual.spreads["regression"].rate_m2_n > 0  # pins move outwards as the force grows
 
 
+@pytest.mark.slow
 def test_half_the_speed_doubles_the_papers_sum_and_not_the_regression(usual, slow) -> None:
     """The same contact in twice the frames."""
     ratio = {way: slow.spreads[way].rate_m2_n / usual.spreads[way].rate_m2_n for way in usual.spreads}

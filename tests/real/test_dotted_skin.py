@@ -31,6 +31,7 @@ def weights(real_data, tmp_path_factory) -> Run:
     return Run.open(folder / "run")
 
 
+@pytest.mark.slow
 def test_five_nominal_loads_are_held_out_in_turn(weights, tmp_path) -> None:
     plan = CalibrationPlan(("normal_force_N",), split="leave-one-out:load", learn_untouched=True)
     card = read_card(calibrate(weights, plan, tmp_path / "cal"))

@@ -318,6 +318,7 @@ def number(entries, name: str) -> float:
     return found
 
 
+@pytest.mark.slow
 def test_every_number_has_its_fields_and_is_what_the_file_holds(small):
     out, entries, told = small
     assert json.loads((out / "summary.json").read_text()) == entries
@@ -330,6 +331,7 @@ def test_every_number_has_its_fields_and_is_what_the_file_holds(small):
     assert {what for what, *_ in told} == {"recording places", "touches of places"}
 
 
+@pytest.mark.slow
 def test_places_are_found_where_the_tip_was_set(small):
     _, entries, _ = small
     assert number(entries, "places by centre of the pressure: told") == 100
@@ -339,6 +341,7 @@ def test_places_are_found_where_the_tip_was_set(small):
     assert printed == {0.50, 0.09}
 
 
+@pytest.mark.slow
 def test_the_page_holds_its_figures_and_no_nan(small):
     out, _, _ = small
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -352,6 +355,7 @@ def test_the_page_holds_its_figures_and_no_nan(small):
     assert "Virtual" in words
 
 
+@pytest.mark.slow
 def test_a_study_is_never_overwritten_and_a_part_has_to_be_there(small, tmp_path):
     out, _, _ = small
     with pytest.raises(ExistsError):
@@ -404,6 +408,7 @@ def test_edges_are_recorded_and_told(tmp_path):
     assert number(entries, "edges by PCA of the most moved samples, as published: greatest error") < 10
 
 
+@pytest.mark.slow
 def test_the_verb_says_that_it_is_virtual(small, monkeypatch, tmp_path):
     _, entries, _ = small
     asked = []

@@ -49,6 +49,7 @@ def test_a_run_on_specimens_is_read_as_an_experiments_folder(run: Run) -> None:
         export_presses(run)
 
 
+@pytest.mark.slow
 def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -> None:
     for one, words in zip(press_folder(run.path).specimens, FEW.indenters, strict=True):
         tiff, path = one.presses[0]
@@ -64,12 +65,14 @@ def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -
         assert np.abs(np.median(table.force_n[at] - law_n)) < 0.03
 
 
+@pytest.mark.slow
 def test_the_camera_s_latency_is_told_by_taps(run: Run) -> None:
     """A frame is stamped its transport after the end of its exposure, a force sample its own latency late."""
     late_s = TRANSPORT_S - LATENCY_S
     assert latency_s(run) == pytest.approx(late_s, abs=6e-3)  # an eighth of the camera's period
 
 
+@pytest.mark.slow
 def test_seating_differs_from_press_to_press_and_not_before_a_touch(run: Run) -> None:
     first = []
     for one in press_folder(run.path).specimens:

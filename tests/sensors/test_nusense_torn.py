@@ -57,6 +57,7 @@ def test_pixels_beside_the_opening_are_those_that_the_motion_says() -> None:
         assert below[1] - above[1] > 1.5
 
 
+@pytest.mark.slow
 def test_corners_on_both_sides_of_an_opened_cut_are_carried_apart() -> None:
     sensor, contact = _pulled_away()
     torn, whole = sensor.tile_corners(contact), WHOLE.tile_corners(contact)

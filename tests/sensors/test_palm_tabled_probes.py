@@ -53,6 +53,7 @@ def test_a_probe_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
         pressed(words, most + 0.01e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", PICTURED)
 @pytest.mark.parametrize("turn", mostly_slow([0, 90], bool))
 def test_a_light_presss_light_is_that_of_linear_layers_and_a_deep_ones_is_not(words, turn):

@@ -72,6 +72,7 @@ def test_memory_halves_the_error_of_loading_and_unloading(calibration):
     assert width[True] < 0.8 * width[False]
 
 
+@pytest.mark.slow
 def test_places_in_a_row_of_images_are_no_seconds(calibration):
     """Without a clock a frame has one force, whatever stood before it, and the interval of single frames."""
     marks = PAD.marks(PAD.contact("round", 0.0, 0.0, 1.2e-3), np.random.default_rng(7))
