@@ -89,7 +89,8 @@ def fit_intervals(
     layout = layout or TargetLayout((None,) * true.shape[1])
     estimates = layout.decoded(predicted)
     errors = np.abs(layout.differences(estimates, true))
-    expected = spread_of_others(predicted, errors, groups)
+    terms = spread_terms(predicted, errors, groups)
+    expected = _spread_by_others(predicted, errors, groups, terms)
     scores = errors / expected
     quantile = np.array([pooled_quantile(column, groups, coverage) for column in scores.T])
     by_range = tuple(
@@ -98,7 +99,7 @@ def fit_intervals(
         else None
         for j, period in enumerate(layout.periods)
     )
-    spread = fit_spread(predicted, errors, spread_terms(predicted, errors, groups))
+    spread = fit_spread(predicted, errors, terms)
     return Intervals(spread, quantile, coverage, by_range, layout)
 
 
@@ -110,7 +111,13 @@ def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> 
         errors: their absolute errors ``[n t]``.
         groups: ``[n]`` label of each row's group.
     """
-    terms, expected = spread_terms(predicted, errors, groups), np.empty_like(errors)
+    return _spread_by_others(predicted, errors, groups, spread_terms(predicted, errors, groups))
+
+
+def _spread_by_others(
+    predicted: Outputs, errors: Values, groups: np.ndarray, terms: tuple[int, ...]
+) -> Values:
+    expected = np.empty_like(errors)
     one, typical = np.array(terms) == 1, fit_spread(predicted, errors, terms).typical
     one &= len(np.unique(groups)) >= GROUPS_FOR_SPREAD
     for others, held in parts_by_group(groups):
