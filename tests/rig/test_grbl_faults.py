@@ -51,9 +51,17 @@ class TestS1Banner:
         stage.home()
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
 
+    def test_it_names_firmware_and_version(self, grbl_bench):
+        booting = GrblParameters(boot_s=0.3, homing_s=0.0)
+        stage = grbl_bench(booting, clock=MonotonicClock(), boot_s=5.0, **REAL_TIME).open(known=False)
+        assert stage.firmware == stage.ask_firmware() == "Grbl 1.1h"
+
     def test_none_at_all_is_no_fault_where_status_is_answered(self, grbl_bench):
         bench = grbl_bench(faults=GrblFaults(no_banner=True))
-        goes_and_comes_back(bench, bench.open())
+        stage = bench.open()
+        assert stage.firmware == ""
+        assert stage.ask_firmware() == "version 1.1h.20190830"
+        goes_and_comes_back(bench, stage)
 
     def test_a_device_that_says_nothing_is_refused(self, grbl_bench):
         bench = grbl_bench(faults=GrblFaults(mute=True), reply_s=0.1)

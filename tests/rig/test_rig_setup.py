@@ -122,13 +122,13 @@ class LabAnswers(FileAnswers):
 
 
 @contextmanager
-def lab(**kwargs: Any) -> Iterator[Lab]:
+def lab(no_banner: bool = False, **kwargs: Any) -> Iterator[Lab]:
     pytest.importorskip("serial", reason="the stage's driver needs pyserial")
     with ExitStack() as stack:
         model = GrblParameters(
             homed=True, start_mm=(-50.0, -50.0, -5.0), settings={120: 500, 121: 500, 122: 500}
         )
-        bench = GrblBench(stack, MonotonicClock(), model, GrblFaults())
+        bench = GrblBench(stack, MonotonicClock(), model, GrblFaults(no_banner=no_banner))
         box = stack.enter_context(FakeNetFT(page=FakePage(ranges="30;30;60;3;3;3")))
         made = Lab(bench, box, **kwargs)
         box.force = made.force
@@ -264,7 +264,7 @@ def test_a_step_in_a_file_of_answers_is_refused_after_it_and_not_repeated(tmp_pa
 
 
 def test_the_version_of_a_firmware_that_said_no_banner_is_asked_for(tmp_path: Path) -> None:
-    with lab() as one:
+    with lab(no_banner=True) as one:
         _, file, said = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, stage_baud=57600)
     assert "version 1.1h" in said
     assert file["stage"]["baud"] == 57600

@@ -101,7 +101,7 @@ class GrblLink:
         self.halts = 0  # calls of `halt`; a line asked for before the last one is not sent any more
         self.halted_ns = 0  # when the last one was
         self.banners = 0
-        self.firmware = ""  # as the last banner named it
+        self.firmware = ""  # and version, as the last banner named them
         self.garbage = 0  # lines that are not GRBL's
         self.tail = HeardTail()
         self.alarm: int | None = None  # the last one, until it is dealt with; a reset does not undo it
@@ -369,7 +369,7 @@ class GrblLink:
                 self._pushed.append(line)
             if isinstance(line, Banner):
                 self.banners += 1
-                self.firmware = line.firmware
+                self.firmware = f"{line.firmware} {line.version}"
                 self._replies.clear()
             elif isinstance(line, Alarm):
                 self.alarm = line.code
