@@ -229,3 +229,18 @@ def test_a_hand_that_drew_ahead_waits_for_no_picture_while_it_presses(
         hand.camera.grab()
     assert len(marched) > drawn
     hand.close()
+
+
+def test_frames_drained_one_at_a_time_are_those_drained_at_once() -> None:
+    at_once, singly = (VirtualHand("tactip", seed=5, clock=ManualClock()) for _ in range(2))
+    for hand in (at_once, singly):
+        hand.clock.sleep(2.3)
+    whole = at_once.camera.drain()
+    found = []
+    while taken := singly.camera.drain(at_most=1):
+        assert len(taken) == 1
+        found += taken
+    assert len(found) == len(whole) > 10
+    for (stamp_ns, frame), (whole_ns, of_whole) in zip(found, whole, strict=True):
+        assert stamp_ns == whole_ns
+        assert np.array_equal(frame.image, of_whole.image)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
 import signal
 import socket
 import time
@@ -18,7 +16,7 @@ from palpate.devices.rpc import Address, encode_message, publish
 from palpate.recordings import Run
 from palpate.sensing.live_client import LiveClient, launch_live
 from palpate.sensing.live_loop import LiveState
-from palpate.sensing.live_service import LiveOptions, LiveServer, LiveService, give_back_memory
+from palpate.sensing.live_service import LiveOptions, LiveServer, LiveService
 from palpate.sensors.owned import sensor_preset
 
 
@@ -234,23 +232,3 @@ def test_the_process_outlives_its_clients_and_leaves_its_recording_whole(video, 
     run = Run.open(runs / "kept")
     assert len(run) > 10
     assert not run.damage
-
-
-@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="memory in use is read from /proc")
-@pytest.mark.skipif(
-    os.name != "posix" or not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="not the GNU C library"
-)
-def test_memory_that_was_freed_goes_back_to_the_system_though_something_behind_it_is_kept() -> None:
-    def resident_bytes() -> int:
-        with open("/proc/self/statm") as told:
-            return int(told.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-    held = [np.ones(60_000, np.uint8) for _ in range(2_000)]
-    last = held[-1]
-    full = resident_bytes()
-    del held
-    freed = resident_bytes()
-    give_back_memory()
-    assert last.sum() == 60_000
-    assert resident_bytes() < full - 80e6
-    assert resident_bytes() < freed - 80e6  # which freeing alone had not done

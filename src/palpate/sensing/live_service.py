@@ -7,14 +7,14 @@ to; what it recorded is whole when it ends.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
+import math
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from types import FrameType
@@ -33,6 +33,7 @@ from palpate.core import (
     plain_name,
 )
 from palpate.devices.device_status import Log, jpeg_of
+from palpate.devices.process_memory import give_back_memory, keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.recordings.exchange.image_files import read_image
@@ -57,6 +58,7 @@ from palpate.sensors.owned import read_preset
 
 LOOK_S = 0.2
 FREE_EVERY_S = 60.0  # between two times that memory no longer used is given back
+SETTLED_S = 5.0  # after the first frame, by which all that reads one is loaded
 TAIL = 60  # lines of the log that are told
 TOLD_PRESSES = 5  # whose softness is told
 PICTURE_S = 0.08  # between two pictures: a page shows no more than a dozen a second
@@ -490,28 +492,31 @@ def serve_live(name: str, options: LiveOptions, folder: Path | None, ended: thre
     with hold(name, folder):
         service = LiveService(name, options)
         server = LiveServer(service)
+        keep_loaded()
         service.start()
         path = publish(Address(name, server.port, server.token, os.getpid()), folder)
-        freed_s = time.monotonic()
         try:
-            while not (ended.wait(LOOK_S) or server.ended.is_set()):
-                if time.monotonic() - freed_s > FREE_EVERY_S:
-                    give_back_memory()
-                    freed_s = time.monotonic()
+            _upkeep(service, lambda: ended.wait(LOOK_S) or server.ended.is_set())
         finally:
             path.unlink(missing_ok=True)
             service.close()
             server.close()
 
 
-def give_back_memory() -> None:
-    """Give freed memory back to the system where the C library can, as glibc's.
-
-    Images of a frame are made and freed all day; the holes between them would stay with the process.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
-    if trim is not None:
-        trim(0)
+def _upkeep(service: LiveService, over: Callable[[], bool]) -> None:
+    """Keep pauses short and memory flat until it is over."""
+    freed_s = time.monotonic()
+    settles_s: float | None = None
+    while not over():
+        now_s = time.monotonic()
+        if now_s - freed_s > FREE_EVERY_S:
+            give_back_memory()
+            freed_s = now_s
+        if settles_s is None and service.loop.latest is not None:
+            settles_s = now_s + SETTLED_S
+        if settles_s is not None and now_s > settles_s:
+            keep_loaded()
+            settles_s = math.inf
 
 
 if __name__ == "__main__":

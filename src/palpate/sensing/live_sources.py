@@ -150,7 +150,7 @@ class CameraFrames(Closing):
         """
         end_s = time.monotonic() + timeout_s
         while not self._waiting:
-            self._waiting.extend(self._camera.drain())
+            self._waiting.extend(self._arrived())
             if not self._waiting:
                 if time.monotonic() >= end_s:
                     raise NoFrameYetError(
@@ -162,6 +162,9 @@ class CameraFrames(Closing):
         arrived_ns = now_ns if self._behind_ns is None else min(stamp_ns + self._behind_ns, now_ns)
         number, self._number = self._number, self._number + 1
         return LiveFrame(frame, arrived_ns, number, self._newly_lost())
+
+    def _arrived(self) -> list[tuple[int, Frame]]:
+        return self._camera.drain()
 
     def close(self) -> None:
         """Let go of camera and force sensor."""
@@ -214,6 +217,11 @@ class HandFrames(CameraFrames):
         lost = max(between, 0) if self._number else 0
         number, self._number, self._last_s = self._number, self._number + 1, frame.time_s
         return LiveFrame(frame, time.monotonic_ns(), number, lost)
+
+    def _arrived(self) -> list[tuple[int, Frame]]:
+        """One frame at a time, so that none waits until those after it are drawn."""
+        found: list[tuple[int, Frame]] = self.hand.camera.drain(at_most=1)
+        return found
 
     def _skipped_to_now(self) -> Frame:
         return self.hand.camera.grab(FIRST_S)[1]

@@ -20,6 +20,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from palpate.core import DeviceError, MissingExtraError, PalpateError, SafetyError
+from palpate.devices.process_memory import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import add_library_routes
@@ -121,6 +122,7 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
         timeout_graceful_shutdown=ENDS_S,
         timeout_keep_alive=ALIVE_S,
     )
+    keep_loaded()
     try:
         uvicorn.Server(config).run()
     finally:

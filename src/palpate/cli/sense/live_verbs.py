@@ -15,6 +15,7 @@ from typer import Argument, Exit, Option
 
 from palpate.cli.sense.reading_words import reading_words
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
+from palpate.devices.process_memory import keep_loaded
 
 if TYPE_CHECKING:
     from palpate.sensing.live_iteration import Live
@@ -391,6 +392,7 @@ def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tup
     """Readings of all sensors as they come, until all have ended, or it has been long enough."""
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     going = list(sensors)
+    keep_loaded()
     for sensor in sensors:
         sensor.live.start()
     while going and time.monotonic() < end_s:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from palpate.core import PalpateError
+from palpate.devices.process_memory import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.rig.service.rig_service import RigServer, RigService
 from palpate.rig.service.served_rig import open_served_rig
@@ -50,6 +51,7 @@ def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: t
     with hold(rig, folder):
         service = RigService(open_served_rig(rig, accelerated=accelerated), runs)
         server = RigServer(service)
+        keep_loaded()
         path = publish(Address(rig, server.port, server.token, os.getpid()), folder)
         try:
             while not (ended.wait(LOOK_S) or server.ended.is_set()):

@@ -66,11 +66,17 @@ class VirtualCamera:
             world.clock.sleep(max(arrives_s - world.now_s, 1e-6))
         return round(arrives_s * NS_PER_S), self._taken(ends_s)
 
-    def drain(self) -> list[tuple[int, Frame]]:
-        """Frames that have arrived since the last call; of the last seconds at most."""
+    def drain(self, at_most: int | None = None) -> list[tuple[int, Frame]]:
+        """Frames that have arrived since the last call; of the last seconds at most.
+
+        Args:
+            at_most: that are drawn and given, the oldest first; those after them are left for the next call.
+        """
         world = self._world
         last = int(np.floor((world.now_s - TRANSPORT_S) * self._rate_hz))
         first = max(self._next, int(np.ceil((world.now_s - KEPT_S) * self._rate_hz)))
+        if at_most is not None:
+            last = min(last, first + at_most - 1)
         self._next = max(self._next, last + 1)
         if world.faults.on("camera-stalls", world.clock.now_ns()):
             return []
