@@ -94,6 +94,17 @@ def test_a_lateral_load_comes_back_under_friction(meter, share):
     assert recover_traction(fields, SKIN, "frictionless").misfit > 2  # the control: this law cannot pull
 
 
+def test_under_a_light_touch_noise_elsewhere_on_the_skin_is_no_load():
+    """At 0.1 N the stretch stands out of the noise by little; force and nodes stay those of the contact."""
+    rng, sigma = np.random.default_rng(6), 0.01
+    meter = StrainMeter(seen(press(0.0), np.random.default_rng(0), sigma))
+    for _ in range(30):
+        contact = press(0.12e-3, rng.uniform(-10e-3, 10e-3), rng.uniform(-6e-3, 6e-3))
+        found = recover_traction(meter.fields(seen(contact, rng, sigma)), SKIN)
+        assert found.force_n == pytest.approx(contact.force_n, abs=0.05)
+        assert np.hypot(*(found.nodes_m - [contact.pose.x_m, contact.pose.y_m]).T).max() < 8e-3
+
+
 def test_no_contact_has_no_traction(meter):
     rng = np.random.default_rng(4)
     assert recover_traction(meter.fields(seen(press(0.0), rng)), SKIN) is None

@@ -27,7 +27,7 @@ from typing import Literal, get_args, no_type_check
 import numba
 import numpy as np
 from scipy import fft
-from scipy.ndimage import spline_filter
+from scipy.ndimage import label, spline_filter
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
@@ -279,14 +279,17 @@ def _closed(
 def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tuple[Points, Matrix]:
     """Nodes about where the skin stretches or its marks are lost beside a peak, and neighbours' differences.
 
-    Beyond the nodes loads are 0.
+    What stretches without a peak is noise: under a light touch it lies all over the skin. Beyond the nodes
+    loads are 0.
     """
+    pitch = mark_pitch(fields)
+    away = np.min([np.hypot(fields.at[0] - p.x, fields.at[1] - p.y) for p in peaks], axis=0)
     stretch = np.nan_to_num(fields.area_strain, nan=-np.inf)
-    reach = LOST_BESIDE * mark_pitch(fields)
-    lost = ~fields.basis.supported
-    x, y = fields.at[:, lost]
-    lost[lost] = np.any([np.hypot(x - p.x, y - p.y) < reach for p in peaks], axis=0)
-    high = fields.at[:, (stretch > STRETCHED * stretch.max()) | lost]
+    patches, _ = label(stretch > STRETCHED * stretch.max())
+    with_peak = np.unique(patches[away < pitch])
+    stretched = np.isin(patches, with_peak[with_peak > 0])
+    high = stretched if stretched.any() else away < pitch
+    high = fields.at[:, high | (~fields.basis.supported & (away < LOST_BESIDE * pitch))]
     low, top = high.min(axis=1) - REACH_M, high.max(axis=1) + REACH_M
     x, y = (np.arange(a, b + spacing, spacing) for a, b in zip(low, top, strict=True))
     if len(x) * len(y) > MAX_BOX:
