@@ -53,6 +53,7 @@ def taps(folder: Path, seed: int) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "split", ["auto", *(pytest.param(f"group:{by}", marks=pytest.mark.slow) for by in ("row", "frame"))]
 )

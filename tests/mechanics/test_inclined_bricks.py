@@ -209,6 +209,7 @@ def test_the_cylinders_base_holds_what_it_pushes(soft) -> None:
         assert_allclose(base, sign * on_tip, atol=5e-3 * np.linalg.norm(on_tip))
 
 
+@pytest.mark.slow
 def test_a_cylinder_as_stiff_as_steel_is_a_plate_and_a_soft_one_yields(soft) -> None:
     (plate, state), (stiff, other) = pressed(TILT, 0.3), pressed(TILT, 0.3, 2e3)
     assert_allclose(other.approach, state.approach)

@@ -123,6 +123,7 @@ def test_skin_pulled_apart_across_a_cut_opens_it_and_shear_along_it_slides_it() 
     assert abs(across) + abs(down) < 1e-3 * along
 
 
+@pytest.mark.slow
 def test_there_is_no_jump_beyond_the_cut_or_far_from_the_load() -> None:
     near = _under([(0.0, 4.0)], [(0.0, 1.0, 0.0)])
     x = 1e-3 * np.array([-2.0, 0.0, 2.0, 6.6, 8.0, 10.0])

@@ -43,6 +43,7 @@ def test_five_nominal_loads_are_held_out_in_turn(weights, tmp_path) -> None:
     assert np.isfinite([score.mae, score.rmse, score.r2]).all()
 
 
+@pytest.mark.slow
 def test_ten_photographs_of_one_load_leak_through_a_random_split(weights, tmp_path) -> None:
     plan = CalibrationPlan(("normal_force_N",), model="mean", split="random", learn_untouched=True)
     assert not read_card(calibrate(weights, plan, tmp_path / "cal")).split.clean

@@ -130,6 +130,7 @@ def report(title: str, grasps, found) -> None:
     print(f"{title}: {found.right} of {len(grasps)}, p = {found.p:.4g} of {found.labellings} labellings")
 
 
+@pytest.mark.slow
 def test_both_cues_tell_the_rubber_balls_and_never_worse_than_force_and_deformation(grasps, rng) -> None:
     balls, others = ([g for g in grasps if (g.ball in RUBBER) == rubber] for rubber in (True, False))
     labels = [g.ball for g in balls]

@@ -209,6 +209,19 @@ def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) ->
         write_comparison(compare_calibrations(words[1], words[2]), tmp_path / "page.html")
 
 
+def test_each_calibration_that_was_learnt_from_a_virtual_sensor_is_marked(calibrated, tmp_path) -> None:
+    found = compare_calibrations(calibrated("one"), calibrated("two", seed=5))
+    of_virtual = "a virtual rig; virtual, not measured"
+    card = found.cards[1]
+    virtual = card.model_copy(update={"run": card.run.model_copy(update={"origin": of_virtual})})
+    for k, cards in enumerate([found.cards, (found.cards[0], virtual), (virtual, virtual)]):
+        told = replace(found, cards=cards)
+        page = write_comparison(told, tmp_path / f"{k}.html").read_text(encoding="utf-8")
+        assert page.count("simulated, not measured") == k
+        assert comparison_text(told).count("simulated, not measured") == k
+        assert told.to_dict()["simulated"] == [k == 2, k > 0]
+
+
 def test_an_audit_that_notes_something_did_not_find_nothing(calibrated) -> None:
     card = read_card(calibrated("one"))
     note = ConfoundFindingCard(

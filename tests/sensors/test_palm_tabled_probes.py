@@ -66,6 +66,7 @@ def test_a_light_presss_light_is_that_of_linear_layers_and_a_deep_ones_is_not(wo
     assert apart[1.5e-3] > 2 * apart[0.3e-3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", PICTURED)
 def test_the_picture_of_a_deep_probe_is_its_own_mirror(words):
     for turn in (0, 90):
@@ -132,6 +133,7 @@ def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
     assert sensor.known_depth_m(probe, lateral=True) == LINEAR_DEPTH_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", PICTURED)
 def test_the_most_orders_rise_with_depth(words):
     orders = [

@@ -373,6 +373,22 @@ def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
         assert second.state == first.state  # not as it was when the second read it
 
 
+def test_a_session_that_is_refused_leaves_no_folder_and_one_that_was_begun_stays(tmp_path: Path) -> None:
+    refused = StartSession(tmp_path / "refused")
+    with pytest.raises(DeviceError, match="none is there"), refused.held():
+        raise DeviceError("none is there")
+    assert not refused.folder.exists()
+    begun = StartSession(tmp_path / "begun")
+    with begun.held():
+        (begun.folder / "kept").touch()
+    assert sorted(path.name for path in begun.folder.iterdir()) == [".start.lock", "kept"]
+    for name in (".start.lock", "kept"):
+        (begun.folder / name).unlink()
+    with begun.held():  # it was there before, and nothing of it is anybody's to remove
+        pass
+    assert begun.folder.is_dir()
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_draw_of_presses_that_were_all_learnt_from_is_left_out_without_a_word() -> None:
     errors = np.array([[np.nan, 0.8, 0.8], [0.4, np.nan, 0.4], [np.nan, np.nan, 0.2]])

@@ -116,6 +116,7 @@ class CalibrationComparison:
         """All of it as JSON can hold it."""
         return {
             "calibrations": [card.id for card in self.cards],
+            "simulated": [card.is_simulated for card in self.cards],
             "comparable": not self.obstacles,
             "obstacles": list(self.obstacles),
             "warnings": list(self.warnings),
@@ -305,7 +306,7 @@ def comparison_text(comparison: CalibrationComparison) -> str:
     cards = comparison.cards
     only = zip(cards, comparison.only, strict=True)
     lines = [
-        "calibrations " + " and ".join(f"{card.id} ({card.model_name})" for card in cards),
+        "calibrations " + " and ".join(f"{card.id} ({_told(card)})" for card in cards),
         *(f"NOT COMPARABLE: {obstacle}" for obstacle in comparison.obstacles),
         *comparison.warnings,
         *_table([HEAD, *(_cells(one, cards) for one in comparison.targets)]),
@@ -314,6 +315,10 @@ def comparison_text(comparison: CalibrationComparison) -> str:
         *(f"only {card.id} reads {', '.join(columns)}" for card, columns in only if columns),
     ]
     return "\n".join(lines)
+
+
+def _told(card: Card) -> str:
+    return f"{card.model_name}; simulated, not measured" if card.is_simulated else card.model_name
 
 
 def _days(comparison: CalibrationComparison) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,17 +60,25 @@ class StartSession(StoredSession):
     def held(self) -> Iterator[None]:
         """Keep other processes from going through the steps of this session meanwhile.
 
+        A folder that is made for it does not stay where nothing was kept in it, as after a refusal.
+
         Raises:
             RecordingError: another goes through them.
             StorageError: the folder cannot be written.
         """
-        path = self.folder / LOCK
+        path, new = self.folder / LOCK, not self.folder.exists()
         with storage_errors(path):
             self.folder.mkdir(parents=True, exist_ok=True)
             path.touch()
         with lock(path):
             self.state = read_state(self.folder)  # what another has done since it was read
-            yield
+            try:
+                yield
+            finally:
+                if new and list(self.folder.iterdir()) == [path]:
+                    with suppress(OSError):  # as where an open file cannot be removed
+                        path.unlink()
+                        self.folder.rmdir()
 
     def choose(
         self,
