@@ -12,10 +12,12 @@ from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.surface_strain import (
     PatternedSkin,
     StrainMeter,
+    contact_peaks,
     on_plane,
     recover_traction,
     traction_recovery,
 )
+from palpate.sensors.nusense.pad_view import seen_px
 
 SENSOR = palpate.sensor("nusense")
 SPEC = SENSOR.spec
@@ -26,6 +28,16 @@ def seen(contact, rng, sigma=0.05):
     truth = SENSOR.tile_corners(contact)
     places = truth.places_px + sigma * rng.normal(size=truth.places_px.shape)
     return on_plane(ControlPoints(truth.cells, places, np.full(len(places), sigma)), SPEC.lens, SPEC.camera_m)
+
+
+def seen_together(contacts, rng, sigma):
+    """Marks under several contacts: on linear layers their motions add up."""
+    truths = [SENSOR.tile_corners(contact) for contact in contacts]
+    rest = np.column_stack([truths[0].rest_m, np.zeros(len(truths[0].rest_m))])
+    places = seen_px(SPEC, rest + sum(truth.skin_m - rest for truth in truths), (0.0, 0.0))
+    places = places + sigma * rng.normal(size=places.shape)
+    marks = ControlPoints(truths[0].cells, places, np.full(len(places), sigma))
+    return on_plane(marks, SPEC.lens, SPEC.camera_m)
 
 
 def press(depth, x=3e-3, y=-2e-3, lateral=None):
@@ -103,6 +115,23 @@ def test_under_a_light_touch_noise_elsewhere_on_the_skin_is_no_load():
         found = recover_traction(meter.fields(seen(contact, rng, sigma)), SKIN)
         assert found.force_n == pytest.approx(contact.force_n, abs=0.05)
         assert np.hypot(*(found.nodes_m - [contact.pose.x_m, contact.pose.y_m]).T).max() < 8e-3
+
+
+def test_a_lesser_contact_that_is_no_peak_of_its_own_carries_its_load():
+    """2 N and 1 N at 7 mm, or 0.5 N twice at 14 mm and more: patches of stretch beside that of the peak."""
+    rng, sigma = np.random.default_rng(8), 0.01
+    meter, without_peak = StrainMeter(seen(press(0.0), np.random.default_rng(0), sigma)), 0
+    for turn in np.radians([0.0, 40.0, 60.0, 140.0]):
+        x, y = 3.5e-3 * np.cos(turn), 3.5e-3 * np.sin(turn)
+        near = [press(0.81e-3, x, y), press(0.54e-3, -x, -y)]
+        apart = [press(0.81e-3, 2 * x, 2 * y), press(0.36e-3, -2 * x, -2 * y), press(0.36e-3, -2 * y, 2 * x)]
+        for contacts in (near, apart):
+            fields = meter.fields(seen_together(contacts, rng, sigma))
+            without_peak += len(contact_peaks(fields)) < len(contacts)
+            found, force = recover_traction(fields, SKIN), sum(contact.force_n for contact in contacts)
+            assert found.force_n == pytest.approx(force, rel=0.03)
+            assert found.misfit < 1.2
+    assert without_peak >= 5  # the control: of 8
 
 
 def test_no_contact_has_no_traction(meter):

@@ -92,6 +92,38 @@ class ContactPeak(NamedTuple):
     area_strain: float
 
 
+class StretchOverNoise(NamedTuple):
+    """Area strain smoothed over coarse samples, and what noise alone does not reach.
+
+    Attributes:
+        coarse: rows and columns of the fields' samples that are these.
+        smooth: area strain there ``[nv nu]``; what lies where nothing is seen has no meaning.
+        least: that stands out of the noise.
+        per_pitch: coarse samples in a pitch, along rows and along columns.
+    """
+
+    coarse: tuple[slice, slice]
+    smooth: Field
+    least: float
+    per_pitch: tuple[float, float]
+
+
+def stretch_over_noise(fields: StrainFields, pitch: float) -> StretchOverNoise:
+    """Area strain by which contacts are looked for.
+
+    Args:
+        fields: of the frame.
+        pitch: distance of marks [unit].
+    """
+    rows, columns = (slice(None, None, max(1, size // COARSE)) for size in fields.at.shape[1:])
+    seen = fields.basis.supported[rows, columns]
+    n_v, n_u = (size / span for size, span in zip(seen.shape, _spans(fields), strict=True))
+    H = fields.gradient[:, :, rows, columns]
+    smooth = _smoothed(H[0, 0] + H[1, 1], seen, [SMOOTH * n_v, SMOOTH * n_u])
+    noise = math.sqrt(2 * float(fields.variances.sum(axis=0).mean())) / pitch
+    return StretchOverNoise((rows, columns), smooth, MIN_STRETCH * noise / (2 * SMOOTH), (n_v, n_u))
+
+
 def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[ContactPeak]:
     """Contacts by their stretch, the strongest first; none where it does not stand out of the noise.
 
@@ -101,16 +133,11 @@ def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[Cont
         fields: of the frame.
         pitch: distance of marks [unit]; None takes it from the fields.
     """
-    rows, columns = (slice(None, None, max(1, size // COARSE)) for size in fields.at.shape[1:])
+    (rows, columns), smooth, least, per_pitch = stretch_over_noise(fields, pitch or mark_pitch(fields))
     at, seen = fields.at[:, rows, columns], fields.basis.supported[rows, columns]
-    pitch = pitch or mark_pitch(fields)
-    per_pitch = [size / span for size, span in zip(seen.shape, _spans(fields), strict=True)]
-    H = fields.gradient[:, :, rows, columns]
-    smooth = _smoothed(H[0, 0] + H[1, 1], seen, [SMOOTH * n for n in per_pitch])
     told = np.where(seen, smooth, -np.inf)  # a peak over marks that are lost is told by those beside them
     top = told == maximum_filter(told, [2 * int(n) + 1 for n in per_pitch])
-    noise = math.sqrt(2 * float(fields.variances.sum(axis=0).mean())) / pitch
-    top &= (smooth > MIN_STRETCH * noise / (2 * SMOOTH)) & (smooth > MIN_SHARE * told.max()) & seen
+    top &= (smooth > least) & (smooth > MIN_SHARE * told.max()) & seen
     order = sorted(((int(i), int(j)) for i, j in np.argwhere(top)), key=lambda place: -smooth[place])
     kept: list[tuple[int, int]] = []
     for place in order:

@@ -32,7 +32,12 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from palpate.core import Bool, Float, InputError, RangeError, ndarray
-from palpate.estimators.surface_strain.ring_detection import ContactPeak, contact_peaks, mark_pitch
+from palpate.estimators.surface_strain.ring_detection import (
+    ContactPeak,
+    contact_peaks,
+    mark_pitch,
+    stretch_over_noise,
+)
 from palpate.estimators.surface_strain.strain_fields import StrainFields
 from palpate.mechanics.layers.stack import Stack, climb
 from palpate.mechanics.layers.surface_grid import Cells, spread
@@ -279,15 +284,18 @@ def _closed(
 def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tuple[Points, Matrix]:
     """Nodes about where the skin stretches or its marks are lost beside a peak, and neighbours' differences.
 
-    What stretches without a peak is noise: under a light touch it lies all over the skin. Beyond the nodes
-    loads are 0.
+    A patch that stretches without a peak is a lesser contact where it stands out of the noise, and else is
+    noise: under a light touch that lies all over the skin. Beyond the nodes loads are 0.
     """
     pitch = mark_pitch(fields)
     away = np.min([np.hypot(fields.at[0] - p.x, fields.at[1] - p.y) for p in peaks], axis=0)
     stretch = np.nan_to_num(fields.area_strain, nan=-np.inf)
     patches, _ = label(stretch > STRETCHED * stretch.max())
-    with_peak = np.unique(patches[away < pitch])
-    stretched = np.isin(patches, with_peak[with_peak > 0])
+    coarse, smooth, least, _ = stretch_over_noise(fields, pitch)
+    cell = np.ones([part.step for part in coarse], bool)  # of the samples about each coarse one
+    stands_out = np.kron(smooth > least, cell)[: stretch.shape[0], : stretch.shape[1]]
+    with_contact = np.unique(patches[stands_out | (away < pitch)])
+    stretched = np.isin(patches, with_contact[with_contact > 0])
     high = stretched if stretched.any() else away < pitch
     high = fields.at[:, high | (~fields.basis.supported & (away < LOST_BESIDE * pitch))]
     low, top = high.min(axis=1) - REACH_M, high.max(axis=1) + REACH_M
