@@ -95,6 +95,17 @@ def test_a_scale_that_cannot_be_opened_leaves_a_session_as_it_was(scale: str, mo
     assert again.state.done == ["camera"]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("--camera", "virtual:nothing"), ("--camera", "9", "--scale", "typed"), ("--scale", "/dev/none")],
+)
+def test_a_new_session_that_is_refused_leaves_no_folder(words, tmp_path) -> None:
+    folder = tmp_path / "new" / "session"
+    done = CliRunner().invoke(app, ["start", "--terminal", "--folder", str(folder), *words])
+    assert done.exit_code == 2, done.output
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.fixture
 def complete(tmp_path, monkeypatch) -> StartSession:
     """A session that holds its twelve presses and a calibration, and may open no camera."""

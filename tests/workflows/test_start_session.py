@@ -6,6 +6,7 @@ import json
 import shlex
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -387,6 +388,48 @@ def test_a_session_that_is_refused_leaves_no_folder_and_one_that_was_begun_stays
     with begun.held():  # it was there before, and nothing of it is anybody's to remove
         pass
     assert begun.folder.is_dir()
+
+
+def refuse(session: StartSession, meanwhile: Callable[[], object] = lambda: None, keep: bool = True) -> None:
+    """A refusal while it is held, after something else."""
+
+    def refused() -> None:
+        with session.held(keep_choice=keep):
+            meanwhile()
+            raise DeviceError("none is there")
+
+    with pytest.raises(DeviceError, match="none is there"):
+        refused()
+
+
+def test_of_a_refused_session_s_folders_those_that_it_made_are_removed_and_no_other(tmp_path, monkeypatch):
+    refuse(StartSession(tmp_path / "a" / "b" / "c"), (tmp_path / "a" / "other").touch)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "other"]
+
+    gone = StartSession(tmp_path / "gone")
+    refuse(gone, lambda: shutil.rmtree(gone.folder))  # told is the refusal, not that a folder is gone
+
+    made, mkdir = StartSession(tmp_path / "made"), Path.mkdir
+
+    def made_by_another(path: Path, **words: bool) -> None:
+        if path == made.folder:
+            mkdir(path)
+        mkdir(path, **words)
+
+    monkeypatch.setattr(Path, "mkdir", made_by_another)
+    refuse(made)
+    assert made.folder.is_dir()
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_what_was_chosen_stays_after_a_refusal_where_it_shall(tmp_path: Path, keep: bool) -> None:
+    session = StartSession(tmp_path / "session")
+    refuse(session, lambda: session.choose("9", "typed", asked=12), keep)
+    assert session.folder.exists() == keep
+    with session.held(keep_choice=False):
+        session.choose("9", "typed", asked=12)
+    refuse(session, keep=False)
+    assert (session.folder / STATE).is_file()  # it was there before
 
 
 @pytest.mark.filterwarnings("error")

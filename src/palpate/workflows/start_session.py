@@ -20,7 +20,15 @@ from palpate.core import InputError, Progress, lock, new_file, silent, storage_e
 from palpate.sensing.collection.press_collector import PressCollector
 from palpate.workflows.certificate_sentence import honest_sentence, left_out_text
 from palpate.workflows.press_feeds import PressFeed, open_feed
-from palpate.workflows.start_state import CALIBRATION, PRESSES, STEPS, StartState, read_state, write_state
+from palpate.workflows.start_state import (
+    CALIBRATION,
+    PRESSES,
+    STATE,
+    STEPS,
+    StartState,
+    read_state,
+    write_state,
+)
 from palpate.workflows.stored_session import MANIFEST, StoredSession
 
 if TYPE_CHECKING:
@@ -57,28 +65,41 @@ class StartSession(StoredSession):
     """
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self, *, keep_choice: bool = True) -> Iterator[None]:
         """Keep other processes from going through the steps of this session meanwhile.
 
-        A folder that is made for it does not stay where nothing was kept in it, as after a refusal.
+        Folders that are made for it do not stay where nothing was kept in them, as after a refusal.
+
+        Args:
+            keep_choice: keep what was chosen in a folder that is made here, though it is refused before its
+                camera gave a frame.
 
         Raises:
             RecordingError: another goes through them.
             StorageError: the folder cannot be written.
         """
-        path, new = self.folder / LOCK, not self.folder.exists()
+        path, refused = self.folder / LOCK, True
         with storage_errors(path):
-            self.folder.mkdir(parents=True, exist_ok=True)
+            made = _folders_made(self.folder)
             path.touch()
         with lock(path):
             self.state = read_state(self.folder)  # what another has done since it was read
             try:
                 yield
+                refused = False
             finally:
-                if new and list(self.folder.iterdir()) == [path]:
-                    with suppress(OSError):  # as where an open file cannot be removed
-                        path.unlink()
-                        self.folder.rmdir()
+                if self.folder in made:
+                    forgets = refused and not keep_choice and self.unopened
+                    self._remove_empty(made, {LOCK, STATE} if forgets else {LOCK})
+
+    def _remove_empty(self, made: list[Path], names: set[str]) -> None:
+        """Remove folders that were made, unless there is more in them than files of these names."""
+        with suppress(OSError):  # as where an open file cannot be removed, or somebody removed it
+            if {path.name for path in self.folder.iterdir()} <= names:
+                for name in names:
+                    (self.folder / name).unlink(missing_ok=True)
+                for folder in reversed(made):
+                    folder.rmdir()
 
     def choose(
         self,
@@ -399,6 +420,20 @@ class StartSession(StoredSession):
 
     def _write(self) -> None:
         write_state(self.folder, self.state)
+
+
+def _folders_made(folder: Path) -> list[Path]:
+    """Make a folder and those it lies in; those that were not there, from the outermost."""
+    made = []
+    for one in reversed([folder, *folder.parents]):
+        try:
+            one.mkdir()
+        except OSError:  # it is there, also where another made it just now
+            if not one.is_dir():
+                raise
+        else:
+            made.append(one)
+    return made
 
 
 def _refuse_few(asked: int) -> None:

@@ -293,7 +293,7 @@ def start(
         camera = session.state.camera or "virtual:palm"
     if scale is None:
         scale = (session.state.scale if camera == session.state.camera else "") or "virtual"
-    with stopped_by_signals(), session.held(), progress_bar(quiet) as progress:
+    with stopped_by_signals(), session.held(keep_choice=False), progress_bar(quiet) as progress:
         if not more and session.has_nothing_left_by(camera, scale, presses):
             say(session.nothing_left_text, err=True)
         else:
