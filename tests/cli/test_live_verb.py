@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import signal
@@ -58,6 +59,12 @@ def cut(run: Path) -> Path:
         whole = file.read_bytes()
         file.write_bytes(whole[: scan(file).data_end or None])
     return run
+
+
+def test_once_it_is_over_all_that_was_loaded_is_searched_for_unused_objects_again(spots) -> None:
+    calibration, run, _ = spots
+    typed("live", calibration, "--camera", run.path, "--wait", 0.2, "--json")
+    assert gc.get_freeze_count() == 0
 
 
 def test_a_run_that_its_writer_did_not_close_is_read_named_and_ends_with_status_1(spots) -> None:

@@ -10,7 +10,7 @@ import weakref
 import numpy as np
 import pytest
 
-from palpate.devices.process_memory import give_back_memory, keep_loaded
+from palpate.devices.process_memory import give_back_memory, keep_loaded, search_all_again
 
 
 class Ring:
@@ -49,6 +49,18 @@ def test_what_is_made_later_is_searched_as_ever(searched) -> None:
     ring = Ring()
     there = weakref.ref(ring)
     del ring
+    gc.collect()
+    assert there() is None
+
+
+def test_what_was_loaded_and_is_over_is_found_once_all_is_searched_again(searched) -> None:
+    ring = Ring()
+    there = weakref.ref(ring)
+    keep_loaded()
+    del ring
+    gc.collect()
+    assert there() is not None  # the control
+    search_all_again()
     gc.collect()
     assert there() is None
 

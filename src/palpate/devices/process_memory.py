@@ -18,6 +18,14 @@ def keep_loaded() -> None:
     gc.freeze()
 
 
+def search_all_again() -> None:
+    """Search what `keep_loaded` left out as well, where the process goes on to something else.
+
+    What refers to itself, as a sensor that was read and closed, would stay as long as the process.
+    """
+    gc.unfreeze()
+
+
 def give_back_memory() -> None:
     """Give freed memory back to the system where the C library can, as glibc's.
 

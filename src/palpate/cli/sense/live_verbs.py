@@ -15,7 +15,7 @@ from typer import Argument, Exit, Option
 
 from palpate.cli.sense.reading_words import reading_words
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
-from palpate.devices.process_memory import keep_loaded
+from palpate.devices.process_memory import keep_loaded, search_all_again
 
 if TYPE_CHECKING:
     from palpate.sensing.live_iteration import Live
@@ -393,17 +393,20 @@ def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tup
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     going = list(sensors)
     keep_loaded()
-    for sensor in sensors:
-        sensor.live.start()
-    while going and time.monotonic() < end_s:
-        for sensor in list(going):
-            reading = sensor.live.take(TAKE_S)
-            sensor.tell_state()
-            if reading is not None:
-                yield sensor, reading
-            if sensor.live.over:
-                going.remove(sensor)
-                sensor.live.refuse_failed()
+    try:
+        for sensor in sensors:
+            sensor.live.start()
+        while going and time.monotonic() < end_s:
+            for sensor in list(going):
+                reading = sensor.live.take(TAKE_S)
+                sensor.tell_state()
+                if reading is not None:
+                    yield sensor, reading
+                if sensor.live.over:
+                    going.remove(sensor)
+                    sensor.live.refuse_failed()
+    finally:
+        search_all_again()
 
 
 @contextmanager
