@@ -10,7 +10,7 @@ import weakref
 import numpy as np
 import pytest
 
-from palpate.devices.process_memory import give_back_memory, keep_loaded, search_all_again
+from palpate.devices.process_memory import give_back_memory, keep_loaded, loaded_kept
 
 
 class Ring:
@@ -22,9 +22,13 @@ class Ring:
 
 @pytest.fixture
 def searched():
-    """Objects are searched as before once the test is over."""
+    """All objects are searched in a test, and as many left out after it as before."""
+    left_out = gc.get_freeze_count()
+    gc.unfreeze()
     yield
     gc.unfreeze()
+    if left_out:
+        keep_loaded()
 
 
 def test_what_is_loaded_is_searched_no_more(searched) -> None:
@@ -53,16 +57,23 @@ def test_what_is_made_later_is_searched_as_ever(searched) -> None:
     assert there() is None
 
 
-def test_what_was_loaded_and_is_over_is_found_once_all_is_searched_again(searched) -> None:
+def test_what_was_kept_for_a_while_is_found_once_that_is_over(searched) -> None:
     ring = Ring()
     there = weakref.ref(ring)
-    keep_loaded()
-    del ring
-    gc.collect()
-    assert there() is not None  # the control
-    search_all_again()
+    with loaded_kept():
+        del ring
+        gc.collect()
+        assert there() is not None  # the control
     gc.collect()
     assert there() is None
+
+
+def test_what_another_has_left_out_of_searches_stays_left_out(searched) -> None:
+    keep_loaded()
+    left_out = gc.get_freeze_count()
+    with loaded_kept():
+        pass
+    assert gc.get_freeze_count() >= left_out - 100
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="memory in use is read from /proc")

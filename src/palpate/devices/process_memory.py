@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 def keep_loaded() -> None:
@@ -18,12 +20,21 @@ def keep_loaded() -> None:
     gc.freeze()
 
 
-def search_all_again() -> None:
-    """Search what `keep_loaded` left out as well, where the process goes on to something else.
+@contextmanager
+def loaded_kept() -> Iterator[None]:
+    """The same for a while, after which the process goes on to something else and searches all again.
 
-    What refers to itself, as a sensor that was read and closed, would stay as long as the process.
+    What refers to itself, as a sensor that was read and closed, would stay as long as the process. Where
+    something is left out of searches already, that is whoever's who did it, and nothing is changed.
     """
-    gc.unfreeze()
+    mine = gc.get_freeze_count() == 0
+    if mine:
+        keep_loaded()
+    try:
+        yield
+    finally:
+        if mine:
+            gc.unfreeze()
 
 
 def give_back_memory() -> None:

@@ -15,7 +15,7 @@ from typer import Argument, Exit, Option
 
 from palpate.cli.sense.reading_words import reading_words
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
-from palpate.devices.process_memory import keep_loaded, search_all_again
+from palpate.devices.process_memory import loaded_kept
 
 if TYPE_CHECKING:
     from palpate.sensing.live_iteration import Live
@@ -392,8 +392,7 @@ def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tup
     """Readings of all sensors as they come, until all have ended, or it has been long enough."""
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     going = list(sensors)
-    keep_loaded()
-    try:
+    with loaded_kept():
         for sensor in sensors:
             sensor.live.start()
         while going and time.monotonic() < end_s:
@@ -405,8 +404,6 @@ def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tup
                 if sensor.live.over:
                     going.remove(sensor)
                     sensor.live.refuse_failed()
-    finally:
-        search_all_again()
 
 
 @contextmanager
