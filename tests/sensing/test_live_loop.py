@@ -528,3 +528,22 @@ def test_frames_that_a_driver_hands_over_together_tell_no_rate() -> None:
     for k in range(5):
         kept.arrived(now_ns + 40_000 * k, 0, 0)
     assert kept.now().rate_hz is None
+
+
+def test_the_force_beside_a_reading_is_that_of_its_frame_and_not_of_when_it_was_read() -> None:
+    """On a ramp of 20 N/s a frame that is told a tenth of a second late would stand beside 2 N too many."""
+    force = Steps()
+    source = HandedFrames(waits=True, force=force)
+    at_s = np.arange(0.0, 0.5, 0.005)
+    with ran(source, MeanReader()) as loop:
+        force.samples = [Wrench(round(1e9 * t), (0.0, 0.0, 20 * t)) for t in at_s.tolist()]
+        until(lambda: loop.status()["force_N"] is not None)
+        for time_s, expected in (
+            (0.4, 8.0),
+            (0.4025, 8.05),
+            (9.0, 20 * at_s[-1]),
+        ):
+            source.give(numbered(0, time_s=time_s))
+            until(lambda: loop.latest is not None and loop.latest.time_s == time_s)  # noqa: B023
+            assert loop.latest.force_n == pytest.approx(expected)
+            assert loop.status()["reading"]["force_N"] == pytest.approx(expected)

@@ -73,7 +73,8 @@ class LiveReading:
         readings: of the calibration; None without one.
         latency_s: from the frame's arrival to its readings [s].
         image: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
-        force_n: normal force of the sensor beside it, its bias at the last zero taken off; None without one.
+        force_n: normal force of the sensor beside it as the frame was taken, its bias at the last zero taken
+            off; None without one.
         why: why the frame could not be read as an image; empty where it could.
         source: name of its source.
         stats: counts and times so far.
@@ -333,6 +334,7 @@ class LiveLoop(Closing):
         if latest is not None and latest.readings is not None:
             readings = {name: one.to_dict() for name, one in latest.readings.items()}
             reading = {"frame": latest.frame, "time_s": round(latest.time_s, 6), "readings": readings}
+            reading["force_N"] = None if latest.force_n is None else plain_number(latest.force_n)
         force = self._force_now()
         return {
             "state": self._state.value,
@@ -467,7 +469,7 @@ class LiveLoop(Closing):
             readings,
             (done_ns - frame.arrived_ns) / 1e9,
             of.image,
-            self._force_now(),
+            self._force_at(of.time_s),
             frame.why,
             self._name,
             self._kept.now(TOLD_S),
@@ -539,9 +541,17 @@ class LiveLoop(Closing):
             line.force(samples)
 
     def _force_now(self) -> float | None:
-        wrench = self._wrench
-        unzeroed = self._zeroing and self._untouched is None  # its bias is yet to be taken
+        """The newest force; None where it fails, or its bias is yet to be taken."""
+        wrench, unzeroed = self._wrench, self._zeroing and self._untouched is None
         return None if wrench is None or self._force_why or unzeroed else wrench.force_n[2] - self._bias_n
+
+    def _force_at(self, time_s: float) -> float | None:
+        """Force when a frame was taken, by the samples about it: a press may be newtons further by now."""
+        if self._force_now() is None:
+            return None
+        times_ns, forces_n = zip(*self._forces, strict=True)
+        at = np.interp(time_s * NS_PER_S, np.array(times_ns, float), forces_n)
+        return float(at) - self._bias_n
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do a thread's work; what nobody thought of is told, and ends the loop as failed."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import Closing, InputError, PalpateError
+from palpate.studio.live.reading_rows import force_beside
 
 SPAN_S = 20.0
 """Length of what is plotted [s]."""
@@ -103,7 +104,7 @@ class LiveSensor:
         status = self.connection.status
         if status is not None and status.get("serial") != self._serial:
             self._serial = status.get("serial", -1)
-            reading, force_n = status.get("reading"), status.get("force_N")
+            reading, force_n = status.get("reading"), force_beside(status)
             newest = self.samples[-1] if self.samples else None
             frame_s = float(reading["time_s"]) if reading else (newest.frame_s if newest else 0.0)
             read_anew = bool(reading) and (newest is None or frame_s != newest.frame_s)

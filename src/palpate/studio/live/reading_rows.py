@@ -56,6 +56,13 @@ def unread(known: Mapping[str, Told]) -> dict[str, Told]:
     return {name: {**one, **nothing} for name, one in known.items()}
 
 
+def force_beside(status: Told) -> float | None:
+    """Force of the sensor beside as the frame was taken that is told; the newest where none was read [N]."""
+    newest: float | None = status.get("force_N")
+    of_frame: float | None = (status.get("reading") or {}).get("force_N")
+    return newest if newest is None or of_frame is None else of_frame
+
+
 def values_html(readings: Mapping[str, Told], status: Told) -> str:
     """Each reading with its interval and a lamp that has a shape of its own for each verdict; the reasons."""
     units = {column: str(one.get("unit", "")) for column, one in readings.items()}
@@ -64,7 +71,7 @@ def values_html(readings: Mapping[str, Told], status: Told) -> str:
         for column, one in readings.items()
     ]
     reasons = _reasons((named(column, units[column])[0], one) for column, one in readings.items())
-    force_n = status.get("force_N")
+    force_n = force_beside(status)
     if force_n is not None:
         beside = f"<b>{number(float(force_n), 2)} N</b>"
         rows.append(f'<div class="value"><span class="what">sensor beside</span>{beside}</div>')
