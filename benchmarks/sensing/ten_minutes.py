@@ -199,8 +199,8 @@ def measured(minutes: float, warm_up_s: float, folder: Path, rendered: str = "bo
     recorded(marked[:RECORDED], RATES_HZ["nusense"], workspace / "recorded-nusense")
     played = {"paced": True, "repeat": True}
     sensors = {
-        "live virtual:palm": (LiveOptions("virtual:palm", str(calibration)), palm_ms),
-        "live virtual:nusense": (LiveOptions("virtual:nusense", shear=SKIN), nusense_ms),
+        "live virtual:palm": (LiveOptions("virtual:palm", str(calibration), seed=SEED), palm_ms),
+        "live virtual:nusense": (LiveOptions("virtual:nusense", shear=SKIN, seed=SEED), nusense_ms),
         "live recorded-palm": (LiveOptions(str(workspace / "recorded-palm"), **played), None),
         "live recorded-nusense": (LiveOptions(str(workspace / "recorded-nusense"), **played), None),
     }

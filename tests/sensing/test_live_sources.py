@@ -411,3 +411,13 @@ def test_paced_frames_keep_what_is_wrong_with_them(tmp_path) -> None:
     source = PacedFrames(lambda: open_live_source(tmp_path, idle_s=0.0), rate_hz=100.0)
     frame = source.grab(1.0)
     assert "a.png" in frame.why
+
+
+def test_a_virtual_sensor_is_pressed_by_another_hand_each_time_unless_one_is_asked_for() -> None:
+    """Else what is read live would be the presses that a calibration of the same hand was learnt from."""
+    seeds = []
+    for seed in (None, None, 7, 7):
+        with open_live_source("virtual:tactip", seed=seed) as source:
+            seeds.append(source.hand.world.seed)
+    assert len({0, *seeds[:2]}) == 3
+    assert seeds[2:] == [7, 7]

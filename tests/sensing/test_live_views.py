@@ -26,7 +26,7 @@ def told(name, options, folder, holds):
 
 
 def test_a_nusense_tells_where_its_skin_is_strained(tmp_path) -> None:
-    options = {"camera": "virtual:nusense", "shear": "nusense"}
+    options = {"camera": "virtual:nusense", "shear": "nusense", "seed": 0}
 
     def pressed(status):
         strain = status["strain"] or {"contacts": [], "dots": []}
@@ -43,7 +43,7 @@ def test_a_tip_on_a_body_tells_its_softness_within_the_interval(tmp_path) -> Non
     spec = tactip()
     given = references(spec, specimens_at(spec, KAPPA_N_M), 2, 7000, rendered=False)
     calibrate_compliance(given, note="virtual").save(tmp_path / "tip.npz")
-    options = {"camera": "virtual:tactip/S3=1.1", "compliance": str(tmp_path / "tip.npz")}
+    options = {"camera": "virtual:tactip/S3=1.1", "compliance": str(tmp_path / "tip.npz"), "seed": 0}
 
     def read(status):
         return any(one["readings"] for one in status["compliance"]["presses"])

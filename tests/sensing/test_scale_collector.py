@@ -68,7 +68,7 @@ def test_the_scale_is_heard_before_each_frame_and_the_sensor_beside_never() -> N
 def test_bare_numbers_are_not_taken_for_grams_and_the_reason_is_told(tmp_path) -> None:
     from tests.rig.serial_terminal import FakeTerminal
 
-    service = LiveService("live bare", LiveOptions(camera="virtual:tactip", runs=str(tmp_path)))
+    service = LiveService("live bare", LiveOptions(camera="virtual:tactip", runs=str(tmp_path), seed=0))
     service.start()
     try:
         until(lambda: not service.loop.zeroing and service.loop.untouched is not None, 60.0)
@@ -86,7 +86,7 @@ def test_bare_numbers_are_not_taken_for_grams_and_the_reason_is_told(tmp_path) -
 def test_presses_of_a_live_sensor_are_labelled_by_a_scale_in_the_unit_that_was_said(tmp_path) -> None:
     from tests.rig.serial_terminal import FakeTerminal
 
-    service = LiveService("live scale", LiveOptions(camera="virtual:tactip", runs=str(tmp_path)))
+    service = LiveService("live scale", LiveOptions(camera="virtual:tactip", runs=str(tmp_path), seed=0))
     service.start()
     try:
         until(lambda: service.loop.source is not None, 60.0)

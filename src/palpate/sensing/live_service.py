@@ -99,7 +99,7 @@ class LiveOptions:
     paced: bool = False
     repeat: bool = False
     idle_s: float = 2.0
-    seed: int = 0
+    seed: int | None = None
     threads: int = 1
 
     @classmethod

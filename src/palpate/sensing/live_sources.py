@@ -325,7 +325,7 @@ def open_live_source(
     repeat: bool = False,
     rate_hz: float = 0.0,
     idle_s: float = 2.0,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> LiveSource:
     """Open whatever gives frames.
 
@@ -341,7 +341,7 @@ def open_live_source(
         repeat: begin a paced file again at its end.
         rate_hz: of a paced folder, whose images have no times [Hz].
         idle_s: a folder or run that is being written has ended when nothing came for so long [s].
-        seed: of what a virtual hand does.
+        seed: of what a virtual hand does; None lets another hand press each time.
 
     Raises:
         DeviceError: there is no such camera, or it refuses.
@@ -398,10 +398,11 @@ def _pi_camera(settings: Any) -> LiveSource:
     return CameraFrames(PiCamera(settings), "camera picamera2", behind_ns=0)
 
 
-def _virtual(address: str, seed: int) -> LiveSource:
-    from palpate.rig.virtual.virtual_hand import FIRST_S as REST_S, VirtualHand
+def _virtual(address: str, seed: int | None) -> LiveSource:
+    from palpate.rig.virtual.virtual_hand import FIRST_S as REST_S, VirtualHand, another_hand
 
     name, _, indenter = address.removeprefix(VIRTUAL).partition("/")
+    seed = another_hand() if seed is None else seed
     frames = HandFrames(VirtualHand(name, seed=seed, indenter=indenter, pressing=False), address)
     frames.hand.press(REST_S)
     return frames

@@ -75,7 +75,7 @@ class VirtualFeed(Closing):
 
     Args:
         name: of the sensor.
-        seed: of the hand.
+        seed: of the hand; None lets another one press.
         real_time: whether a second takes one.
         scale: serial port of a scale that stands in for the virtual one; time is real then.
         unit, lag_s: of the scale; see `serial_scale`.
@@ -89,16 +89,17 @@ class VirtualFeed(Closing):
         self,
         name: str,
         *,
-        seed: int = 0,
+        seed: int | None = 0,
         real_time: bool = False,
         scale: str = VIRTUAL,
         unit: str = "",
         lag_s: float | None = None,
     ) -> None:
-        from palpate.rig.virtual.virtual_hand import VirtualHand
+        from palpate.rig.virtual.virtual_hand import VirtualHand, another_hand
 
         self._fast = not real_time and scale in (VIRTUAL, TYPED)
         self.clock: Clock = ManualClock() if self._fast else MonotonicClock()
+        seed = another_hand() if seed is None else seed
         self.hand = VirtualHand(name, seed=seed, clock=self.clock, pressing=False)
         self.sensor = self.hand.design.name
         self.force: ForceSensor | None = None
@@ -233,7 +234,7 @@ def open_feed(
     camera: str,
     scale: str,
     *,
-    seed: int = 0,
+    seed: int | None = 0,
     real_time: bool = False,
     unit: str = "",
     lag_s: float | None = None,
@@ -243,7 +244,7 @@ def open_feed(
     Args:
         camera: address, such as 0, a USB serial number, or ``virtual:palm``.
         scale: serial port of a scale, ``typed`` for known weights, ``virtual`` beneath a virtual sensor.
-        seed: of a virtual hand.
+        seed: of a virtual hand; None lets another one press.
         real_time: whether a virtual second takes one.
         unit: of the scale's lines that carry none; "" refuses those.
         lag_s: time constant of the scale's filter; None where presses shall tell it [s].

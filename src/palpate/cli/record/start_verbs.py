@@ -28,6 +28,9 @@ ScaleOption = Annotated[
 ]
 PressesOption = Annotated[int, Option(help="Presses to collect, with those that the run holds.", min=1)]
 SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
+HandSeedOption = Annotated[
+    int | None, Option(help="Seed of a virtual hand; by default another hand presses each time.", min=0)
+]
 UnitOption = Annotated[
     str, Option(help="Unit of the scale's lines that carry none: g, kg, N, oz or lb; a unit in a line wins.")
 ]
@@ -46,7 +49,7 @@ def collect(
     presses: PressesOption = 40,
     sensor: Annotated[str, Option(help="What the sensor is called; by default by its camera.")] = "",
     session: Annotated[str, Option(help="What this sitting is called; by default the day.")] = "",
-    seed: SeedOption = 0,
+    seed: HandSeedOption = None,
     unit: UnitOption = "",
     scale_lag_s: LagOption = None,
     real_time: RealTime = False,

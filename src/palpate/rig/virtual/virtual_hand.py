@@ -175,6 +175,14 @@ def _eased(share: Series) -> Series:
     return np.asarray(t * t * (3 - 2 * t))
 
 
+def another_hand() -> int:
+    """Seed of a hand that has not pressed yet, drawn from the system's entropy.
+
+    A calibration that is tried on the presses it has learnt from reads them far better than others.
+    """
+    return int(np.random.SeedSequence().generate_state(1)[0])
+
+
 def _usual_range(known_n: float) -> tuple[float, float]:
     """Forces that a hand aims at on a skin that is known to so many newtons."""
     greatest = min(0.8 * known_n, MAX_N)
