@@ -27,6 +27,9 @@ NAMES = {
         "share of the skin's marks that this frame shows; counted, and so without an interval",
     ),
     "contacts": ("contacts", "how many things touch the skin"),
+    "edge": ("edge's direction", "direction of an edge that is pressed; a round contact has none"),
+    "shift_x": ("shift along x", "how far the skin's pattern has moved under the first contact"),
+    "shift_y": ("shift along y", "how far the skin's pattern has moved under the first contact"),
     "slip": ("slip", "whether the contact slides over the skin"),
     "damage": ("damage", "whether the skin looks torn"),
 }
