@@ -19,7 +19,7 @@ import numpy as np
 from palpate.core import Float, ImageError, InputError, Progress, UInt8, ndarray, silent, storage_errors
 from palpate.estimators.lattice.pin_lattice import PinLattice, PinLayoutKind, name_pins
 
-Spots = Float[ndarray, "s 2"]
+Spots = Float[ndarray, "_ 2"]  # as many as each image has
 Layout = Float[ndarray, "p 2"]
 Cell = tuple[int, int]
 
