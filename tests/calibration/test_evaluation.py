@@ -10,14 +10,15 @@ from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.coverage.counted_groups import counted_groups, counted_text, held_out_groups
 from palpate.calibration.coverage.foreign_labels import shifted_labels
 from palpate.calibration.coverage.grouped_rates import coverage_interval
-from palpate.calibration.evaluation import same_session, score
-from palpate.calibration.learnt_frames import shares_of_copies
-from palpate.calibration.sessions import reset_intervals
+from palpate.calibration.evaluation import learnt_frames, same_session, score
+from palpate.calibration.learnt_frames import repeated_presses, shares_of_copies
+from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator
 from palpate.estimators.model_card import Card, ScoreCard, SplitCard
-from palpate.recordings import split
+from palpate.recordings import Manifest, split
 from palpate.reports import scores_table
+from palpate.reports.evaluation_text import day_text
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
@@ -138,6 +139,75 @@ def test_presses_between_known_ones_are_no_copies_of_them() -> None:
     assert shares_of_copies(np.outer(kept, line), np.outer(kept, line)) == (1.0, 1.0)
     dark = np.zeros((30, 256))
     assert shares_of_copies(dark, dark) == (0.0, 0.0)  # a sensor that shows nothing tells no copy
+
+
+def test_a_run_with_some_frames_that_were_learnt_from_is_no_other_day_and_says_how_many(
+    calibrate_spots, record_spots, rewritten, tmp_path
+) -> None:
+    """Of 80 touches six are learnt ones, of another run's id, hash and session: 7.5 %."""
+    run, folder = calibrate_spots(
+        tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
+    )
+    estimator, other = Estimator.open(folder), record_spots("other", 16, seed=1)
+    place = iter(range(len(other)))
+
+    def mixed(image):
+        row = next(place)
+        return run.frame(row).image if row in range(1, 37, 6) else image
+
+    taken = rewritten(other, tmp_path / "mixed", image=mixed)
+    found = evaluate(estimator, taken)
+    assert found["learnt_frames"] == {"compared": 80, "equal": 6, "presses": 0, "repeated": 0}
+    assert "6 of 80 frames" in day_text(found)
+    assert "say nothing about new presses" in day_text(found)
+    assert learnt_frames(estimator, other).equal == 0
+    assert evaluate(estimator, run)["learnt_frames"]["equal"] == 80
+
+
+def test_the_same_presses_simulated_again_are_no_other_day(
+    calibrate_spots, record_spots, rewritten, tmp_path, monkeypatch
+) -> None:
+    """Each press is held still for five frames; a second simulation differs in its noise alone."""
+
+    def held(run, name: str, seed: int, lamp: int = 0):
+        rng, place = np.random.default_rng(seed), iter(range(len(run)))
+
+        def noisy(_):
+            row = next(place)
+            shown = run.frame(row if row % 6 == 0 else row - row % 6 + 1).image
+            return np.clip(shown + lamp + rng.normal(0, 0.7, shown.shape), 0, 255).astype(np.uint8)
+
+        return rewritten(run, tmp_path / name, image=noisy)
+
+    presses, others = record_spots("presses", 16), record_spots("others", 16, seed=1)
+    plan = CalibrationPlan(targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32))
+    folder = calibrate(held(presses, "learnt", 2), plan, tmp_path / "cal")
+    estimator, again = Estimator.open(folder), held(presses, "again", 3)
+    assert same_session(estimator, again) == ""  # two days of a real sensor
+    for about in (Card, Manifest):
+        monkeypatch.setattr(about, "is_simulated", property(lambda self: True))
+    found = evaluate(estimator, again)
+    assert found["learnt_frames"] == {"compared": 80, "equal": 0, "presses": 16, "repeated": 14}
+    assert "14 of 16 presses" in day_text(found)  # two of the others are nearly the same press
+    keep_evaluation(folder, found)
+    assert not read_evaluations(folder, estimator.card)[0].of_another_session
+    for other in (held(others, "other seed", 3), held(presses, "other light", 3, lamp=6)):
+        assert learnt_frames(estimator, other).repeated == 0
+        assert same_session(estimator, other) == ""
+
+
+def test_presses_near_dense_ones_by_chance_are_not_those_again() -> None:
+    """Along one line, where a kept press is never far; ten presses among two hundred are the hardest case."""
+    rng = np.random.default_rng(0)
+    line = rng.normal(size=256)
+
+    def frames(places):
+        return np.repeat(np.outer(places, line), 3, axis=0) + rng.normal(0, 0.3, (3 * len(places), 256))
+
+    kept, groups = np.sort(rng.uniform(0, 2000, 200)), np.repeat(np.arange(10), 3)
+    fresh = frames(rng.uniform(0, 2000, 10))
+    assert repeated_presses(fresh, groups, frames(kept), 10 / 200)[1] <= 3
+    assert repeated_presses(frames(kept[::20]), groups, frames(kept), 10 / 200) == (10, 10)
 
 
 def test_labels_outside_what_was_calibrated_are_no_failed_day(

@@ -252,7 +252,7 @@ def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
             f"{run.path} holds {presses} {what}; adapting takes {_min_presses(card.coverage)} presses or "
             f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
         )
-    if why := learnt_frames(estimator, run):
+    if why := learnt_frames(estimator, run).why:
         raise InputError(f"{run.path} shows no copy of its own: {why}; record presses of your own copy")
 
 

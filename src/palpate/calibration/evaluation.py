@@ -21,7 +21,7 @@ from palpate.calibration.coverage.counted_groups import ROW, counted_groups, pre
 from palpate.calibration.coverage.foreign_labels import labels_outside, shifted_labels
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
-from palpate.calibration.learnt_frames import find_learnt_frames
+from palpate.calibration.learnt_frames import LearntFrames, find_learnt_frames
 from palpate.calibration.training_data import rows_matching
 from palpate.core import (
     Bool,
@@ -153,6 +153,8 @@ def evaluate(
         "frames_untold": {column: frames that do not tell this target, the interval being as wide as its
         range; all where it is not read}, "frames_all_valid": frames of which every reading is valid
         of what the calibration reads,
+        "learnt_frames": {"compared": frames of touches, "equal": those that the calibration has learnt from,
+        "presses": of a simulated run, "repeated": those that it has learnt from, simulated again},
         "counted_groups" and "counted_by": groups that the intervals of the rates count, and what they are,
         …}``.
 
@@ -178,10 +180,12 @@ def evaluate(
     outside = labels_outside(card, true)
     shifted = [] if run.manifest.order == "names" else shifted_labels(card, true, table)
     void = [sentence for column in outside for sentence in scores["findings_of"].pop(column, [])]
+    found = learnt_frames(estimator, run)
     return scores | {
+        "learnt_frames": {k: getattr(found, k) for k in ("compared", "equal", "presses", "repeated")},
         "findings": [*outside.values(), *shifted, *(one for one in scores["findings"] if one not in void)],
         "labels_outside": outside,
-        "same_session": same_session(estimator, run) or "; ".join(outside.values()),
+        "same_session": same_session(estimator, run, found) or "; ".join(outside.values()),
     }
 
 
@@ -457,11 +461,16 @@ def _recordings(card: Card) -> dict[str, str]:
     return {one.hash: one.run_id for one in card.runs}
 
 
-def same_session(estimator: Estimator, run: Run) -> str:
+def same_session(estimator: Estimator, run: Run, found: LearntFrames | None = None) -> str:
     """Why a run tests no other day than a calibration has learnt from; empty where it is another session.
 
     A run's name alone does not make it the same: sessions are compared by name where the run labels them. Nor
     does a name make it another: its frames are compared with those that the calibration's guard keeps.
+
+    Args:
+        estimator: the calibration.
+        run: the recording.
+        found: its `learnt_frames`, where these are known.
     """
     card = estimator.card
     if learnt_from(card, run):
@@ -469,18 +478,18 @@ def same_session(estimator: Estimator, run: Run) -> str:
     parts = run.runs if isinstance(run, JoinedRun) else (run,)
     if any(part.hash in _recordings(card) for part in parts):
         return "a part of it is a run that the calibration has learnt from"
+    if why := (found or learnt_frames(estimator, run)).why:
+        return why
     if {part.manifest.run_id for part in parts} & set(_recordings(card).values()):
         return "it is another copy of a recording that the calibration has learnt from"
     known = set(card.sessions.names) if card.sessions and card.sessions.column == SESSION else set()
     if card.interval_reset:
         known.add(card.interval_reset.session)
     both = sorted(known & set(sessions_of(run).tolist())) if SESSION in run.manifest.labels else []
-    if both:
-        return f"session {', '.join(both)} is one that the calibration has learnt from"
-    return learnt_frames(estimator, run)
+    return f"session {', '.join(both)} is one that the calibration has learnt from" if both else ""
 
 
-def learnt_frames(estimator: Estimator, run: Run) -> str:
-    """Why a run's frames are no others than a calibration has learnt from; empty where they are others."""
+def learnt_frames(estimator: Estimator, run: Run) -> LearntFrames:
+    """What of a run's frames that show a touch a calibration has learnt from."""
     touched = np.setdiff1d(np.arange(len(run)), _untouched_rows(estimator.card, run.labels))
     return find_learnt_frames(estimator, run, touched)
