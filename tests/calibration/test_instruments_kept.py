@@ -153,7 +153,7 @@ def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_noth
     said = rows["traced"]["instruments"]["x_mm"]
     assert said.startswith("x: scored without the ±8.2 mm of ruler, while the labels are by an instrument")
     assert said.endswith("100.0 % of rows lay within their intervals")
-    printed = _scores_text(rows["traced"], estimator.card)
+    printed = _scores_text(rows["traced"], estimator.card, fresh.manifest)
     assert said in printed
     assert "95 % intervals count 6 groups of press" in printed
     assert kept_instruments(tmp_path / "traced", rows["traced"]) == {"x_mm": said}

@@ -171,6 +171,31 @@ def test_sensing_prints_one_object_a_line(calibration, taps) -> None:
     )
 
 
+def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(calibration, run, taps, tmp_path) -> None:
+    """A measured calibration on a simulated run, the other way round, and both measured: nothing is said."""
+    labels = ("--labels", "labels.csv", "--image-column", "image_file")
+    virtual = ("--origin", "a virtual sensor; virtual, not measured")
+    palpate("import", "images", taps, tmp_path / "made", *labels, *virtual)
+    learns = ("--targets", "x_mm", "--split", "group:tap", "--size", "24x24", "--model", "mean")
+    palpate("calibrate", tmp_path / "made", *learns, "--out", tmp_path / "virtual")
+    for cal, read, named in (
+        (calibration, tmp_path / "made", "the run is"),
+        (tmp_path / "virtual", run, "the calibration is"),
+        (tmp_path / "virtual", tmp_path / "made", "the calibration and the run are"),
+        (calibration, run, ""),
+    ):
+        told = f"simulated, not measured: {named} of a virtual sensor"
+        scored = palpate("evaluate", cal, read, "--no-keep", "--quiet").stdout
+        sensed = palpate("sense", cal, read).stdout
+        found = json.loads(palpate("evaluate", cal, read, "--no-keep", "--quiet", "--json").stdout)
+        objects = [json.loads(line) for line in palpate("sense", cal, read, "--json").stdout.splitlines()]
+        assert scored.count(told) == sensed.count(told) == (named != "")
+        assert found["simulated"] == (named != "")
+        assert [one.get("simulated") for one in objects] == [True if named else None] * 60
+        assert ("simulated" in scored) == ("simulated" in sensed) == (named != "")
+    assert "the calibration is of a virtual" in palpate("sense", tmp_path / "virtual", taps / "images").stdout
+
+
 def test_a_report_is_one_file_that_needs_no_other(calibration, tmp_path) -> None:
     palpate("report", calibration, "--out", tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()

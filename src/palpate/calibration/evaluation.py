@@ -155,6 +155,7 @@ def evaluate(
         of what the calibration reads,
         "learnt_frames": {"compared": frames of touches, "equal": those that the calibration has learnt from,
         "presses": of a simulated run, "repeated": those that it has learnt from, simulated again},
+        "simulated": whether the calibration or the run is of a virtual sensor,
         "counted_groups" and "counted_by": groups that the intervals of the rates count, and what they are,
         …}``.
 
@@ -403,6 +404,7 @@ def _counts(card: Card, run: Run, table: pd.DataFrame, read: Bool[np.ndarray, " 
         "frames_all_valid": int(own_column(table, "all_valid").sum()),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": learnt_from(card, run),
+        "simulated": card.is_simulated or run.manifest.is_simulated,
         "session": sorted(set(sessions_of(run).tolist())),
     }
 

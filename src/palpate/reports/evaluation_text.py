@@ -8,6 +8,7 @@ from typing import Any
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.model_card import Card
+from palpate.recordings import Manifest
 from palpate.reports.score_intervals import percent
 
 
@@ -73,6 +74,21 @@ def _covered(one: ValidScoreCard) -> str:
 
 def _name(quantity: str) -> str:
     return quantity.replace("_", " ")
+
+
+def simulated_text(card: Card, run: Manifest | None) -> str:
+    """That a calibration's or a run's frames were simulated, in words; empty where both were measured.
+
+    Args:
+        card: of the calibration.
+        run: of what it reads; None where that is not a run, and does not tell.
+    """
+    virtual = {"the calibration": card.is_simulated, "the run": run is not None and run.is_simulated}
+    named = [name for name, simulated in virtual.items() if simulated]
+    if not named:
+        return ""
+    are = "is" if len(named) == 1 else "are"
+    return f"simulated, not measured: {' and '.join(named)} {are} of a virtual sensor"
 
 
 def day_text(scores: Mapping[str, Any]) -> str:

@@ -29,6 +29,7 @@ from palpate.estimators.session_folder import calibration_in
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
+    from palpate.recordings import Manifest
 
 GivenCalibration = Annotated[
     Path, Argument(help="Calibration folder, or a session's, whose newest is taken.")
@@ -243,12 +244,13 @@ def evaluate(
     estimator = palpate.Estimator.open(calibration)
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
+    scored = _labelled(run)
     with progress_bar(quiet) as progress:
-        scores = palpate.evaluate(estimator, _labelled(run), zero=zero, progress=progress)
+        scores = palpate.evaluate(estimator, scored, zero=zero, progress=progress)
     if out is not None:
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
-    print_found(scores, _scores_text(scores, estimator.card), json_)
+    print_found(scores, _scores_text(scores, estimator.card, scored.manifest), json_)
     if keep:
         kept = keep_evaluation(calibration, scores, reference=reference is not None)
         say(f"kept in {kept}", err=json_)
@@ -265,7 +267,8 @@ def sense(
 ) -> None:
     """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
 
-    A run that its writer did not close is read, named, and ends with status 1.
+    A run that its writer did not close is read, named, and ends with status 1. Of a virtual sensor the first
+    line, or "simulated" in each object, says that it was not measured.
 
     Example: palpate sense cal images --json
     """
@@ -273,10 +276,17 @@ def sense(
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies, frames = [], palpate.open_source(source)
+    about = frames.run.manifest if hasattr(frames, "run") else None
+    simulated = estimator.card.is_simulated or (about is not None and about.is_simulated)
+    if simulated and not json_:
+        from palpate.reports.evaluation_text import simulated_text  # loads tables, which no image needs
+
+        say(simulated_text(estimator.card, about))
     for sensed in palpate.sense(estimator, frames, zero):
         latencies.append(sensed.latency_s)
         if json_:
-            say(json.dumps(sensed.to_dict(), allow_nan=False))
+            more = {"simulated": True} if simulated else {}
+            say(json.dumps(sensed.to_dict() | more, allow_nan=False))
         else:
             say("\n".join(f"{sensed.frame}: {reading}" for reading in sensed.readings.values()))
     if timing:
@@ -440,13 +450,13 @@ def _choice_lines(card: Any) -> list[str]:
     return lines
 
 
-def _scores_text(scores: dict[str, Any], card: Any) -> str:
+def _scores_text(scores: dict[str, Any], card: Card, run: Manifest) -> str:
     from palpate.calibration.coverage.counted_groups import counted_text
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.finding_cards import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.class_text import class_lines
-    from palpate.reports.evaluation_text import day_text, frames_text, valid_readings_text
+    from palpate.reports.evaluation_text import day_text, frames_text, simulated_text, valid_readings_text
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -478,7 +488,7 @@ def _scores_text(scores: dict[str, Any], card: Any) -> str:
         column = "/".join(scores["group_columns"])
         day += f"\nall of one {column}: the 95 % intervals are of its own rate, not of how others may differ"
     counted = f"95 % intervals count {counted_text(scores['counted_groups'], scores['counted_by'])}"
-    return f"{table}\n{valid}\n{counted}\n{day}"
+    return "\n".join(filter(None, [table, valid, counted, day, simulated_text(card, run)]))
 
 
 HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
