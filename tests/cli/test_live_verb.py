@@ -143,6 +143,74 @@ def test_a_run_and_a_log_keep_all_that_was_read(spots, tmp_path) -> None:
     assert "exists" in refused.stderr
 
 
+def test_a_command_that_is_refused_leaves_no_run_and_no_log(spots, tmp_path) -> None:
+    calibration, run, video = spots
+    kept, log = tmp_path / "kept", tmp_path / "log.mcap"
+    outputs = ("--record", kept, "--mcap", log)
+    small, empty = tmp_path / "small.png", tmp_path / "empty"
+    small.write_bytes(encode(np.full((24, 32), 90, np.uint8)).tobytes())
+    empty.mkdir()
+    dull = tmp_path / "dull"
+    dull.mkdir()
+    cv2.imwrite(str(dull / "0.png"), np.full((6, 8), 40_000, np.uint16))
+    for words, why in (
+        ((calibration, "--camera", video, "--camera", "NOSUCHSERIAL"), "serial number"),
+        ((calibration, "--camera", small), "calibrate at this one"),
+        (("--camera", empty, "--wait", 0.2), "without a frame"),
+        (("--camera", dull, "--wait", 0.4), "without a frame that is an image"),
+        (("--camera", video, "--compliance", tmp_path / "none.npz"), "force sensor beside"),
+    ):
+        before = sorted(tmp_path.rglob("*"))
+        said = typed("live", *words, *outputs, status=2).stderr
+        assert why in said
+        assert "kept:" not in said
+        assert sorted(tmp_path.rglob("*")) == before
+    typed("live", calibration, "--camera", video, *outputs)
+    assert len(Run.open(kept)) == len(run) == 12
+    assert log.is_file()
+
+
+def test_what_holds_a_frame_stays_whole_where_the_command_fails_and_is_told(
+    spots, tmp_path, monkeypatch
+) -> None:
+    calibration, run, video = spots
+    small = tmp_path / "small"
+    small.mkdir()
+    for i, frame in enumerate(run.frames()):
+        (small / f"{i:02}.png").write_bytes(encode(frame.image[:24, :32].copy()).tobytes())
+
+    def left(name: str, *words: object, status: int) -> str:
+        kept, log = tmp_path / name, tmp_path / f"{name}.mcap"
+        said = typed("live", *words, "--record", kept, "--mcap", log, status=status).stderr
+        assert not Run.open(kept).damage
+        assert len(Run.open(kept)) == 12
+        with log.open("rb") as file:
+            assert make_reader(file).get_summary().statistics.message_count == 12
+        assert f"kept: {kept} (12 frames), {log} (12 readings); the next one needs other names" in said
+        return said
+
+    left("refused", calibration, "--camera", small, "--wait", 0.2, status=2)
+    monkeypatch.setattr(ShownSensor, "summary", lambda self: exec("raise KeyboardInterrupt"))
+    assert "nothing half-written" not in left("stopped", "--camera", video, status=130)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process is told to end by POSIX signals")
+def test_who_ends_it_before_its_first_frame_finds_no_run_and_no_log(tmp_path) -> None:
+    run, log = tmp_path / "kept", tmp_path / "log.mcap"
+    words = ["--camera", "-", "--record", str(run), "--mcap", str(log)]
+    with started(words, stdin=subprocess.PIPE) as process:
+        ends_s = time.monotonic() + 30
+        while not (run / "0000-frames.mcap").exists() and time.monotonic() < ends_s:
+            time.sleep(0.02)
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        said = process.stderr.read()
+    assert b"nothing recorded, since no frame was kept" in said
+    assert b"log.mcap is not kept" in said
+    assert not list(tmp_path.iterdir())
+
+
 def test_several_cameras_are_read_at_once_each_by_its_own_calibration(spots, tmp_path) -> None:
     calibration, run, video = spots
     export_folder(run, tmp_path / "exported")
@@ -215,7 +283,7 @@ def test_a_setting_that_no_camera_has_is_named_as_it_was_typed(option: str, valu
 
 def test_a_camera_that_is_lost_and_comes_back_is_told(capsys) -> None:
     loop = SimpleNamespace(name="camera 4B2D", state=LiveState.LIVE, why="")
-    shown = ShownSensor(SimpleNamespace(loop=loop), None, None)
+    shown = ShownSensor(SimpleNamespace(loop=loop), None)
     for state, why in (
         (LiveState.LIVE, ""),
         (LiveState.LOST, "it was unplugged"),

@@ -379,6 +379,11 @@ class RunWriter:
         """Count of messages of each channel that found no room in this segment's queue."""
         return MappingProxyType(self._buffer.dropped)
 
+    @property
+    def stored(self) -> int:
+        """Count of frames that were written in this segment."""
+        return self._stored
+
     def close(self) -> None:
         """Write what is queued, close the segment and let go of the run. Closing again does nothing.
 

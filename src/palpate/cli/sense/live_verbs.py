@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
+from palpate.cli.sense.live_outputs import LiveOutputs
 from palpate.cli.sense.reading_words import reading_words
 from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
 from palpate.devices.process_memory import loaded_kept
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 TAKE_S = 0.02  # for a reading of one of several sensors
 SHOWN_S = 0.1  # between two drawings
 PLAIN_S = 1.0  # between two lines where no line can be redrawn
+NOTHING_RECORDED = "; nothing recorded, since no frame was kept"
 
 
 def live(
@@ -111,54 +113,78 @@ def live(
     known = _preset(preset)
     addresses = camera or ["0"]
     folders = _each(calibrations or [], len(addresses))
-    with stopped_by_signals(), ExitStack() as stack:
-        log = None if mcap is None else stack.enter_context(_reading_log(mcap))
-        sensors = []
-        for i, (address, folder) in enumerate(zip(addresses, folders, strict=True)):
-            path = record if record is None or len(addresses) == 1 else Path(f"{record}-{i + 1}")
-            one = stack.enter_context(_sensor(address, folder, path, reference, zero, options, known))
-            sensors.append(one)
-            if compliance is not None:
-                stack.enter_context(_presses(one, compliance, json_))
-        shown = stack.enter_context(_shown(json_, quiet))
-        with suppress(KeyboardInterrupt):
-            for sensor, reading in _readings(sensors, seconds):
-                if log is not None:
-                    log.write(reading.source, reading.to_dict())
-                shown(sensor, reading)
-                sensor.broken = reading.why or sensor.broken
-                sensor.refuse_size(reading)
+    outputs = LiveOutputs(record, mcap, len(addresses))
+    sensors: list[ShownSensor] = []
+    with outputs.told_if_cut_short(sensors):
+        with stopped_by_signals(), ExitStack() as stack:
+            for address, folder in zip(addresses, folders, strict=True):
+                one = stack.enter_context(_sensor(address, folder, reference, zero, options, known))
+                sensors.append(one)
+                if compliance is not None:
+                    stack.enter_context(_presses(one, compliance, json_))
+            shown = stack.enter_context(_shown(json_, quiet))
+            stack.enter_context(outputs.made(sensors))
+            with suppress(KeyboardInterrupt):
+                for sensor, reading in _readings(sensors, seconds):
+                    if sensor.takes(reading):
+                        outputs.log(reading)
+                    shown(sensor, reading)
+                    sensor.broken = reading.why or sensor.broken
+                    sensor.refuse_size(reading)
+            for sensor in sensors:
+                sensor.close()
         for sensor in sensors:
-            _close(sensor)
-    for sensor in sensors:
-        say(sensor.summary(), err=True)
-    for sensor in sensors:
-        sensor.refuse_all_sizes()
-    cut = {sensor.live.loop.name: why for sensor in sensors if (why := sensor.cut_short())}
-    for name, why in cut.items():
-        say(why, err=True)
-        if json_:
-            say(json.dumps({"source": name, "state": "ended", "why": why}))
-    if all(sensor.is_over_and_empty() for sensor in sensors):
-        from palpate.core.errors import InputError
+            say(sensor.summary(), err=True)
+        for sensor in sensors:
+            sensor.refuse_all_sizes()
+        cut = {sensor.live.loop.name: why for sensor in sensors if (why := sensor.cut_short())}
+        for name, why in cut.items():
+            say(why, err=True)
+            if json_:
+                say(json.dumps({"source": name, "state": "ended", "why": why}))
+        if all(sensor.is_over_and_empty() for sensor in sensors):
+            from palpate.core.errors import InputError
 
-        names = ", ".join(sensor.live.loop.name for sensor in sensors)
-        broken = next((sensor.broken for sensor in sensors if sensor.broken), "")
-        what = f" that is an image: {broken}" if broken else "; nothing was read"
-        raise InputError(f"{names} ended without a frame{what}")
-    if cut:
-        raise Exit(1)
+            names = ", ".join(sensor.live.loop.name for sensor in sensors)
+            broken = next((sensor.broken for sensor in sensors if sensor.broken), "")
+            what = f" that is an image: {broken}" if broken else "; nothing was read"
+            raise InputError(f"{names} ended without a frame{what}")
+        if cut:
+            raise Exit(1)
 
 
 class ShownSensor:
     """One sensor of the verb, and what of it is shown."""
 
-    def __init__(self, live: Live, watch: ImageWatch | None, recorder: LiveRecorder | None) -> None:
-        self.live, self.watch, self.recorder = live, watch, recorder
+    def __init__(self, live: Live, watch: ImageWatch | None) -> None:
+        self.live, self.watch = live, watch
+        self.recorder: LiveRecorder | None = None
         self.broken = ""  # why the last frame that was no image could not be read
         self._lost = False
         self._looks = 0
         self._fitting, self._other_size = 0, ""
+
+    def record(self, run: Path) -> None:
+        """Record into a new run from its first frame on; frames by which it is refused are not kept."""
+        from palpate.sensing.streaming.live_recorder import LiveRecorder
+
+        source = self.live.loop.source
+        assert source is not None
+        only_px = None if self._may_change else self.live.loop.frame_px
+        self.recorder = LiveRecorder(run, source, only_px=only_px)
+        self.live.loop.subscribe(self.recorder)
+
+    def close(self) -> None:
+        """End it, and close what was recorded; a run that holds no frame is removed."""
+        try:
+            self.live.close()
+        finally:
+            if self.recorder is not None:
+                self.recorder.close_or_discard()
+
+    def takes(self, reading: LiveReading) -> bool:
+        """Whether the reading does not end it by its frame's size."""
+        return self._may_change or self._fits(reading)
 
     def tell_state(self) -> None:
         """Say on stderr that the camera was lost, or came back."""
@@ -202,7 +228,7 @@ class ShownSensor:
         kept = ""
         if self.recorder is not None:
             unkept = f" ({self.recorder.dropped} frames left out)" if self.recorder.dropped else ""
-            kept = f"; recorded in {self.recorder.path}{unkept}"
+            kept = f"; recorded in {self.recorder.path}{unkept}" if self.recorder.kept else NOTHING_RECORDED
         faults = "".join(f"; {fault}" for fault in loop.faults)
         return f"{loop.name}: {counts}{times}{kept}{faults}"
 
@@ -214,7 +240,7 @@ class ShownSensor:
         """
         loop, (height, width) = self.live.loop, reading.image.shape[:2]
         wanted = loop.frame_px
-        if wanted is None or reading.why or (height, width) == wanted:
+        if wanted is None or self._fits(reading):  # of any size, or of the calibration's
             self._fitting += not reading.why
             return
         right, of = f"{wanted[1]}x{wanted[0]}", f" of {loop.sensor}" if loop.sensor else ""
@@ -222,7 +248,7 @@ class ShownSensor:
             f"{loop.name} gives frames of {width}x{height} px and the calibration{of} reads {right} px: give "
             f"one of this sensor, film at that size (--size {right} of a USB camera) or calibrate at this one"
         )
-        if not getattr(loop.source, "may_change", False):
+        if not self._may_change:
             self.refuse_all_sizes()
 
     def refuse_all_sizes(self) -> None:
@@ -255,6 +281,14 @@ class ShownSensor:
                 told["overlay"] = watch.overlay.to_dict()
             self._looks = watch.looks
         return told
+
+    @property
+    def _may_change(self) -> bool:
+        return bool(getattr(self.live.loop.source, "may_change", False))
+
+    def _fits(self, reading: LiveReading) -> bool:
+        wanted = self.live.loop.frame_px
+        return wanted is None or bool(reading.why) or reading.image.shape[:2] == wanted
 
     def _picture(self) -> str:
         seen = (None if self.watch is None else self.watch.status()) or {}
@@ -313,48 +347,30 @@ def _preset(name: str) -> SensorPreset | None:
 
 
 @contextmanager
-def _reading_log(path: Path) -> Iterator[Any]:
-    from palpate.recordings.exchange.reading_log import ReadingLog
-
-    with ReadingLog(path) as log:
-        yield log
-
-
-@contextmanager
 def _sensor(
     address: str,
     folder: Path | None,
-    record: Path | None,
     reference: Path | None,
     zero: bool | None,
     options: dict[str, Any],
     preset: SensorPreset | None,
 ) -> Iterator[ShownSensor]:
-    from palpate.core.files import refuse_existing
     from palpate.sensing.live_iteration import live
     from palpate.sensing.streaming.live_image import ImageWatch
-    from palpate.sensing.streaming.live_recorder import LiveRecorder
     from palpate.sensing.streaming.source_views import preset_of_camera
 
-    if record is not None:
-        refuse_existing(record)
     opened = live(folder, camera=address, zero=reference if zero is None else zero, **options)
-    watch = recorder = None
+    shown = None
     try:
         if doubt := opened.loop.doubt:
             say(doubt, err=True)
-        if folder is None:
-            watch = ImageWatch(opened.loop, preset or preset_of_camera(address))
+        watch = None if folder else ImageWatch(opened.loop, preset or preset_of_camera(address))
+        if watch is not None:
             opened.loop.subscribe(watch)
-        if record is not None:
-            assert opened.loop.source is not None
-            recorder = LiveRecorder(record, opened.loop.source)
-            opened.loop.subscribe(recorder)
-        yield ShownSensor(opened, watch, recorder)
+        shown = ShownSensor(opened, watch)
+        yield shown
     finally:
-        opened.close()
-        if recorder is not None:
-            recorder.close()
+        (opened if shown is None else shown).close()
 
 
 @contextmanager
@@ -380,12 +396,6 @@ def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[
         sensor.live.loop.subscribe(presses)
         yield
         sensor.live.loop.unsubscribe(presses)
-
-
-def _close(sensor: ShownSensor) -> None:
-    sensor.live.close()
-    if sensor.recorder is not None:
-        sensor.recorder.close()
 
 
 def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tuple[ShownSensor, LiveReading]]:

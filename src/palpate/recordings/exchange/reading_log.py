@@ -7,6 +7,7 @@ up to the cut.
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from collections.abc import Mapping
@@ -110,3 +111,11 @@ class ReadingLog(Closing):
             with storage_errors(self._path):
                 self._writer.finish()
                 self._file.close()
+
+    def discard(self) -> None:
+        """Close the file and remove it, as one in which there is nothing to read."""
+        with storage_errors(self._path):
+            made = os.fstat(self._file.fileno())
+            self.close()
+            if self._path.exists() and os.path.samestat(made, self._path.stat()):
+                self._path.unlink()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from palpate.core import NS_PER_S, Clock, Closing, MonotonicClock, Readings, Wrench
-from palpate.recordings.manifest import Manifest
+from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_writer import Overflow, RunWriter
+from palpate.recordings.segments import KINDS, file_name, segment_numbers
 from palpate.sensing.live_sources import LiveFrame, LiveSource
 
 NAME = "image_file"  # the label that names a frame
@@ -23,12 +25,20 @@ class LiveRecorder(Closing):
         path: of the run, which must not exist.
         source: that is recorded.
         sensor: what the manifest says of it; the source's name where left out.
+        only_px: height and width of the frames that are kept [px]; None keeps those of any size.
 
     Raises:
         ExistsError: the path exists.
     """
 
-    def __init__(self, path: Path, source: LiveSource, sensor: str = "", clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        source: LiveSource,
+        sensor: str = "",
+        clock: Clock | None = None,
+        only_px: tuple[int, int] | None = None,
+    ) -> None:
         self._clock = clock or MonotonicClock()
         virtual = source.name.startswith("virtual:")
         manifest = Manifest.new(
@@ -43,7 +53,13 @@ class LiveRecorder(Closing):
         self._named = source.waits
         self._first_ns: int | None = None
         self._latest_ns = self._latest_force_ns = 0
+        self._only_px, self._closed = only_px, False
         self.path = path
+
+    @property
+    def kept(self) -> int:
+        """Count of frames that were written."""
+        return self._writer.stored
 
     @property
     def dropped(self) -> int:
@@ -54,6 +70,8 @@ class LiveRecorder(Closing):
         """Record a frame."""
         if frame.why:
             self._writer.event("unreadable", frame=frame.frame.name, why=frame.why)
+            return
+        if self._only_px not in (None, frame.frame.image.shape[:2]):
             return
         own_ns = round(frame.frame.time_s * NS_PER_S)
         if self._first_ns is None:
@@ -74,7 +92,25 @@ class LiveRecorder(Closing):
 
     def close(self) -> None:
         """Write what waits, and close the run. Closing again does nothing."""
+        self._closed = True
         self._writer.close()
+
+    def close_or_discard(self) -> None:
+        """Write what waits, and close the run; one that holds no frame is removed. Again does nothing.
+
+        Raises:
+            StorageError: something could not be written; then nothing is removed.
+        """
+        if self._closed:
+            return
+        self.close()
+        if not self._writer.stored:
+            with suppress(OSError):
+                if segment_numbers(self.path) != [0]:
+                    return
+                for name in (*(file_name(0, kind) for kind in KINDS), MANIFEST):
+                    (self.path / name).unlink(missing_ok=True)
+                self.path.rmdir()  # refused where anything else lies in it
 
     def _on_writers_clock(self, own_ns: int) -> int:
         assert self._first_ns is not None
