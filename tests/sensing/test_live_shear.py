@@ -7,7 +7,7 @@ import pytest
 from tests.sensing.live_stand_ins import HandedFrames
 
 import palpate
-from palpate.core import Frame, InputError, Pose, untouched
+from palpate.core import CertificateError, Frame, InputError, Pose, untouched
 from palpate.estimators.shear import ShearReader
 from palpate.sensing.frame_sources import Unreadable
 from palpate.sensing.live_loop import LiveLoop
@@ -65,3 +65,8 @@ def test_a_frame_of_another_size_gives_none_and_says_why(filmed) -> None:
 def test_a_sensor_without_a_patterned_skin_is_refused() -> None:
     with pytest.raises(InputError, match="patterned skin"):
         open_shear_reader("palm")
+
+
+def test_a_folder_of_another_calibration_is_told_what_makes_one_of_force_by_marks(tmp_path) -> None:
+    with pytest.raises(CertificateError, match=r"no calibration of force by marks.*`palpate force fit`"):
+        open_shear_reader("nusense", tmp_path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from palpate.calibration.shear import ShearCalibration
-from palpate.core import Drift, Frame, Image, InputError, PathText, Readings
+from palpate.core import CertificateError, Drift, Frame, Image, InputError, PathText, Readings
 from palpate.core.sensor import sensor as sensor_of
 from palpate.estimators.lattice import DottedSkin, read_skin
 from palpate.estimators.shear import ShearReader, ShearTouch
@@ -94,11 +94,20 @@ def open_shear_reader(
         InputError: no such sensor or skin, or one without a pattern.
         CertificateError: no calibration of force, or a damaged one.
     """
-    force = None if calibration is None else ShearCalibration.load(Path(calibration))
+    force = None if calibration is None else _force_by_marks(Path(calibration))
     reader = ShearFrameReader(_skin(skin), force, skin)
     if reference is not None:
         reader.zero(reference)
     return reader
+
+
+def _force_by_marks(path: Path) -> ShearCalibration:
+    if path.is_dir():
+        raise CertificateError(
+            f"{path} is a folder, and no calibration of force by marks, which is one file (.npz): `palpate "
+            "force fit` makes it; without a calibration a patterned skin is read for touch alone"
+        )
+    return ShearCalibration.load(path)
 
 
 def _skin(name: str) -> TiledSkin | DottedSkin:
