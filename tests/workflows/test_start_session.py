@@ -256,6 +256,25 @@ def test_learning_curve_that_does_not_fall_says_so() -> None:
     presses = np.repeat([10, 20, 32], 2)
     errors = np.random.default_rng(0).uniform(0.9, 1.0, (6, 40)) * (1 + presses[:, None] / 100)
     assert "more have not lessened the error" in curve_of(presses, errors, 40).text
+    assert "look at how they are labelled" in curve_of(presses, errors, 20).text
+    few = curve_of(presses, errors, 19).text
+    assert few.startswith("19 presses are few")
+    assert "press more" in few
+    assert "label" not in few
+
+
+def test_useless_presses_that_are_few_are_to_be_more_before_their_labels_are_looked_at(
+    whole: StartSession,
+) -> None:
+    card = read_card(whole.calibration)
+    predictions = read_predictions(whole.calibration, card)
+    wrong = predictions.assign(**{"estimate:force_N": 10.0 - predictions["force_N"]})
+    told = honest_sentence(card, wrong, 19)
+    assert told.startswith("Useless")
+    assert told.index("19 presses are few: press more first") < told.index("look whether each label")
+    enough = honest_sentence(card, wrong, 20)
+    assert "few" not in enough
+    assert "Look whether each label belongs to its press" in enough
 
 
 def test_feeds_keep_their_contract() -> None:

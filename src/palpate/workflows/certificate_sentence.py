@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from palpate.sensing.collection.press_collector import REST
+from palpate.sensing.collection.press_collector import FEW_PRESSES, REST
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +44,7 @@ def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
     if is_useless(card, predictions):
         return (
             f"Useless: on presses that it had not seen it errs by {score.mae:.3g} N on average, not surely "
-            f"less than always saying the mean does ({score.mean_mae:.3g} N). Look whether each label "
-            "belongs to its press, and whether the image changes where the sensor is pressed."
+            f"less than always saying the mean does ({score.mean_mae:.3g} N). {_what_to_do(presses)}"
         )
     held, low, high = (100 * rate for rate in rate_beyond(predictions))
     sittings = predictions["session"].nunique() if "session" in predictions else 1
@@ -54,6 +53,17 @@ def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
         f"On presses that it had not seen it errs by {score.mae:.2g} N on average, and 90 % intervals by the "
         f"errors of other presses held {held:.0f} % of frames ({low:.0f} to {high:.0f} %, from {presses} "
         f"presses): by one hand, {when}, with one probe; what another day brings is not tested."
+    )
+
+
+def _what_to_do(presses: int) -> str:
+    look = (
+        "whether each label belongs to its press, and whether the image changes where the sensor is pressed."
+    )
+    if presses >= FEW_PRESSES:
+        return f"Look {look}"
+    return (
+        f"{presses} presses are few: press more first, to {FEW_PRESSES} or more. If it stays so, look {look}"
     )
 
 

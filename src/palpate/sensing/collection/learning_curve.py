@@ -30,7 +30,7 @@ from palpate.estimators.networks import make_model
 from palpate.estimators.networks.model_interface import predict_rows
 from palpate.recordings import PackedSet, Run, pack
 from palpate.recordings.splits import group_names, within_session
-from palpate.sensing.collection.press_collector import REST
+from palpate.sensing.collection.press_collector import FEW_PRESSES, REST
 
 SHARES = (0.25, 0.5, 0.8)
 REPEATS = 2
@@ -70,6 +70,11 @@ class LearningCurve:
     @property
     def text(self) -> str:
         """What more presses would bring, in one sentence."""
+        if self.b <= 0 and self.have < FEW_PRESSES:
+            return (
+                f"{self.have} presses are few and do not tell yet whether more lessen the error: press more, "
+                f"to {FEW_PRESSES} or more"
+            )
         if self.b <= 0:
             return (
                 f"up to {self.have} presses, more have not lessened the error: look at how they are "

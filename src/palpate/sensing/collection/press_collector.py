@@ -66,6 +66,7 @@ RESTS = 5  # last images of the untouched sensor, beside which a contact is seen
 REST_S = 0.5  # before that, in which the sensor is taken to be at rest
 FAST_DELAY_S = 0.02  # of a scale whose samples are those of a frame's own exposure
 SAMPLES_A_FRAME = 2.0
+FEW_PRESSES = 20  # below which a calibration that says nothing is first asked for more presses
 REST, REST_EVERY = "rest", 5
 """Press that stands for none: of each fifth press a frame before it is kept with 0 N, so that a calibration
 reads the untouched sensor too. All are one press, since they are alike: none is learnt from while one is held
