@@ -353,6 +353,18 @@ def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_
     assert "3 frames, 0 dropped, 0 lost, 2 broken" in said
 
 
+def test_what_to_do_is_told_of_an_empty_folder_and_of_a_file_that_is_no_image(tmp_path) -> None:
+    said = typed("live", "--camera", tmp_path, "--wait", "0.2", status=2).stderr
+    assert "nothing was read: put images (.bmp, " in said
+    assert f"into {tmp_path}" in said
+    assert "or name a folder of images or a run" in said
+    text = tmp_path / "notes.txt"
+    text.write_text("no image\n")
+    said = typed("live", "--camera", text, status=2).stderr
+    assert "save it as PNG, give another file" in said
+    assert "out of the folder" not in said
+
+
 def test_a_size_that_is_none_is_refused_with_one_that_is() -> None:
     assert "as in 640x480 or 640,480" in typed("live", "--camera", "0", "--size", "640", status=2).output
 

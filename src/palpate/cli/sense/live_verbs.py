@@ -145,10 +145,10 @@ def live(
         if all(sensor.is_over_and_empty() for sensor in sensors):
             from palpate.core.errors import InputError
 
-            names = ", ".join(sensor.live.loop.name for sensor in sensors)
+            names = [sensor.live.loop.name for sensor in sensors]
             broken = next((sensor.broken for sensor in sensors if sensor.broken), "")
-            what = f" that is an image: {broken}" if broken else "; nothing was read"
-            raise InputError(f"{names} ended without a frame{what}")
+            what = f" that is an image: {broken}" if broken else f"; nothing was read{_put_there(names)}"
+            raise InputError(f"{', '.join(names)} ended without a frame{what}")
         if cut:
             raise Exit(1)
 
@@ -303,6 +303,17 @@ class ShownSensor:
                 f"{seen['verdict']}" + (f" at x {place[0]:.0f}, y {place[1]:.0f} px" if place else "")
             )
         return ", ".join(parts)
+
+
+def _put_there(names: list[str]) -> str:
+    """What to do about a folder in which nothing lay; empty where there is none."""
+    folder = next((name for name in names if Path(name).is_dir()), None)
+    if folder is None:
+        return ""
+    from palpate.sensing.frame_sources import IMAGE_SUFFIXES
+
+    kinds = ", ".join(sorted(IMAGE_SUFFIXES))
+    return f": put images ({kinds}) into {folder}, or name a folder of images or a run"
 
 
 def _settings(size: str | None, fps: float | None, exposure_ms: float | None) -> Any:

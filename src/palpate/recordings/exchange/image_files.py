@@ -172,7 +172,7 @@ def _decoder(path: Path, data: bytes) -> type[ImageFile]:
             return decoder
     raise ImageError(
         f"{path} is no PNG, JPEG, BMP, TIFF or WebP image (it begins with {data[:8]!r}); "
-        "save it as PNG, or take it out of the folder"
+        "save it as PNG, give another file, or leave this one out"
     )
 
 
