@@ -16,6 +16,7 @@ from palpate.core import CertificateError, ExistsError, InputError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.finding_cards import ConfoundFindingCard
 from palpate.estimators.model_card import sealed
+from palpate.estimators.session_folder import SESSION_FILE
 from palpate.recordings.table_files import read_table
 from palpate.reports.comparison_page import (
     _confounds_text,
@@ -40,6 +41,23 @@ def calibrated(calibrate_spots, tmp_path):
         return calibrate_spots(tmp_path / out, run_seed=runs.setdefault(run, len(runs)), **plan)[1]
 
     return make
+
+
+def test_a_session_s_folder_stands_for_its_newest_calibration(calibrated, tmp_path) -> None:
+    session = tmp_path / "session"
+    other = calibrated("other", model="mean")
+    for name in ("calibration", "calibration-2"):
+        calibrated(f"session/{name}", model="pca-ridge" if name.endswith("2") else "mean")
+    (session / SESSION_FILE).write_text(json.dumps({"trained": {"folder": "calibration-2"}}))
+
+    def told(*folders) -> dict:
+        found = CliRunner().invoke(app, ["compare", *map(str, folders), "--json"])
+        assert found.exit_code == 0, found.output
+        return json.loads(found.stdout)
+
+    assert told(session, other) == told(session / "calibration-2", other)
+    assert told(other, session) == told(other, session / "calibration-2")
+    assert told(session, other) != told(session / "calibration", other)
 
 
 def test_the_better_of_two_on_the_same_rows_is_named_with_its_interval(calibrated, tmp_path) -> None:

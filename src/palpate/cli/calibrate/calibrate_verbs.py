@@ -341,7 +341,7 @@ def report(
 
 
 def compare(
-    first: Annotated[Path, Argument(help="Calibration folder.")],
+    first: GivenCalibration,
     second: Annotated[Path, Argument(help="Another one, that reads some of the same targets.")],
     out: Annotated[Path | None, Option(help="HTML file to make; must not exist.")] = None,
     json_: Json = False,
@@ -357,7 +357,7 @@ def compare(
 
     if out is not None:
         refuse_existing(out)
-    comparison = compare_calibrations(first, second)
+    comparison = compare_calibrations(calibration_in(first), calibration_in(second))
     if out is not None:
         write_comparison(comparison, out)
     _tell_left_out(comparison.left_out)
