@@ -9,7 +9,7 @@ from pathlib import Path
 from palpate.core import NS_PER_S, Clock, Closing, MonotonicClock, Readings, Wrench
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_writer import Overflow, RunWriter
-from palpate.recordings.segments import KINDS, file_name, segment_numbers
+from palpate.recordings.segments import KINDS, file_name
 from palpate.sensing.live_sources import LiveFrame, LiveSource
 
 NAME = "image_file"  # the label that names a frame
@@ -98,19 +98,20 @@ class LiveRecorder(Closing):
     def close_or_discard(self) -> None:
         """Write what waits, and close the run; one that holds no frame is removed. Again does nothing.
 
+        A run to which anything was added stays.
+
         Raises:
             StorageError: something could not be written; then nothing is removed.
         """
         if self._closed:
             return
         self.close()
-        if not self._writer.stored:
-            with suppress(OSError):
-                if segment_numbers(self.path) != [0]:
-                    return
-                for name in (*(file_name(0, kind) for kind in KINDS), MANIFEST):
+        made = {MANIFEST, *(file_name(0, kind) for kind in KINDS)}
+        with suppress(OSError):
+            if not self._writer.stored and {one.name for one in self.path.iterdir()} <= made:
+                for name in made:
                     (self.path / name).unlink(missing_ok=True)
-                self.path.rmdir()  # refused where anything else lies in it
+                self.path.rmdir()
 
     def _on_writers_clock(self, own_ns: int) -> int:
         assert self._first_ns is not None
