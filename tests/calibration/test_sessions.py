@@ -19,6 +19,7 @@ from palpate.calibration.coverage.group_quantiles import (
     weighted_quantile,
 )
 from palpate.calibration.coverage.joint_regions import vector_cards
+from palpate.calibration.robustness import perturbation_suite
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.calibration.sessions.interval_reset import (
     ExpectedCoverage,
@@ -45,6 +46,7 @@ from palpate.recordings.table_files import read_table
 from palpate.reports.sections import ReportedCalibration
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
+MIN_ROWS = perturbation_suite.MIN_ROWS
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32))
 ROWS = 30
@@ -428,7 +430,10 @@ def test_a_run_of_a_session_that_was_learnt_from_is_no_other_day(days, tmp_path,
 
 
 @pytest.mark.slow
-def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(days, tmp_path) -> None:
+def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
+    days, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(perturbation_suite, "MIN_ROWS", MIN_ROWS)  # changes are tried, here
     first = days(1, presses=20)[0]
     calibrate(first, PLAN, tmp_path / "cal")
     few, fresh = days(1, presses=25, first=1)[0], days(1, presses=1, first=2)[0]
