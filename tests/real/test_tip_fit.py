@@ -13,7 +13,7 @@ def found(real_data):
     folder = real_data / "tactip-surface"
     if not folder.is_dir():
         pytest.skip(f"no taps of a TacTip at {folder}")
-    return fit_folder(folder / "train", folder / "val", taps=150)
+    return fit_folder(folder / "train", folder / "val", taps=400)
 
 
 def test_pins_of_most_taps_are_named_without_their_poses(found) -> None:
