@@ -63,6 +63,8 @@ class Rig:
         mount: change the indenter; False where a person has to.
         known_m: how deep an indenter may press, with a lateral load or without: a virtual skin has a law to
             that depth and none beyond [m].
+        noise_n: Stated standard deviation of a force sample along each axis, resolution included [N]; None if
+            the manufacturer states none.
         label_force: a second force sensor, which labels frames taken at a stand and guards nothing, so that
             it may be slow; None where there is none.
         label_mounting: of the second force sensor.
@@ -89,6 +91,7 @@ class Rig:
     mount: Callable[[str], bool] = by_hand
     known_m: Callable[[str, bool], float] = unlimited
     design: Sensor | None = None
+    noise_n: float | None = None
     label_force: ForceSensor | None = None
     label_mounting: Mounting = field(default_factory=Mounting)
     supervisor: SupervisorLink | None = None

@@ -21,6 +21,8 @@ from palpate.devices.check.check_result import (
     with_prefix,
 )
 from palpate.devices.check.stage_motion import Box, UnsafeError
+from palpate.rig.plans.plan_files import plan_of_sensor
+from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.rig import Rig
 
 __all__ = ["CheckResult", "check_camera", "check_force_sensor", "check_rig", "check_stage"]
@@ -30,14 +32,15 @@ HALF_M = 2e-3  # of the box's sides
 SPEED_M_S = 5e-3
 PUSHED_N = 1.0  # change of force, any direction, that ends all motion: nothing is to be touched
 LISTENED, BORNE = 30.0, 3.0  # periods of a labelling sensor: listened to, and its oldest sample
-SIGMAS = 5.0  # of the noise that the contact threshold lies above
+SIGMAS = 5.0  # least contact threshold, in standard deviations of the force
+NOISE_TOLERANCE = 1.25  # measured over stated noise: sampling error of 400 samples, and drift meanwhile
 
 
 def check_rig(
     rig: Rig,
     *,
     clear_m: float = CLEAR_M,
-    threshold_n: float = 0.05,
+    threshold_n: float | None = None,
     time_scale: float = 1.0,
     close: bool = True,
 ) -> list[CheckResult]:
@@ -49,7 +52,8 @@ def check_rig(
     Args:
         rig: the devices, homed; the probe above the layer.
         clear_m: least distance to the expected surface [m].
-        threshold_n: of contact, which the noise must stay well below [N].
+        threshold_n: Contact threshold of the recordings to come, at least five standard deviations of the
+            force [N]; by default that of the sensor's own plan.
         time_scale: of the stage, for one that is simulated slower than real time. See `check_stage`.
         close: close the devices at the end, and check that.
 
@@ -59,15 +63,27 @@ def check_rig(
         True
     """
     try:
-        return _checks(rig, clear_m, threshold_n / SIGMAS, time_scale, close=close)
+        return _checks(rig, clear_m, _threshold_n(rig, threshold_n), time_scale, close=close)
     except BaseException:  # Ctrl-C: what moved stands by now, and the devices are let go of
         if close:
             rig.close()
         raise
 
 
-def _checks(rig: Rig, clear_m: float, noise_n: float, time_scale: float, *, close: bool) -> list[CheckResult]:
-    age_s = rig.limits.age_s
+def _threshold_n(rig: Rig, threshold_n: float | None) -> float:
+    if threshold_n is not None:
+        return threshold_n
+    if rig.design is not None:
+        return plan_of_sensor(rig.design).threshold_N
+    return float(RecordingPlan.model_fields["threshold_N"].default)
+
+
+def _checks(
+    rig: Rig, clear_m: float, threshold_n: float, time_scale: float, *, close: bool
+) -> list[CheckResult]:
+    age_s, noise_n = rig.limits.age_s, threshold_n / SIGMAS
+    if rig.noise_n is not None:
+        noise_n = min(noise_n, NOISE_TOLERANCE * rig.noise_n)
     force = check_force_sensor(rig.force, clock=rig.clock, age_s=age_s, noise_n=noise_n, close=False)
     results = with_prefix("force", force)
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))

@@ -8,6 +8,7 @@ that changes from press to press. The other sizes are assumed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -115,6 +116,14 @@ class Variation:
     force_step_n: float = 1 / 320
     frame_jitter_s: float = 0.001
     relaxation: tuple[tuple[float, float], ...] = ((0.06, 0.2), (0.05, 5.0))
+
+    @property
+    def sample_noise_n(self) -> float:
+        """Largest standard deviation of a force sample after rounding to the resolution [N].
+
+        Rounding adds up to half a step where the mean lies halfway between two steps.
+        """
+        return math.hypot(self.force_noise_n, self.force_step_n / 2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,6 +92,7 @@ def virtual_rig(
         mount=world.mount,
         known_m=world.known_m,
         design=design,
+        noise_n=vary.sample_noise_n,
     )
 
 
