@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import Distribution, DistributionFinder, EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ import palpate
 from palpate.core.contact import Pose, PressHistory
 from palpate.core.errors import InputError, RangeError
 from palpate.core.outline import Outline
+from palpate.core.plugins import _entry_points, installed
 from palpate.core.sensor import SENSORS, sensor
 from palpate.core.specimen import Specimen
 
@@ -139,6 +142,44 @@ def test_a_preset_of_another_package_is_what_follows_the_name(install: Install) 
     )
     install("strange", "stranger:make", code)
     assert sensor("strange-small").frame_px == (480, 270)
+
+
+def test_entry_points_are_of_the_standard_library_whatever_lists_them(
+    install: Install, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @dataclass
+    class BackportEntryPoint:  # as the package importlib_metadata lists them
+        name: str
+        value: str
+        group: str
+
+        def matches(self, **wanted: str) -> bool:
+            return all(getattr(self, key) == value for key, value in wanted.items())
+
+    class Backport(DistributionFinder):
+        def find_distributions(self, context: object = None) -> list[Distribution]:
+            return [Listed()]
+
+    class Listed(Distribution):
+        name = "backported"
+        _normalized_name = name
+        entry_points = EntryPoints(
+            [BackportEntryPoint("odd", "palpate.sensors.palm:debug", "palpate.sensors")]
+        )
+
+        def read_text(self, filename: str) -> None:
+            return None
+
+        def locate_file(self, path: object) -> Path:
+            raise NotImplementedError(path)
+
+    install("strange", "stranger:make")
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Backport()])
+    _entry_points.cache_clear()
+    found = installed("palpate.sensors")
+    assert {"odd", "strange"} <= {point.name for point in found}
+    assert {type(point) for point in found} == {EntryPoint}
+    _entry_points.cache_clear()
 
 
 def test_specimens_are_read_from_words() -> None:

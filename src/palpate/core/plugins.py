@@ -142,9 +142,11 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 @lru_cache(maxsize=32)
 def _entry_points(group: str, folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
     try:
-        return tuple(entry_points(group=group))  # looks through all that is installed: tens of milliseconds
-    except Exception:  # of one broken package, which need not be one for palpate
-        return tuple(_readable_entry_points(group))
+        points = list(entry_points(group=group))  # reads the metadata of all packages: tens of milliseconds
+    except Exception:  # one broken package, not necessarily a plug-in of palpate
+        points = list(_readable_entry_points(group))
+    # Once a process has imported the importlib_metadata package, packages list that package's own class.
+    return tuple(EntryPoint(point.name, point.value, point.group) for point in points)
 
 
 def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
