@@ -64,8 +64,12 @@ class MeanReader:
         self.read_numbers: list[int] = []
         self.drifts: Drift | None = None
         self.kind, self.valid = "", True
+        self.started, self.may_end = threading.Event(), threading.Event()
+        self.may_end.set()
 
     def read(self, live: LiveFrame) -> Readings:
+        self.started.set()
+        self.may_end.wait(30.0)
         time.sleep(self.takes_s)
         self.read_numbers.append(live.number)
         off = float(self.zeros[-1].mean()) if self.zeros else 0.0

@@ -97,12 +97,13 @@ def test_nothing_of_a_file_is_lost_however_slow_the_reading() -> None:
 
 
 def test_a_camera_s_old_frames_are_dropped_and_counted_and_the_newest_read() -> None:
-    source, reader = HandedFrames(waits=False), MeanReader(0.1)
+    source, reader = HandedFrames(waits=False), MeanReader()
+    reader.may_end.clear()
     with ran(source, reader) as loop:
         source.give(numbered(0))
-        until(lambda: loop.stats.frames + len(reader.read_numbers) >= 0 and loop.state is LiveState.LIVE)
-        time.sleep(0.03)  # it is being read
+        until(reader.started.is_set)
         source.give(*(numbered(i) for i in range(1, 8)))
+        reader.may_end.set()
         until(lambda: loop.stats.frames == 2)
         assert reader.read_numbers == [0, 7]
         assert loop.stats.dropped == 6
