@@ -10,6 +10,7 @@ import inspect
 import os
 import pickle
 import shutil
+import signal
 import sys
 import typing
 from pathlib import Path
@@ -20,6 +21,10 @@ import hypothesis
 import jaxtyping
 import numpy as np
 import pytest
+
+# A background job starts with Ctrl-C ignored, and so would every process that a test starts and interrupts.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _has_array(hint: object) -> bool:
