@@ -13,10 +13,10 @@ import collections
 import contextlib
 import faulthandler
 import json
+import os
 import random
 import resource
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -86,13 +86,20 @@ def fuzz(name: str, seconds: float, count: int, seed: int) -> dict[str, object]:
 
 def in_a_process(name: str, words: argparse.Namespace) -> dict[str, object]:
     """Feed one parser in a process of its own, whose crash is counted as well."""
-    command = [sys.executable, __file__, "--one", name, "--seconds", str(words.seconds)]
-    command += ["--count", str(words.count), "--seed", str(words.seed)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - itself
-    try:
-        found: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
-    except (ValueError, IndexError):
-        found = {"parser": name, "crashed": done.returncode, "examples": [done.stderr[-1500:]]}
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reading)
+        with os.fdopen(writing, "w") as out:
+            json.dump(fuzz(name, words.seconds, words.count, words.seed), out)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as answer:
+        text = answer.read()
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status or not text:
+        return {"parser": name, "crashed": status}
+    found: dict[str, object] = json.loads(text)
     return found
 
 
@@ -109,12 +116,9 @@ def main() -> None:
     words.add_argument("--count", type=int, default=10**9, help="most inputs for each parser")
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--only", nargs="*", default=sorted(feeds.FEEDS))
-    words.add_argument("--one", help=argparse.SUPPRESS)
     given = words.parse_args()
-    if given.one:
-        warnings.simplefilter("ignore")
-        print(json.dumps(fuzz(given.one, given.seconds, given.count, given.seed)))
-        return
+    warnings.simplefilter("ignore")
+    feeds.load_every_parser()
     total, bad = 0, []
     for name in given.only:
         found = in_a_process(name, given)

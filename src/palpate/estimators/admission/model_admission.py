@@ -37,7 +37,7 @@ MAX_TENSOR_BYTES = 512 << 20  # of all tensors together that are made from one i
 MAX_WORK = 50_000_000_000  # multiply-adds for one image; two ResNet-18 at 224 px take 3.6e9
 MAX_NODES = 2000  # two ResNet-18 have about 140
 MAX_TREE_DEPTH = 128
-IR_VERSION = 9
+IR_VERSIONS = range(8, 12)
 OPSETS: Mapping[str, int] = {"": 18, TREES_DOMAIN: 3}
 BYTES_PER_ELEMENT = 8
 BATCHES = (2, 3)  # sizes of batch for which shapes are inferred; what does not scale with them is refused
@@ -103,7 +103,7 @@ def _check_versions(model: Any) -> None:
             raise refuse("domain", f"it has operators of {domain[:60]!r}")
         if version != OPSETS[domain]:
             raise refuse("opset", f"it is of opset {version} of {domain or 'ONNX'}")
-    if not versions or len(dict(versions)) < len(versions) or model.ir_version != IR_VERSION:
+    if not versions or len(dict(versions)) < len(versions) or model.ir_version not in IR_VERSIONS:
         raise refuse("opset", f"it states no opset, states one twice, or is of IR version {model.ir_version}")
 
 
