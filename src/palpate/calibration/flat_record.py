@@ -16,7 +16,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from palpate.core import CertificateError, ndarray, new_file, storage_errors
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser, read_arrays
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.version import __version__
 
 FORMAT = 1

@@ -19,8 +19,9 @@ from palpate.calibration.confounds.deciding_pixels import (
     rows_of_fold,
 )
 from palpate.core import Indices, PalpateError, Progress, Values, new_file
+from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.errors import CertificateError
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser
+from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup

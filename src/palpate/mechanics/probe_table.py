@@ -24,8 +24,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from palpate.core import Float, Int, Pose, Probe, RangeError, ndarray
+from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.errors import InputError
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser
+from palpate.core.parsing import parser
 
 FOLDER = resources.files("palpate.mechanics") / "tables"
 SAME = 1e-6  # relative: two lengths that differ by rounding only

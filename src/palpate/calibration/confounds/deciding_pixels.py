@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import Float, Float32, Indices, Progress, new_file, silent
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
 from palpate.core.errors import CertificateError
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 MAP_FILE = "deciding-pixels.npy"

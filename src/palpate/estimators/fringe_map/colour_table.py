@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import Bool, Float, InputError, PathText, RangeError, ndarray, new_file
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.parsing import parser
 from palpate.estimators.fringe_light import Polariscope
 from palpate.mechanics.disc_stress import disc_difference
 from palpate.recordings import read_labels

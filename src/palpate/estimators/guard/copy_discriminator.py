@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import CertificateError, Float
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser, read_arrays
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.guard.novelty import Prepared, thumbnail
 
 

@@ -29,7 +29,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser, read_arrays
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.guard.channel_order import channels_exchanged, colour_size
 from palpate.estimators.guard.guard_features import frame_features
 from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict

@@ -24,7 +24,8 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
-from palpate.core.parsing import parser, read_arrays
+from palpate.core.array_files import read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.symmetry import RotationalSymmetry

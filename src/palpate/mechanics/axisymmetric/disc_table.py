@@ -22,7 +22,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, RangeError, ndarray
-from palpate.core.parsing import MAX_ARRAY_BYTES, parser
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.parsing import parser
 
 SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
 MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio

@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import LabelError, storage_errors
-from palpate.core.parsing import arrays_of, parser
+from palpate.core.array_files import arrays_of
+from palpate.core.parsing import parser
 from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES
 from palpate.recordings.label_tables import (
     MAX_CELLS,
