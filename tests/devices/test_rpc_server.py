@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -16,9 +17,10 @@ from typing import Any
 import pytest
 
 from palpate.core import DeviceError
-from palpate.devices.rpc import Address, encode_message, publish, running
+from palpate.devices.rpc import Address, decode_message, encode_message, publish, running
+from palpate.devices.rpc_admission import AUTH_S, MAX_TOKEN_BYTES, MAX_UNAUTHENTICATED
 from palpate.devices.rpc_client import RpcClient
-from palpate.devices.rpc_server import ANSWERED_S, RpcServer
+from palpate.devices.rpc_server import ANSWERED_S, MAX_CLIENTS, RpcServer
 
 ENDED_S = 0.05
 
@@ -76,3 +78,116 @@ def test_processes_that_run_are_named_by_their_prefix_and_those_that_are_gone_ar
         publish(Address(name, 1, "token", pid), tmp_path)
     (tmp_path / "devices-broken.json").write_text("[]")
     assert running("live ", tmp_path) == ["live a", "live b"]
+
+
+SILENT = 2000
+STOPPED_S = 0.5  # on a machine that does other work as well; 1 to 5 ms when idle
+
+
+@contextmanager
+def silent_sockets(port: int, count: int) -> Iterator[list[socket.socket]]:
+    """Connections that send nothing."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = count + MAX_UNAUTHENTICATED + 500
+    if soft < wanted:
+        if hard < wanted:
+            pytest.skip(f"{wanted} open files are needed, {hard} are permitted")
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    opened: list[socket.socket] = []
+    try:
+        opened.extend(socket.create_connection(("127.0.0.1", port), 5.0) for _ in range(count))
+        yield opened
+    finally:
+        for one in opened:
+            one.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None:
+    server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
+    publish(Address("one", server.port, server.token, os.getpid()), tmp_path)
+    with closing(server), silent_sockets(server.port, SILENT) as waiting:
+        begun_s = time.monotonic()
+        with RpcClient("one", tmp_path) as client:
+            assert client.reached(5.0)
+            assert client.ask("stop") == "stopped"
+        assert time.monotonic() - begun_s < STOPPED_S
+        for one in waiting[: SILENT // 2]:  # evicted long before their deadline
+            one.settimeout(1.0)
+            assert one.recv(1) == b""
+
+
+def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) -> None:
+    """Each of 50 clients, which send the token in two parts, between 100 new silent sockets each."""
+    server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
+    token = encode_message({"token": server.token, "id": 0})
+    ended = threading.Event()
+
+    def flood() -> None:
+        kept: list[socket.socket] = []
+        while not ended.is_set():
+            kept.append(socket.create_connection(("127.0.0.1", server.port), 5.0))
+            if len(kept) > 200:
+                kept.pop(0).close()
+        for one in kept:
+            one.close()
+
+    flooding = threading.Thread(target=flood)
+    with closing(server):
+        flooding.start()
+        try:
+            for _ in range(50):
+                with socket.create_connection(("127.0.0.1", server.port), 5.0) as one:
+                    one.sendall(token + encode_message({"id": 1, "do": "stop"}))
+                    lines = one.makefile("rb")
+                    assert decode_message(lines.readline())["ok"]
+                    answers = (decode_message(line) for line in lines)
+                    assert next(a for a in answers if "push" not in a)["result"] == "stopped"
+        finally:
+            ended.set()
+            flooding.join()
+
+
+def test_a_silent_socket_has_no_thread_and_no_slot_and_ends_at_its_deadline() -> None:
+    server = RpcServer("one", status, lambda after: None, {}, {})
+    with closing(server):
+        threads = threading.active_count()
+        with silent_sockets(server.port, MAX_UNAUTHENTICATED) as waiting:
+            begun_s = time.monotonic()
+            waiting[-1].settimeout(AUTH_S + 3.0)
+            assert threading.active_count() <= threads
+            assert waiting[-1].recv(1) == b""
+            assert AUTH_S - 0.5 < time.monotonic() - begun_s < AUTH_S + 2.0
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        (b'{"token": "guess", "id": 0}\n', "rpc-token"),
+        (b"x" * (MAX_TOKEN_BYTES + 1), "rpc-token"),
+        (b"no JSON\n", "protocol"),
+    ],
+)
+def test_a_first_line_without_the_token_is_refused_by_code(line: bytes, code: str) -> None:
+    server = RpcServer("one", status, lambda after: None, {}, {})
+    with closing(server), socket.create_connection(("127.0.0.1", server.port), 5.0) as stranger:
+        stranger.sendall(line)
+        answer = decode_message(stranger.makefile("rb").readline())
+        assert (answer["ok"], answer["code"]) == (False, code)
+
+
+def test_an_authenticated_client_beyond_the_limit_is_refused_by_code_and_the_others_go_on() -> None:
+    server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
+    token = encode_message({"token": server.token, "id": 0})
+    with closing(server):
+        clients = [socket.create_connection(("127.0.0.1", server.port), 5.0) for _ in range(MAX_CLIENTS + 1)]
+        try:
+            answers = []
+            for one in clients:
+                one.sendall(token)
+                answers.append(decode_message(one.makefile("rb").readline()))
+            assert all(answer["ok"] for answer in answers[:MAX_CLIENTS])
+            assert (answers[-1]["ok"], answers[-1]["code"]) == (False, "rpc-clients")
+        finally:
+            for one in clients:
+                one.close()

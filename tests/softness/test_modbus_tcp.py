@@ -79,7 +79,7 @@ def test_an_exception_is_named_and_the_connection_goes_on(code: int, meaning: st
     with client(server) as modbus:
         with pytest.raises(ModbusError, match=f"register 61600: exception {code}.*{meaning}") as raised:
             modbus.read(61600, 2)
-        assert raised.value.code == code
+        assert raised.value.exception_code == code
         assert modbus.read(5, 1) == b"\0\7"
     server.close()
 

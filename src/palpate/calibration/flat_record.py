@@ -16,6 +16,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from palpate.core import CertificateError, ndarray, new_file, storage_errors
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.version import __version__
 
 FORMAT = 1
@@ -41,6 +43,7 @@ def save_record(record: Any, path: Path) -> None:
         np.savez_compressed(file, **flat_arrays(record), format=np.array(FORMAT))  # type: ignore[arg-type]
 
 
+@parser("calibration record", CertificateError, max_bytes=MAX_ARRAY_BYTES)
 def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
     """Read what `save_record` wrote; nothing in it is run.
 
@@ -55,9 +58,8 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
         StorageError: it cannot be read.
     """
     try:
-        # opened here, since numpy leaves a damaged file open
-        with storage_errors(path), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            data = dict(archive)
+        with storage_errors(path):
+            data = read_arrays(path)
         if (layout := int(data.pop("format"))) != FORMAT:
             raise CertificateError(
                 f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "

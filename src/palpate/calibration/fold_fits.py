@@ -19,6 +19,9 @@ from palpate.calibration.confounds.deciding_pixels import (
     rows_of_fold,
 )
 from palpate.core import Indices, PalpateError, Progress, Values, new_file
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.errors import CertificateError
+from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.networks import MODELS, make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
@@ -192,6 +195,7 @@ def passed_errors(plan: CalibrationPlan) -> type[Exception]:
     return Exception if plan.model in MODELS else PalpateError
 
 
+@parser("fold checkpoint", CertificateError, max_bytes=MAX_ARRAY_BYTES)
 def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:
     """A fold's predictions as an interrupted run kept them; None where they are missing or damaged."""
     try:

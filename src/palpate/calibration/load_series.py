@@ -25,6 +25,7 @@ from palpate.core import (
     split_column,
     unit,
 )
+from palpate.core.parsing import parser
 from palpate.estimators.fringe_order import check_loads
 from palpate.optics.colour import Tone, linear_light
 from palpate.recordings import read_image, read_labels
@@ -69,6 +70,7 @@ class Series:
     remarks: tuple[str, ...]
 
 
+@parser("load series", InputError)
 def read_series(
     folder: Path,
     labels: Path,

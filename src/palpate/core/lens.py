@@ -21,6 +21,7 @@ from numpy import ndarray
 
 from palpate.core.errors import ImageError, InputError
 from palpate.core.files import PathText, new_file
+from palpate.core.parsing import parser
 from palpate.core.shapes import Float
 
 SCHEMA = "palpate-lens/1"
@@ -190,6 +191,7 @@ class Lens:
         return {"schema": SCHEMA, "id": self.id, **self._numbers()}
 
     @classmethod
+    @parser("lens card", InputError)
     def from_card(cls, card: Any, where: str = "lens") -> Lens:
         """The lens of a lens file's content; what else stands in it is passed over.
 
@@ -238,6 +240,7 @@ class Lens:
             building.write_text(json.dumps(self.card(), indent=1) + "\n", encoding="utf-8")
 
     @classmethod
+    @parser("lens file", InputError, max_bytes=MAX_LENS_BYTES)
     def read(cls, path: PathText) -> Lens:
         """Read a lens file.
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from palpate.core import InputError, Position, storage_errors
+from palpate.core.parsing import parser
 
 MM = 1e-3
 Three = tuple[float, float, float]
@@ -81,6 +82,7 @@ def metres(mm: Three) -> Position:
     return x, y, z
 
 
+@parser("TOML file", InputError, max_bytes=MAX_BYTES)
 def read_toml(path: Path) -> dict[str, Any]:
     """The fields of a file that people write; of its first MiB.
 

@@ -133,7 +133,7 @@ class RpcClient(Closing):
         if reply is None:
             raise DeviceError(f"the process of {self.name} did not answer to {do!r}")
         if not reply["ok"]:
-            raise _error(str(reply["kind"]), str(reply["error"]))
+            raise _error(str(reply["kind"]), str(reply["error"]), str(reply.get("code") or ""))
         self._after = max(self._after, int(reply["serial"]))
         return reply["result"]
 
@@ -199,12 +199,12 @@ class RpcClient(Closing):
             answer.put(None)
 
 
-def _error(kind: str, message: str) -> PalpateError:
+def _error(kind: str, message: str, code: str) -> PalpateError:
     """Make the error that was raised in the process, or the nearest of its family."""
     family = getattr(errors, "SafetyError" if kind == "Tripped" else kind, None)
     if isinstance(family, type) and issubclass(family, PalpateError):
-        return family(message)
-    return DeviceError(f"the process failed: {kind}: {message}")
+        return family(message, code=code)
+    return DeviceError(f"the process failed: {kind}: {message}", code=code)
 
 
 START_S = 120.0  # a virtual rig's first start compiles

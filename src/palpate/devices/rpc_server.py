@@ -18,8 +18,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from palpate.core import InputError, PalpateError, ProtocolError
+from palpate.core import DeviceError, InputError, PalpateError, ProtocolError
 from palpate.devices.rpc import ASKED_BYTES, Lines, decode_message, encode_message
+from palpate.devices.rpc_admission import MAX_TOKEN_BYTES, Admission
 
 MAX_REPLIES = 1000  # that a client may leave unread
 
@@ -87,8 +88,7 @@ class Outbox:
 HOST = "127.0.0.1"
 TOLD_S = 0.2  # between two pushes
 ANSWERED_S = 0.5  # in which a client that is let go of takes its last answers
-AUTH_S = 5.0  # in which a client says the token
-MAX_CLIENTS = 32
+MAX_CLIENTS = 32  # authenticated connections
 MAX_WAITING = 8  # slow requests of one client
 CHUNK = 65_536
 
@@ -129,8 +129,9 @@ class RpcServer:
         self._lock = threading.Lock()
         self._clients: set[_Connection] = set()
         self.serial = 0
-        for work in (self._accept, self._tell):
-            threading.Thread(target=work, name=f"palpate-rpc{work.__name__}", daemon=True).start()
+        admission = Admission(self._socket, self._admit, self._too_long)
+        for name, work in (("admission", admission.run), ("tell", self._tell)):
+            threading.Thread(target=work, name=f"palpate-rpc-{name}", daemon=True).start()
 
     def close(self) -> None:
         """Let go of every client, after what it asked last has been answered; the service goes on."""
@@ -159,25 +160,46 @@ class RpcServer:
         """Count those that stay when this one leaves; of all that leave at once, the last is told 0."""
         with self._lock:
             leaver.leaves = True
-            return sum(client.admitted and not client.leaves for client in self._clients)
+            return sum(not client.leaves for client in self._clients)
 
     def _all(self) -> list[_Connection]:
         with self._lock:
             return list(self._clients)
 
-    def _accept(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._socket.accept()
-            except OSError:
-                return
-            if len(self._all()) >= MAX_CLIENTS:
-                connection.close()
-                continue
-            client = _Connection(self, connection)
+    def _admit(self, connection: socket.socket, line: bytes, rest: bytes) -> None:
+        """Give a connection slot to a connection whose first line holds the token."""
+        request: dict[str, Any] = {}
+        try:
+            request = decode_message(line)
+            self._check_token(request)
             with self._lock:
+                if len(self._clients) >= MAX_CLIENTS:
+                    raise DeviceError(
+                        f"{MAX_CLIENTS} clients are connected, which is the limit. Close one.",
+                        code="rpc-clients",
+                    )
+                client = _Connection(self, connection)
                 self._clients.add(client)
-            client.begin()
+        except PalpateError as e:
+            _close_with(connection, encode_message(_refusal(request, e)))
+            return
+        client.begin(request, rest)
+        self.nudge()
+
+    def _check_token(self, request: Mapping[str, Any]) -> None:
+        token = request.get("token")
+        right = self.token.encode()
+        if not isinstance(token, str) or not hmac.compare_digest(token.encode("utf-8", "replace"), right):
+            raise ProtocolError(
+                "say the token first, as in {'token': ...}; it is in the process's address file",
+                code="rpc-token",
+            )
+
+    def _too_long(self, connection: socket.socket) -> None:
+        error = ProtocolError(
+            f"the first line has more than {MAX_TOKEN_BYTES} bytes; say the token first", code="rpc-token"
+        )
+        _close_with(connection, encode_message(_refusal({}, error)))
 
     def _tell(self) -> None:
         latest = -1
@@ -193,7 +215,7 @@ class RpcServer:
 
     def _tell_all(self, latest: int) -> int:
         """Push the status, and a picture where there is one newer than that number; the newest's number."""
-        watching = [client.outbox for client in self._all() if client.admitted]
+        watching = [client.outbox for client in self._all()]
         if not watching:
             return latest
         self.serial += 1  # before it is looked at: what was done by then is in it
@@ -211,21 +233,24 @@ class RpcServer:
 
 
 class _Connection:
-    """One connection."""
+    """One authenticated connection."""
 
     def __init__(self, server: RpcServer, connection: socket.socket) -> None:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.settimeout(AUTH_S)
+        with contextlib.suppress(OSError):  # it has gone already, which the reading thread finds
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(True)
         self._server = server
         self._socket = connection
         self.outbox = Outbox(connection, self.drop)
-        self.admitted = False
         self.leaves = False
         self._waiting = threading.Semaphore(MAX_WAITING)
         self._turn = threading.Lock()
 
-    def begin(self) -> None:
-        threading.Thread(target=self._read, name="palpate-rpc-client", daemon=True).start()
+    def begin(self, request: Mapping[str, Any], rest: bytes) -> None:
+        """Answer the request that held the token, then the lines in `rest` and those that follow."""
+        self._reply(request, {"rig": self._server.name})
+        work = threading.Thread(target=self._read, args=(rest,), name="palpate-rpc-client", daemon=True)
+        work.start()
 
     def drop(self) -> None:
         with contextlib.suppress(OSError):
@@ -236,48 +261,30 @@ class _Connection:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RD)
 
-    def _read(self) -> None:
-        lines, late_s = Lines(ASKED_BYTES), time.monotonic() + AUTH_S
+    def _read(self, data: bytes) -> None:
+        lines = Lines(ASKED_BYTES)
         try:
-            while data := self._socket.recv(CHUNK):
-                if not self.admitted and time.monotonic() > late_s:
-                    return
+            while True:
                 for line in lines.feed(data):
-                    if not self._take(line):
-                        return
+                    self._take(line)
+                data = self._socket.recv(CHUNK)
+                if not data:
+                    return
         except OSError:
-            return  # it has gone, or never said the token
+            return  # it has gone
         finally:
             self._server.forget(self)
             self.outbox.close()  # sends what waits, then lets go of the socket
 
-    def _take(self, line: bytes | None) -> bool:
-        """One line; False where the connection ends with it."""
+    def _take(self, line: bytes | None) -> None:
         request: dict[str, Any] = {}
         try:
             if line is None:
                 raise ProtocolError(f"a line longer than {ASKED_BYTES} bytes; send shorter ones")
             request = decode_message(line)
-            if not self.admitted:
-                self._admit(request)
-                self._reply(request, {"rig": self._server.name})
-                self.admitted = True
-                self._server.nudge()
-                return True
             self._do(request)
         except PalpateError as e:
             self._refuse(request, e)
-            return self.admitted
-        return True
-
-    def _admit(self, request: Mapping[str, Any]) -> None:
-        token = request.get("token")
-        right = self._server.token.encode()
-        if not isinstance(token, str) or not hmac.compare_digest(token.encode("utf-8", "replace"), right):
-            raise ProtocolError(
-                "say the token first, as in {'token': ...}; it is in the process's address file"
-            )
-        self._socket.settimeout(None)
 
     def _do(self, request: Mapping[str, Any]) -> None:
         name = request.get("do")
@@ -314,8 +321,20 @@ class _Connection:
         self.outbox.reply(reply)
 
     def _refuse(self, request: Mapping[str, Any], error: Exception) -> None:
-        reply = {"id": _id(request), "ok": False, "kind": type(error).__name__, "error": str(error)}
-        self.outbox.reply(reply)
+        self.outbox.reply(_refusal(request, error))
+
+
+def _refusal(request: Mapping[str, Any], error: Exception) -> dict[str, Any]:
+    code = error.code if isinstance(error, PalpateError) else "internal"
+    kind = type(error).__name__
+    return {"id": _id(request), "ok": False, "kind": kind, "code": code, "error": str(error)}
+
+
+def _close_with(connection: socket.socket, line: bytes) -> None:
+    """Send one short line without waiting, and close the connection."""
+    with connection, contextlib.suppress(OSError):
+        connection.send(line)
+        connection.shutdown(socket.SHUT_WR)
 
 
 def _id(request: Mapping[str, Any]) -> int | None:

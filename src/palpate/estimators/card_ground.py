@@ -11,6 +11,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer
 
 from palpate.core import CertificateError
+from palpate.core.parsing import parser
 from palpate.recordings.manifest import NOT_MEASURED
 from palpate.version import needed_version
 
@@ -69,6 +70,7 @@ class SealedCard(CardPart):
 S = TypeVar("S", bound=SealedCard)
 
 
+@parser("sealed card", CertificateError)
 def sealed_from(kind: type[S], text: bytes, path: Path, own_format: str, what: str, remedy: str) -> S:
     """Read a sealed document.
 
@@ -87,10 +89,15 @@ def sealed_from(kind: type[S], text: bytes, path: Path, own_format: str, what: s
         found = kind.model_validate_json(text)
     except ValidationError as e:
         if version := needed_version(text, own_format):
-            raise CertificateError(f"{path} {version}") from e
+            raise CertificateError(f"{path} {version}", code="card-version") from e
         first = e.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the text"
-        raise CertificateError(f"{path} cannot be read as {what}: {where}: {first['msg']}; {remedy}") from e
+        raise CertificateError(
+            f"{path} cannot be read as {what}: {where}: {first['msg']}; {remedy}", code="card-damaged"
+        ) from e
     if card_id(found.model_dump(mode="json")) != found.id:
-        raise CertificateError(f"{path} was altered: its content no longer gives its id {found.id}; {remedy}")
+        raise CertificateError(
+            f"{path} was altered: its content no longer gives its id {found.id}; {remedy}",
+            code="card-altered",
+        )
     return found

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 import onnxruntime
-from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 
 from palpate.core import (
     CertificateError,
@@ -28,14 +25,16 @@ from palpate.core import (
     PathText,
     Reading,
     Readings,
-    StorageError,
     Tensor,
     VectorReading,
     half_width_text,
     rounded,
     sha256_of,
+    storage_errors,
     unit,
 )
+from palpate.core.parsing import parser
+from palpate.estimators.admission import admit_model
 from palpate.estimators.card_ground import FileCard, sealed_from
 from palpate.estimators.class_sets import class_count, class_readings
 from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector, Verdict
@@ -52,6 +51,7 @@ MAX_MODEL_BYTES = 1_000_000_000
 PreparedFloat = Float32[np.ndarray, "h w c"]
 
 
+@parser("calibration card", CertificateError)
 def read_card(folder: PathText) -> Card:
     """Read and check a calibration's card.
 
@@ -60,11 +60,18 @@ def read_card(folder: PathText) -> Card:
     """
     path = Path(folder) / CARD_FILE
     if not path.parent.exists():
-        raise CertificateError(f"there is no {folder} here; name a calibration's folder, or a session's")
+        raise CertificateError(
+            f"there is no {folder} here; name a calibration's folder, or a session's", code="card-missing"
+        )
     if not path.is_file():
-        raise CertificateError(f"{folder} is not a calibration: it has no {CARD_FILE}; {_meant(path.parent)}")
+        raise CertificateError(
+            f"{folder} is not a calibration: it has no {CARD_FILE}; {_meant(path.parent)}",
+            code="card-missing",
+        )
     if path.stat().st_size > MAX_CARD_BYTES:
-        raise CertificateError(f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is")
+        raise CertificateError(
+            f"{path} is larger than {MAX_CARD_BYTES} bytes; a card never is", code="file-size"
+        )
     text = path.read_bytes()
     return sealed_from(Card, text, path, FORMAT, "a card", "restore it or calibrate again")
 
@@ -86,11 +93,14 @@ def checked_file(folder: Path, part: FileCard) -> Path:
     """
     path = folder / part.file
     if path.is_symlink() or not path.is_file():
-        raise CertificateError(f"{path} is missing or a link; restore the folder or calibrate again")
+        raise CertificateError(
+            f"{path} is missing or a link; restore the folder or calibrate again", code="file-missing"
+        )
     if path.stat().st_size > MAX_MODEL_BYTES or sha256_of(path) != part.sha256:
         raise CertificateError(
             f"{path} is not the file this card was made with (its SHA-256 differs); "
-            "restore it or calibrate again"
+            "restore it or calibrate again",
+            code="file-hash",
         )
     return path
 
@@ -144,6 +154,7 @@ class Estimator:
         self._layout = layout_of(card)
 
     @classmethod
+    @parser("calibration", CertificateError)
     def open(cls, folder: PathText, *, threads: int = 0) -> Estimator:
         """Open a calibration folder, checking every part against the card.
 
@@ -172,8 +183,12 @@ class Estimator:
 
         They are the estimates in the targets' units, but that a circular target is its cosine and its sine.
         Those for classes stand behind them.
+
+        Raises:
+            CertificateError: the runtime failed, with the code ``onnx-runtime``.
         """
-        (value,) = self._session.run(["value"], {"image": inputs})
+        with _runtime_errors(f"the model in {self.folder} cannot read this image"):
+            (value,) = self._session.run(["value"], {"image": inputs})
         return np.asarray(value, dtype=np.float64)
 
     def read(self, frame: Frame | Image, zero: Zero | None = None) -> Readings:
@@ -387,100 +402,26 @@ def _copy_reason(card: Card) -> str:
 
 
 def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:
-    """An inference session over a model that keeps to its card and to its own bytes."""
-    try:
+    """An inference session over a model that is admitted and fits its card."""
+    with storage_errors(path):
         model = path.read_bytes()
-        refuse_other_files(model, str(path))
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.log_severity_level = 3
-        # Threads that spin while idle take the cores from the novelty detector: asleep, they halve the 95th
-        # percentile of a frame's latency on two cores.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    outputs = layout_of(card).outputs + class_count(card.classes)
+    admit_model(model, str(path), (card.input.channels, *card.input.size_px), outputs)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    # Threads that spin while idle take the cores from the novelty detector: asleep, they halve the 95th
+    # percentile of a frame's latency on two cores.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    with _runtime_errors(f"{path} is not a model that can be run"):
         # From bytes, so that nothing beside the file can be drawn in.
-        session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    except (CertificateError, StorageError):
-        raise
-    except Exception as e:  # protobuf and onnxruntime raise many kinds of their own
-        raise CertificateError(f"{path} is not a model that can be run ({e}); calibrate again") from e
-    _check_shapes(session, card, path)
-    return session
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
 
 
-def _check_shapes(session: onnxruntime.InferenceSession, card: Card, path: Path) -> None:
-    inputs = {i.name: i.shape[1:] for i in session.get_inputs()}
-    outputs = {o.name: o.shape[1:] for o in session.get_outputs()}
-    wanted_in = {"image": [card.input.channels, *card.input.size_px]}
-    wanted_out = {"value": [layout_of(card).outputs + class_count(card.classes)]}
-    if inputs != wanted_in or outputs != wanted_out:
-        raise CertificateError(
-            f"{path} takes {inputs} and gives {outputs}, its card says {wanted_in} and {wanted_out}; "
-            "model and card do not belong together"
-        )
-
-
-EXTERNAL = 1  # of TensorProto.DataLocation
-
-# Sensing needs to know one thing of a model's bytes, and without the onnx package: that they hold all of it.
-# The messages are those of ONNX with only the fields that say so; protobuf skips the others. Field numbers
-# are those of onnx.proto, which never change (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
-MESSAGES: dict[str, tuple[tuple[str, int, str], ...]] = {
-    "Model": (("graph", 7, "Graph"),),
-    "Graph": (("node", 1, "*Node"), ("initializer", 5, "*Tensor")),
-    "Node": (("attribute", 5, "*Attribute"),),
-    "Attribute": (("t", 5, "Tensor"), ("g", 6, "Graph"), ("graphs", 11, "*Graph")),
-    "Tensor": (("external_data", 13, "*Entry"), ("data_location", 14, "")),
-    "Entry": (),
-}
-"""Name, number and type of each field: a message, ``*`` for a repeated one, nothing for an integer."""
-
-
-def refuse_other_files(model: bytes, source: str) -> None:
-    """Refuse a model that keeps weights or constants in another file, or has graphs inside its graph.
-
-    Args:
-        model: the bytes of an ONNX file.
-        source: what they came from, for the message.
-
-    Raises:
-        CertificateError: it does.
-        google.protobuf.message.DecodeError: the bytes are no ONNX file.
-    """
-    graph = _model_class().FromString(model).graph
-    if any(_is_external(tensor) for tensor in graph.initializer):
-        raise CertificateError(f"{source} keeps weights in another file, which is refused; export it whole")
-    for attribute in (one for node in graph.node for one in node.attribute):
-        if _is_external(attribute.t):
-            raise CertificateError(f"{source} keeps constants in another file, which is refused")
-        if attribute.HasField("g") or attribute.graphs:
-            raise CertificateError(f"{source} has graphs inside its graph, which palpate never writes")
-
-
-def _is_external(tensor: Any) -> bool:
-    return tensor.data_location == EXTERNAL or bool(tensor.external_data)
-
-
-@cache
-def _model_class() -> Any:
-    """The class of the message `Model`, made from `MESSAGES`."""
-    file = FileDescriptorProto(
-        name="palpate/model_parts.proto",
-        package="palpate",
-        syntax="proto2",
-        message_type=[
-            DescriptorProto(name=name, field=[_field(*field) for field in fields])
-            for name, fields in MESSAGES.items()
-        ],
-    )
-    pool = DescriptorPool()
-    pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName("palpate.Model"))
-
-
-def _field(name: str, number: int, kind: str) -> FieldDescriptorProto:
-    F = FieldDescriptorProto
-    label = F.LABEL_REPEATED if kind.startswith("*") else F.LABEL_OPTIONAL
-    message = kind.removeprefix("*")
-    if not message:
-        return F(name=name, number=number, label=label, type=F.TYPE_INT32)
-    return F(name=name, number=number, label=label, type=F.TYPE_MESSAGE, type_name=f".palpate.{message}")
+@contextmanager
+def _runtime_errors(what: str) -> Iterator[None]:
+    """Turn whatever the ONNX runtime raises into a `CertificateError`."""
+    try:
+        yield
+    except Exception as e:  # onnxruntime raises many kinds of its own, which share no parent
+        raise CertificateError(f"{what} ({e}). Restore it or calibrate again.", code="onnx-runtime") from e

@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 
 from palpate.core import InputError, PathText, plain_name
+from palpate.core.parsing import parser
 
 SESSION_FILE = "start.json"
 """File in which a session keeps its state, with the name of its newest calibration's folder."""
 
 
+@parser("session folder", InputError)
 def calibration_in(folder: PathText) -> Path:
     """The calibration that a folder means: of a session's folder its newest, of any other itself.
 

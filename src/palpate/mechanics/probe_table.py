@@ -24,6 +24,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from palpate.core import Float, Int, Pose, Probe, RangeError, ndarray
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.errors import InputError
+from palpate.core.parsing import parser
 
 FOLDER = resources.files("palpate.mechanics") / "tables"
 SAME = 1e-6  # relative: two lengths that differ by rounding only
@@ -109,6 +112,7 @@ class ProbeTable:
     stress_mode: Int[ndarray, "l 6 m ny nx"]
 
     @classmethod
+    @parser("probe table", InputError, max_bytes=MAX_ARRAY_BYTES)
     def open(cls, path: Path) -> ProbeTable:
         """A table from an .npz file written by `tools/probe_tables.py`."""
         with np.load(path, allow_pickle=False) as file:

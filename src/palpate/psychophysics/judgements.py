@@ -25,6 +25,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
+from palpate.core.parsing import parser
 
 RESPONSES, STIMULI, PARTICIPANT_RECORD = "responses.csv", "stimuli.csv", "participant.json"
 RESPONSE_COLUMNS = (
@@ -206,6 +207,7 @@ def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]
     return tuple(seen.values())
 
 
+@parser("table of judgments", InputError)
 def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Judgement, ...]:
     """The judgements of a table, or of all tables ``*/responses.csv`` in a folder.
 
@@ -235,6 +237,7 @@ def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Ju
     return checked_judgements(judgements)
 
 
+@parser("rehearsal record", InputError)
 def is_rehearsal(folder: Path) -> bool:
     """Whether answers in a folder are simulated: it is called so, or a record or a row of a table says it."""
     records = [folder / PARTICIPANT_RECORD, *sorted(folder.glob(f"*/{PARTICIPANT_RECORD}"))]
@@ -275,6 +278,7 @@ def write_judgements(path: Path, judgements: Iterable[Judgement]) -> None:
     _write(path, RESPONSE_COLUMNS, map(judgement_row, judgements))
 
 
+@parser("table of stimuli", InputError)
 def read_stimuli(path: Path) -> dict[str, Stimulus]:
     """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name.
 

@@ -17,6 +17,7 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
 
 from palpate.core import InputError, LabelError, PathText, UnitError, Values, split_column, storage_errors
+from palpate.core.parsing import parser
 from palpate.recordings.manifest import LabelKind
 from palpate.recordings.table_files import pyarrow_for
 
@@ -71,9 +72,12 @@ def _is_finite_number(value: object) -> bool:
 
 FIRST_ROW = 2  # as a person counts in a spreadsheet: the header is row 1
 _SHOWN = 5
+MAX_LABEL_BYTES = 256 << 20  # of a file
+MAX_CELLS = 20_000_000  # of a table whose encoding can state cells without storing them
 _FLAGS = {"true": True, "false": False}
 
 
+@parser("table of labels", LabelError, max_bytes=MAX_LABEL_BYTES)
 def read_labels(
     path: PathText,
     *,
@@ -411,11 +415,25 @@ def _guessed(cells: Sequence[str]) -> LabelKind:
 def _parquet_columns(path: Path, data: bytes) -> dict[str, pd.Series]:
     pa = pyarrow_for(path)
     try:
-        table = pa.parquet.read_table(pa.BufferReader(data))
+        opened = pa.parquet.ParquetFile(pa.BufferReader(data))
+        _check_cells(opened.metadata, path)
+        table = opened.read()
     except (pa.ArrowException, OSError, ValueError) as e:
         raise LabelError(f"{path} begins as Parquet and cannot be read ({e}); write it again") from e
     check_names(path, table.column_names)
     return {name: _arrow_typed(pa, path, name, table.column(name)) for name in table.column_names}
+
+
+def _check_cells(about: Any, path: Path) -> None:
+    groups = [about.row_group(i) for i in range(about.num_row_groups)]
+    cells = sum(group.column(j).num_values for group in groups for j in range(group.num_columns))
+    unpacked = sum(group.total_byte_size for group in groups)
+    if max(cells, about.num_rows * about.num_columns) > MAX_CELLS or unpacked > MAX_LABEL_BYTES:
+        raise LabelError(
+            f"{path} states {cells} cells in {unpacked} bytes. Up to {MAX_CELLS} cells in {MAX_LABEL_BYTES} "
+            "bytes are read.",
+            code="table-size",
+        )
 
 
 def _arrow_typed(pa: Any, path: Path, name: str, column: Any) -> pd.Series:

@@ -23,6 +23,7 @@ from palpate.core import (
     storage_errors,
     unit,
 )
+from palpate.core.parsing import parser
 from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.version import __version__, needed_version
 
@@ -190,6 +191,7 @@ class StoredManifest:
         return cls(manifest, (manifest.model_dump_json(indent=2, exclude=unused) + "\n").encode())
 
     @classmethod
+    @parser("run manifest", RecordingError)
     def read(cls, run: PathText) -> StoredManifest:
         """The one beside a run's segments; errors as of `Manifest.read`."""
         path = Path(run) / MANIFEST

@@ -25,6 +25,7 @@ from palpate.core import (
     sha256_of,
     storage_errors,
 )
+from palpate.core.parsing import parser
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
 from palpate.recordings.table_files import read_table, write_table
@@ -71,6 +72,7 @@ class PackedSet:
         weakref.finalize(self, os.close, self._handle)
 
     @classmethod
+    @parser("packed set", RecordingError)
     def open(cls, folder: PathText, verify: bool = False) -> PackedSet:
         """Open a packed set.
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from palpate.core import InputError, LabelError, PathText, storage_errors
+from palpate.core.parsing import parser
 
 MAX_FILE_BYTES = 1 << 20
 
@@ -62,6 +63,7 @@ class ReferenceInstrument(BaseModel):
         return day
 
 
+@parser("instrument file", InputError)
 def read_instruments(path: PathText) -> dict[str, ReferenceInstrument]:
     """Reference instruments of label columns, from a file of TOML.
 

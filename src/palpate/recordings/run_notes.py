@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from palpate.core import InputError, PathText, RecordingError, storage_errors
+from palpate.core.parsing import parser
 from palpate.recordings.manifest import MANIFEST
 
 NOTES = "notes.jsonl"
@@ -34,6 +35,7 @@ class RunNote:
     written_utc: str
 
 
+@parser("run notes", RecordingError)
 def read_notes(run: PathText) -> list[RunNote]:
     """Read the notes on a run, in the order of their times; lines that are none are left out.
 

@@ -26,6 +26,7 @@ from palpate.core import (
     RecordingError,
     sha256_of_all,
 )
+from palpate.core.parsing import parser
 from palpate.recordings.label_tables import Label, finite, label_values
 from palpate.recordings.manifest import MANIFEST, LabelKind, StoredManifest
 from palpate.recordings.segments import (
@@ -90,6 +91,7 @@ class Run:
         self._checked = bytearray(len(self._frames))
 
     @classmethod
+    @parser("run", RecordingError)
     def open(cls, path: PathText) -> Run:
         """Open a run, whole or damaged.
 

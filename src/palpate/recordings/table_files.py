@@ -16,6 +16,7 @@ from typing import Any
 import pandas as pd
 
 from palpate.core import InputError, MissingExtraError
+from palpate.core.parsing import parser
 
 MAX_TABLE_BYTES = 1 << 30
 """Of a table, unpacked; a file that unpacks to more is refused before it takes the memory."""
@@ -44,6 +45,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
         packed.writelines(map(_line, zip(*columns, strict=True)))
 
 
+@parser("stored table", InputError, max_bytes=MAX_TABLE_BYTES)
 def read_table(path: Path) -> pd.DataFrame:
     """Read what `write_table` wrote, or a Parquet file; which of the two is told by content.
 

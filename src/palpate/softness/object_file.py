@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import InputError, UnitError, storage_errors
+from palpate.core.parsing import parser
 from palpate.softness.characteristics import Characteristic, Cue, SoftObject, hertz_object, polynomial
 from palpate.softness.object_fields import BODY, body_of, number, numbers, only, table_of
 from palpate.softness.pressed_bodies import UNDER, fingertip_press, specimen_press
@@ -48,6 +49,7 @@ MAX_BYTES = 1 << 20
 GIVES = f"give [force_area] and [force_displacement], or one of {', '.join(f'[{one}]' for one in WHOLE)}"
 
 
+@parser("soft object", InputError)
 def read_object(path: Path) -> SoftObject:
     """Read an object's file.
 

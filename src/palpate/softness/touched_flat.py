@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from palpate.core import Float, InputError, RangeError, UnitError, ndarray, storage_errors
+from palpate.core.parsing import parser
 from palpate.softness.specimens import bonded_disc_n_m
 
 Ends = Literal["bonded", "free"]
@@ -115,6 +116,7 @@ class TouchedFlat:
         return self.at(np.clip(share, beyond, 1 - beyond))
 
 
+@parser("touched flat", InputError)
 def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) -> TouchedFlat:
     """A flat from a record of `palpate compliance`.
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.core import InputError, RecordingError, plain_name, storage_errors
+from palpate.core.parsing import parser
 from palpate.estimators.session_folder import SESSION_FILE
 
 STEPS = ("camera", "settings", "untouched", "collect", "train", "live")
@@ -48,6 +49,7 @@ class StartState:
     trained: dict[str, Any] = field(default_factory=dict)
 
 
+@parser("session state", InputError)
 def read_state(folder: Path) -> StartState:
     """State that a session's folder keeps; that of a new session where it keeps none.
 

@@ -31,6 +31,7 @@ from palpate.core import (
     silent,
     storage_errors,
 )
+from palpate.core.parsing import parser
 from palpate.estimators.compliance.press_latency import (
     COVERAGE,
     MIN_RATIO,
@@ -80,6 +81,7 @@ class CameraLatency:
             )
 
     @classmethod
+    @parser("latency file", InputError)
     def load(cls, path: Path) -> CameraLatency:
         """Read what `measure_latency` wrote.
 

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import Float, Float32, Indices, Progress, new_file, silent
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.errors import CertificateError
+from palpate.core.parsing import parser
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 MAP_FILE = "deciding-pixels.npy"
@@ -56,11 +59,12 @@ class DecidingPixels:
             np.savez(file, increase=self.increase, rows=self.rows)
 
     @classmethod
+    @parser("saliency map", CertificateError, max_bytes=MAX_ARRAY_BYTES)
     def kept(cls, path: Path) -> DecidingPixels | None:
         """A fold's map as an interrupted run kept it; None where it is missing or damaged."""
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(np.asarray(file["increase"], np.float64), int(file["rows"]))
+            arrays = read_arrays(path)
+            return cls(np.asarray(arrays["increase"], np.float64), int(arrays["rows"]))
         except Exception:  # numpy raises many kinds over damaged bytes
             return None
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from palpate.core import CertificateError, PathText, new_file, storage_errors
+from palpate.core.parsing import parser
 from palpate.estimators.card_ground import SealedCard, card_id, sealed_from
 from palpate.estimators.certified import read_card
 from palpate.estimators.finding_cards import ValidScoreCard
@@ -155,6 +156,7 @@ def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
     return record.model_copy(update={"id": card_id(record.model_dump(mode="json"))})
 
 
+@parser("evaluation record", CertificateError)
 def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
     """Read and check one evaluation.
 

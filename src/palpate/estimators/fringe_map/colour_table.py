@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import Bool, Float, InputError, PathText, RangeError, ndarray, new_file
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.parsing import parser
 from palpate.estimators.fringe_light import Polariscope
 from palpate.mechanics.disc_stress import disc_difference
 from palpate.recordings import read_labels
@@ -151,6 +153,7 @@ def measured_table(
     return ColourTable(table, source, float(error.max()))
 
 
+@parser("color table", InputError, max_bytes=MAX_ARRAY_BYTES)
 def read_table(path: PathText) -> ColourTable:
     """Read a table from CSV with the columns order, red, green and blue, and perhaps error.
 

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import CertificateError, Float
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.guard.novelty import Prepared, thumbnail
 
 
@@ -44,6 +46,7 @@ class CopyDiscriminator:
         np.savez_compressed(path, axis=self.axis, offset=self.offset, limit=self.limit)
 
     @classmethod
+    @parser("copy discriminator", CertificateError, max_bytes=MAX_ARRAY_BYTES)
     def load(cls, path: Path, size: int) -> CopyDiscriminator:
         """Read what `save` wrote.
 
@@ -55,8 +58,8 @@ class CopyDiscriminator:
             CertificateError: it is no such file, or of thumbnails of another size.
         """
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                axis, offset, limit = (np.asarray(archive[name]) for name in ("axis", "offset", "limit"))
+            arrays = read_arrays(path)
+            axis, offset, limit = (arrays[name] for name in ("axis", "offset", "limit"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(f"{path} tells no copies apart ({e}); adapt again") from e
         numbers = np.concatenate([axis.ravel(), offset.ravel(), limit.ravel()])

@@ -29,6 +29,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.guard.channel_order import channels_exchanged, colour_size
 from palpate.estimators.guard.guard_features import frame_features
 from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
@@ -379,6 +381,7 @@ class NoveltyDetector:
         np.savez_compressed(path, **(parts | changes))  # type: ignore[arg-type]
 
     @classmethod
+    @parser("novelty guard", CertificateError, max_bytes=MAX_ARRAY_BYTES)
     def load(cls, path: Path) -> NoveltyDetector:
         """Read a detector that `save` wrote.
 
@@ -386,16 +389,17 @@ class NoveltyDetector:
             CertificateError: the file is not one, or of the kind before decision 0010.
         """
         try:
-            # Opened here, since numpy leaves a file that is no archive to the garbage collector.
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                parts = dict(archive)
+            parts = read_arrays(path)
             _check(path, parts)
             neighbours = NeighbourModel(parts["thumbs"], parts["left"], parts["centre"], parts["axes"])
             reference = parts["reference"] if parts["reference"].size else None
             spread, limit = (float(v) for v in parts["drift"])
             changes = KnownChanges.of_arrays(parts)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
-            raise CertificateError(f"{path} is not a guard that palpate wrote ({e}); calibrate again") from e
+            raise CertificateError(
+                f"{path} is not a guard that palpate wrote ({e}); calibrate again",
+                code=getattr(e, "code", "file-damaged"),
+            ) from e
         _ = neighbours.squares  # so that the first frame does not wait for them
         return cls(neighbours, parts["limits"], reference, spread, limit, changes)
 

@@ -20,6 +20,7 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, ImageError, InputError, PathText, RangeError, Shaped, ndarray
+from palpate.core.parsing import parser
 from palpate.estimators.lattice.control_points import ControlPoints
 from palpate.estimators.lattice.lattice_growth import LatticeKind, grow_lattices
 from palpate.estimators.lattice.lattice_identity import named_as
@@ -94,6 +95,7 @@ class DottedSkin:
         return np.array(middle) + away * (np.tan(bounded) / np.maximum(bounded, 1e-9))[:, None]
 
 
+@parser("skin file", InputError)
 def read_skin(path: PathText) -> DottedSkin:
     """A skin's description from a JSON or TOML file, whose keys are those of `DottedSkin`.
 

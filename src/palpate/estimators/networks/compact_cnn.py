@@ -24,6 +24,8 @@ from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.core.array_files import read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.symmetry import RotationalSymmetry
@@ -315,10 +317,10 @@ def write_checkpoint(
     Path(file.name).replace(path)
 
 
+@parser("training checkpoint", InputError, max_bytes=1 << 30)
 def read_checkpoint(path: Path) -> dict[str, torch.Tensor]:
     """All arrays of a checkpoint."""
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        return {name: torch.from_numpy(np.array(value)) for name, value in archive.items()}
+    return {name: torch.from_numpy(value) for name, value in read_arrays(path, max_bytes=1 << 30).items()}
 
 
 def checkpoint_part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:

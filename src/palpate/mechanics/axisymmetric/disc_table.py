@@ -22,6 +22,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, RangeError, ndarray
+from palpate.core.array_files import MAX_ARRAY_BYTES
+from palpate.core.parsing import parser
 
 SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
 MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio
@@ -118,6 +120,7 @@ class DiscTable:
         return _loaded(cls, name)  # type: ignore[arg-type]  # mypy takes no class for hashable
 
     @classmethod
+    @parser("disc table", InputError, max_bytes=MAX_ARRAY_BYTES)
     def open(cls: type[AnyTable], path: Path) -> AnyTable:
         """A table from an .npz file written by `tools/press_tables.py` or `tools/punch_tables.py`."""
         with np.load(path, allow_pickle=False) as file:

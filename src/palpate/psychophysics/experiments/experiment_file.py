@@ -41,6 +41,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from palpate.core import InputError, LabelError, sha256_of
+from palpate.core.parsing import parser
 from palpate.devices.file_fields import Part, read_toml, validated
 from palpate.psychophysics.judgements import (
     STIMULI,
@@ -262,6 +263,7 @@ class ExperimentDesign:
         return self.stimuli[name].softness
 
 
+@parser("experiment", InputError)
 def read_design(folder: Path) -> ExperimentDesign:
     """Read an experiment's folder, and check all of it.
 

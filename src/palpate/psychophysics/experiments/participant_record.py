@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from palpate.core import InputError, LabelError, RangeError, new_file, storage_errors
+from palpate.core.parsing import parser
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign, StimuliPart
 from palpate.psychophysics.experiments.trial_schedule import draw_of, drawn_order
 from palpate.psychophysics.judgements import Condition, Presentation, checked_code
@@ -132,6 +133,7 @@ class ParticipantRecord:
             part.write_text(json.dumps(asdict(self), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
     @classmethod
+    @parser("participant record", InputError)
     def read(cls, folder: Path) -> ParticipantRecord:
         """Read it from a participant's folder.
 

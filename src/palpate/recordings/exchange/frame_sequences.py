@@ -21,6 +21,7 @@ import numpy as np
 import tifffile
 
 from palpate.core import Closing, Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
+from palpate.core.parsing import parser
 from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, MAX_PIXELS, read_image, refuse_missing
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
@@ -37,6 +38,7 @@ class TiffFrames(Closing):
         shape: of every frame, ``(h, w)`` or ``(h, w, 3)``.
     """
 
+    @parser("TIFF", ImageError, max_bytes=1 << 40)
     def __init__(self, path: Path, *, max_pages: int = MAX_PAGES) -> None:
         """Open a file.
 
@@ -64,6 +66,7 @@ class TiffFrames(Closing):
     def __iter__(self) -> Iterator[Image]:
         return (self[i] for i in range(len(self)))
 
+    @parser("TIFF page", ImageError)
     def __getitem__(self, index: int) -> Image:
         """Frame by its number.
 
@@ -185,6 +188,7 @@ class VideoFrames:
         rate_hz: frames a second, as the header says; 0 where it says nothing.
     """
 
+    @parser("video", ImageError, max_bytes=1 << 40)
     def __init__(self, path: Path) -> None:
         """Open a file, and close it again: every iteration decodes anew.
 

@@ -24,6 +24,7 @@ from PIL.TiffImagePlugin import BITSPERSAMPLE, SAMPLEFORMAT, TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from palpate.core import Image, ImageError, PathText, storage_errors
+from palpate.core.parsing import parser
 
 MAX_PIXELS = 100_000_000  # beyond any touch camera; a header that claims more is an attack or damage
 
@@ -51,6 +52,7 @@ def encode(image: Image) -> np.ndarray:
     return np.asarray(data, np.uint8).reshape(-1)
 
 
+@parser("PNG bytes", ImageError)
 def decode(data: np.ndarray) -> Image:
     """The 8-bit grey ``[h w]`` or RGB ``[h w 3]`` image in PNG bytes ``[n]``.
 
@@ -100,6 +102,7 @@ _HEADER_BYTES = 1 << 20
 _BYTES_PER_PIXEL = 8
 
 
+@parser("image", ImageError, max_bytes=1 << 30)
 def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
     """Read one PNG, JPEG, BMP, single-page TIFF or WebP file, recognised by content and not by name.
 
@@ -123,6 +126,7 @@ def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
     )
 
 
+@parser("image bytes", ImageError, max_bytes=1 << 40)
 def image_from_bytes(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -> Image:
     """Image in the bytes of an image file, as `read_image` reads it.
 

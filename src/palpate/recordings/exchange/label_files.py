@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,12 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import LabelError, storage_errors
+from palpate.core.array_files import arrays_of
+from palpate.core.parsing import parser
 from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES
 from palpate.recordings.label_tables import (
+    MAX_CELLS,
+    MAX_LABEL_BYTES,
     Decimal,
     check_names,
     read_labels,
@@ -26,10 +31,10 @@ from palpate.recordings.manifest import LabelKind
 _NPY, _NPZ, _PICKLES = b"\x93NUMPY", b"PK\x03\x04", (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 KEY_COLUMN = "image_file"
 """Column that the names become in a JSON object with an object for each image's name."""
-MAX_LABEL_BYTES = 1 << 30
 _MAX_DEPTH = 8  # of objects inside objects in JSON
 
 
+@parser("label file", LabelError, max_bytes=MAX_LABEL_BYTES)
 def read_label_file(
     path: Path,
     *,
@@ -91,6 +96,11 @@ def json_table(rows: Sequence[Any], source: Path) -> pd.DataFrame:
             )
         flat.append(dict(_flat("", row, f"{source}, object {number}")))
     names = list(dict.fromkeys(name for row in flat for name in row))
+    if len(names) * len(flat) > MAX_CELLS:
+        raise LabelError(
+            f"{source} makes {len(flat)} rows of {len(names)} columns. Up to {MAX_CELLS} cells are read.",
+            code="table-size",
+        )
     return _checked(
         {name: _json_column([row.get(name) for row in flat], name, source) for name in names}, source
     )
@@ -108,7 +118,8 @@ def _flat(prefix: str, value: Any, where: str, depth: int = 0) -> list[tuple[str
         return [(prefix, value)]
     joined = [(f"{prefix}_{name}" if prefix else name, one) for name, one in inner]
     flat = [pair for name, one in joined for pair in _flat(name, one, where, depth + 1)]
-    twice = [name for name, _ in flat if [other for other, _ in flat].count(name) > 1] if depth == 0 else []
+    counts = Counter(name for name, _ in flat) if depth == 0 else Counter()
+    twice = [name for name, count in counts.items() if count > 1]
     if twice:
         raise LabelError(f"{where} names {twice[0]!r} twice, once as an object's part; rename one")
     return flat
@@ -173,6 +184,7 @@ def _parsed(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
+@parser("label object test", LabelError, max_bytes=MAX_LABEL_BYTES)
 def holds_one_object(path: Path) -> bool:
     """True where a file is JSON and one object that is no table itself."""
     with storage_errors(path), path.open("rb") as file:
@@ -183,6 +195,7 @@ def holds_one_object(path: Path) -> bool:
     return len(rows) == 1 and isinstance(rows[0], dict)
 
 
+@parser("label object", LabelError, max_bytes=MAX_LABEL_BYTES)
 def read_json_object(path: Path) -> dict[str, Any]:
     """The one object of a file that labels one image.
 
@@ -202,9 +215,10 @@ def _array_columns(path: Path, names: tuple[str, ...]) -> dict[str, pd.Series[An
         data = path.read_bytes()
     try:
         if data.startswith(_NPZ):
-            _refuse_bomb(path, data)
-        loaded = np.load(io.BytesIO(data), allow_pickle=False)
-        arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+            with zipfile.ZipFile(io.BytesIO(data)) as archive:
+                arrays = arrays_of(archive, str(path))
+        else:
+            arrays = {"": np.load(io.BytesIO(data), allow_pickle=False)}
     except Exception as e:  # a damaged archive may raise anything
         raise LabelError(
             f"{path} cannot be read as a NumPy array of plain numbers or texts ({e}); save it again by "
@@ -218,12 +232,6 @@ def _array_columns(path: Path, names: tuple[str, ...]) -> dict[str, pd.Series[An
         sizes = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise LabelError(f"{path} holds columns of different lengths ({sizes}); each has a row an image")
     return {name: _array_column(path, name, column) for name, column in columns.items()}
-
-
-def _refuse_bomb(path: Path, data: bytes) -> None:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        if sum(part.file_size for part in archive.infolist()) > MAX_LABEL_BYTES:
-            raise ValueError(f"unpacked it has more than {MAX_LABEL_BYTES} bytes")
 
 
 def _columns_of(path: Path, name: str, array: np.ndarray, names: tuple[str, ...]) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ from mcap.records import ChunkIndex
 from mcap.writer import MCAP0_MAGIC
 
 from palpate.core import Image, ImageError, RecordingError, storage_errors
+from palpate.core.parsing import parser
 from palpate.recordings.exchange import image_files
 from palpate.recordings.manifest import MANIFEST, StoredManifest
 from palpate.recordings.segments.message_schema import (
@@ -106,6 +107,7 @@ class SegmentScan:
     damage: tuple[Damage, ...]
 
 
+@parser("run segment", RecordingError, max_bytes=1 << 40)
 def scan(path: Path) -> SegmentScan:
     """Find the chunks of a segment file, up to where it was cut."""
     with storage_errors(path), path.open("rb") as file:
@@ -219,6 +221,7 @@ def _examined(file: BinaryIO, offset: int, length: int) -> Chunk:
     return Chunk(offset, length, channels, end_ns, contents[0].sequence)
 
 
+@parser("run chunk", RecordingError, max_bytes=1 << 40)
 def read_chunk(path: Path, chunk: Chunk, *, check: bool = True) -> list[StoredMessage]:
     """The messages in a chunk, compared with their CRC unless that was done before.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import DeviceError, InputError, RangeError
+from palpate.core.parsing import parser
 from palpate.devices import Tripped
 from palpate.devices.file_fields import read_toml
 
@@ -51,6 +52,7 @@ class FileAnswers:
         self.asked: list[str] = []
 
     @classmethod
+    @parser("setup answers", InputError)
     def read(cls, path: Path, *, yes: bool = False, person: PromptAnswers | None = None) -> FileAnswers:
         """Read a TOML file, one answer a line.
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from palpate.core import DEFAULT_SENSOR, SENSORS, InputError, Sensor
+from palpate.core.parsing import parser
 from palpate.core.plugins import PATH
 from palpate.core.sensor import own_plans_of, plans_of, sensor as sensor_of
 from palpate.devices.file_fields import read_toml
@@ -102,6 +103,7 @@ def plan_of_sensor(sensor: Sensor | str | None = None) -> Known:
     return plan_from(design.default_plan(), design)
 
 
+@parser("recording plan", InputError)
 def plan_of(text: str | Path, sensor: Sensor | None = None) -> Known:
     """A plan by its name, or from a TOML file.
 

@@ -24,6 +24,7 @@ from palpate.core import (
     RangeError,
     Stage,
 )
+from palpate.core.parsing import parser
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
@@ -167,6 +168,7 @@ def is_virtual(text: str) -> bool:
     return text.startswith(VIRTUAL)
 
 
+@parser("rig file", InputError)
 def read_rig(path: Path) -> RigFile:
     """A rig's file, read and checked; nothing is opened.
 

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from palpate.core import InputError, RangeError, new_file
+from palpate.core.parsing import parser
 from palpate.devices.file_fields import Part, read_toml, validated
 
 PRESETS = "presets"
@@ -299,5 +300,6 @@ def _folder() -> Path:
     return Path(str(files("palpate.sensors.owned") / PRESETS))
 
 
+@parser("sensor preset", InputError)
 def _read(path: Path) -> SensorPreset:
     return validated(SensorPreset, path, read_toml(path))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from palpate.core import Clock, HapticArm, InputError, SafetyError, SoftnessDevice
+from palpate.core.parsing import parser
 from palpate.devices.device_plugins import check_kind, open_device
 from palpate.devices.file_fields import MM, Host, Part, Three, metres, read_toml, validated
 from palpate.devices.force_watch import ForceLimits
@@ -175,6 +176,7 @@ class BenchFile(Part):
         return BenchLimits(force, late_s=1e-3 * late_ms)
 
 
+@parser("softness bench", InputError)
 def read_bench(path: Path | None) -> BenchFile:
     """Read a bench's file, and check it; nothing is opened.
 

@@ -13,6 +13,7 @@ import numpy as np
 from pandas import DataFrame
 
 from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
+from palpate.core.parsing import parser
 from palpate.recordings.run_reader import Run
 from palpate.sensors.palm.copies.palm_copy import (
     LOCAL,
@@ -50,6 +51,7 @@ def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
         building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
+@parser("palm unit", InputError)
 def read_copy(path: Path) -> PalmCopy:
     """A copy as `write_copy` wrote it.
 
@@ -192,6 +194,7 @@ def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
     return own & (table["phase"] != "lateral").to_numpy() if "phase" in table else own
 
 
+@parser("palm picture", ImageError, max_bytes=1 << 30)
 def read_picture(path: Path) -> Image:
     """A picture of a file, 8-bit colour.
 

@@ -22,6 +22,7 @@ from palpate.core import (
     silent,
     storage_errors,
 )
+from palpate.core.parsing import parser
 from palpate.sensors.tactip.posed_tip import POSE, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import NamedPins, named_taps, read_image, spots
@@ -224,6 +225,7 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
+@parser("tap table", InputError)
 def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
     path = folder / TABLE
     with storage_errors(path):

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, ImageError, InputError, Progress, UInt8, ndarray, silent, storage_errors
+from palpate.core.parsing import parser
 from palpate.estimators.lattice.pin_lattice import PinLattice, PinLayoutKind, name_pins
 
 Spots = Float[ndarray, "_ 2"]  # as many as each image has
@@ -45,6 +46,7 @@ class NamedPins:
     cells: tuple[Cell, ...]
 
 
+@parser("tap image", ImageError, max_bytes=1 << 30)
 def read_image(path: Path) -> UInt8[ndarray, "h w"]:
     """An image of a file, 8-bit grey.
 

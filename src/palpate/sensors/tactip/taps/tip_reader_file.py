@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from palpate.core import ImageError, InputError, Progress, silent, storage_errors
+from palpate.core.parsing import parser
 from palpate.estimators.lattice.pin_lattice import PinLayoutKind, name_pins
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.taps.tap_pins import NamedPins, placed, read_image, spots
@@ -34,6 +35,7 @@ def reader_record(reader: TipReader, layout: NamedPins) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@parser("tip reader", InputError)
 def load_reader(folder: Path) -> tuple[TipReader, NamedPins]:
     """A reader and its pins' layout from a fitted tip's folder.
 

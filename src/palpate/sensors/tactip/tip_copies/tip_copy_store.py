@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import InputError, new_file, storage_errors
+from palpate.core.parsing import parser
 from palpate.sensors.tactip.tactip_sensor import tactip
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, TipCopy
 
@@ -40,6 +41,7 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
         building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
+@parser("tip unit", InputError)
 def load_tip_copy(path: Path) -> TipCopy:
     """A copy as `write_tip_copy` wrote it.
 

@@ -1,0 +1,529 @@
+"""Calibrations from a stranger: each is refused by its code, before a runtime sees it, in at most 1 GB."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, defs, helper, numpy_helper
+
+from palpate.core import CertificateError
+from palpate.core.files import sha256_of
+from palpate.estimators import Estimator
+from palpate.estimators.admission import OPERATORS, admit_model
+from palpate.estimators.admission.model_admission import MAX_NODES, MAX_PARAMETER_BYTES, MAX_TREE_DEPTH
+from palpate.estimators.card_ground import card_id
+
+SHAPE = (1, 24, 32)
+PIXELS = 24 * 32
+OUTPUTS = 2
+MEMORY_BYTES = 1_000_000_000
+OPENED = """
+import json, resource, sys
+from pathlib import Path
+from palpate.core import PalpateError
+from palpate.estimators import Estimator
+
+codes = {}
+for folder in sorted(Path(sys.argv[1]).iterdir()):
+    try:
+        Estimator.open(folder)
+        codes[folder.name] = "opened"
+    except PalpateError as e:
+        codes[folder.name] = e.code
+    except BaseException as e:
+        codes[folder.name] = f"outside the tree: {type(e).__name__}: {e}"
+print(json.dumps([codes, 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
+"""
+
+Node = onnx.NodeProto
+node = helper.make_node
+
+
+def model(
+    nodes: list[Node],
+    weights: dict[str, np.ndarray] | None = None,
+    change: Callable = lambda whole: None,
+    **how,
+) -> bytes:
+    """A model from `image` to `value` with the nodes before two values are taken of `last`."""
+    constants = {"w": np.zeros((1, OUTPUTS), np.float32), "one": np.array([0]), **(weights or {})}
+    nodes = [
+        *nodes,
+        node("Flatten", ["last"], ["flat"]),
+        node("Gather", ["flat", "one"], ["first"], axis=1),
+        node("MatMul", ["first", "w"], ["value"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "hostile",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, ["n", *how.get("shape", SHAPE)])],
+        [helper.make_tensor_value_info("value", TensorProto.FLOAT, ["n", OUTPUTS])],
+        [numpy_helper.from_array(np.ascontiguousarray(v), k) for k, v in constants.items()],
+    )
+    opsets = [helper.make_opsetid(*one) for one in how.get("opsets", [("", 18)])]
+    whole = helper.make_model(graph, opset_imports=opsets, ir_version=9)
+    change(whole)
+    return whole.SerializeToString()
+
+
+RELU = [node("Relu", ["image"], ["last"])]
+
+
+def whole_numbers(*values: int) -> np.ndarray:
+    return np.array(values, np.int64)
+
+
+def huge_dims(whole: onnx.ModelProto) -> None:
+    tensor = whole.graph.initializer.add()
+    tensor.name, tensor.data_type = "huge", TensorProto.FLOAT
+    tensor.dims.extend([100_000, 64_000])
+
+
+def no_data(whole: onnx.ModelProto) -> None:
+    tensor = whole.graph.initializer.add()
+    tensor.name, tensor.data_type = "empty", TensorProto.FLOAT
+    tensor.dims.extend([1000, 1000])
+
+
+def external(whole: onnx.ModelProto) -> None:
+    tensor = whole.graph.initializer[0]
+    tensor.data_location = TensorProto.EXTERNAL
+    entry = tensor.external_data.add()
+    entry.key, entry.value = "location", "../../../etc/passwd"
+
+
+def function(whole: onnx.ModelProto) -> None:
+    whole.functions.append(
+        helper.make_function(
+            "", "Relu", ["x"], ["y"], [node("Relu", ["x"], ["y"])], [helper.make_opsetid("", 18)]
+        )
+    )
+
+
+def sparse(whole: onnx.ModelProto) -> None:
+    whole.graph.sparse_initializer.append(
+        helper.make_sparse_tensor(
+            numpy_helper.from_array(np.ones(1, np.float32), "s"),
+            numpy_helper.from_array(whole_numbers(0), "i"),
+            [1 << 40],
+        )
+    )
+
+
+def body() -> onnx.GraphProto:
+    return helper.make_graph([node("Relu", ["image"], ["out"])], "body", [], [])
+
+
+def loop() -> bytes:
+    return model([node("Loop", ["one", "", "image"], ["last"], body=body())])
+
+
+def grown(times: int) -> list[Node]:
+    """Each node twice as wide as the one before."""
+    names = ["image", *(f"wide{k}" for k in range(times - 1)), "last"]
+    return [node("Concat", [a, a], [b], axis=1) for a, b in pairwise(names)]
+
+
+def outer_products() -> list[Node]:
+    """768 pixels to 768 x 768, and these to their own outer product."""
+    return [
+        node("Reshape", ["image", "tall"], ["a"]),
+        node("Transpose", ["a"], ["b"], perm=[0, 2, 1]),
+        node("MatMul", ["a", "b"], ["c"]),
+        node("Reshape", ["c", "taller"], ["d"]),
+        node("Transpose", ["d"], ["e"], perm=[0, 2, 1]),
+        node("MatMul", ["d", "e"], ["last"]),
+    ]
+
+
+def trees(children: list[tuple[int, int]], feature: int = 0) -> bytes:
+    """One tree from the children of each node; (0, 0) is a leaf."""
+    leaf = [pair == (0, 0) for pair in children]
+    ids = list(range(len(children)))
+    columns = {
+        "nodes_treeids": [0] * len(ids), "nodes_nodeids": ids, "nodes_featureids": [feature] * len(ids),
+        "nodes_values": [0.5] * len(ids), "nodes_truenodeids": [a for a, _ in children],
+        "nodes_falsenodeids": [b for _, b in children],
+        "nodes_modes": ["LEAF" if one else "BRANCH_LEQ" for one in leaf],
+    }  # fmt: skip
+    at = [i for i in ids if leaf[i]] or [0]
+    targets = {
+        "target_treeids": [0] * len(at), "target_nodeids": at, "target_ids": [0] * len(at),
+        "target_weights": [1.0] * len(at),
+    }  # fmt: skip
+    ensemble = node(
+        "TreeEnsembleRegressor", ["flat0"], ["last"], domain="ai.onnx.ml", n_targets=1,
+        aggregate_function="SUM", post_transform="NONE", **columns, **targets,
+    )  # fmt: skip
+    return model([node("Flatten", ["image"], ["flat0"]), ensemble], opsets=[("", 18), ("ai.onnx.ml", 3)])
+
+
+def chain(depth: int) -> list[tuple[int, int]]:
+    children = []
+    for k in range(depth):
+        children += [(2 * k + 1, 2 * k + 2), (0, 0)]
+    return [*children, (0, 0)]
+
+
+MB = 1 << 20
+MODELS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "constant of shape": (
+        lambda: model([node("ConstantOfShape", ["s"], ["last"])], {"s": whole_numbers(80_000, 80_000)}),
+        "onnx-operator",
+    ),
+    "expand": (
+        lambda: model([node("Expand", ["image", "s"], ["last"])], {"s": whole_numbers(10**6, 10**3, 24, 32)}),
+        "onnx-operator",
+    ),
+    "tile": (
+        lambda: model([node("Tile", ["image", "s"], ["last"])], {"s": whole_numbers(1, 1, 10**4, 10**4)}),
+        "onnx-operator",
+    ),
+    "pad": (
+        lambda: model(
+            [node("Pad", ["image", "s"], ["last"])], {"s": whole_numbers(0, 0, 0, 0, 0, 0, 10**5, 10**5)}
+        ),
+        "onnx-operator",
+    ),
+    "resize": (
+        lambda: model(
+            [node("Resize", ["image", "", "s"], ["last"])], {"s": np.array([1, 1, 1e4, 1e4], np.float32)}
+        ),
+        "onnx-operator",
+    ),
+    "range": (
+        lambda: model(
+            [node("Range", ["a", "b", "c"], ["last"])],
+            {k: np.array(v) for k, v in zip("abc", (0, 10**11, 1), strict=True)},
+        ),
+        "onnx-operator",
+    ),
+    "loop": (loop, "onnx-subgraph"),
+    "if": (
+        lambda: model([node("If", ["one"], ["last"], then_branch=body(), else_branch=body())]),
+        "onnx-subgraph",
+    ),
+    "a graph within an allowed operator": (
+        lambda: model([node("Relu", ["image"], ["last"], hidden=body())]),
+        "onnx-subgraph",
+    ),
+    "a wide convolution": (
+        lambda: model(
+            [node("Conv", ["image", "k"], ["last"])], {"k": np.zeros((200_000, 1, 1, 1), np.float32)}
+        ),
+        "onnx-memory",
+    ),
+    "a convolution's padding": (
+        lambda: model(
+            [node("Conv", ["image", "k"], ["last"], pads=[10**5] * 4)],
+            {"k": np.zeros((1, 1, 3, 3), np.float32)},
+        ),
+        "onnx-shape",
+    ),
+    "a convolution's work": (
+        lambda: model(
+            [
+                node("Conv", ["image", "k"], ["a"], pads=[8] * 4),
+                *(
+                    node("Conv", [a, "m"], [b], pads=[8] * 4)
+                    for a, b in zip("abcde", [*"bcde", "last"], strict=True)
+                ),
+            ],
+            {"k": np.zeros((256, 1, 17, 17), np.float32), "m": np.zeros((256, 256, 17, 17), np.float32)},
+        ),
+        "onnx-work",
+    ),
+    "an outer product twice": (
+        lambda: model(
+            outer_products(), {"tall": whole_numbers(0, PIXELS, 1), "taller": whole_numbers(0, PIXELS**2, 1)}
+        ),
+        "onnx-memory",
+    ),
+    "every image times every other": (
+        lambda: model(
+            [
+                node("Flatten", ["image"], ["f"]),
+                node("Transpose", ["f"], ["t"], perm=[1, 0]),
+                node("MatMul", ["f", "t"], ["last"]),
+            ]
+        ),
+        "onnx-batch",
+    ),
+    "doubled 40 times": (lambda: model(grown(40)), "onnx-memory"),
+    "one pixel picked many times": (
+        lambda: model(
+            [
+                node("Flatten", ["image"], ["f"]),
+                node("Reshape", ["f", "tall"], ["g"]),
+                node("Gather", ["g", "many"], ["last"], axis=2),
+            ],
+            {"many": np.zeros(200_000, np.int64), "tall": whole_numbers(0, PIXELS, 1)},
+        ),
+        "onnx-memory",
+    ),
+    "a shape from data": (
+        lambda: model(
+            [node("Cast", ["image"], ["s"], to=TensorProto.INT64), node("Reshape", ["image", "s"], ["last"])]
+        ),
+        "onnx-shape",
+    ),
+    "as many as the image states": (
+        lambda: model(
+            [
+                node("Flatten", ["image"], ["f"]),
+                node("Cast", ["f"], ["s"], to=TensorProto.INT64),
+                node("TopK", ["f", "s"], ["last", "places"], axis=1),
+            ]
+        ),
+        "onnx-shape",
+    ),
+    "a function": (lambda: model(RELU, change=function), "onnx-function"),
+    "external data": (
+        lambda: model(RELU, change=external),
+        "onnx-external-data",
+    ),
+    "huge dims": (lambda: model(RELU, change=huge_dims), "onnx-parameters"),
+    "dims without data": (
+        lambda: model(RELU, change=no_data),
+        "onnx-initializer",
+    ),
+    "sparse weights": (lambda: model(RELU, change=sparse), "onnx-type"),
+    "NaN weights": (
+        lambda: model([node("Mul", ["image", "k"], ["last"])], {"k": np.array([np.nan], np.float32)}),
+        "onnx-weights",
+    ),
+    "text weights": (
+        lambda: model(RELU, {"k": np.array(["x" * 1000], object)}),
+        "onnx-type",
+    ),
+    "a domain of its own": (
+        lambda: model(
+            [node("Relu", ["image"], ["last"], domain="evil.corp")], opsets=[("", 18), ("evil.corp", 1)]
+        ),
+        "onnx-domain",
+    ),
+    "the runtime's own domain": (
+        lambda: model(
+            [node("FusedConv", ["image", "w"], ["last"], domain="com.microsoft")],
+            opsets=[("", 18), ("com.microsoft", 1)],
+        ),
+        "onnx-domain",
+    ),
+    "an opset that is not known": (
+        lambda: model(RELU, opsets=[("", 9999)]),
+        "onnx-opset",
+    ),
+    "an attribute that is not known": (
+        lambda: model([node("MaxPool", ["image"], ["last"], kernel_shape=[2, 2], dilations=[9, 9])]),
+        "onnx-attribute",
+    ),
+    "too many nodes": (
+        lambda: model(
+            [node("Relu", ["image"], ["x0"])]
+            + [node("Relu", [f"x{k}"], [f"x{k + 1}"]) for k in range(MAX_NODES)]
+            + [node("Relu", [f"x{MAX_NODES}"], ["last"])]
+        ),
+        "onnx-nodes",
+    ),
+    "a circle": (
+        lambda: model([node("Add", ["image", "b"], ["last"]), node("Relu", ["last"], ["b"])]),
+        "onnx-graph",
+    ),
+    "a name twice": (
+        lambda: model([node("Relu", ["image"], ["last"]), node("Abs", ["image"], ["last"])]),
+        "onnx-graph",
+    ),
+    "another image": (lambda: model(RELU, shape=(3, 5, 5)), "onnx-interface"),
+    "sizes without a number": (
+        lambda: model(RELU, shape=(1, "h", "w")),
+        "onnx-interface",
+    ),
+    "trees in a circle": (lambda: trees([(1, 2), (2, 1), (0, 0)]), "onnx-trees"),
+    "trees too deep": (lambda: trees(chain(MAX_TREE_DEPTH + 1)), "onnx-trees"),
+    "trees of a feature that is not there": (lambda: trees([(1, 2), (0, 0), (0, 0)], 10**9), "onnx-trees"),
+    "no model": (lambda: b"not a model", "onnx-damaged"),
+    "nothing": (lambda: b"", "onnx-opset"),
+    "truncated": (lambda: model(RELU)[:-7], "onnx-damaged"),
+    "trailing bytes": (lambda: model(RELU) + b"\0" * 100, "onnx-damaged"),
+    "larger than any": (lambda: b"\0" * (MAX_PARAMETER_BYTES + 32 * MB), "onnx-parameters"),
+}
+
+
+def reseal(folder: Path, change: Callable) -> None:
+    """Change a card and give it the id that belongs to the change, as a forger would."""
+    card = json.loads((folder / "card.json").read_text())
+    change(card)
+    card["id"] = card_id(card)
+    (folder / "card.json").write_text(json.dumps(card))
+
+
+def with_model(folder: Path, data: bytes) -> None:
+    path = folder / "model.onnx"
+    path.write_bytes(data)
+    reseal(folder, lambda card: card["model"].update(sha256=sha256_of(path)))
+
+
+def with_guard(folder: Path, write: Callable[[zipfile.ZipFile, dict], None]) -> None:
+    path = folder / "guard.npz"
+    with np.load(path) as archive:
+        parts = dict(archive)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        write(archive, parts)
+    reseal(folder, lambda card: card["guard"].update(sha256=sha256_of(path)))
+
+
+def npy(array: np.ndarray) -> bytes:
+    data = io.BytesIO()
+    np.save(data, array)
+    return data.getvalue()
+
+
+def bomb(archive: zipfile.ZipFile, parts: dict) -> None:
+    for name, array in parts.items():
+        archive.writestr(f"{name}.npy", npy(array if name != "thumbs" else np.zeros(50 * MB)))
+
+
+def lying_header(archive: zipfile.ZipFile, parts: dict) -> None:
+    for name, array in parts.items():
+        data = npy(array)
+        if name == "thumbs":
+            data = data.replace(
+                str(array.shape[0]).encode() + b",", b"9" * len(str(array.shape[0])) + b",", 1
+            )
+        archive.writestr(f"{name}.npy", data)
+
+
+def objects(archive: zipfile.ZipFile, parts: dict) -> None:
+    for name in parts:
+        data = io.BytesIO()
+        np.save(data, np.array([{}], object), allow_pickle=True)
+        archive.writestr(f"{name}.npy", data.getvalue())
+
+
+def one_name_twice(archive: zipfile.ZipFile, parts: dict) -> None:
+    for name, array in parts.items():
+        archive.writestr(f"{name}.npy", npy(array))
+    with pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("thumbs.npy", npy(np.zeros(3)))
+
+
+def card_text(change: Callable[[str], str]) -> Callable[[Path], None]:
+    return lambda folder: (
+        (folder / "card.json").write_text(change((folder / "card.json").read_text())) and None
+    )
+
+
+def a_pipe(folder: Path) -> None:
+    (folder / "card.json").unlink()
+    os.mkfifo(folder / "card.json")
+
+
+def wide_image(folder: Path) -> None:
+    size = (100_000, 100_000)
+    with_model(folder, model(RELU, shape=(1, *size)))
+    reseal(folder, lambda card: card["input"].update(size_px=size, channels=1))
+
+
+FOLDERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "another model than the card's": (
+        lambda folder: (folder / "model.onnx").write_bytes(model(RELU)),
+        "file-hash",
+    ),
+    "bytes after the model": (lambda f: (f / "model.onnx").open("ab").write(b"\0"), "file-hash"),
+    "a bomb in the guard": (lambda f: with_guard(f, bomb), "file-size"),
+    "a guard's header that lies": (lambda f: with_guard(f, lying_header), "file-damaged"),
+    "a guard of objects": (lambda f: with_guard(f, objects), "file-damaged"),
+    "a guard's array twice": (lambda f: with_guard(f, one_name_twice), "file-damaged"),
+    "a deep card": (card_text(lambda text: '{"id": ' + "[" * 100_000 + "]" * 100_000 + "}"), "card-damaged"),
+    "a large card": (card_text(lambda text: text + " " * 5_000_000), "file-size"),
+    "a card of NaN": (
+        card_text(lambda text: text.replace('"coverage": 0.9', '"coverage": NaN')),
+        "card-damaged",
+    ),
+    "an altered card": (card_text(lambda text: text.replace('"seed": 0', '"seed": 1')), "card-altered"),
+    "a card that is a pipe": (a_pipe, "card-missing"),
+    "a wide image": (wide_image, "onnx-memory"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A calibration of the size that the hostile models take, opened and resealed once to show that it is."""
+    from tests.conftest import recorder_of_spots
+
+    from palpate.calibration import CalibrationPlan, calibrate
+
+    folder = tmp_path_factory.mktemp("sound")
+    run = recorder_of_spots(folder)("run", 20)
+    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=SHAPE[1:])
+    calibration = calibrate(run, plan, folder / "cal")
+    with_model(calibration, model(RELU))
+    assert Estimator.open(calibration).read(run.frame(1))["x_mm"].value == 0.0
+    return calibration
+
+
+@pytest.fixture(scope="module")
+def opened(sound, tmp_path_factory):
+    """Codes of all hostile calibrations, and the memory that opening them in one process took [bytes]."""
+    folder = tmp_path_factory.mktemp("hostile")
+    for name, (make, _) in MODELS.items():
+        shutil.copytree(sound, folder / name)
+        with_model(folder / name, make())
+    for name, (spoil, _) in FOLDERS.items():
+        shutil.copytree(sound, folder / name)
+        spoil(folder / name)
+    command = [sys.executable, "-c", OPENED, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    codes, memory = json.loads(done.stdout)
+    return codes, memory
+
+
+@pytest.mark.parametrize("name", [*MODELS, *FOLDERS])
+def test_a_hostile_calibration_is_refused_by_its_code(opened, name: str) -> None:
+    assert opened[0][name] == (MODELS | FOLDERS)[name][1]
+
+
+def test_refusing_them_all_takes_at_most_a_gigabyte(opened) -> None:
+    assert opened[1] < MEMORY_BYTES
+
+
+def test_a_runtime_that_fails_as_it_reads_is_an_error_with_a_code(sound) -> None:
+    with pytest.raises(CertificateError) as refused:
+        Estimator.open(sound).values(np.zeros((1, 1, 5, 5), np.float32))
+    assert refused.value.code == "onnx-runtime"
+
+
+def test_trees_of_the_greatest_depth_are_admitted() -> None:
+    admit_model(trees(chain(MAX_TREE_DEPTH - 1)), "trees", SHAPE, OUTPUTS)
+
+
+MARKS = ("make_node(", "graph.add(", "self.add(")
+
+
+def test_the_list_of_operators_is_that_of_the_exporters() -> None:
+    """Names of ONNX operators in every module that builds a graph; int8 adds rounding and its reversal."""
+    source = Path(__file__).parents[2] / "src" / "palpate"
+    known = {schema.name for schema in defs.get_all_schemas()}
+    named = set()
+    for path in source.rglob("*.py"):
+        text = path.read_text()
+        if "admission" not in path.parts and any(
+            mark in text for mark in ("make_node(", "graph.add(", "self.add(")
+        ):
+            constants = (one.value for one in ast.walk(ast.parse(text)) if isinstance(one, ast.Constant))
+            named |= {one for one in constants if isinstance(one, str)} & known
+    assert {name for _, name in OPERATORS} == named | {"QuantizeLinear", "DequantizeLinear"}
