@@ -335,7 +335,7 @@ class LiveService:
         why = ""
         if source is not None and source.force is None:
             why = f"there is no force sensor beside {source.name}, and stiffness needs one"
-        last = [one.to_dict() for one in list(presses.presses)[-TOLD_PRESSES:]]
+        last = [one.to_dict() for one in presses.presses.items()[-TOLD_PRESSES:]]
         return {"calibration": self._compliance, "presses": last[::-1], "why": why}
 
     def _opened_reader(self, calibration: str) -> FrameReader:

@@ -265,9 +265,11 @@ def _page_address(host: str, port: int, secret: str, page: str) -> str:
 
 def _others(client: RigClient) -> int:
     """Pages and programs that stay at the rig; 0 beside a process of an older palpate, which counts none."""
+    from palpate.core import InputError
+
     try:
         return client.leave()
-    except palpate.InputError:
+    except InputError:
         return 0
 
 
