@@ -1,8 +1,33 @@
 """One tree of errors. A message says what was asked, what is allowed, the unit and what to do."""
 
+import re
+
 
 class PalpateError(Exception):
-    """Root of everything palpate raises on purpose."""
+    """Root of everything palpate raises on purpose.
+
+    Attributes:
+        code: machine-readable reason, lower-case words joined by hyphens, such as ``"onnx-operator"``. The
+            default is the code of the class, such as ``"certificate"`` of a `CertificateError`.
+
+    Example:
+        >>> InputError("depth_mm is -1. Give 0 to 5 mm.").code
+        'input'
+        >>> InputError("depth_mm is -1. Give 0 to 5 mm.", code="depth-range").code
+        'depth-range'
+    """
+
+    code: str = "palpate"
+
+    def __init__(self, *args: object, code: str = "") -> None:
+        super().__init__(*args)
+        if code:
+            self.code = code
+
+    def __init_subclass__(cls, **kwargs: object) -> None:
+        super().__init_subclass__(**kwargs)
+        if "code" not in cls.__dict__:
+            cls.code = re.sub(r"(?<!^)(?=[A-Z])", "-", cls.__name__.removesuffix("Error")).lower()
 
 
 class InputError(PalpateError, ValueError):

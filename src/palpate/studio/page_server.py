@@ -19,7 +19,7 @@ from pathlib import Path
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
-from palpate.core import DeviceError, MissingExtraError, PalpateError, SafetyError
+from palpate.core import DeviceError, PalpateError, SafetyError
 from palpate.devices.process_memory import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
@@ -109,7 +109,6 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
     Raises:
         SafetyError: others could reach the pages, and no token is asked for.
     """
-    check_needed()
     check_host(host, token)
     import uvicorn
 
@@ -218,14 +217,6 @@ def add_pages(parts: StudioParts) -> None:
 def _whole(text: str | None) -> int:
     """A number of a frame as it stands in an address; 0 where it is none."""
     return int(text) if text and text.isascii() and text.isdigit() and len(text) < MAX_DIGITS else 0
-
-
-def check_needed() -> None:
-    """Refuse to begin without what the pages are made with."""
-    try:
-        import nicegui  # noqa: F401
-    except ImportError as e:
-        raise MissingExtraError("the studio needs NiceGUI: pip install 'palpate[studio]'") from e
 
 
 def check_host(host: str, token: str) -> None:

@@ -225,10 +225,9 @@ def serve_studio(
 
     from palpate.rig.service import RigClient, launch, rig_name
     from palpate.softness.process import read_bench
-    from palpate.studio.page_server import StudioParts, check_host, check_needed, check_port, serve_pages
+    from palpate.studio.page_server import StudioParts, check_host, check_port, serve_pages
 
     rig = rig_name(rig)
-    check_needed()
     from palpate.studio.library.workspace import Workspace
     from palpate.studio.rendering_desk import RenderingDesk
 

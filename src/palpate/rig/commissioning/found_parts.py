@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.core import Clock, MissingExtraError, PalpateError, Position
+from palpate.core import Clock, PalpateError, Position
 
 VIDEO = Path("/dev")
 BAUD = 115_200
@@ -115,12 +114,7 @@ def serial_ports() -> list[str]:
     Raises:
         MissingExtraError: pyserial is not installed.
     """
-    try:
-        listed = importlib.import_module("serial.tools.list_ports")
-    except ImportError as e:
-        raise MissingExtraError(
-            "serial ports are listed by pyserial; install it with pip install 'palpate[rig]'"
-        ) from e
+    listed = require("serial.tools.list_ports", "The list of serial ports")
     return sorted(port.device for port in listed.comports())
 
 

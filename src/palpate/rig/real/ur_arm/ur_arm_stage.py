@@ -14,7 +14,6 @@ isProgramRunning, stopScript, disconnect.
 
 from __future__ import annotations
 
-import importlib
 import math
 import threading
 from collections.abc import Callable
@@ -28,7 +27,6 @@ from palpate.core import (
     Closing,
     DeviceError,
     HardwareStopError,
-    MissingExtraError,
     MonotonicClock,
     Position,
     Travel,
@@ -398,9 +396,4 @@ def _let_go(receive: ReceiveInterface, control: ControlInterface | None, release
 
 
 def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"an arm of Universal Robots needs ur_rtde ({error}); install it with pip install 'palpate[ur]'"
-        ) from error
+    return require(name, "An arm of Universal Robots")
