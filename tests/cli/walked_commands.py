@@ -1,8 +1,8 @@
 """Walk over all commands of `palpate`, in a process of its own: ``python walked_commands.py OUT MISSING...``.
 
-Extras named as MISSING are blocked as if they were not installed. Each command is called with `--help`, without
-arguments, and with plausible ones; one JSON line a call goes to OUT. Needs no test dependency, so that it also
-runs in an environment that holds the wheel alone.
+Extras named as MISSING are blocked as if they were not installed. Each command is called with `--help`,
+without arguments, and with plausible ones; one JSON line a call goes to OUT. It needs no test dependency, so
+it also runs in an environment that holds the wheel alone.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from palpate.core.optional_imports import EXTRAS
 
-VALUES = {"integer": "3", "float": "1", "text": "virtual:palm", "path": "absent", "file": "absent"}
+VALUES: dict[object, str] = {int: "3", float: "1", str: "virtual:palm"}
 TOO_LONG = {"demo", "reproduce palm", "reproduce tactip", "reproduce nusense", "reproduce softness"}
 """Commands that compute for minutes; with plausible arguments they are tried elsewhere."""
 
@@ -65,13 +65,10 @@ def commands(group: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
 
 def plausible(words: tuple[str, ...], command: Any) -> list[str]:
     """Required arguments and options, with values of their kinds."""
-    given = [
-        VALUES.get(one.type.name, "absent") for one in command.params if one.param_type_name == "argument"
-    ]
-    for one in command.params:
-        if one.param_type_name == "option" and one.required:
-            given += [one.opts[0], VALUES.get(one.type.name, "absent")]
-    return given
+    needed = [one for one in command.params if one.required]
+    names = ([] if one.param_type_name == "argument" else [one.opts[0]] for one in needed)
+    values = (VALUES.get(getattr(one, "bare_type", str), "absent") for one in needed)
+    return [word for name, value in zip(names, values, strict=True) for word in (*name, value)]
 
 
 def special(folder: Path) -> list[list[str]]:

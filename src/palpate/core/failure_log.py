@@ -72,11 +72,19 @@ def log_in_workspace(folder: Path) -> None:
 
 
 def record_failure(error: BaseException, where: str) -> Failure:
-    """Write an exception's traceback to the log, and return what a user is shown."""
+    """Write an exception's traceback to the log, and return what a user is shown.
+
+    An exception that several handlers receive is written once.
+    """
+    known = getattr(error, "_palpate_failure", None)
+    if isinstance(known, Failure):
+        return known
     code = error.code if isinstance(error, PalpateError) else INTERNAL
     message = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_TEXT]
     failure = Failure(code, message, where, _append(error, where))
     recent_failures.append(failure)
+    with suppress(AttributeError):  # of an exception with slots
+        error._palpate_failure = failure  # type: ignore[attr-defined]
     return failure
 
 

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from palpate.core.errors import InputError, PalpateError
+from palpate.core.optional_imports import require
 
 T = TypeVar("T")
 R = TypeVar("R")

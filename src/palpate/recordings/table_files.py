@@ -16,6 +16,7 @@ from typing import Any
 import pandas as pd
 
 from palpate.core import InputError
+from palpate.core.optional_imports import require
 
 MAX_TABLE_BYTES = 1 << 30
 """Of a table, unpacked; a file that unpacks to more is refused before it takes the memory."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import threading
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -28,6 +27,7 @@ from palpate.core import (
     Readings,
     Wrench,
 )
+from palpate.core.failure_log import record_failure, report_to_stderr
 from palpate.core.reading import plain_number
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
@@ -377,7 +377,7 @@ class LiveLoop(Closing):
             except Exception as e:  # a driver may fail in any way, and may work again
                 if self._source is None or self._source.waits:
                     raise
-                traceback.print_exc()
+                report_to_stderr(record_failure(e, f"the source {self._name}"))
                 self._lose(f"{type(e).__name__}: {e}")
                 continue
             if frame is None:
@@ -560,8 +560,9 @@ class LiveLoop(Closing):
         try:
             work()
         except Exception as e:
-            traceback.print_exc()
-            self._end(LiveState.FAILED, f"{type(e).__name__}: {e}")
+            failure = record_failure(e, f"the live loop of {self._name}")
+            report_to_stderr(failure)
+            self._end(LiveState.FAILED, failure.text)
             self._frames.close()
         finally:
             if work == self._read_all and self._hand_over is not None:

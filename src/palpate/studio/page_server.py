@@ -20,6 +20,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from palpate.core import DeviceError, PalpateError, SafetyError
+from palpate.core.failure_log import contained, log_in_workspace
 from palpate.devices.process_memory import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
@@ -29,6 +30,7 @@ from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_routes import add_live_routes
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
+from palpate.studio.page_failures import contain_failures
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
 from palpate.studio.rendering_desk import RenderingDesk
 
@@ -112,6 +114,7 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
     check_host(host, token)
     import uvicorn
 
+    log_in_workspace(parts.workspace.folder)
     sys.setswitchinterval(SWITCH_S)
     config = uvicorn.Config(
         make_app(parts, port, host, token),
@@ -123,7 +126,8 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
     )
     keep_loaded()
     try:
-        uvicorn.Server(config).run()
+        with contained("the studio"):
+            uvicorn.Server(config).run()
     finally:
         parts.close()
 
@@ -145,6 +149,7 @@ def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -
 
     add_live_routes(app, parts.lives, parts.starts, parts.workspace)
     add_pages(parts)
+    contain_failures()
     ui.run_with(
         app,
         language="en-US",

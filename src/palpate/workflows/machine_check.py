@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from palpate.core import PalpateError
+from palpate.core.errors import MissingExtraError
+from palpate.core.optional_imports import require
 from palpate.devices.rpc import folder_of
 from palpate.rig.real.camera_listing import ListedCamera, how_listed, list_cameras
 

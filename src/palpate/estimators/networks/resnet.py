@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from palpate.core import InputError
-from palpate.core.optional_imports import optional_imports
+from palpate.core.optional_imports import optional_imports, require
 
 with optional_imports("A network"):
     import torch

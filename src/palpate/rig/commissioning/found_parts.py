@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.core import Clock, PalpateError, Position
+from palpate.core.optional_imports import require
 
 VIDEO = Path("/dev")
 BAUD = 115_200

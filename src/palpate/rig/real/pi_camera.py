@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import NS_PER_S, Closing, DeviceError, Frame
+from palpate.core.optional_imports import require
 from palpate.rig.real.uvc_camera import KEPT_S, UvcSettings
 
 CLOSE_S = 2.0

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import DeviceError
+from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import DeviceHold, hold_device, port_named
 
 READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end

@@ -35,6 +35,7 @@ from palpate.core import (
     Position,
     RangeError,
 )
+from palpate.core.optional_imports import require
 
 TICK_S = 125e-6
 """Unit of the watchdog [s]."""

@@ -38,12 +38,12 @@ class ModbusError(DeviceError):
     """The device answered that it does not do what it was asked.
 
     Attributes:
-        code: of the exception.
+        exception_code: Modbus exception code, 1 to 255; `code` is ``"modbus-exception-N"``.
     """
 
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
+    def __init__(self, message: str, exception_code: int) -> None:
+        super().__init__(message, code=f"modbus-exception-{exception_code}")
+        self.exception_code = exception_code
 
 
 class UnreachedError(DeviceError):

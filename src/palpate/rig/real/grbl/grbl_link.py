@@ -45,8 +45,8 @@ class RefusedError(DeviceError):
     """The controller answered a line with `error:N`: it did nothing."""
 
     def __init__(self, code: int, line: str) -> None:
-        super().__init__(f"the stage's controller refused {line!r} with {error_name(code)}")
-        self.code = code
+        message = f"the stage's controller refused {line!r} with {error_name(code)}"
+        super().__init__(message, code=f"grbl-error-{code}")
 
 
 class CutOffError(DeviceError):

@@ -31,6 +31,7 @@ from palpate.core import (
     Position,
     Travel,
 )
+from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import arm_named, hold_device
 from palpate.rig.real.grbl.grbl_move import distance_to_segment
 from palpate.rig.real.grbl.grbl_supervisor import check_range
