@@ -96,8 +96,8 @@ def special(folder: Path) -> list[list[str]]:
     ]
 
 
-def main(out: Path, missing: list[str]) -> None:
-    """Call all commands, and write what came of it."""
+def main(out: Path, missing: list[str], only: str = "") -> None:
+    """Call all commands, or those of one first word, and write what came of it."""
     blocked = {module for module, (_, extra) in EXTRAS.items() if extra in missing}
     sys.meta_path.insert(0, Blocked(blocked))  # type: ignore[arg-type]
     from typer.main import get_command
@@ -117,6 +117,8 @@ def main(out: Path, missing: list[str]) -> None:
         for call in calls:
             if " ".join(call) in TOO_LONG | {"studio", "start", "live", "collect", "doctor"}:
                 continue
+            if only and call[0] != only:
+                continue
             done = runner.invoke(app, call, input="")
             error = None if isinstance(done.exception, SystemExit) else done.exception
             row = {
@@ -130,4 +132,4 @@ def main(out: Path, missing: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]).absolute(), sys.argv[2:])
+    main(Path(sys.argv[1]).absolute(), sys.argv[2:], os.environ.get("ONLY", ""))
