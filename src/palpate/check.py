@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -421,8 +421,11 @@ def _centroid(change: ndarray) -> Float[ndarray, 2]:
     return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
 
 
-def __getattr__(name: str) -> Any:
-    for module, names in _NAMES.items():
-        if name in names:
-            return getattr(import_module(module), name)
-    raise AttributeError(f"palpate.check has no {name!r}; it has {', '.join(__all__)}")
+if not TYPE_CHECKING:  # mypy accepts only the names imported above
+
+    def __getattr__(name: str) -> object:
+        """Return a public name, imported on first use."""
+        for module, names in _NAMES.items():
+            if name in names:
+                return getattr(import_module(module), name)
+        raise AttributeError(f"palpate.check has no {name!r}; it has {', '.join(__all__)}")

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import re
-
 __version__ = "0.1.0"
-
-NUMBER = re.compile(r"\d+")
 
 
 def needed_version(text: bytes, own_format: str) -> str | None:
@@ -20,6 +15,8 @@ def needed_version(text: bytes, own_format: str) -> str | None:
     Returns:
         The sentence; None where the file's version is not the reason.
     """
+    import json  # here, because the stop commands load this module and must not wait
+
     try:
         fields = json.loads(text)
     except (ValueError, RecursionError):
@@ -44,4 +41,6 @@ def needed_version(text: bytes, own_format: str) -> str | None:
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in NUMBER.findall(version)[:3])
+    import re
+
+    return tuple(int(part) for part in re.findall(r"\d+", version)[:3])

@@ -8,6 +8,8 @@ import sys
 
 import numpy as np
 import pytest
+from tests.cli.walked_commands import commands, plausible
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -39,6 +41,24 @@ def test_ctrl_c_in_a_verb_that_moves_a_stage_speaks_of_the_stage(
     assert result.exit_code == 130
     assert "the probe is not lifted" in result.output
     assert "calibration" not in result.output
+
+
+def test_ctrl_c_ends_every_command_with_one_line_and_130(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(**_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    tried = 0
+    for words, command in commands(get_command(app)):
+        if hasattr(command, "commands"):
+            continue
+        monkeypatch.setattr(command, "callback", interrupted)
+        call = [*words, *plausible(words, command)]
+        result = CliRunner().invoke(app, call)
+        assert result.exit_code == 130, (call, result.output)
+        assert len(result.stderr.splitlines()) == 1
+        tried += 1
+    assert tried > 80
 
 
 def test_ctrl_c_in_the_check_of_a_run_speaks_of_no_stage(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,4 +106,4 @@ def test_a_rendering_that_cannot_be_is_refused(line: Path, words: tuple[object, 
 def test_nobody_is_stopped_where_nobody_renders(tmp_path: Path) -> None:
     ended = palpate("display", "stop", "--name", f"nobody {tmp_path.name}")
     assert ended.exit_code == 2
-    assert "nothing renders" in ended.stderr
+    assert "[nothing-renders]" in ended.stderr

@@ -160,8 +160,9 @@ def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_c
             assert other.stdout
             assert other.stdout.readline() == "held\n"
             if manner == "hears":
-                assert f"process {other.pid}, which had the stage, was told to end" in bench.stop_rig(
-                    lab.write()
+                assert (
+                    f"process {other.pid}, which had the stage, was told to end"
+                    in bench.stop_rig(lab.write()).how
                 )
                 assert other.wait(5) == -signal.SIGTERM
             else:

@@ -29,4 +29,5 @@ __all__ = [
     "evaluate",
 ]  # fmt: skip
 
-__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)
+if not TYPE_CHECKING:  # mypy accepts only the names imported above
+    __getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

@@ -68,6 +68,7 @@ class Group(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a verb; an expected error is printed as one line and ends with status 2, Ctrl-C with 130."""
+        as_json = "--json" in (*ctx._protected_args, *ctx.args)
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as e:
@@ -83,7 +84,10 @@ class Group(TyperGroup):
             core = sys.modules.get("palpate.core")  # not imported: it loads NumPy, which no help needs
             if core is None or not isinstance(e, core.PalpateError):
                 raise
-            say(f"palpate: {' '.join(str(e).split())}", err=True)
+            message = " ".join(str(e).split())
+            say(f"palpate: {message}", err=True)
+            if as_json:
+                say(json.dumps({"error": {"code": e.code, "message": message, "log": None}}))
             raise typer.Exit(2) from e
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

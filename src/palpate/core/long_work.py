@@ -15,7 +15,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any, TypeVar
 
-from palpate.core.errors import InputError, MissingExtraError, PalpateError
+from palpate.core.errors import InputError, PalpateError
+from palpate.core.optional_imports import require
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -143,9 +144,4 @@ def _client(scheduler: str) -> Any:
 
 
 def _distributed() -> Any:
-    try:
-        return import_module("distributed")
-    except ImportError as e:
-        raise MissingExtraError(
-            "a scheduler needs Dask, which is not installed; run: pip install 'palpate[cluster]'"
-        ) from e
+    return require("distributed", "A scheduler")

@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoint, distributions, entry_points
 from inspect import signature
 from typing import Any
 
-from palpate.core.errors import InputError, PalpateError, PluginError
+from palpate.core.errors import InputError, MissingExtraError, PalpateError, PluginError
 
 OWN = "palpate itself"
 """Path of a name that palpate knows without a module of its own for it."""
@@ -219,7 +219,7 @@ def import_path(path: str, kind: str, name: str = "") -> Any:
     """
     module, _, attributes = path.partition(":")
     remedy = "check its name, and that its folder is on PYTHONPATH or its package installed"
-    with plugin_calls(f"{_label(kind, name, path)} does not import: {ERROR}; {remedy}", ()):
+    with plugin_calls(f"{_label(kind, name, path)} does not import: {ERROR}; {remedy}", MissingExtraError):
         thing: Any = import_module(module)
         for attribute in attributes.split("."):
             thing = getattr(thing, attribute)

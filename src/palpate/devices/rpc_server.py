@@ -10,15 +10,14 @@ import contextlib
 import hmac
 import secrets
 import socket
-import sys
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from palpate.core import DeviceError, InputError, PalpateError, ProtocolError
+from palpate.core.failure_log import record_failure, report_to_stderr
 from palpate.devices.rpc import ASKED_BYTES, Lines, decode_message, encode_message
 from palpate.devices.rpc_admission import MAX_TOKEN_BYTES, Admission
 
@@ -206,9 +205,8 @@ class RpcServer:
         while not self._closing.is_set():
             try:
                 latest = self._tell_all(latest)
-            except Exception:
-                # A thing that cannot be told must not end the telling; it is read in the process's log.
-                traceback.print_exc(file=sys.stderr)
+            except Exception as e:  # later statuses are sent all the same
+                report_to_stderr(record_failure(e, f"the status of {self.name}"))
             self._news.wait(TOLD_S)
             self._news.clear()
             self._closing.wait(TOLD_S / 4)  # however often it is nudged

@@ -15,7 +15,8 @@ from typing import Any
 
 import pandas as pd
 
-from palpate.core import InputError, MissingExtraError
+from palpate.core import InputError
+from palpate.core.optional_imports import require
 from palpate.core.parsing import parser
 
 MAX_TABLE_BYTES = 1 << 30
@@ -70,15 +71,8 @@ def pyarrow_for(path: Path) -> Any:
     Raises:
         MissingExtraError: it is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as e:
-        raise MissingExtraError(
-            f"{path} is Parquet, which needs pyarrow, and that is not installed; run: pip install "
-            "'palpate[parquet]'"
-        ) from e
-    return pyarrow
+    require("pyarrow.parquet", f"The Parquet file {path}")
+    return require("pyarrow", f"The Parquet file {path}")
 
 
 def _cell(value: object) -> str:

@@ -51,4 +51,5 @@ __all__ = [
     "size_of",
 ]
 
-__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)
+if not TYPE_CHECKING:  # mypy accepts only the names imported above
+    __getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

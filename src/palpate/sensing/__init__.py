@@ -28,4 +28,5 @@ __all__ = [
     "RunFrames", "Sensed", "live", "open_live_source", "open_source", "sense",
 ]  # fmt: skip
 
-__getattr__, __dir__ = names_at_first_use(__name__, _LIVE, __all__)
+if not TYPE_CHECKING:  # mypy accepts only the names imported above
+    __getattr__, __dir__ = names_at_first_use(__name__, _LIVE, __all__)

@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 import threading
 import time
-import traceback
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -29,7 +27,9 @@ from palpate.core import (
     Readings,
     Wrench,
 )
+from palpate.core.failure_log import record_failure, report_to_stderr
 from palpate.core.reading import plain_number
+from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
 from palpate.sensing.streaming.live_readers import FrameReader, mean_image
@@ -158,17 +158,17 @@ class LiveLoop(Closing):
             raise InputError(f"{max_frames} frames; ask for 1 or more, or None for no end")
         self._hand_over, self._left = hand_over, max_frames
         self._kept = StatisticsKeeper()
-        self._zero_frames, self._zeros, self._zeroing = zero_frames, deque[Frame](), zero_at_start
+        self._zero_frames, self._zeros, self._zeroing = zero_frames, list[Frame](), zero_at_start
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._state, self._why = LiveState.OPENING, ""
         self._name = "" if source is None else source.name
-        self._faults: deque[str] = deque(maxlen=MAX_FAULTS)
+        self._faults = SharedHistory[str](MAX_FAULTS)
         self._lines: list[SubscriberLine] = []
         self._latest: LiveReading | None = None
         self._wrench: Wrench | None = None
         self._bias_n = 0.0
-        self._forces: deque[tuple[int, float]] = deque()
+        self._forces = SharedHistory[tuple[int, float]]()
         self._force_why = ""
         self._outages = 0
         self._untouched: Image | None = None
@@ -310,7 +310,7 @@ class LiveLoop(Closing):
     @property
     def faults(self) -> tuple[str, ...]:
         """Faults of late, oldest first: subscribers that were dropped, a force sensor that is gone."""
-        return tuple(self._faults)
+        return tuple(self._faults.items())
 
     @property
     def advice(self) -> str:
@@ -351,7 +351,7 @@ class LiveLoop(Closing):
             "reading": reading,
             "force_N": None if force is None else plain_number(force),
             "force_why": self._force_why,
-            "faults": list(self._faults),
+            "faults": self._faults.items(),
         }
 
     # The thread that fetches frames.
@@ -377,7 +377,7 @@ class LiveLoop(Closing):
             except Exception as e:  # a driver may fail in any way, and may work again
                 if self._source is None or self._source.waits:
                     raise
-                traceback.print_exc()
+                report_to_stderr(record_failure(e, f"the source {self._name}"))
                 self._lose(f"{type(e).__name__}: {e}")
                 continue
             if frame is None:
@@ -485,17 +485,19 @@ class LiveLoop(Closing):
         return source is not None and source.waits
 
     def _collect_zero(self, frame: Frame) -> None:
-        if self._zeros and self._zeros[0].image.shape != frame.image.shape:
-            self._zeros.clear()
-        self._zeros.append(frame)
-        if len(self._zeros) >= self._zero_frames:
-            images = [one.image for one in self._zeros]
-            lasted_s = self._zeros[-1].time_s - self._zeros[0].time_s
-            self._zeros.clear()
-            self._untouched_rate_hz = (len(images) - 1) / lasted_s if lasted_s > 0 else None
-            self._zeroing, self._untouched_frames = False, tuple(images)
-            self._take_zero(mean_image(images))
-            self._let_rest(False)
+        with self._lock:  # `zero` restarts the collection from another thread
+            if self._zeros and self._zeros[0].image.shape != frame.image.shape:
+                self._zeros.clear()
+            self._zeros.append(frame)
+            if not self._zeroing or len(self._zeros) < self._zero_frames:
+                return
+            frames, self._zeros, self._zeroing = self._zeros, [], False
+        images = [one.image for one in frames]
+        lasted_s = frames[-1].time_s - frames[0].time_s
+        self._untouched_rate_hz = (len(images) - 1) / lasted_s if lasted_s > 0 else None
+        self._untouched_frames = tuple(images)
+        self._take_zero(mean_image(images))
+        self._let_rest(False)
 
     def _let_rest(self, rest: bool) -> None:
         """Ask whoever presses to let go, or to go on, where that can be asked; a person is told in words."""
@@ -505,8 +507,8 @@ class LiveLoop(Closing):
 
     def _take_zero(self, image: Image) -> None:
         self._untouched = image
-        if self._forces:
-            self._bias_n = float(np.median([force for _, force in self._forces]))
+        if forces := self._forces.items():
+            self._bias_n = float(np.median([force for _, force in forces]))
         reader, drift = self._reader, self._drift
         if reader is not None:
             try:
@@ -535,8 +537,8 @@ class LiveLoop(Closing):
         if good:
             self._wrench = good[-1]
             self._forces.extend((one.time_ns, one.force_n[2]) for one in good)
-            while self._forces[0][0] < good[-1].time_ns - BIAS_S * NS_PER_S:
-                self._forces.popleft()
+            oldest_ns = good[-1].time_ns - BIAS_S * NS_PER_S
+            self._forces.discard_while(lambda one: one[0] < oldest_ns)
         for line in self._lines if samples else ():
             line.force(samples)
 
@@ -549,7 +551,7 @@ class LiveLoop(Closing):
         """Force when a frame was taken, by the samples about it: a press may be newtons further by now."""
         if self._force_now() is None:
             return None
-        times_ns, forces_n = zip(*self._forces, strict=True)
+        times_ns, forces_n = zip(*self._forces.items(), strict=True)
         at = np.interp(time_s * NS_PER_S, np.array(times_ns, float), forces_n)
         return float(at) - self._bias_n
 
@@ -558,8 +560,9 @@ class LiveLoop(Closing):
         try:
             work()
         except Exception as e:
-            traceback.print_exc()
-            self._end(LiveState.FAILED, f"{type(e).__name__}: {e}")
+            failure = record_failure(e, f"the live loop of {self._name}")
+            report_to_stderr(failure)
+            self._end(LiveState.FAILED, failure.text)
             self._frames.close()
         finally:
             if work == self._read_all and self._hand_over is not None:

@@ -32,6 +32,7 @@ from palpate.core import (
     Wrench,
     plain_name,
 )
+from palpate.core.failure_log import Failure, contained, report_to_stderr, thread_failures
 from palpate.devices.device_status import Log, jpeg_of
 from palpate.devices.process_memory import give_back_memory, keep_loaded
 from palpate.devices.rpc import Address, hold, publish
@@ -186,6 +187,11 @@ class LiveService:
         """Begin to read."""
         self.loop.start()
 
+    def report(self, failure: Failure) -> None:
+        """Show a failure of a thread in the log that pages show."""
+        report_to_stderr(failure)
+        self._log.add("fault", failure.text)
+
     def zero(self) -> None:
         """Take the next frames, on which nothing may press, as those of the untouched sensor."""
         self._log.add("operator", "zero")
@@ -335,7 +341,7 @@ class LiveService:
         why = ""
         if source is not None and source.force is None:
             why = f"there is no force sensor beside {source.name}, and stiffness needs one"
-        last = [one.to_dict() for one in list(presses.presses)[-TOLD_PRESSES:]]
+        last = [one.to_dict() for one in presses.presses.items()[-TOLD_PRESSES:]]
         return {"calibration": self._compliance, "presses": last[::-1], "why": why}
 
     def _opened_reader(self, calibration: str) -> FrameReader:
@@ -479,11 +485,12 @@ def main() -> int:
     signal.signal(signal.SIGINT, end)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        serve_live(words.name, LiveOptions.from_dict(json.loads(words.options)), words.folder, ended)
-    except PalpateError as e:
-        print(f"palpate: {e}", file=sys.stderr)
-        return 2
+    with contained(f"the process of {words.name}"):
+        try:
+            serve_live(words.name, LiveOptions.from_dict(json.loads(words.options)), words.folder, ended)
+        except PalpateError as e:
+            print(f"palpate: {e}", file=sys.stderr)
+            return 2
     return 0
 
 
@@ -496,7 +503,8 @@ def serve_live(name: str, options: LiveOptions, folder: Path | None, ended: thre
         service.start()
         path = publish(Address(name, server.port, server.token, os.getpid()), folder)
         try:
-            _upkeep(service, lambda: ended.wait(LOOK_S) or server.ended.is_set())
+            with thread_failures(service.report):
+                _upkeep(service, lambda: ended.wait(LOOK_S) or server.ended.is_set())
         finally:
             path.unlink(missing_ok=True)
             service.close()

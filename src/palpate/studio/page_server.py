@@ -19,7 +19,8 @@ from pathlib import Path
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
-from palpate.core import DeviceError, MissingExtraError, PalpateError, SafetyError
+from palpate.core import DeviceError, PalpateError, SafetyError
+from palpate.core.failure_log import contained, log_in_workspace
 from palpate.devices.process_memory import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
@@ -29,6 +30,7 @@ from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_routes import add_live_routes
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
+from palpate.studio.page_failures import contain_failures
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
 from palpate.studio.rendering_desk import RenderingDesk
 
@@ -109,10 +111,10 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
     Raises:
         SafetyError: others could reach the pages, and no token is asked for.
     """
-    check_needed()
     check_host(host, token)
     import uvicorn
 
+    log_in_workspace(parts.workspace.folder)
     sys.setswitchinterval(SWITCH_S)
     config = uvicorn.Config(
         make_app(parts, port, host, token),
@@ -124,7 +126,8 @@ def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = ""
     )
     keep_loaded()
     try:
-        uvicorn.Server(config).run()
+        with contained("the studio"):
+            uvicorn.Server(config).run()
     finally:
         parts.close()
 
@@ -146,6 +149,7 @@ def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -
 
     add_live_routes(app, parts.lives, parts.starts, parts.workspace)
     add_pages(parts)
+    contain_failures()
     ui.run_with(
         app,
         language="en-US",
@@ -218,14 +222,6 @@ def add_pages(parts: StudioParts) -> None:
 def _whole(text: str | None) -> int:
     """A number of a frame as it stands in an address; 0 where it is none."""
     return int(text) if text and text.isascii() and text.isdigit() and len(text) < MAX_DIGITS else 0
-
-
-def check_needed() -> None:
-    """Refuse to begin without what the pages are made with."""
-    try:
-        import nicegui  # noqa: F401
-    except ImportError as e:
-        raise MissingExtraError("the studio needs NiceGUI: pip install 'palpate[studio]'") from e
 
 
 def check_host(host: str, token: str) -> None:

@@ -13,6 +13,7 @@ from html import escape
 from nicegui import ui
 
 from palpate.studio import page_style, shown_ages
+from palpate.studio.page_failures import notify_of_failures
 from palpate.studio.page_style import ACCENT, BAD, INK
 
 PAGES = {
@@ -41,6 +42,7 @@ def page_shell(active: str) -> None:
     ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
     ui.add_body_html(page_style.text_of("ages.html"))
     ui.add_body_html(navigation_html(active))
+    notify_of_failures()
 
 
 def navigation_html(active: str) -> str:

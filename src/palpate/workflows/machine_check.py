@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from palpate.core import PalpateError
+from palpate.core.errors import MissingExtraError
+from palpate.core.optional_imports import require
 from palpate.devices.rpc import folder_of
 from palpate.rig.real.camera_listing import ListedCamera, how_listed, list_cameras
 
@@ -198,8 +200,8 @@ def _ports() -> list[MachinePart]:
 
 def _port_names() -> list[tuple[str, str]]:
     try:
-        listed = importlib.import_module("serial.tools.list_ports").comports()
-    except ImportError:
+        listed = require("serial.tools.list_ports", "The list of serial ports").comports()
+    except MissingExtraError:
         patterns = ("ttyACM*", "ttyUSB*", "cu.usb*")
         return [(str(path), "") for pattern in patterns for path in sorted(Path("/dev").glob(pattern))]
     return sorted((port.device, port.serial_number or "") for port in listed if port.hwid != "n/a")

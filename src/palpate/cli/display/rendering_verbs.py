@@ -12,8 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Option
+from typer import Exit, Option
 
+from palpate.cli.stop_command import DEFAULT_BENCH, stop_display
 from palpate.cli.verb_support import Json, Quiet, print_found
 
 if TYPE_CHECKING:
@@ -248,15 +249,11 @@ def _text(answer: dict[str, Any]) -> str:
 
 
 def stop(
-    name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = "virtual softness bench",
+    name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = DEFAULT_BENCH,
+    json_: Json = False,
 ) -> None:
     """Stop a rendering, from any terminal: vent and brake.
 
     Example: palpate display stop --name "desk bench"
     """
-    from palpate.core import DeviceError
-    from palpate.softness.process import stop_by_name
-
-    if not stop_by_name(name):
-        raise DeviceError(f"nothing renders on a bench named {name!r}; the name stands in the bench's file")
-    print_found({}, f"{name}: stopped; the chamber vents and the arm brakes", False)
+    raise Exit(stop_display(name, json_))

@@ -114,8 +114,9 @@ def stop(rig: RigName, json_: Json = False) -> None:
     """
     from palpate.rig.commissioning.bench import stop_rig
 
-    said = stop_rig(rig)
-    print_found({"rig": rig, "stopped": True, "how": said}, f"{rig}: {said}", json_)
+    done = stop_rig(rig)
+    found = {"rig": rig, "stopped": True, "how": done.how, "code": done.code}
+    print_found(found | {"processes": [one.to_dict() for one in done.holders]}, f"{rig}: {done.how}", json_)
 
 
 @rig_app.command()

@@ -225,10 +225,9 @@ def serve_studio(
 
     from palpate.rig.service import RigClient, launch, rig_name
     from palpate.softness.process import read_bench
-    from palpate.studio.page_server import StudioParts, check_host, check_needed, check_port, serve_pages
+    from palpate.studio.page_server import StudioParts, check_host, check_port, serve_pages
 
     rig = rig_name(rig)
-    check_needed()
     from palpate.studio.library.workspace import Workspace
     from palpate.studio.rendering_desk import RenderingDesk
 
@@ -265,9 +264,11 @@ def _page_address(host: str, port: int, secret: str, page: str) -> str:
 
 def _others(client: RigClient) -> int:
     """Pages and programs that stay at the rig; 0 beside a process of an older palpate, which counts none."""
+    from palpate.core import InputError
+
     try:
         return client.leave()
-    except palpate.InputError:
+    except InputError:
         return 0
 
 

@@ -18,7 +18,8 @@ from itertools import chain
 from types import FrameType
 from typing import Any, BinaryIO, Protocol
 
-from palpate.core import DeviceError, MonotonicClock, ProtocolError
+from palpate.core import DeviceError, MonotonicClock, PalpateError, ProtocolError
+from palpate.core.failure_log import record_failure, report_to_stderr, thread_failures
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices.rpc import Address, hold, publish, supervisor_name
 from palpate.devices.rpc_server import RpcServer
@@ -75,11 +76,13 @@ def run_owner(opens: Opens) -> int:
     _ask_for_priority()
     writer = PipeWriter(to)
     try:
-        with ExitStack() as opened:
+        with thread_failures(), ExitStack() as opened:
             _serve(opens, writer, opened)
     except (Exception, KeyboardInterrupt) as e:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a client that hears this goes, and that is no fault
         told = DeviceError(GIVEN_UP) if isinstance(e, KeyboardInterrupt) else e
+        if not isinstance(told, PalpateError):
+            report_to_stderr(record_failure(told, "the process that owns the devices"))
         writer.send({"opened": False, "ok": False, **error_fields(told)})
         writer.close(SAID_S)
         return 2

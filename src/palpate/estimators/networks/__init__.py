@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from palpate.core import InputError, MissingExtraError, PluginError, Progress, silent
+from palpate.core import InputError, PluginError, Progress, silent
 from palpate.core.plugins import ERROR, PluginRegistry, import_path, plugin_calls
 from palpate.core.sensor import MODELS_OF_SENSORS
 from palpate.estimators.networks.model_interface import Fitted, Model, TrainingData
@@ -122,15 +122,7 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
         MissingExtraError: the model needs a package that is not installed.
     """
     path = REGISTRY.path_of(name)
-    try:
-        make = model_class(path)
-    except PluginError as e:
-        if name in MODELS and isinstance(e.__cause__, ImportError):
-            raise MissingExtraError(
-                f"model {name} needs {e.__cause__.name}, which is not installed; run: pip install "
-                "'palpate[train]'"
-            ) from e
-        raise
+    make = model_class(path)
     _check_options(name, make, options)
     with plugin_calls(f"model {name} with options {dict(options)} cannot be made ({ERROR})"):
         model: Model = make(**options)

@@ -18,18 +18,21 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import torch
-from torch import nn
-from torch.nn import functional
-from torch.optim.swa_utils import AveragedModel
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.core.array_files import read_arrays
+from palpate.core.optional_imports import optional_imports
 from palpate.core.parsing import parser
 from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.symmetry import RotationalSymmetry
 from palpate.estimators.networks.torch_export import TorchGraph
+
+with optional_imports("A network"):
+    import torch
+    from torch import nn
+    from torch.nn import functional
+    from torch.optim.swa_utils import AveragedModel
 
 
 class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch

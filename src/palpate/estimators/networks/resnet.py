@@ -9,13 +9,14 @@ doi:10.1109/CVPR.2016.90.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 
-import torch
-from torch import nn
+from palpate.core import InputError
+from palpate.core.optional_imports import optional_imports, require
 
-from palpate.core import InputError, MissingExtraError
+with optional_imports("A network"):
+    import torch
+    from torch import nn
 
 FEATURES = 512
 
@@ -141,12 +142,7 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
         MissingExtraError: the package that reads it is not installed.
     """
     check_weights(path)
-    try:
-        load = import_module("safetensors.torch").load_file
-    except ImportError as e:
-        raise MissingExtraError(
-            f"weights {path} need safetensors, which is not installed; run: pip install 'palpate[train]'"
-        ) from e
+    load = require("safetensors.torch", f"A file of weights such as {path}").load_file
     try:
         return dict(load(path))
     except Exception as e:  # the package's own error, which cannot be named where it is not installed

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import torch
-from torch import nn
 
+from palpate.core.optional_imports import optional_imports
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 from palpate.estimators.networks.resnet import BasicBlock, ResNet18
+
+with optional_imports("A network"):
+    import torch
+    from torch import nn
 
 
 class TorchGraph(OnnxGraph):

@@ -22,10 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import nn
 
 from palpate.core import Float32, Indices, InputError, Progress, Tensor, silent
+from palpate.core.optional_imports import optional_imports
 from palpate.estimators.networks.compact_cnn import (
     checkpoint_part,
     cosine_rate,
@@ -36,6 +35,10 @@ from palpate.estimators.networks.compact_cnn import (
 )
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import TrainingRecord
+
+with optional_imports("A network"):
+    import torch
+    from torch import nn
 
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Vary = Callable[[Tensor, tuple[int, ...]], Tensor]

@@ -43,6 +43,17 @@ from palpate.rig.rig_file import (
     read_rig,
 )
 from palpate.rig.service import RigClient, rig_name
+from palpate.stop_request import (
+    ENDED,
+    GONE,
+    NOT_CONFIRMED,
+    STOPPED,
+    Holder,
+    failed_text,
+    holders_of,
+    how_stopped,
+    stop_all,
+)
 
 WATCH_S = 1.0  # for a camera's rate
 POLL_S = 0.02
@@ -189,54 +200,43 @@ def _reached(client: Client) -> Client | None:
     return None
 
 
-def stop_rig(rig: str) -> str:
-    """Stop a rig at once: through the process that holds it, else on the stage itself.
+class RigStop(NamedTuple):
+    """Confirmed stop of a rig.
 
-    Returns:
-        What was done, in words.
+    Attributes:
+        code: "stopped" by the processes that hold it, "stopped-on-port", or "nothing-moves".
+        how: what was done, as a phrase.
+        holders: processes that held the rig, or left their address behind, with their answers.
+    """
+
+    code: str
+    how: str
+    holders: list[Holder]
+
+
+def stop_rig(rig: str) -> RigStop:
+    """Stop a rig at once: through the processes that hold it, else on the stage itself.
 
     A process that has the stage's port and is no supervisor is told to end; then the stage is stopped.
 
     Raises:
         DeviceError: the stage did not stop, or is not known to stand; says who has it.
     """
-    if (client := rig_process(rig)) is not None:
-        with client:
-            answer = client.estop()
-        took_ms = (answer["stood_ns"] - answer["asked_ns"]) / 1e6
-        return (
-            f"emergency stop by the process that holds the rig: the stage stood after {took_ms:.1f} ms; it "
-            "stays held until it is released there"
-        )
-    told = _stop_supervisor(supervisor_name(rig_name(rig)))
-    if told.stood_ms is not None:
-        return f"emergency stop by the recording's supervisor: the stage stood after {told.stood_ms:.1f} ms"
-    with _held_alone(supervisor_name(rig_name(rig)), LET_GO_S if told.reached else 0.0):
+    name = rig_name(rig)
+    holders = holders_of(name)
+    stop_all(holders)
+    if how := how_stopped(holders):
+        return RigStop(STOPPED, how, holders)
+    if is_virtual(rig) or read_rig(Path(rig)).virtual is not None:
+        if failed := failed_text(holders):
+            raise DeviceError(f"{rig}: nothing was stopped{failed}", code=NOT_CONFIRMED)
+        return RigStop("nothing-moves", "no process holds it, and nothing of a virtual rig moves", holders)
+    reached = [one for one in holders if one.is_supervisor and one.code != GONE]
+    told = "the process that was opening the rig was ended; " if any(o.code == ENDED for o in reached) else ""
+    with _held_alone(supervisor_name(name), LET_GO_S if reached else 0.0):
         ended = _stop_on_port(rig)
-    return f"{told.words}{ended}the stage was opened by itself and told to stop, and it obeyed"
-
-
-class _Told(NamedTuple):
-    """What a supervisor's process was told: in words, whether it heard, and when the stage stood [ms]."""
-
-    words: str = ""
-    reached: bool = False
-    stood_ms: float | None = None
-
-
-def _stop_supervisor(name: str) -> _Told:
-    """Ask a supervisor's process for its emergency stop, where there is one and it answers."""
-    supervisor = _reached(RpcClient(name))
-    if supervisor is None:
-        return _Told()
-    with supervisor:
-        try:
-            answer = supervisor.send("estop", REACH_S)()
-        except DeviceError:  # it ended meanwhile, or hangs: whoever takes its hold next sees which
-            return _Told("the recording's supervisor did not answer and is gone; ", True)
-    if "stood_ns" not in answer:
-        return _Told("the process that was opening the rig was ended; ", True)
-    return _Told(reached=True, stood_ms=(answer["stood_ns"] - answer["asked_ns"]) / 1e6)
+    how = f"{told}{ended}the stage was opened by itself and told to stop, and it obeyed"
+    return RigStop("stopped-on-port", how, holders)
 
 
 @contextmanager
@@ -258,7 +258,8 @@ def _held_alone(name: str, within_s: float) -> Iterator[None]:
             if time.monotonic() > end_s:
                 raise DeviceError(
                     f"{e}. It guards the motion and does not answer: nothing was stopped, and the stage may "
-                    "move. Use the rig's switch"
+                    "move. Use the rig's switch",
+                    code=NOT_CONFIRMED,
                 ) from e
             time.sleep(AGAIN_S)
     with held:
@@ -275,22 +276,22 @@ def _stop_on_port(rig: str) -> str:
             return ended
         except DeviceHeldError as e:
             if e.pid is None or time.monotonic() > end_s:
-                raise DeviceError(f"{ended}{e}. The stage is not known to stand: use the rig's switch") from e
+                raise DeviceError(
+                    f"{ended}{e}. The stage is not known to stand: use the rig's switch", code=NOT_CONFIRMED
+                ) from e
             if not ended:
                 with suppress(ProcessLookupError):
                     os.kill(e.pid, signal.SIGTERM)
                 ended = f"process {e.pid}, which had the stage, was told to end; "
             time.sleep(AGAIN_S)
         except DeviceError as e:
-            raise DeviceError(f"{ended}{e}. Nothing was stopped: use the rig's switch") from e
+            raise DeviceError(
+                f"{ended}{e}. Nothing was stopped: use the rig's switch", code=NOT_CONFIRMED
+            ) from e
 
 
 def _open_stage(rig: str) -> Stage:
-    if is_virtual(rig):
-        return open_rig(rig).stage
     file = read_rig(Path(rig))
-    if file.virtual is not None:
-        return open_rig(rig).stage
     if file.stage is None:
         raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
     stage: Stage = _open_stage_part(file.stage, MonotonicClock(), place=False)

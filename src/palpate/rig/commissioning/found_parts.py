@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.core import Clock, MissingExtraError, PalpateError, Position
+from palpate.core import Clock, PalpateError, Position
+from palpate.core.optional_imports import require
 
 VIDEO = Path("/dev")
 BAUD = 115_200
@@ -115,12 +115,7 @@ def serial_ports() -> list[str]:
     Raises:
         MissingExtraError: pyserial is not installed.
     """
-    try:
-        listed = importlib.import_module("serial.tools.list_ports")
-    except ImportError as e:
-        raise MissingExtraError(
-            "serial ports are listed by pyserial; install it with pip install 'palpate[rig]'"
-        ) from e
+    listed = require("serial.tools.list_ports", "The list of serial ports")
     return sorted(port.device for port in listed.comports())
 
 

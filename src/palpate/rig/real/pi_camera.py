@@ -7,7 +7,6 @@ against a stand-in alone.
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections import deque
 from threading import Condition, Event, Thread
@@ -15,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.core import NS_PER_S, Closing, DeviceError, Frame, MissingExtraError
+from palpate.core import NS_PER_S, Closing, DeviceError, Frame
+from palpate.core.optional_imports import require
 from palpate.rig.real.uvc_camera import KEPT_S, UvcSettings
 
 CLOSE_S = 2.0
@@ -147,10 +147,4 @@ PICAMERA = "picamera2"
 
 
 def _library() -> Any:
-    try:
-        return importlib.import_module("picamera2")
-    except ImportError as e:
-        raise MissingExtraError(
-            "the camera of a Raspberry Pi needs picamera2; install it there with sudo apt install "
-            "python3-picamera2, or pip install 'palpate[picamera2]'"
-        ) from e
+    return require("picamera2", "The camera of a Raspberry Pi")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from palpate.core import DeviceError, MissingExtraError
+from palpate.core import DeviceError
+from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import DeviceHold, hold_device, port_named
 
 READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end
@@ -57,7 +57,7 @@ def open_port(name: str, baud: int, *, dtr: bool = False, frame: str = "8N1") ->
     Raises:
         DeviceError: there is no such port, or another process has it; says which.
     """
-    serial = _serial()
+    serial = _serial("serial")
     path = find_port(name)
     held = hold_device(port_named(path))
     try:
@@ -116,14 +116,11 @@ def _listed() -> str:
 
 
 def _ports() -> list[Any]:
-    _serial()
-    return sorted(importlib.import_module("serial.tools.list_ports").comports(), key=lambda port: port.device)
+    return sorted(
+        _serial("serial.tools.list_ports").comports(),
+        key=lambda port: port.device,
+    )
 
 
-def _serial() -> Any:
-    try:
-        return importlib.import_module("serial")
-    except ImportError as error:
-        raise MissingExtraError(
-            "a device on a serial port needs pyserial; install it with pip install 'palpate[rig]'"
-        ) from error
+def _serial(module: str) -> Any:
+    return require(module, "A device on a serial port")

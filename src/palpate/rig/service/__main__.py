@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from palpate.core import PalpateError
+from palpate.core.failure_log import contained, thread_failures
 from palpate.devices.process_memory import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.rig.service.rig_service import RigServer, RigService
@@ -38,11 +39,12 @@ def main() -> int:
     signal.signal(signal.SIGINT, end)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        serve(options.rig, options.runs, options.folder, options.accelerated, ended)
-    except PalpateError as e:
-        print(f"palpate: {e}", file=sys.stderr)
-        return 2
+    with contained(f"the process of {options.rig}"):
+        try:
+            serve(options.rig, options.runs, options.folder, options.accelerated, ended)
+        except PalpateError as e:
+            print(f"palpate: {e}", file=sys.stderr)
+            return 2
     return 0
 
 
@@ -54,8 +56,9 @@ def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: t
         keep_loaded()
         path = publish(Address(rig, server.port, server.token, os.getpid()), folder)
         try:
-            while not (ended.wait(LOOK_S) or server.ended.is_set()):
-                pass
+            with thread_failures(service.report):
+                while not (ended.wait(LOOK_S) or server.ended.is_set()):
+                    pass
         finally:
             path.unlink(missing_ok=True)
             service.close()  # clients may still watch, and stop it, while it ends

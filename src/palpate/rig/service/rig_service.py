@@ -26,6 +26,7 @@ from palpate.core import (
     Sensor,
     plain_name,
 )
+from palpate.core.failure_log import Failure, report_to_stderr
 from palpate.devices import OperatorCommand, OperatorControl, Tripped, device_status
 from palpate.devices.device_proxies import CameraProxy, ForceProxy, StageProxy
 from palpate.devices.device_status import Kind, Log
@@ -185,6 +186,11 @@ class RigService:
         self._rig = self._devices.rig
         self._set(first_plan(self._rig.design))
         self._log.add("rig", f"{self._rig.name} opened")
+
+    def report(self, failure: Failure) -> None:
+        """Show a failure of a thread in the log that pages show."""
+        report_to_stderr(failure)
+        self._log.add("fault", failure.text)
 
     def plan(self, what: str | Mapping[str, Any]) -> dict[str, Any]:
         """Set what is recorded next, by name or by its fields; says how much that is."""

@@ -15,4 +15,5 @@ _MODULES = {"Fault": "disturbances", "Variation": "disturbances", "virtual_rig":
 
 __all__ = ["Fault", "Variation", "virtual_rig"]
 
-__getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)
+if not TYPE_CHECKING:  # mypy accepts only the names imported above
+    __getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

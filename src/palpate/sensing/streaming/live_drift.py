@@ -8,12 +8,13 @@ sensor was let go of once in that minute.
 from __future__ import annotations
 
 import time
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 from palpate.core import Drift, Image, ImageError, Readings
 from palpate.core.reading import plain_number
+from palpate.core.shared_history import SharedHistory
 from palpate.estimators.guard import EXCHANGED, MIRRORED
 from palpate.sensing.streaming.live_readers import FrameReader
 
@@ -59,7 +60,7 @@ class DriftWatch:
 
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader
-        self._looks: deque[Look] = deque(maxlen=round(WINDOW_S / LOOK_S) + 1)
+        self._looks = SharedHistory[Look](round(WINDOW_S / LOOK_S) + 1)
         self._next_s = 0.0
         self._re_zeroed = False
 
@@ -124,4 +125,4 @@ class DriftWatch:
 
     def _recent(self) -> list[Look]:
         now_s = time.monotonic()
-        return [look for look in self._looks if now_s - look.at_s <= WINDOW_S]
+        return [look for look in self._looks.items() if now_s - look.at_s <= WINDOW_S]

@@ -22,6 +22,7 @@ from palpate.calibration.compliance.compliance_calibration import ComplianceCali
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.core import NS_PER_S, Closing, Image, PalpateError, Reading, Readings, Wrench
+from palpate.core.shared_history import SharedHistory
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensing.live_sources import LiveFrame
 
@@ -102,7 +103,7 @@ class PressReader(Closing):
             told: is told of each press, in this subscriber's own thread.
             threshold_n: force from which something touches [N].
         """
-        self.presses: deque[LivePress] = deque(maxlen=100)
+        self.presses = SharedHistory[LivePress](100)
         self._read, self._told, self._threshold_n = read, told, threshold_n
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, Image]] = deque(maxlen=MAX_FRAMES)
@@ -183,8 +184,9 @@ class PressReader(Closing):
             frames = [one for one in self._frames if loading[0][0] <= one[0] <= peak_ns]
             self._begun_ns = self._below_ns = None
             self._samples.clear()
-        self._number += 1
-        self._waiting += 1
+        with self._lock:
+            self._number += 1
+            self._waiting += 1
         self._work.put((self._number, frames, loading))
 
     def _read_all(self) -> None:
@@ -196,7 +198,8 @@ class PressReader(Closing):
             if item is None:
                 return
             self._tell(self._one(*item))
-            self._waiting -= 1
+            with self._lock:
+                self._waiting -= 1
 
     def _one(self, number: int, frames: TimedImages, samples: TimedForces) -> LivePress:
         begun_s, force_n = time.monotonic(), samples[-1][1]

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from dataclasses import replace
 
-from palpate.core import Closing, DeviceError, PalpateError
+from palpate.core import Closing, PalpateError
 from palpate.devices.operator_control import OperatorCommand
 from palpate.devices.supervisor.process_link import GoneWords, ProcessLink
 from palpate.softness.characteristics import SoftObject
@@ -21,6 +21,7 @@ from palpate.softness.process.rendering_messages import (
     status_of,
 )
 from palpate.softness.rendering_law import Mode, RenderingLaw
+from palpate.stop_request import STOPPED, holders_of, stop_all
 
 PROCESS = ("-m", "palpate.softness.process.rendering_process")
 TOLD = GoneWords(
@@ -30,7 +31,6 @@ TOLD = GoneWords(
     "drop the arm's force. Take the finger away, and use the switch",
     "take the finger away: the process that renders has not let go of the devices",
 )
-REACHED_S = 2.0  # in which a process that is there answers
 ENDS_S = 2.0  # in which it says that it has ended
 QUIET_S = 5.0  # in which the process tells something
 KEPT = 6000  # samples, of a minute
@@ -141,15 +141,6 @@ class RenderingSession(Closing):
 
 def stop_by_name(name: str) -> bool:
     """Stop what renders under a bench's name, in whatever process of the same user; whether there was any."""
-    from palpate.devices.rpc import find, supervisor_name
-    from palpate.devices.rpc_client import RpcClient
-
-    if find(supervisor_name(name)) is None:
-        return False
-    with RpcClient(supervisor_name(name)) as client:
-        try:
-            client.wait_for(lambda status: True, REACHED_S)
-        except DeviceError:
-            return False  # it was killed, and left its address behind
-        client.ask("estop")
-    return True
+    holders = [one for one in holders_of(name) if one.is_supervisor]
+    stop_all(holders)
+    return any(one.code == STOPPED for one in holders)

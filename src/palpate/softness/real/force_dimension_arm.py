@@ -18,7 +18,6 @@ brakes, watchdog and velocity threshold do.
 
 from __future__ import annotations
 
-import importlib
 import math
 from contextlib import suppress
 from dataclasses import dataclass
@@ -36,6 +35,7 @@ from palpate.core import (
     Position,
     RangeError,
 )
+from palpate.core.optional_imports import require
 
 TICK_S = 125e-6
 """Unit of the watchdog [s]."""
@@ -438,14 +438,10 @@ class ForceDimensionArm(Closing):
 
 
 def _library() -> Any:
-    try:
-        library, why = importlib.import_module("forcedimension_core"), "it is older than 1.0"
-    except ImportError as error:
-        library, why = None, str(error)
+    """Return the maker's library, which needs its SDK 3.16 or newer and Python 3.12 or older."""
+    library = require("forcedimension_core", "An arm of Force Dimension with its SDK 3.16 or newer")
     if not hasattr(library, "constants"):  # before 1.0 gravity was another function's
         raise MissingExtraError(
-            f"an arm of Force Dimension needs forcedimension-core and the maker's SDK 3.16 or newer ({why}); "
-            "install them by Python 3.12 or older with pip install 'palpate[haptic-arm]', and from "
-            "forcedimension.com"
+            "forcedimension-core is older than 1.0. Install it with `pip install 'palpate[haptic-arm]'`."
         )
     return library

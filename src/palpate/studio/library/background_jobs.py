@@ -138,9 +138,11 @@ class BackgroundJobs(Closing):
             job.process.terminate()
 
     def close(self) -> None:
-        for job in self._jobs.values():
+        with self._turn:
+            jobs = list(self._jobs.values())
+        for job in jobs:
             self.cancel(job.number)
-        for job in self._jobs.values():
+        for job in jobs:
             try:
                 job.process.wait(ENDS_S)
             except subprocess.TimeoutExpired:

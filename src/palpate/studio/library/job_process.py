@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.core import PalpateError
+from palpate.core.failure_log import Failure, contained
 
 SAID_S = 0.2  # between two lines about the same step
 
@@ -33,6 +34,10 @@ class JobVoice:
     def say(self, line: dict[str, Any]) -> None:
         """Print a line."""
         print(json.dumps(line), flush=True)
+
+    def report(self, failure: Failure) -> None:
+        """Report an exception that nothing handled, for the page."""
+        self.say({"error": failure.text, "code": failure.code})
 
 
 def calibrate_job(voice: JobVoice, run: str, targets: str, out: str) -> dict[str, Any]:
@@ -105,11 +110,12 @@ JOBS = {
 def main(words: list[str]) -> int:
     """Do one job; 0 where it was done, 2 where it was refused and said why."""
     voice = JobVoice()
-    try:
-        found = JOBS[words[0]](voice, *words[1:])  # type: ignore[operator]
-    except PalpateError as e:
-        voice.say({"error": " ".join(str(e).split())})
-        return 2
+    with contained(f"the job {words[0]}", voice.report):
+        try:
+            found = JOBS[words[0]](voice, *words[1:])  # type: ignore[operator]
+        except PalpateError as e:
+            voice.say({"error": " ".join(str(e).split())})
+            return 2
     voice.say({"done": found})
     return 0
 

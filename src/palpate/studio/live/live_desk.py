@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import Closing, InputError, PalpateError
+from palpate.core.shared_history import SharedHistory
 from palpate.studio.live.reading_rows import force_beside
 
 SPAN_S = 20.0
@@ -91,12 +91,11 @@ class LiveSensor:
     Attributes:
         name: of its process.
         connection: to it.
-        samples: of the last `SPAN_S`, oldest first.
     """
 
     def __init__(self, name: str, connection: LiveConnection) -> None:
         self.name, self.connection = name, connection
-        self.samples: deque[LiveSample] = deque(maxlen=MAX_SAMPLES)
+        self._samples = SharedHistory[LiveSample](MAX_SAMPLES)
         self._serial = -1
 
     def listen(self, now_s: float) -> None:
@@ -105,15 +104,19 @@ class LiveSensor:
         if status is not None and status.get("serial") != self._serial:
             self._serial = status.get("serial", -1)
             reading, force_n = status.get("reading"), force_beside(status)
-            newest = self.samples[-1] if self.samples else None
+            newest = self._samples.newest
             frame_s = float(reading["time_s"]) if reading else (newest.frame_s if newest else 0.0)
             read_anew = bool(reading) and (newest is None or frame_s != newest.frame_s)
             if read_anew or force_n is not None:
                 # A frame that was read before is not read again: its curve ends until the next one.
                 readings = edge_readings(reading["readings"]) if reading and read_anew else {}
-                self.samples.append(LiveSample(now_s, frame_s, readings, force_n))
-        while self.samples and now_s - self.samples[0].at_s > SPAN_S:
-            self.samples.popleft()
+                self._samples.append(LiveSample(now_s, frame_s, readings, force_n))
+        self._samples.discard_while(lambda one: now_s - one.at_s > SPAN_S)
+
+    @property
+    def samples(self) -> list[LiveSample]:
+        """Samples of the last `SPAN_S`, oldest first."""
+        return self._samples.items()
 
     def age_s(self, now_s: float) -> float | None:
         """Since when nothing was told [s]; None where nothing ever was."""
@@ -211,8 +214,10 @@ class LiveDesk(Closing):
     def close(self) -> None:
         """Listen no more; the sensors' processes go on."""
         self._closing.set()
-        for name in self.names:
-            self._sensors.pop(name).connection.close()
+        with self._turn:
+            sensors, self._sensors = list(self._sensors.values()), {}
+        for sensor in sensors:
+            sensor.connection.close()
 
     def _listen(self) -> None:
         while not self._closing.wait(LISTEN_S):

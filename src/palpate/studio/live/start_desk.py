@@ -151,7 +151,9 @@ class StartDesk(Closing):
             return self._runs[folder]
 
     def close(self) -> None:
-        for one in self._runs.values():
+        with self._turn:
+            runs = list(self._runs.values())
+        for one in runs:
             one.close()
 
 

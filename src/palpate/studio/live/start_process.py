@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpate.core import PalpateError
+from palpate.core.failure_log import contained
 from palpate.rig.real.scale.weight_line import NEWTONS
 from palpate.studio.library.file_routes import jpeg_bytes
 from palpate.studio.library.job_process import JobVoice
@@ -182,11 +183,12 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(STOPPED))  # what is being recorded is closed whole
     voice = JobVoice()
-    try:
-        found = run_session(parser.parse_args(), voice)
-    except PalpateError as e:
-        voice.say({"error": " ".join(str(e).split())})
-        return 2
+    with contained("the first session", voice.report):
+        try:
+            found = run_session(parser.parse_args(), voice)
+        except PalpateError as e:
+            voice.say({"error": " ".join(str(e).split())})
+            return 2
     voice.say({"done": found})
     return 0
 

@@ -14,7 +14,6 @@ isProgramRunning, stopScript, disconnect.
 
 from __future__ import annotations
 
-import importlib
 import math
 import threading
 from collections.abc import Callable
@@ -28,11 +27,11 @@ from palpate.core import (
     Closing,
     DeviceError,
     HardwareStopError,
-    MissingExtraError,
     MonotonicClock,
     Position,
     Travel,
 )
+from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import arm_named, hold_device
 from palpate.rig.real.grbl.grbl_move import distance_to_segment
 from palpate.rig.real.grbl.grbl_supervisor import check_range
@@ -398,9 +397,4 @@ def _let_go(receive: ReceiveInterface, control: ControlInterface | None, release
 
 
 def _library(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise MissingExtraError(
-            f"an arm of Universal Robots needs ur_rtde ({error}); install it with pip install 'palpate[ur]'"
-        ) from error
+    return require(name, "An arm of Universal Robots")

@@ -19,11 +19,9 @@ from typing import ClassVar
 import cv2
 import numpy as np
 import onnx
-import torch
-from torch import nn
-from torch.nn import functional
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.core.optional_imports import optional_imports
 from palpate.estimators.guard import RenderedImages, thumbnails
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData
@@ -43,6 +41,11 @@ from palpate.sensors.palm.networks.palm_training import (
 )
 from palpate.sensors.palm.palm_spec import cropped, preset
 from palpate.sensors.palm.random_presses import TARGETS, Presses, draw_presses
+
+with optional_imports("A network of the palm"):
+    import torch
+    from torch import nn
+    from torch.nn import functional
 
 WIDTHS = (24, 48, 64, 96)
 SEEN_AT = 2  # blocks after which the mirror's maps are asked where they weigh most

@@ -25,11 +25,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
-from torch import nn
-from torch.nn import functional
-
 from palpate.core import InputError
+from palpate.core.optional_imports import optional_imports
 from palpate.estimators.networks.resnet import FEATURES, ResNet18
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.sensors.palm.networks import FORCES, PLACE
@@ -42,6 +39,11 @@ from palpate.sensors.palm.networks.palm_training import (
     TwoTrunks,
     dense,
 )
+
+with optional_imports("A network of the palm"):
+    import torch
+    from torch import nn
+    from torch.nn import functional
 
 HIDDEN = 256
 

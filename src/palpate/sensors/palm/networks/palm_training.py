@@ -19,16 +19,19 @@ from typing import ClassVar
 
 import numpy as np
 import onnx
-import torch
-from torch import nn
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.core.optional_imports import optional_imports
 from palpate.estimators.networks.camera_variation import CameraVariation
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, TrainingRecord
 from palpate.estimators.networks.resnet import ResNet18, check_weights
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingTask, Vary
+
+with optional_imports("A network of the palm"):
+    import torch
+    from torch import nn
 
 MAGNITUDE = "force_magnitude_N"
 DEPTH = "depth_mm"
