@@ -60,8 +60,9 @@ class Served:
         """Variables of the server: it answers over a workspace, with address files, that no other has."""
         given = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
         self._own = tempfile.TemporaryDirectory()
-        runtime = given.get("XDG_RUNTIME_DIR") if "RUNTIME" in given else None
-        self.addresses = Path(runtime or self._own.name) / "palpate"
+        if "RUNTIME" not in given:
+            given["XDG_RUNTIME_DIR"] = self._own.name
+        self.addresses = Path(given["XDG_RUNTIME_DIR"]) / "palpate"
         given.setdefault("WORKSPACE", str(Path(self._own.name) / "workspace"))
         self.token = given.setdefault("TOKEN", TOKEN)
         return given | {"ADDRESSES": str(self.addresses)}
