@@ -27,7 +27,7 @@ REFRESH_S = 0.2
 INK, SOFT, BAD = map(paint, ("ink", "soft", "bad"))
 AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
 AGE_OF_DEVICE = {"stage": "position", "force sensor": "force", "camera": "camera"}
-LOST = "No rig process answers. If one runs, this page connects to it; else start one."
+LOST = "The rig's process cannot be reached. If it runs, this page connects to it; else start it."
 
 
 class RigPage:
@@ -217,7 +217,7 @@ class RigPage:
         self._lost.set_visibility(status is None)
         if status is None:
             self._banner.set_visibility(False)
-            self._doing.set_content(f'<span style="color:{BAD}">{LOST}</span>')
+            self._doing.set_content("")
             for button in (self._start, self._pause, self._resume, self._stop, self._abort):
                 button.disable()
             self._serial = -1
