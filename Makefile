@@ -18,7 +18,7 @@ help: ## list the targets
 
 # Without a rig, a camera or a scale: the page begins with virtual ones.
 start: .venv/studio.stamp ## open the first page: from a plugged-in or virtual sensor to live newtons
-	$(BIN)/palpate start --folder my-sensor
+	$(BIN)/palpate start --folder "$$HOME/palpate/my-sensor"
 
 # One thread: its images are small, and threads that wait for each other take the cores from the renderer.
 demo: .venv/sense.stamp ## render a recording, calibrate, evaluate, sense, report; no torch, no data

@@ -28,13 +28,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import numpy as np
 from live_loop import FRAMES, SEED, alone, calibrated, pressed
 
 from palpate.core import Frame, ManualClock
-from palpate.devices.rpc import Address
+from palpate.devices.rpc import Address, workspace_folder
 from palpate.rig.virtual.virtual_hand import VirtualHand
 from palpate.sensing.live_client import LiveClient, launch_live
 from palpate.sensing.live_service import LiveOptions
@@ -104,15 +104,17 @@ def moment(client: LiveClient, pid: int) -> Moment:
 
 
 @contextmanager
-def studio(workspace: Path, runtime: Path) -> Iterator[int]:
-    """The studio, served by a process of its own; the port."""
+def studio(workspace: Path) -> Iterator[str]:
+    """The studio, served by a process of its own; the address that it prints, with its token."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     words = ["palpate", "studio", "--workspace", str(workspace), "--port", str(port)]
     code = f"import sys; sys.argv = {words!r}; from palpate.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
+    assert process.stdout is not None
+    address = process.stdout.readline().split()[0]
     try:
         end_s = time.monotonic() + 120.0
         while time.monotonic() < end_s:
@@ -121,20 +123,10 @@ def studio(workspace: Path, runtime: Path) -> Iterator[int]:
                 break
             except OSError:
                 time.sleep(0.1)
-        yield port
+        yield address
     finally:
         process.terminate()
-        process.wait()
-        end_rig(runtime)
-
-
-def end_rig(runtime: Path) -> None:
-    """End the virtual rig that the studio began, which outlives it."""
-    from palpate.devices.rpc import find
-
-    address = find("virtual:palm", runtime / "palpate")
-    if address is not None:
-        os.kill(address.pid, 15)
+        process.communicate()
 
 
 @contextmanager
@@ -157,9 +149,8 @@ def browsed(url: str, folder: Path) -> Iterator[Any]:
 
 
 @contextmanager
-def live(name: str, options: LiveOptions, runtime: Path) -> Iterator[tuple[LiveClient, Address]]:
-    """A live sensor's process and a client of it."""
-    folder = runtime / "palpate"
+def live(name: str, options: LiveOptions, folder: Path) -> Iterator[tuple[LiveClient, Address]]:
+    """A live sensor's process, with its address file in a folder, and a client of it."""
     _, address = launch_live(name, options, folder=folder)
     with LiveClient(name, folder) as client:
         try:
@@ -209,13 +200,16 @@ def measured(minutes: float, warm_up_s: float, folder: Path, rendered: str = "bo
         if rendered == "both" or not name.startswith("live virtual:") or name.endswith(rendered)
     }  # fmt: skip
     with ExitStack() as stack:
-        port = stack.enter_context(studio(workspace, runtime))
+        address = urlsplit(stack.enter_context(studio(workspace)))
+        addresses = workspace_folder(workspace)
         clients = {
-            name: stack.enter_context(live(name, options, runtime)) for name, (options, _) in sensors.items()
+            name: stack.enter_context(live(name, options, addresses))
+            for name, (options, _) in sensors.items()
         }
         for client, _ in clients.values():
             client.wait_for(lambda status: status["state"] == "live", 120.0)
-        url = f"http://127.0.0.1:{port}/live?" + "&".join(f"sensor={quote(name)}" for name in sensors)
+        shown_sensors = "&".join(f"sensor={quote(name)}" for name in sensors)
+        url = f"http://{address.netloc}/live?{shown_sensors}&{address.query}"
         tab = stack.enter_context(browsed(url, folder / "profile"))
         time.sleep(warm_up_s)
         before = {name: moment(client, address.pid) for name, (client, address) in clients.items()}

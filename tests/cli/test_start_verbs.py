@@ -156,7 +156,7 @@ def test_how_many_presses_are_asked_for_is_heeded_or_refused(words, told, comple
 def test_what_is_chosen_for_the_page_stands_in_its_address_and_what_it_has_no_field_for_is_refused(
     tmp_path, monkeypatch
 ) -> None:
-    served: list[str] = []
+    served: list[dict] = []
     monkeypatch.setattr(
         "palpate.cli.study.study_verbs.serve_studio", lambda **words: served.append(words["page"])
     )
@@ -173,7 +173,10 @@ def test_what_is_chosen_for_the_page_stands_in_its_address_and_what_it_has_no_fi
     ]
     assert CliRunner().invoke(app, words).exit_code == 0
     assert CliRunner().invoke(app, words[:3]).exit_code == 0
-    assert served == ["?folder=s&camera=0&scale=%2Fdev%2Fx&presses=20", "?folder=s"]
+    assert served == [
+        {"folder": "s", "camera": "0", "scale": "/dev/x", "presses": 20},
+        {"folder": "s"},
+    ]
     done = CliRunner().invoke(app, [*words, "--more", "3", "--seed", "2"])
     assert (done.exit_code, len(served)) == (2, 2)
     assert "no field for --more, --seed: give --terminal" in done.output

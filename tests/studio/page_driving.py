@@ -37,7 +37,7 @@ def serving(workspace, runtime=None, sensors=()):
         runtime: folder of address files, so that no other process's sensors are met; None for the user's.
         sensors: names of live sensors to be ended at last, as they outlive the server.
     """
-    more = {} if runtime is None else {"XDG_RUNTIME_DIR": runtime}
+    more = {} if runtime is None else {"XDG_RUNTIME_DIR": runtime, "RUNTIME": "given"}
     with environment(WORKSPACE=workspace, **more):
         served = Served()
     try:
@@ -63,7 +63,7 @@ def opened(
     """A tab at an address of the studio, in front, in a theme, once it shows something."""
     tab = browser.open("about:blank", size=size)
     tab.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-    tab.go(f"http://127.0.0.1:{served.port}{path}")
+    tab.go(served.url(path))
     tab.wait(until, MAX_S)
     tab.front()
     return tab

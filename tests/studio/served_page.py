@@ -2,6 +2,8 @@
 
 What is written to its standard input, a line of JSON, is told by the made-up process from then on; `null` is
 a process that cannot be reached. Each emergency stop is a line of its standard output.
+
+Variables: WORKSPACE and OBJECTS, folders; ADDRESSES, of address files; TOKEN; RIG=none for no process.
 """
 
 import base64
@@ -15,12 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from palpate.devices.device_status import jpeg_of
+from palpate.devices.rpc import Address, path_of, publish
+from palpate.devices.rpc_server import RpcServer
 from palpate.rig.plans import PLANS, size_of
 from palpate.softness.process import read_bench
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.page_server import StudioParts, serve_pages
 from palpate.studio.rendering_desk import RenderingDesk
 
+TOKEN = "test-token"
 PLAN = PLANS["palm-reduced"]
 SIZE_PX = (256, 128)
 JPEG = base64.b64decode(jpeg_of(np.full((*SIZE_PX[::-1], 3), (60, 120, 140), np.uint8))["jpeg"])
@@ -49,28 +54,58 @@ def status_now(**changed):
 
 
 class MadeUpClient:
-    """Stands for `RigClient`."""
+    """Stands for `RigClient`, and for the rig's process as the emergency stop listener reaches it."""
 
-    def __init__(self):
-        self.status, self.picture, self.told_s = status_now(), (1, JPEG, SIZE_PX), time.monotonic()
-        self._silent = False
+    name = "made up"
+
+    def __init__(self, folder):
+        self.status, self._picture, self.told_s = None, (1, JPEG, SIZE_PX), None
+        self._silent, self._folder, self._server = False, folder, None
+        self._blocks_s = 0.0
         threading.Thread(target=self._listen, daemon=True).start()
         threading.Thread(target=self._tell, daemon=True).start()
 
+    @property
+    def picture(self):
+        time.sleep(self._blocks_s)  # in the event loop of the pages
+        return self._picture
+
+    def launch(self):
+        if self._server is None:
+            quick = {"estop": lambda _: self._estop(), "status": lambda _: self.status}
+            self._server = RpcServer(self.name, lambda: self.status or {}, lambda after: None, quick, {})
+            address = Address(self.name, self._server.port, self._server.token, os.getpid())
+            publish(address, self._folder)
+        self.status = status_now()
+
     def send_estop(self):
-        print("estop", flush=True)
+        self._estop()
         return lambda: {"asked_ns": 0, "stood_ns": 0}
+
+    def _estop(self):
+        print("estop", flush=True)
+        return {"asked_ns": 0, "stood_ns": 0}
+
+    def _end(self):
+        self.status = None
+        path_of(self.name, self._folder).unlink(missing_ok=True)
+        if self._server is not None:
+            self._server.close()
+            self._server = None
 
     def _listen(self):
         for line in sys.stdin:
             said = json.loads(line)
             if said is None:
-                self.status = None
+                self._end()
             elif said == "picture fails":
-                del self.picture
+                del self._picture
+            elif isinstance(said, float):
+                self._blocks_s = said
             elif said == "silent":
                 self._silent = True
             else:
+                self.launch()
                 self.status = status_now(**said)
                 self._silent = False
 
@@ -85,5 +120,9 @@ class MadeUpClient:
 if __name__ == "__main__":
     folder = Path(os.environ.get("WORKSPACE", "."))
     desk = RenderingDesk(Path(os.environ.get("OBJECTS", ".")), read_bench(None))
-    parts = StudioParts(MadeUpClient(), Path("runs"), desk, Workspace(folder))
-    serve_pages(parts, int(sys.argv[1]), token=os.environ.get("TOKEN", ""))
+    addresses = Path(os.environ["ADDRESSES"])
+    client = MadeUpClient(addresses)
+    if os.environ.get("RIG") != "none":
+        client.launch()
+    parts = StudioParts(client, Path("runs"), desk, Workspace(folder), client.launch, addresses)
+    serve_pages(parts, int(sys.argv[1]), os.environ.get("TOKEN", TOKEN))

@@ -118,7 +118,7 @@ def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own
     policies = answer[1].get_all("content-security-policy")
     assert any(policy.startswith("sandbox") for policy in policies)
     assert any("frame-ancestors 'none'" in policy for policy in policies)
-    report = browser.open(f"http://127.0.0.1:{served.port}{address}")
+    report = browser.open(served.url(address))
     report.wait("document.querySelectorAll('img').length > 0", MAX_S)
     assert report.run("[...document.querySelectorAll('img')].every((i) => i.naturalWidth > 0)")
     assert tab.said == []
@@ -155,7 +155,7 @@ def test_the_theme_is_chosen_by_a_switch_and_kept(browser, served):
     tab.press("#theme")  # light, as chosen
     tab.press("#theme")
     assert tab.run(theme) == "dark"
-    tab.go(f"http://127.0.0.1:{served.port}/rig")
+    tab.go(served.url("/rig"))
     tab.wait("document.body?.classList.contains('body--dark')", MAX_S)
     tab.press("#theme")
     assert tab.run(theme) == "light"
@@ -163,7 +163,8 @@ def test_the_theme_is_chosen_by_a_switch_and_kept(browser, served):
 
 def test_the_emergency_stop_works_from_every_page(browser, served):
     for path in ("/", "/live", "/recordings", "/calibrations", "/trials", "/softness", "/rig"):
-        tab = opened(browser, served, path, until="!!document.querySelector('#estop')")
+        served.tell(json.dumps({"recording": True, "state": "running"}))
+        tab = opened(browser, served, path, until="!!document.querySelector('#estop:not([hidden])')")
         tab.key("Escape", 27)
         assert served.process.stdout.readline().strip() == "estop", path
 

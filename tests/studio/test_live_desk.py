@@ -21,6 +21,7 @@ from palpate.studio.live.live_desk import (
     MAX_SENSORS,
     SPAN_S,
     LiveDesk,
+    LiveProcesses,
     LiveSample,
     LiveSensor,
     edge_readings,
@@ -118,32 +119,63 @@ def test_a_sensor_that_says_nothing_grows_old():
     assert sensor.age_s(50.0) == 10.0
 
 
+class MadeUpProcesses(LiveProcesses):
+    """Stands for the processes of live sensors."""
+
+    def __init__(self):
+        super().__init__()
+        self.made, self.launched = {}, []
+
+    def connect(self, name):
+        self.made[name] = MadeUpConnection()
+        return self.made[name]
+
+    def running(self):
+        return sorted(name for name, one in self.made.items() if one.status is not None)
+
+    def launch(self, name, options):
+        self.launched.append((name, dict(options)))
+        self.made[name].status = told(0, 0.0)
+
+
 def test_a_desk_begins_a_process_once_and_ends_it_when_asked():
-    made, launched = {}, []
-
-    def connect(name):
-        made[name] = MadeUpConnection()
-        return made[name]
-
-    def launch(name, options):
-        launched.append((name, dict(options)))
-        made[name].status = told(0, 0.0)
-
-    with LiveDesk(connect, launch) as desk:
+    processes = MadeUpProcesses()
+    with LiveDesk(processes) as desk:
         desk.begin("live a", {"camera": "a"})
         desk.begin("live a", {"camera": "a"})
-        assert launched == [("live a", {"camera": "a"})]
+        assert processes.launched == [("live a", {"camera": "a"})]
         desk.end("live a")
         desk.end("live a")
-        assert made["live a"].asked == ["shutdown", "close"]
+        assert processes.made["live a"].asked == ["shutdown", "close"]
         for k in range(MAX_SENSORS):
-            desk.sensor(f"live {k}")
-        with pytest.raises(InputError, match="end one first"):
-            desk.sensor("live more")
-        for bad in ("", "x" * 500, "a\nb"):
-            with pytest.raises(InputError, match="no name"):
-                desk.sensor(bad)
-    assert made["live 1"].asked == ["close"]  # the server's end ends no sensor
+            desk.begin(f"live {k}", {})
+        with pytest.raises(InputError):
+            desk.begin("live more", {})
+        processes.made["live 0"].status = None  # its process has ended: it takes no place any more
+        desk.begin("live more", {})
+        assert desk.names == [*(f"live {k}" for k in range(1, MAX_SENSORS)), "live more"]
+    assert processes.made["live 1"].asked == ["close"]  # the server's end ends no sensor
+
+
+@pytest.mark.parametrize("name", ["", "x" * 500, "live a\nb", "virtual:palm", "virtual:palm supervisor"])
+def test_no_other_process_than_a_live_sensors_is_addressed(name):
+    processes = MadeUpProcesses()
+    processes.connect(name).status = told(0, 0.0)  # it runs
+    with LiveDesk(processes) as desk:
+        with pytest.raises(InputError):
+            desk.sensor(name)
+        with pytest.raises(InputError):
+            desk.begin(name, {})
+        desk.end(name)
+    assert (processes.made[name].asked, processes.launched) == ([], [])
+
+
+def test_looking_for_a_sensor_that_does_not_run_takes_no_place():
+    with LiveDesk(MadeUpProcesses()) as desk:
+        for k in range(3 * MAX_SENSORS):
+            assert desk.listened(f"live {k}") is None
+            assert desk.sensor(f"live {k}") is None
+        assert desk.names == []
 
 
 def samples(values, valid=True, step_s=0.1):

@@ -50,7 +50,7 @@ def served(folder, workspace):
 
 
 def test_a_sensor_is_begun_found_again_by_its_address_and_outlives_the_server(browser, served, folder):
-    tab = browser.open(f"http://127.0.0.1:{served.port}/live")
+    tab = browser.open(served.url("/live"))
     tab.wait("!!document.querySelector('#live-begin')", MAX_S)
     tab.press("#live-begin")  # the virtual palm, without a calibration
     tab.wait("document.querySelector('.live h2')?.innerText.includes('live')", MAX_S)
@@ -59,7 +59,7 @@ def test_a_sensor_is_begun_found_again_by_its_address_and_outlives_the_server(br
     print(f"first picture {time.monotonic() - begun_s:.2f} s after the sensor's card")
     tab.wait("document.querySelector('.live .facts').innerText.includes('frames a second')", MAX_S)
     assert tab.run("location.search") == "?sensor=live%20virtual%3Apalm"
-    other = browser.open(f"http://127.0.0.1:{served.port}/live?sensor=live%20virtual%3Apalm")
+    other = browser.open(served.url("/live?sensor=live%20virtual%3Apalm"))
     other.wait("document.querySelector('.live .camera img')?.naturalWidth > 100", MAX_S)
     served.process.kill()  # the sensor goes on without the server of the pages
     served.process.communicate()

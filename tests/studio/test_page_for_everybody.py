@@ -133,7 +133,7 @@ def opened(browser, served, name="ready", size=SIZES[1], scheme="light"):
     served.tell(json.dumps({**state, "ages_s": ages}))
     tab = browser.open("about:blank", size=size)
     tab.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-    tab.go(f"http://127.0.0.1:{served.port}/rig")
+    tab.go(served.url("/rig"))
     tab.wait("!!document.querySelector('#force-now b') && !!document.querySelector('#devices b')", 30)
     tab.front()
     time.sleep(0.8)  # for what is animated

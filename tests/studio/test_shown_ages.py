@@ -113,7 +113,7 @@ ALL_SHOWN = {"state", "progress", "grid", "camera", "force-now", "force", "doing
 
 
 def opened(browser, served):
-    tab = browser.open(f"http://127.0.0.1:{served.port}/rig")
+    tab = browser.open(served.url("/rig"))
     tab.wait(
         "document.querySelector('#force-now b') && document.querySelector('#camera img')?.naturalWidth", 30
     )

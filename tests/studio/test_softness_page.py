@@ -235,7 +235,7 @@ def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_s
         pytest.skip("there is no Chromium to drive")
     browser = devtools.Browser(tmp_path)
     try:
-        tab = browser.open(f"http://localhost:{served.port}/softness")
+        tab = browser.open(served.url("/softness"))
         for _ in range(3):  # a loop that the machine's other work kept waiting ends by itself, as it should
             state, why = begun_reloaded_and_stopped(tab)
             if "emergency stop" in why:
@@ -255,7 +255,7 @@ def test_no_card_is_empty_before_anything_is_rendered(tmp_path, monkeypatch) -> 
     monkeypatch.setenv("OBJECTS", str(tmp_path / "objects"))
     served, browser = Served(), devtools.Browser(tmp_path / "profile")
     try:
-        tab = browser.open(f"http://localhost:{served.port}/softness")
+        tab = browser.open(served.url("/softness"))
         tab.wait(f"!!document.querySelector('#beat') && {LIVE}")
         assert "soft-ball.toml" in tab.run("document.querySelector('#refused').innerText")
         for part in ("#skin", "#force-now", "#envelope"):

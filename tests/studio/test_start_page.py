@@ -5,7 +5,6 @@ import struct
 import subprocess
 import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import pytest
@@ -93,6 +92,8 @@ def test_from_the_first_page_to_live_newtons_on_a_virtual_palm(browser, served, 
 class Started(Studio):
     """`palpate start`, whose first session presses on a scale that is told its force through a file."""
 
+    starts_rig = False
+
     def __init__(self, folder, force):
         self._force = force
         super().__init__(folder)
@@ -103,20 +104,10 @@ class Started(Studio):
         paths = [str(Path(__file__).with_name("hand_on_scale")), os.environ.get("PYTHONPATH", "")]
         env = {"XDG_RUNTIME_DIR": str(self.folder), "HAND_FORCE": str(self._force)}
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT,
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             env={**os.environ, **env, "PYTHONPATH": os.pathsep.join(paths)},
         )  # fmt: skip
-        until_served(self.url)
-
-
-def until_served(url):
-    end_s = time.monotonic() + MAX_S
-    while time.monotonic() < end_s:
-        try:
-            return urllib.request.urlopen(url, timeout=10).close()
-        except OSError:
-            time.sleep(0.1)
-    raise AssertionError(f"nothing is served at {url}")
+        self.until_served()
 
 
 def test_from_palpate_start_to_live_newtons_by_a_scale_on_a_serial_port(browser, tmp_path):
@@ -128,7 +119,7 @@ def test_from_palpate_start_to_live_newtons_by_a_scale_on_a_serial_port(browser,
     try:
         with FakeTerminal(scale) as terminal:
             begun_s = time.monotonic()
-            tab = browser.open(f"{studio.url}?folder=weighed", size=DESK)
+            tab = browser.open(studio.page("?folder=weighed"), size=DESK)
             tab.wait("!!document.querySelector('#start-begin')", MAX_S)
             type_into_list(tab, SCALE, terminal.path)
             tab.type("input[aria-label^='presses to collect']", str(WEIGHED))
@@ -153,5 +144,5 @@ def test_from_palpate_start_to_live_newtons_by_a_scale_on_a_serial_port(browser,
         assert error.median() < 0.03 * held["true_force_N"].max()
         assert machine_s < MAX_WIZARD_S * max(1.0, busy)
     finally:
-        end_sensors(tmp_path / "palpate", (SENSOR,))
+        end_sensors(studio.addresses, (SENSOR,))
         studio.close()

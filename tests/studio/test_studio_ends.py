@@ -30,9 +30,9 @@ def test_who_ends_the_studio_ends_the_process_of_a_rig_that_stands(name: str, tm
         assert f"the rig {RIG} stands and nothing is recorded; its process ends" in said
         assert studio.process.returncode == 0
         until_s = time.monotonic() + MAX_S
-        while find(RIG, tmp_path / "palpate") and time.monotonic() < until_s:
+        while find(RIG, studio.addresses) and time.monotonic() < until_s:
             time.sleep(0.05)
-        assert find(RIG, tmp_path / "palpate") is None
+        assert find(RIG, studio.addresses) is None
     finally:
         studio.close()
 

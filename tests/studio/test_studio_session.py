@@ -1,6 +1,7 @@
 """Whole sessions in the studio: recorded, calibrated, read live; two operators; a client that hangs."""
 
 import ast
+import json
 import os
 import re
 import socket
@@ -39,8 +40,8 @@ def studio(tmp_path, request):
     studio = Studio(tmp_path, *getattr(request, "param", ()))
     yield studio
     studio.close()
-    if find(SENSOR, studio.folder / "palpate") is not None:
-        with LiveClient(SENSOR, studio.folder / "palpate") as client:
+    if find(SENSOR, studio.addresses) is not None:
+        with LiveClient(SENSOR, studio.addresses) as client:
             if client.reached(5.0):
                 client.shutdown()
 
@@ -94,7 +95,7 @@ def test_the_page_of_live_sensors_stops_a_rig_that_moves(browser, studio, way):
     rig_tab.press("#plan-use")
     rig_tab.wait("document.querySelector('#progress').innerText.includes('0 of 400 shots')", MAX_S)
     rig_tab.type(".run-name input", "stopped")
-    tab = browser.open(f"{studio.url}live")
+    tab = browser.open(studio.page("live"))
     tab.wait("!!document.querySelector('#live-begin')", MAX_S)
     rig_tab.press("#start")
     studio.rig.wait_for(lambda status: status["recording"], MAX_S)
@@ -144,7 +145,7 @@ def test_the_first_picture_is_there_soon_after_the_server_is(browser, tmp_path):
     served = Served()
     try:
         begun_s = time.monotonic()
-        tab = browser.open(f"http://127.0.0.1:{served.port}/rig")
+        tab = browser.open(served.url("/rig"))
         tab.wait("document.querySelector('#camera img')?.naturalWidth > 0", MAX_S)
         took_s = time.monotonic() - begun_s
         busy = os.getloadavg()[0] / (os.cpu_count() or 1)
@@ -161,11 +162,19 @@ def test_a_client_that_stops_reading_holds_nobody_up_and_is_dropped(browser):
         query = ast.literal_eval(re.search(r"query: (\{.*?\}),", page).group(1))
         words = "&".join(f"{name}={value}" for name, value in query.items())
         address = f"ws://127.0.0.1:{served.port}/_nicegui_ws/socket.io/?EIO=4&transport=websocket&{words}"
+        cookie = {"Cookie": f"palpate-token-{served.port}={served.token}"}
         quiet = socket.create_connection(("127.0.0.1", served.port))
         quiet.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        with connect(address, sock=quiet, max_size=None, ping_interval=None, close_timeout=0.1) as client:
+        with connect(
+            address,
+            sock=quiet,
+            additional_headers=cookie,
+            max_size=None,
+            ping_interval=None,
+            close_timeout=0.1,
+        ) as client:
             client.send("40")  # and from here on nothing is read
-            tab = browser.open(f"http://127.0.0.1:{served.port}/rig")
+            tab = browser.open(served.url("/rig"))
             tab.wait("document.querySelector('#force-now b')?.innerText.length > 0", MAX_S)
             late = []
             for _ in range(40):
@@ -184,9 +193,9 @@ def test_a_server_with_a_token_gives_nothing_without_it_and_a_page_with_it(brows
     served = Served()
     del os.environ["TOKEN"]
     try:
-        assert served.ask("GET", "/")[0] == 401
-        assert served.ask("POST", "/estop", x_palpate="estop")[0] == 401
-        assert served.handshake()[0] in (401, 403)
+        assert served.ask("GET", "/", Cookie="none=0")[0] == 401
+        assert served.ask("POST", "/estop", x_palpate="estop", Cookie="none=0")[0] == 401
+        assert served.handshake(Cookie="none=0")[0] in (401, 403)
         cookie = f"palpate-token-{served.port}=s3cret"
         assert served.handshake(Cookie=cookie)[0] == 101
         tab = browser.open(f"http://127.0.0.1:{served.port}/rig?token=s3cret")
@@ -195,6 +204,7 @@ def test_a_server_with_a_token_gives_nothing_without_it_and_a_page_with_it(brows
         )  # its socket was let in
         assert "token" not in tab.run("location.href")
         assert "s3cret" not in tab.run("document.cookie")
+        served.tell(json.dumps({"recording": True, "state": "running"}))
         tab.front()
         tab.key("Escape", 27)
         assert served.process.stdout.readline().strip() == "estop"

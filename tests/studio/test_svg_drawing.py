@@ -1,6 +1,7 @@
 """What the pages draw and say, without a browser."""
 
 import re
+from argparse import Namespace
 from xml.etree import ElementTree
 
 import pytest
@@ -117,7 +118,8 @@ def test_the_pages_wear_the_reports_colours():
 
 
 def test_nothing_on_the_page_comes_from_elsewhere():
-    for text in (page_style.style(), page_style.text_of("estop.html")):
+    own = "http://${location.hostname}:${listener.port}/"
+    for text in (page_style.style(), page_style.text_of("estop.html").replace(own, "")):
         assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
@@ -125,5 +127,8 @@ def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     pytest.importorskip("fastapi", reason="NiceGUI is not installed")
     from palpate.studio import page_security, page_server
 
-    assert f'fetch("{page_security.ESTOP_PATH}"' in page_style.text_of("estop.html")
-    assert f'"{page_server.HEADER}": "estop"' in page_style.text_of("estop.html")
+    listener = Namespace(port=8081, token="x")
+    assert f'"path": "{page_security.ESTOP_PATH}"' in page_server.estop_html(listener)
+    assert f'"{page_server.HEADER}": "estop"' in page_server.estop_html(listener)
+    for what in re.findall(r'(?:stop|ask)\("([a-z-]+)"\)', page_style.text_of("estop.html")):
+        assert what in page_server.STOP_REQUESTS

@@ -20,7 +20,7 @@ from palpate.recordings.splits import split
 from palpate.studio.library import run_drawing
 from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import MAX_PX, SHEET_POLICY, add_library_routes
-from palpate.studio.library.workspace import MAX_DEPTH, Workspace
+from palpate.studio.library.workspace import MAX_DEPTH, OutsideError, SourceTreeError, Workspace
 
 
 @pytest.fixture
@@ -100,6 +100,34 @@ def test_nothing_leads_out_of_the_workspace(workspace, tmp_path, name):
 def test_a_link_within_the_workspace_is_followed_when_it_is_named(workspace):
     (workspace.folder / "again").symlink_to(workspace.folder / "runs" / "one")
     assert len(workspace.run("again")) == 30
+
+
+@pytest.mark.parametrize("depth", [1, 2])
+def test_a_run_whose_files_are_links_out_of_the_workspace_is_not_opened(workspace, tmp_path, depth):
+    secret = tmp_path / "secret.bin"
+    secret.write_bytes(b"x")
+    inside = workspace.folder / "runs" / "one" / "/".join((depth - 1) * ["deeper"])
+    inside.mkdir(exist_ok=True)
+    (inside / "within").symlink_to(workspace.folder / "runs")
+    assert workspace.resolve("runs/one").is_dir()
+    (inside / "more").symlink_to(secret)
+    with pytest.raises(OutsideError) as refused:
+        workspace.run("runs/one")
+    assert refused.value.code == "outside-workspace"
+
+
+@pytest.mark.parametrize("below", ["", "my-sensor", "src/palpate"])
+def test_a_source_tree_of_this_package_is_no_workspace(tmp_path, below):
+    tree = tmp_path / "checkout"
+    (tree / below).mkdir(parents=True)
+    project = tree / "pyproject.toml"
+    project.write_text('[project]\nname = "palpate-data"\n')
+    Workspace(tree / below)
+    project.write_text('[build-system]\n[project]\nname = "palpate"\n')
+    with pytest.raises(SourceTreeError) as refused:
+        Workspace(tree / below)
+    assert refused.value.code == "source-tree"
+    Workspace(tmp_path / "elsewhere")
 
 
 def test_what_lies_too_deep_or_is_hidden_is_not_listed(workspace):

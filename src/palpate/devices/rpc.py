@@ -25,6 +25,7 @@ from palpate.core import DeviceError, PalpateError, ProtocolError, RecordingErro
 
 _MAX_BYTES = 4096
 MAX_NAME = 80  # characters of a file's name
+WORKSPACES = "workspaces"  # folder of the address files of processes that belong to a workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,17 @@ def path_of(name: str, folder: Path | None = None, kind: str = "json") -> Path:
     return folder_of(folder) / f"devices-{stem}.{kind}"
 
 
+def workspace_folder(workspace: Path) -> Path:
+    """Folder of the address files of processes that belong to one workspace."""
+    digest = hashlib.sha256(str(workspace.resolve()).encode()).hexdigest()[:16]
+    return folder_of(folder_of() / WORKSPACES / digest)
+
+
+def shared_folder(folder: Path | None) -> Path | None:
+    """Folder of the address files that all workspaces share, such as those of supervisors of real devices."""
+    return folder.parents[1] if folder is not None and folder.parent.name == WORKSPACES else folder
+
+
 def supervisor_name(name: str) -> str:
     """Name of the process that supervises the motion of what a process holds."""
     return f"{name} supervisor"
@@ -102,12 +114,18 @@ def publish(address: Address, folder: Path | None = None) -> Path:
 def find(name: str, folder: Path | None = None) -> Address | None:
     """Address in the file; None where there is none, or none that can be read as one.
 
-    That there is a file does not mean that there is a process: one that was killed leaves it behind.
+    That there is a file does not mean that there is a process: one that was killed leaves it behind. Without
+    a folder, a process of a workspace is returned if no other process of this name is alive.
     """
     try:
-        return _read_address(path_of(name, folder))
+        path = path_of(name, folder)
     except PalpateError:
         return None
+    found = _read_address(path)
+    if folder is None and (found is None or not _is_alive(found.pid)):
+        others = map(_read_address, path.parent.glob(f"{WORKSPACES}/*/{path.name}"))
+        found = next((one for one in others if one and _is_alive(one.pid)), found)
+    return found
 
 
 def running(prefix: str, folder: Path | None = None) -> list[str]:

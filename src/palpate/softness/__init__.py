@@ -9,7 +9,7 @@ from palpate.softness.characteristics import (
     pressed_object,
 )
 from palpate.softness.cone_display import ConeDisplay
-from palpate.softness.object_file import read_object
+from palpate.softness.object_file import is_object_file, read_object
 from palpate.softness.rendering_law import DisplayBounds, Limit, Mode, Rendered, RenderingLaw
 from palpate.softness.specimens import (
     SpecimenClass,
@@ -32,6 +32,7 @@ __all__ = [
     "StackedSpecimen",
     "fingertip_object",
     "hertz_object",
+    "is_object_file",
     "polynomial",
     "pressed_object",
     "read_object",

@@ -75,6 +75,14 @@ def read_object(path: Path) -> SoftObject:
         raise type(e)(f"{path}: {e}") from e
 
 
+def is_object_file(path: Path) -> bool:
+    """Whether a TOML file has a table of an object; True where it cannot be read."""
+    try:
+        return bool({*CURVES, *WHOLE} & set(tomllib.loads(path.read_bytes()[:MAX_BYTES].decode("utf-8"))))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
+        return True
+
+
 def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = Path()) -> SoftObject:
     """An object from the fields of its file; all that `read_object` raises.
 

@@ -13,11 +13,11 @@ import hmac
 import ipaddress
 import re
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode
 
-from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 ESTOP_PATH = "/estop"
@@ -53,17 +53,20 @@ class PageSecurity:
     Args:
         app: what is served.
         names: by which it may be asked for.
+        stop_port: of the emergency stop listener, which pages may send requests to; 0 for none.
     """
 
-    def __init__(self, app: ASGIApp, names: Callable[[str], bool] = LOCAL.__contains__) -> None:
-        self._app, self._names = app, names
+    def __init__(
+        self, app: ASGIApp, names: Callable[[str], bool] = LOCAL.__contains__, stop_port: int = 0
+    ) -> None:
+        self._app, self._names, self._stop_port = app, names, stop_port
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or open one socket."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        told = _Answer(scope, send)
+        told = _Answer(scope, send, self._stop_port)
         refused = refusal(scope, self._names)
         if refused is None:
             await self._app(scope, receive, told.send)
@@ -147,14 +150,24 @@ def _all(scope: Scope, name: bytes) -> list[str]:
     return [value.decode("latin-1") for key, value in scope["headers"] if key.lower() == name]
 
 
-def _with_ours(headers: Headers) -> list[tuple[bytes, bytes]]:
+def _headers_for(scope: Scope, stop_port: int) -> Mapping[str, str]:
+    """Headers of an answer: a page may also send requests to the emergency stop listener of this machine."""
+    hosts = _all(scope, b"host")
+    host = HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
+    if not stop_port or host is None:
+        return HEADERS
+    policy = f"{HEADERS['content-security-policy']}; connect-src 'self' http://{host['name']}:{stop_port}"
+    return {**HEADERS, "content-security-policy": policy}
+
+
+def _with_ours(headers: Headers, ours: Mapping[str, str] = HEADERS) -> list[tuple[bytes, bytes]]:
     """Headers with ours in place of others of their name; a policy of its own counts beside ours."""
     kept = [
         (key, value)
         for key, value in headers
         if key.decode("latin-1").lower() not in HEADERS or key.lower() == POLICY
     ]
-    return kept + [(key.encode(), value.encode()) for key, value in HEADERS.items()]
+    return kept + [(key.encode(), value.encode()) for key, value in ours.items()]
 
 
 def cookies_of(scope: Scope) -> dict[str, str]:
@@ -166,11 +179,19 @@ def cookies_of(scope: Scope) -> dict[str, str]:
     return {name: one.value for name, one in jar.items()}
 
 
+REFUSED_PAGE = """<!doctype html><html lang="en"><title>Token required · palpate</title>
+<body style="font: 16px/1.5 system-ui, sans-serif; max-width: 36em; margin: 4em auto; padding: 0 1em">
+<h1>Token required</h1><p>This address needs the token of the studio. Open the address with
+<code>token=…</code> in it, which <code>palpate studio</code> or <code>palpate start</code> printed in its
+terminal.</p><p>If the terminal is closed, end that command and start it again for a new address.</p>"""
+"""Answer to a request without the token."""
+
+
 class TokenGate:
     """Layer inside `PageSecurity` that asks everybody for a token, the emergency stop and sockets included.
 
     Whoever opens a page with ``?token=...`` gets it as a cookie that no script reads and no other site sends,
-    and is sent on to the same address without it.
+    and is sent on to the same address without it. A program may send ``Authorization: Bearer ...`` instead.
 
     Args:
         app: what is served.
@@ -183,9 +204,7 @@ class TokenGate:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer who has the token, and tell everybody else where it is to be had."""
-        if scope["type"] not in ("http", "websocket") or self._is_right(
-            cookies_of(scope).get(self._cookie, "")
-        ):
+        if scope["type"] not in ("http", "websocket") or self._has_token(scope):
             if scope["type"] == "http" and b"token=" in scope["query_string"]:
                 await self._enter(scope, receive, send)
                 return
@@ -199,14 +218,17 @@ class TokenGate:
         asked = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
         given = [value for name, value in asked if name == "token"]
         if scope["method"] != "GET" or len(given) != 1 or not self._is_right(given[0]):
-            text = "open the address with the token that `palpate studio` printed when it began"
-            await PlainTextResponse(text, 401)(scope, receive, send)
+            await HTMLResponse(REFUSED_PAGE, 401)(scope, receive, send)
             return
         rest = urlencode([(name, value) for name, value in asked if name != "token"])
         path = "/" + scope["path"].lstrip("/\\")  # and never another machine's
         answer = RedirectResponse(f"{path}?{rest}" if rest else path, 303)
         answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
         await answer(scope, receive, send)
+
+    def _has_token(self, scope: Scope) -> bool:
+        bearer = [one.removeprefix("Bearer ") for one in _all(scope, b"authorization")]
+        return any(map(self._is_right, [cookies_of(scope).get(self._cookie, ""), *bearer]))
 
     def _is_right(self, given: str) -> bool:
         return hmac.compare_digest(given.encode("utf-8", "replace"), self._token.encode())
@@ -217,8 +239,9 @@ class _Answer:
 
     STARTS = ("http.response.start", "websocket.http.response.start", "websocket.accept")
 
-    def __init__(self, scope: Scope, send: Send) -> None:
+    def __init__(self, scope: Scope, send: Send, stop_port: int) -> None:
         self._send = send
+        self._headers = _headers_for(scope, stop_port)
         self._may_answer = "websocket.http.response" in (scope.get("extensions") or {})
         self._begun = scope["type"] == "http"
 
@@ -228,7 +251,7 @@ class _Answer:
             return
         if message["type"] in self.STARTS:
             self._begun = True
-            message = {**message, "headers": _with_ours(message.get("headers") or ())}
+            message = {**message, "headers": _with_ours(message.get("headers") or (), self._headers)}
         await self._send(message)
 
     async def end(self) -> None:
@@ -242,6 +265,6 @@ class _Answer:
         if not self._may_answer:
             await self._send({"type": "websocket.close", "code": 1008, "reason": text})
             return
-        headers = _with_ours([(b"content-type", b"text/plain; charset=utf-8")])
+        headers = _with_ours([(b"content-type", b"text/plain; charset=utf-8")], self._headers)
         await self._send({"type": "websocket.http.response.start", "status": status, "headers": headers})
         await self._send({"type": "websocket.http.response.body", "body": text.encode()})

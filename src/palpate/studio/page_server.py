@@ -1,63 +1,77 @@
-"""Server of the studio: loopback unless told otherwise, for its own pages, with nothing of its own to lose.
+"""Page server of the studio: loopback by default, for its own pages only, with limits on what clients take.
 
-The emergency stop needs nothing of the page but the browser itself: `estop.html` is plain HTML beside the
-page's own elements and asks over a request of its own, so that it works while the page loads, after a reload
-and when the page's own connection hangs. It acts when pressed, not when let go. What goes wrong is said
-loudly, for then the operator must use the switch on the rig.
+The emergency stop does not depend on it. `estop.html` is plain HTML next to the page's own elements and sends
+its requests to the listener of `stop_process`. The page server forwards them where a browser cannot reach the
+listener, for example through an SSH tunnel of one port.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
+import json
 import socket
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
-from palpate.core import DeviceError, PalpateError, SafetyError
+from palpate.core import DeviceError, PalpateError
 from palpate.core.failure_log import contained, log_in_workspace
 from palpate.devices.process_memory import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import add_library_routes
 from palpate.studio.library.workspace import Workspace
-from palpate.studio.live.live_desk import LiveDesk
+from palpate.studio.live.live_desk import LiveDesk, LiveProcesses
 from palpate.studio.live.live_routes import add_live_routes
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
 from palpate.studio.page_failures import contain_failures
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
+from palpate.studio.page_style import text_of
 from palpate.studio.rendering_desk import RenderingDesk
+from palpate.studio.stop_listener import StopListener, rig_targets
 
 MAX_DIGITS = 10
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to
+STOP_REQUESTS = ("state", "stop", "stop-moving")
 
 
-def add_route(app: FastAPI, client: RigClient, desk: RenderingDesk) -> None:
-    """Answer to the page's emergency stop, in threads that nothing else can keep busy."""
+def add_route(app: FastAPI, parts: StudioParts, listener: StopListener) -> None:
+    """Forward a page's requests to the emergency stop listener, in threads that nothing else keeps busy."""
     threads = ThreadPoolExecutor(8, thread_name_prefix="palpate-estop")
+
+    def forward(do: str) -> dict[str, Any]:
+        try:
+            return listener.ask(do)
+        except DeviceError:
+            if do == "state":
+                raise
+            parts.desk.estop()
+            parts.client.send_estop()()
+            return {"ok": True, "moving": True, "stopped": [{"name": parts.client.name}], "failed": []}
 
     @app.post(ESTOP_PATH)
     async def estop(request: Request) -> JSONResponse:
         if request.headers.get(HEADER) != "estop":
             return JSONResponse({"error": "not asked from the rig's own page"}, 403)
-        desk.estop()  # one stop for all that this page may move
+        do = (await request.body()).decode("utf-8", "replace")
+        do = do if do in STOP_REQUESTS else "stop"
         try:
-            answer = client.send_estop()  # here and now; only its answer is waited for elsewhere
-            stop = await asyncio.get_running_loop().run_in_executor(threads, answer)
+            answer = await asyncio.get_running_loop().run_in_executor(threads, forward, do)
         except PalpateError as e:
             return JSONResponse({"error": str(e)}, 503)
-        return JSONResponse(stop)
+        return JSONResponse(answer, 200 if answer.get("ok") else 503)
 
 
 HOST = "127.0.0.1"
 HTTP_PORT, MAX_PORT = 8080, 65535
-LOOPBACK = (HOST, "localhost", "::1")
 KEPT = 30  # messages for a tab that loses its connection for a moment
 ENDS_S = 2
 ALIVE_S = 300  # a connection, so that an emergency stop need not open one
@@ -76,6 +90,8 @@ class StudioParts:
         runs: the folder that the rig's recordings go into, to be named on the page.
         desk: objects and bench of softness.
         workspace: whose runs, calibrations and experiments are shown.
+        launch_rig: starts the rig's process and waits until it answers.
+        folder: address files of the workspace's processes; None for the user's own.
         lease: of the rig, among browsers.
         jobs: that take long.
         lives: sensors that are read live.
@@ -86,10 +102,15 @@ class StudioParts:
     runs: Path
     desk: RenderingDesk
     workspace: Workspace
+    launch_rig: Callable[[], object]
+    folder: Path | None = None
     lease: RigLease = field(default_factory=RigLease)
     jobs: BackgroundJobs = field(default_factory=BackgroundJobs)
-    lives: LiveDesk = field(default_factory=LiveDesk)
+    lives: LiveDesk = field(init=False)
     starts: StartDesk = field(default_factory=StartDesk)
+
+    def __post_init__(self) -> None:
+        self.lives = LiveDesk(LiveProcesses(self.folder))
 
     def close(self) -> None:
         """End what the server itself has begun; the rig and live sensors go on."""
@@ -99,45 +120,53 @@ class StudioParts:
         self.desk.close()
 
 
-def serve_pages(parts: StudioParts, port: int, host: str = HOST, token: str = "") -> None:
+def serve_pages(parts: StudioParts, port: int, token: str, host: str = HOST) -> None:
     """Serve the pages until the process is told to end (Ctrl-C).
 
     Args:
         parts: what they show.
         port: of the server.
+        token: that every request carries, in the address or in a cookie.
         host: the address to listen at.
-        token: that everybody has to give; "" for none, which is allowed on loopback alone.
-
-    Raises:
-        SafetyError: others could reach the pages, and no token is asked for.
     """
-    check_host(host, token)
     import uvicorn
+
+    from palpate.studio import page_limits
 
     log_in_workspace(parts.workspace.folder)
     sys.setswitchinterval(SWITCH_S)
-    config = uvicorn.Config(
-        make_app(parts, port, host, token),
-        host,
-        port,
-        log_level="warning",
-        timeout_graceful_shutdown=ENDS_S,
-        timeout_keep_alive=ALIVE_S,
-    )
-    keep_loaded()
-    try:
-        with contained("the studio"):
-            uvicorn.Server(config).run()
-    finally:
-        parts.close()
+    targets = rig_targets(parts.client.name, parts.desk.bench.name, parts.folder)
+    with StopListener(targets, host, min(port + 1, MAX_PORT)) as listener:
+        config = uvicorn.Config(
+            make_app(parts, port, token, listener, host),
+            host,
+            port,
+            http=page_limits.limited_http(),
+            backlog=page_limits.BACKLOG,
+            log_level="warning",
+            timeout_graceful_shutdown=ENDS_S,
+            timeout_keep_alive=ALIVE_S,
+        )
+        keep_loaded()
+        try:
+            with contained("the studio"):
+                uvicorn.Server(config).run()
+        finally:
+            parts.close()
 
 
-def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -> PageSecurity:
+def make_app(
+    parts: StudioParts, port: int, token: str, listener: StopListener, host: str = HOST
+) -> PageSecurity:
     """The pages, the emergency stop's own address, and the newest picture, for pages of their own only."""
     from nicegui import ui
 
+    from palpate.studio.page_limits import PageQueue
+    from palpate.studio.page_shell import PAGES
+
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    add_route(app, parts.client, parts.desk)
+    add_route(app, parts, listener)
+    ui.add_body_html(estop_html(listener), shared=True)  # before all else, also for the Tab key
     add_library_routes(app, parts.workspace, parts.jobs)
 
     @app.get("/picture")
@@ -158,8 +187,14 @@ def make_app(parts: StudioParts, port: int, host: str = HOST, token: str = "") -
         message_history_length=KEPT,
         reconnect_timeout=RECONNECT_S,
     )
-    inner = OperatorCookie(app)
-    return PageSecurity(TokenGate(inner, token, port) if token else inner, names_of_server(host))
+    inner = OperatorCookie(PageQueue(app, [address for address, _ in PAGES.values()]))
+    return PageSecurity(TokenGate(inner, token, port), names_of_server(host), listener.port)
+
+
+def estop_html(listener: StopListener) -> str:
+    """The emergency stop as a page has it, with the address and the token of its listener."""
+    about = json.dumps({"port": listener.port, "token": listener.token, "path": ESTOP_PATH})
+    return text_of("estop.html").replace('"LISTENER"', about)
 
 
 def add_pages(parts: StudioParts) -> None:
@@ -175,11 +210,9 @@ def add_pages(parts: StudioParts) -> None:
 
     @ui.page("/live", title="Live · palpate")
     def live_page(request: Request) -> None:
-        from palpate.studio.live.live_desk import running_sensors
         from palpate.studio.live.live_page import LivePage
 
-        names = list(dict.fromkeys(request.query_params.getlist("sensor"))) or running_sensors()
-        LivePage(parts.workspace, parts.lives, names)
+        LivePage(parts.workspace, parts.lives, request.query_params.getlist("sensor"))
 
     @ui.page("/rig", title="Indentation rig · palpate")
     def rig_page() -> None:
@@ -187,7 +220,8 @@ def add_pages(parts: StudioParts) -> None:
 
         request = ui.context.client.request
         where = request.client.host if request.client else None
-        RigPage(parts.client, str(parts.runs), parts.lease, operator_of(cookies_of(request.scope), where))
+        operator = operator_of(cookies_of(request.scope), where)
+        RigPage(parts.client, str(parts.runs), parts.lease, operator, parts.launch_rig)
 
     @ui.page("/softness", title="Softness · palpate")
     def softness_page() -> None:
@@ -222,19 +256,6 @@ def add_pages(parts: StudioParts) -> None:
 def _whole(text: str | None) -> int:
     """A number of a frame as it stands in an address; 0 where it is none."""
     return int(text) if text and text.isascii() and text.isdigit() and len(text) < MAX_DIGITS else 0
-
-
-def check_host(host: str, token: str) -> None:
-    """Refuse to listen where others can reach the pages, unless a token is asked for.
-
-    Raises:
-        SafetyError: an address that is not this machine's own alone, and no token.
-    """
-    if host not in LOOPBACK and not token:
-        raise SafetyError(
-            f"--host {host} lets others reach the pages, which move the rig; give --token as well, or leave "
-            "--host out and come through an SSH tunnel"
-        )
 
 
 def check_port(port: int, host: str = HOST) -> None:

@@ -1,4 +1,4 @@
-"""Shell of every page: the emergency stop before all else, the way to the other pages, and the theme.
+"""Shell of every page: the way to the other pages, and the theme.
 
 All of it is plain HTML beside the page's own elements, so that it is there and works before the page's
 connection is, and when that hangs.
@@ -39,7 +39,6 @@ def page_shell(active: str) -> None:
     ui.add_css(page_style.style())
     ui.colors(primary=ACCENT, negative=BAD, dark=INK)
     ui.add_head_html(page_style.text_of("theme.html"))
-    ui.add_body_html(page_style.text_of("estop.html"))  # before all else, also for the Tab key
     ui.add_body_html(page_style.text_of("ages.html"))
     ui.add_body_html(navigation_html(active))
     notify_of_failures()

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from palpate.core import InputError, PalpateError
-from palpate.softness import Mode, RenderingLaw, SoftObject, read_object
+from palpate.softness import Mode, RenderingLaw, SoftObject, is_object_file, read_object
 from palpate.softness.control import LoopSample
 from palpate.softness.process import BenchFile, RenderingSession, RenderingStatus
 
@@ -40,10 +40,13 @@ class RenderingDesk:
         self._samples: deque[LoopSample] = deque(maxlen=KEPT)
 
     def objects(self) -> tuple[dict[str, SoftObject], dict[str, str]]:
-        """Objects of the folder by their file's name; and why other files of it are none."""
+        """Objects of the folder by their file's name; and why other objects' files cannot be used.
+
+        A TOML file without a table of an object, such as a rig's, is left out.
+        """
         found: dict[str, SoftObject] = {}
         refused: dict[str, str] = {}
-        for path in sorted(self.folder.glob("*.toml"))[:MAX_OBJECTS]:
+        for path in sorted(filter(is_object_file, self.folder.glob("*.toml")))[:MAX_OBJECTS]:
             try:
                 found[path.stem] = read_object(path)
             except PalpateError as e:

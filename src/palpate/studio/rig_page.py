@@ -6,7 +6,7 @@ Nothing is kept here but drafts: every tab shows what the rig's process tells, a
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from html import escape
 from typing import Any
@@ -27,7 +27,7 @@ REFRESH_S = 0.2
 INK, SOFT, BAD = map(paint, ("ink", "soft", "bad"))
 AXIS_NAMES = {"x": "x", "y": "y", "z": "z, normal"}
 AGE_OF_DEVICE = {"stage": "position", "force sensor": "force", "camera": "camera"}
-LOST = "The rig's process cannot be reached. If it runs, it goes on; this page looks for it."
+LOST = "The rig's process cannot be reached. If it runs, this page connects to it; else start it."
 
 
 class RigPage:
@@ -38,10 +38,18 @@ class RigPage:
         runs: the folder that recordings go into, to be named.
         lease: of the rig; shared by all tabs.
         operator: whose tab it is.
+        launch: starts the rig's process and waits until it answers.
     """
 
-    def __init__(self, client: RigClient, runs: str, lease: RigLease, operator: Operator) -> None:
-        self._client, self._lease, self._operator = client, lease, operator
+    def __init__(
+        self,
+        client: RigClient,
+        runs: str,
+        lease: RigLease,
+        operator: Operator,
+        launch: Callable[[], object],
+    ) -> None:
+        self._client, self._lease, self._operator, self._launch = client, lease, operator, launch
         self._runs = runs
         self._busy = False
         self._log_count = -1
@@ -54,6 +62,7 @@ class RigPage:
         self._beat = ui.element("div").props('id="beat" hidden')
         self._failure = ui.label("").classes("unseen").props('id="failure" role="alert"')
         self._top()
+        self._lost_banner()
         self._hold_banner()
         with ui.element("main").classes("board"):
             with ui.element("div"):
@@ -77,6 +86,26 @@ class RigPage:
             self._progress = ui.html("", sanitize=False).classes("progress")
             self._progress.props('id="progress" data-age-of="engine"')
             age_note("engine", "state and progress")
+
+    def _lost_banner(self) -> None:
+        with ui.element("div").classes("heldbar").props('id="lost" role="status"') as self._lost:
+            self._lost_note = ui.label(LOST)
+            self._launch_button = ui.button(f"Start {self._client.name}", on_click=self._start_process)
+            self._launch_button.props('outline no-caps id="start-process"')
+        self._lost.set_visibility(False)
+
+    async def _start_process(self) -> None:
+        """Start the rig's process, as nothing does by itself: opening a real rig may move it."""
+        self._launch_button.disable()
+        self._lost_note.set_text(f"The process of {self._client.name} starts …")
+        try:
+            self._lease.take(self._operator)
+            await run.io_bound(self._launch)
+        except PalpateError as e:
+            ui.notify(str(e), type="negative", position="top", timeout=9000, multi_line=True)
+        finally:
+            self._lost_note.set_text(LOST)
+            self._launch_button.enable()
 
     def _hold_banner(self) -> None:
         with ui.dialog() as self._dialog, ui.card().style("max-width: 460px"):
@@ -185,8 +214,10 @@ class RigPage:
         self._state.set_text(text)
         self._state.classes(replace=f"state {kind}")
         self._failure.set_text(status_text.failure(status, LOST))
+        self._lost.set_visibility(status is None)
         if status is None:
-            self._doing.set_content(f'<span style="color:{BAD}">{LOST}</span>')
+            self._banner.set_visibility(False)
+            self._doing.set_content("")
             for button in (self._start, self._pause, self._resume, self._stop, self._abort):
                 button.disable()
             self._serial = -1

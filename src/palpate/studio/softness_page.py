@@ -225,7 +225,7 @@ def no_object_html(folder: Path) -> str:
     command = f"printf '%s\\n' {written} > {shlex.quote(str(folder / 'soft-ball.toml'))}"
     made = "" if folder.is_dir() else f"mkdir -p {shlex.quote(str(folder))} && "
     return (
-        '<p class="trouble">No object is here, and a rendering needs the file of one: two curves or a body, '
+        '<p class="empty">No object is here, and a rendering needs the file of one: two curves or a body, '
         "as docs/how-to/render-softness.md shows. This command writes one, a ball of 50 kPa; then read the "
         f"folder again.</p>{commands_html([made + command])}"
     )

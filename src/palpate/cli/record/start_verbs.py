@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from urllib.parse import urlencode
 
 from typer import Option
 
@@ -386,5 +385,4 @@ def _open_page(folder: Path, port: int, chosen: dict[str, Any]) -> None:
     from palpate.cli.study.study_verbs import serve_studio
 
     told = {name: value for name, value in chosen.items() if value not in (None, "")}
-    page = f"?{urlencode({'folder': folder.name} | told)}"
-    serve_studio(port=port, workspace=folder.absolute().parent, page=page)
+    serve_studio(port=port, workspace=folder.absolute().parent, page={"folder": folder.name} | told)

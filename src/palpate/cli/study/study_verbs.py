@@ -154,10 +154,15 @@ if TYPE_CHECKING:
     from palpate.rig.service import RigClient
 
 
+DEFAULT_RIG = "virtual:palm"
+
+
 def studio(
     port: Annotated[int, Option(min=1, max=65535, help="Of the pages.")] = 8080,
     workspace: Annotated[Path, Option(help="Folder whose runs and calibrations are shown.")] = Path(),
-    rig: Annotated[str, Option(help="A TOML file, or virtual:palm.")] = "virtual:palm",
+    rig: Annotated[
+        str | None, Option(help="Start this rig: a TOML file, or virtual:palm. By default the page Rig does.")
+    ] = None,
     runs: Annotated[
         Path | None,
         Option(help="Folder that the rig's recordings go into; by default runs, in the workspace."),
@@ -169,21 +174,17 @@ def studio(
         Path | None, Option(help="Folder of objects' files, for the page Softness; by default the workspace.")
     ] = None,
     bench: Annotated[Path | None, Option(help="TOML file of a display and an arm; else virtual.")] = None,
-    host: Annotated[
-        str, Option(help="Address to listen at, where others may reach it; only with --token.")
-    ] = "127.0.0.1",
-    token: Annotated[
-        bool, Option("--token", help="Ask everybody for a token, which is drawn anew and printed once.")
-    ] = False,
+    host: Annotated[str, Option(help="Address to listen at, where others may reach it.")] = "127.0.0.1",
 ) -> None:
     """Open the studio's pages in the browser.
 
     Start, live, rig, recordings, calibrations, softness, trials.
 
-    The pages are open to this machine only, unless --host and --token say otherwise. The rig itself is held
-    by a process of its own, which is started where none runs: closing the page or losing this command moves
-    nothing and loses nothing. Ctrl-C, or SIGTERM, pauses a recording with the probe lifted; run the same
-    command again to go on. A rendering of softness ends with this command.
+    The printed address contains a token, which the browser keeps; without it nothing is answered. The pages
+    are open to this machine only, unless --host says otherwise. The rig is held by a process of its own that
+    belongs to the workspace: closing the page or losing this command moves nothing and loses nothing.
+    Ctrl-C, or SIGTERM, pauses a recording with the probe lifted; run the same command again to go on. A
+    rendering of softness ends with this command.
 
     Example: palpate studio --port 8080 --workspace .
     """
@@ -192,7 +193,7 @@ def studio(
         _refuse_missing("--objects", objects)
     serve_studio(
         port=port, workspace=workspace, rig=rig, runs=runs, accelerated=accelerated, objects=objects,
-        bench=bench, host=host, token=token,
+        bench=bench, host=host,
     )  # fmt: skip
 
 
@@ -211,55 +212,66 @@ def serve_studio(
     *,
     port: int,
     workspace: Path,
-    rig: str = "virtual:palm",
+    rig: str | None = None,
     runs: Path | None = None,
     accelerated: bool = False,
     objects: Path | None = None,
     bench: Path | None = None,
     host: str = "127.0.0.1",
-    token: bool = False,
-    page: str = "",
+    page: Mapping[str, object] | None = None,
 ) -> None:
-    """Serve the studio's pages, see `studio`; `page` is what follows the address that is printed."""
+    """Serve the studio's pages, see `studio`; `page` holds fields of the address that is printed."""
     import secrets
 
+    from palpate.core import storage_errors
+    from palpate.devices.rpc import workspace_folder
     from palpate.rig.service import RigClient, launch, rig_name
     from palpate.softness.process import read_bench
-    from palpate.studio.page_server import StudioParts, check_host, check_port, serve_pages
+    from palpate.studio.page_server import StudioParts, check_port, serve_pages
 
-    rig = rig_name(rig)
+    name = rig_name(rig or DEFAULT_RIG)
     from palpate.studio.library.workspace import Workspace
     from palpate.studio.rendering_desk import RenderingDesk
 
-    secret = secrets.token_urlsafe(32) if token else ""
-    check_host(host, secret)
+    shown = Workspace(workspace)
+    with storage_errors(workspace):
+        workspace.mkdir(parents=True, exist_ok=True)
     desk = RenderingDesk((objects or workspace).absolute(), read_bench(bench))
     recorded = (runs or workspace / "runs").absolute()
     check_port(port, host)
+    folder = workspace_folder(workspace)
+
+    def launch_rig() -> None:
+        launch(name, recorded, accelerated=accelerated, folder=folder)
+        client.reached(within_s=10.0)
+
     # Of a terminal that is closed nothing is heard: a recording goes on then, as the rig's process does.
-    with stopped_by_signals((signal.SIGINT, signal.SIGTERM)), RigClient(rig) as client:
-        if not client.reached(within_s=1.0):
-            typer.echo(f"starting the rig {rig} …")
-            launch(rig, recorded, accelerated=accelerated)
-            client.reached(within_s=10.0)
-        address = _page_address(host, port, secret, page)
+    with stopped_by_signals((signal.SIGINT, signal.SIGTERM)), RigClient(name, folder) as client:
+        if rig is not None and not client.reached(within_s=1.0):
+            typer.echo(f"starting the rig {name} …")
+            launch_rig()
+        secret = secrets.token_urlsafe(32)
+        address = _page_address(host, port, {**(page or {}), "token": secret})
         typer.echo(f"{address}  (Ctrl-C ends the page, and pauses a recording)")
+        parts = StudioParts(client, recorded, desk, shown, launch_rig, folder)
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                serve_pages(StudioParts(client, recorded, desk, Workspace(workspace)), port, host, secret)
+                serve_pages(parts, port, secret, host)
         finally:
-            typer.echo(_leave(client, rig))
+            if client.told_s is not None:  # else none was ever started
+                typer.echo(_leave(client, name))
 
 
-def _page_address(host: str, port: int, secret: str, page: str) -> str:
+def _page_address(host: str, port: int, fields: Mapping[str, object]) -> str:
     """The address to open; one that stands for every address is told by this machine's name."""
     import socket
+    from urllib.parse import urlencode
 
     from palpate.studio.page_security import EVERY_ADDRESS
 
     shown = f"[{host}]" if ":" in host else host
     shown = socket.gethostname() if host in EVERY_ADDRESS else shown
-    return f"http://{shown}:{port}/{page or (f'?token={secret}' if secret else '')}"
+    return f"http://{shown}:{port}/?{urlencode(fields)}"
 
 
 def _others(client: RigClient) -> int:

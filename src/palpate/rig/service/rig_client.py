@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from palpate.core import DeviceError
-from palpate.devices.rpc import Address, supervisor_name
+from palpate.devices.rpc import Address, shared_folder, supervisor_name
 from palpate.devices.rpc_client import RpcClient, launch_process
 
 ESTOP_S = 5.0
@@ -31,7 +31,7 @@ class RigClient(RpcClient):
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
         super().__init__(name, folder)
-        self._supervisor = RpcClient(supervisor_name(name), folder)
+        self._supervisor = RpcClient(supervisor_name(name), shared_folder(folder))
 
     def close(self) -> None:
         """Go away; the processes go on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 import time
 import warnings
@@ -22,6 +23,8 @@ from palpate.recordings.run_notes import NOTES
 
 MAX_DEPTH = 4
 """Folders below the workspace that are looked into."""
+LINK_DEPTH = 3
+"""Folders of a run or calibration that are searched for links that lead out."""
 MAX_LISTED = 500
 """Of a kind that are listed."""
 MAX_VISITED = 20_000
@@ -34,7 +37,22 @@ TIP_ARRAYS = {"layout_px.npy", "levels_n.npy", "touch.turning_n_m.npy"}
 """In an archive that is a calibration of a tip's softness."""
 KINDS = {MANIFEST: "run", CARD_FILE: "calibration", EXPERIMENT: "experiment"}
 
+PROJECT = re.compile(r"""^name\s*=\s*["']palpate["']""", re.MULTILINE)
+"""Line of a project file by which the source tree of this package is recognized."""
+
 Stamp = tuple[tuple[str, int, int], ...]
+
+
+class OutsideError(InputError):
+    """A name leads out of the workspace."""
+
+    code = "outside-workspace"
+
+
+class SourceTreeError(InputError):
+    """A workspace lies in the source tree of this package."""
+
+    code = "source-tree"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +92,18 @@ class Workspace:
 
     Raises:
         InputError: it is a file.
+        SourceTreeError: it lies in the source tree of this package.
     """
 
     def __init__(self, folder: Path) -> None:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"the workspace {folder} is a file; give a folder, such as the one it lies in")
         self.folder = folder.resolve()
+        if (tree := source_tree_of(self.folder)) is not None:
+            raise SourceTreeError(
+                f"The workspace {self.folder} lies in the source tree {tree}. Choose a folder outside it, "
+                "such as ~/palpate."
+            )
         self._turn = threading.Lock()
         self._runs: OrderedDict[Path, tuple[Stamp, Run]] = OrderedDict()
         self._summaries: dict[Path, tuple[Stamp, str, RunSummary]] = {}
@@ -89,17 +113,30 @@ class Workspace:
         """The path of something in the workspace, by its name from there.
 
         Raises:
-            InputError: it leads out of the workspace, also by a link; or it is no name of a file.
+            OutsideError: it leads out of the workspace, also by a link in it; or it is no name of a file.
         """
         bad = not name or len(name) > MAX_NAME or not name.isprintable() or "\\" in name
         if not bad and not Path(name).is_absolute():
             path = (self.folder / name).resolve()
-            if path != self.folder and path.is_relative_to(self.folder):
+            if path != self.folder and path.is_relative_to(self.folder) and not self._leads_out(path):
                 return path
-        raise InputError(
+        raise OutsideError(
             f"{name[:80]!r} is nothing in the workspace {self.folder}; name what lies in it, as the lists of "
             "the pages do"
         )
+
+    def _leads_out(self, path: Path, depth: int = LINK_DEPTH) -> bool:
+        """Whether a link in a folder, or in a folder of it, leads out of the workspace."""
+        try:
+            with os.scandir(path) as entries:
+                return any(
+                    not Path(one.path).resolve().is_relative_to(self.folder)
+                    if one.is_symlink()
+                    else depth > 1 and one.is_dir() and self._leads_out(Path(one.path), depth - 1)
+                    for one in entries
+                )
+        except OSError:
+            return False
 
     def name_of(self, path: Path) -> str:
         """The name of something from the workspace."""
@@ -204,6 +241,17 @@ class Workspace:
                 yield from ((Path(at), kind) for kind in kinds)
             if not whole:
                 yield from ((Path(at) / one, "tip") for one in files if _is_tip(Path(at) / one))
+
+
+def source_tree_of(folder: Path) -> Path | None:
+    """The source tree of this package that a folder is or lies in; None outside of any."""
+    for one in (folder, *folder.parents):
+        try:
+            if PROJECT.search((one / "pyproject.toml").read_text(encoding="utf-8", errors="replace")):
+                return one
+        except OSError:
+            continue
+    return None
 
 
 def _is_tip(path: Path) -> bool:

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from palpate.core import Closing, InputError, PalpateError
+from palpate.core import Closing, DeviceError, InputError, PalpateError
 from palpate.core.shared_history import SharedHistory
 from palpate.studio.live.reading_rows import force_beside
 
@@ -40,8 +42,17 @@ class LiveConnection(Protocol):
         """Go away; the process goes on."""
 
 
-Connect = Callable[[str], LiveConnection]
-Launch = Callable[[str, Mapping[str, Any]], None]
+class NoConnection:
+    """Stands for the connection to a live sensor whose process does not run."""
+
+    status = picture = told_s = None
+
+    def ask(self, do: str, **fields: Any) -> Any:
+        """Refuse."""
+        raise DeviceError("This sensor is not being read. Begin it on the page Live.")
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,60 +135,103 @@ class LiveSensor:
         return None if told_s is None else max(now_s - told_s, 0.0)
 
 
-def connect_live(name: str) -> LiveConnection:
-    """Connect to a live sensor's process by its name, whether it runs or not."""
-    from palpate.sensing.live_client import LiveClient
+def check_name(name: str) -> None:
+    """Refuse what is no name of a live sensor's process: pages address no other process.
 
-    return LiveClient(name)
-
-
-def running_sensors() -> list[str]:
-    """Names of this user's live sensors that run, by whichever page they were begun."""
-    from palpate.devices.rpc import running
-
-    return running(PREFIX)[:MAX_SENSORS]
+    Raises:
+        InputError: it does not begin as such names do, or is too long.
+    """
+    if not (name.startswith(PREFIX) and len(name) <= MAX_NAME and name.isprintable()):
+        raise InputError(f"{name[:60]!r} is no live sensor. Begin one on the page Live.")
 
 
-def launch_sensor(name: str, options: Mapping[str, Any]) -> None:
-    """Launch a live sensor's process, and wait until it can be reached."""
-    from palpate.sensing.live_client import launch_live
+class LiveProcesses:
+    """Processes of a workspace's live sensors.
 
-    launch_live(name, options)
+    Args:
+        folder: of their address files; None for the user's own.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+
+    def connect(self, name: str) -> LiveConnection:
+        """Connect to a process by its name, whether it runs or not."""
+        from palpate.sensing.live_client import LiveClient
+
+        return LiveClient(name, self._folder)
+
+    def running(self) -> list[str]:
+        """Names of the live sensors that run, by whichever page they were begun."""
+        from palpate.devices.rpc import running
+
+        return running(PREFIX, self._folder)
+
+    def launch(self, name: str, options: Mapping[str, Any]) -> None:
+        """Launch a process, and wait until it can be reached."""
+        from palpate.sensing.live_client import launch_live
+
+        launch_live(name, options, folder=self._folder)
 
 
 class LiveDesk(Closing):
     """Live sensors of one server, shared by all tabs.
 
     Args:
-        connect: to a process by its name.
-        launch: a process of a name with options, and waits until it can be reached.
+        processes: of the workspace's live sensors.
     """
 
-    def __init__(self, connect: Connect = connect_live, launch: Launch = launch_sensor) -> None:
-        self._connect, self._launch = connect, launch
+    def __init__(self, processes: LiveProcesses | None = None) -> None:
+        self._processes = processes or LiveProcesses()
         self._turn = threading.Lock()
         self._launching = threading.Lock()
+        self._begins: Counter[str] = Counter()
         self._sensors: dict[str, LiveSensor] = {}
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def sensor(self, name: str) -> LiveSensor:
-        """A sensor by the name of its process, listened to from now on.
+    def running(self) -> list[str]:
+        """Names of the live sensors that run, as many as are shown."""
+        return self._processes.running()[:MAX_SENSORS]
+
+    def listened(self, name: str) -> LiveSensor | None:
+        """The sensor of this name if it is listened to already; asking changes nothing."""
+        with self._turn:
+            return self._sensors.get(name)
+
+    def sensor(self, name: str) -> LiveSensor | None:
+        """The sensor of a process that runs, listened to from now on; None if no such process runs.
 
         Raises:
-            InputError: it is no name, or there are as many as are shown.
+            InputError: it is no name of a live sensor, or as many as are shown run already.
         """
-        if not 0 < len(name) <= MAX_NAME or not name.isprintable():
-            raise InputError(f"{name[:60]!r} is no name of a live sensor; begin one on the page Live")
+        check_name(name)
+        if (known := self.listened(name)) is not None:
+            return known
+        return self._listen_to(name) if name in self._processes.running() else None
+
+    def _listen_to(self, name: str) -> LiveSensor:
         with self._turn:
             if name not in self._sensors:
                 if len(self._sensors) >= MAX_SENSORS:
-                    raise InputError(f"{MAX_SENSORS} sensors are shown; end one first")
-                self._sensors[name] = LiveSensor(name, self._connect(name))
+                    self._forget_ended()
+                self._sensors[name] = LiveSensor(name, self._processes.connect(name))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._listen, name="palpate-live-desk", daemon=True)
                 self._thread.start()
             return self._sensors[name]
+
+    def _forget_ended(self) -> None:
+        """Make room: a sensor whose process has ended takes no place.
+
+        Raises:
+            InputError: all of them run.
+        """
+        running = self._processes.running()
+        for name in [one for one in self._sensors if one not in running and one not in self._begins]:
+            self._sensors.pop(name).connection.close()
+        if len(self._sensors) >= MAX_SENSORS:
+            raise InputError(f"{MAX_SENSORS} sensors are being read, which is the maximum. End one first.")
 
     @property
     def names(self) -> list[str]:
@@ -191,10 +245,18 @@ class LiveDesk(Closing):
         Raises:
             PalpateError: the process did not begin; it says why.
         """
-        sensor = self.sensor(name)
-        with self._launching:
-            if sensor.connection.status is None:
-                self._launch(name, options)
+        check_name(name)
+        with self._turn:
+            self._begins[name] += 1
+        try:
+            sensor = self._listen_to(name)
+            with self._launching:
+                if sensor.connection.status is None:
+                    self._processes.launch(name, options)
+        finally:
+            with self._turn:
+                self._begins[name] -= 1
+                self._begins += Counter()  # drops those at 0
         return sensor
 
     def end(self, name: str) -> None:

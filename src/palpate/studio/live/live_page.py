@@ -20,20 +20,23 @@ from palpate.core import PalpateError
 from palpate.studio.html_parts import simulated_badge, state_word
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live import live_drawing
-from palpate.studio.live.live_desk import LiveDesk, LiveSensor, edge_readings
+from palpate.studio.live.live_desk import (
+    MAX_SENSORS,
+    LiveDesk,
+    LiveSensor,
+    NoConnection,
+    check_name,
+    edge_readings,
+)
+from palpate.studio.live.live_sources import VIRTUAL, Cameras, plugged_in, source_options
 from palpate.studio.live.reading_rows import Told, named, softness_html, unread, values_html
 from palpate.studio.page_shell import PageBeat, page_shell, page_title
 from palpate.studio.shown_ages import Ages, age_note
 from palpate.studio.status_text import number
 
 REFRESH_S = 0.2
+FIND_S = 1.0  # between two searches for the processes of sensors that do not run
 MAX_PLOTS = 3
-VIRTUAL = {
-    "virtual:palm": "virtual palm",
-    "virtual:tactip": "virtual TacTip",
-    "virtual:nusense": "virtual NUSense",
-    "virtual:tactip/S1=7.6": "virtual TacTip on a body of 7.6 N/mm",
-}
 NONE = {"": "none: the picture alone"}
 MARKS = "marks:"
 """Before the name of a sensor whose patterned skin is read, in the list of calibrations."""
@@ -48,19 +51,6 @@ ADDRESSES = (
 LOOKS = {"opening": "warn", "live": "", "ended": "", "failed": "bad", "lost": "warn"}
 SELECT = 'dense outlined options-dense stack-label id="{}" aria-label="{}"'
 PLACES = ("x_mm", "y_mm")
-
-Cameras = Callable[[], Mapping[str, str]]
-
-
-def plugged_in() -> Mapping[str, str]:
-    """Cameras of this machine by address: their serial number where they have one, in words."""
-    from palpate.rig.real.camera_listing import list_cameras
-
-    found = {}
-    for one in list_cameras():
-        used = f", in use by {one.used_by}" if one.used_by else ""
-        found[one.serial or one.path] = f"{one.name} ({one.serial or one.path}{used})"
-    return found
 
 
 class LivePage:
@@ -87,19 +77,34 @@ class LivePage:
         with ui.element("main").classes("sheet"):
             self._trouble = ui.html("", sanitize=False).props('role="alert"')
             with ui.element("div").classes("pair") as self._sensors:
-                for name in names:
+                for name in (list(dict.fromkeys(names)) or desk.running())[:MAX_SENSORS]:
                     self._show(name)
             self._begin_card()
         ui.timer(0.01, self._list, once=True)
         ui.timer(REFRESH_S, self._refresh)
+        ui.timer(FIND_S, self._find)
 
     def _show(self, name: str) -> None:
+        """Show a sensor's card; `_find` connects it once the page is open, so that a GET changes nothing."""
         try:
-            sensor = self._desk.sensor(name)
+            check_name(name)
         except PalpateError as e:
-            self._trouble.set_content(f'<p class="trouble">{escape(str(e))}</p>')
+            self._say(e)
             return
+        sensor = self._desk.listened(name) or LiveSensor(name, NoConnection())
         self._cards.append(SensorCard(sensor, len(self._cards), self._end))
+
+    def _find(self) -> None:
+        """Connect cards to processes that run by now."""
+        for card in self._cards:
+            if isinstance(card.sensor.connection, NoConnection):
+                try:
+                    card.sensor = self._desk.sensor(card.sensor.name) or card.sensor
+                except PalpateError as e:
+                    self._say(e)
+
+    def _say(self, trouble: PalpateError) -> None:
+        self._trouble.set_content(f'<p class="trouble">{escape(str(trouble))}</p>')
 
     def _begin_card(self) -> None:
         with ui.element("section").classes("card").props('aria-label="Begin a sensor"'):
@@ -159,13 +164,12 @@ class LivePage:
         if all(card.sensor.name != sensor.name for card in self._cards):
             with self._sensors:
                 self._show(sensor.name)
+        self._find()
         self._keep()
 
     def _launched(self, source: str, calibration: str, tip: str) -> LiveSensor:
-        recorded = source in self._workspace.found("run")
-        options: dict[str, Any] = {"camera": source, "runs": str(self._workspace.folder / "runs")}
-        if recorded:  # as it was recorded, over and over
-            options |= {"camera": str(self._workspace.resolve(source)), "paced": True, "repeat": True}
+        options = source_options(self._workspace, source, self._cameras)
+        options["runs"] = str(self._workspace.folder / "runs")
         if tip:
             options["compliance"] = str(self._workspace.resolve(tip))
         if calibration.startswith(MARKS):

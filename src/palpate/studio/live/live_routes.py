@@ -15,9 +15,8 @@ def add_live_routes(app: FastAPI, lives: LiveDesk, starts: StartDesk, workspace:
 
     @app.get("/live/picture")
     async def live_picture(name: str) -> Response:
-        if name not in lives.names:
-            return Response(status_code=404)
-        newest = lives.sensor(name).connection.picture
+        sensor = lives.listened(name)
+        newest = None if sensor is None else sensor.connection.picture
         return _jpeg(None if newest is None else newest[1])
 
     @app.get("/start/picture")

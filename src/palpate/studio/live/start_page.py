@@ -26,14 +26,8 @@ from palpate.studio.html_parts import (
 )
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
-from palpate.studio.live.live_page import (
-    TYPED,
-    VIRTUAL,
-    Cameras,
-    live_address,
-    live_name,
-    plugged_in,
-)
+from palpate.studio.live.live_page import TYPED, live_address, live_name
+from palpate.studio.live.live_sources import VIRTUAL, Cameras, check_devices, plugged_in
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration, number
@@ -200,6 +194,7 @@ class StartPage:
                 given = "no number of presses" if presses is None else f"{presses:g} presses"
                 raise InputError(f"{given}; give a whole number of {MIN_TO_LEARN} or more, 40 is a good one")
             scale = str(self._scale.value)
+            check_devices(str(self._camera.value), scale, self._cameras)
             work = (self._path(), str(self._camera.value), scale, int(presses))
             unit = "" if scale in SCALES else str(self._unit.value or "")
             more = int(presses) if anew else 0
