@@ -80,6 +80,7 @@ def model(
 
 
 RELU = [node("Relu", ["image"], ["last"])]
+ABS = [node("Abs", ["image"], ["last"])]
 
 
 def whole_numbers(*values: int) -> np.ndarray:
@@ -426,6 +427,14 @@ def card_text(change: Callable[[str], str]) -> Callable[[Path], None]:
     )
 
 
+def rewritten_model(change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        path = folder / "model.onnx"
+        path.write_bytes(change(path.read_bytes()))
+
+    return spoil
+
+
 def a_pipe(folder: Path) -> None:
     (folder / "card.json").unlink()
     os.mkfifo(folder / "card.json")
@@ -438,11 +447,8 @@ def wide_image(folder: Path) -> None:
 
 
 FOLDERS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "another model than the card's": (
-        lambda folder: (folder / "model.onnx").write_bytes(model(RELU)),
-        "file-hash",
-    ),
-    "bytes after the model": (lambda f: (f / "model.onnx").open("ab").write(b"\0"), "file-hash"),
+    "another model than the card's": (rewritten_model(lambda data: model(ABS)), "file-hash"),
+    "bytes after the model": (rewritten_model(lambda data: data + b"\0"), "file-hash"),
     "a bomb in the guard": (lambda f: with_guard(f, bomb), "file-size"),
     "a guard's header that lies": (lambda f: with_guard(f, lying_header), "file-damaged"),
     "a guard of objects": (lambda f: with_guard(f, objects), "file-damaged"),

@@ -261,7 +261,7 @@ def _trees(call: Call) -> Inferred:
 
 
 @dataclass(frozen=True, slots=True)
-class Operator:
+class AdmittedOperator:
     """An admitted operator.
 
     Attributes:
@@ -275,8 +275,8 @@ class Operator:
     attributes: frozenset[str] = frozenset()
 
 
-def _operator(infer: Infer, least: int, most: int, attributes: str = "") -> Operator:
-    return Operator(infer, (least, most), frozenset(attributes.split()))
+def _operator(infer: Infer, least: int, most: int, attributes: str = "") -> AdmittedOperator:
+    return AdmittedOperator(infer, (least, most), frozenset(attributes.split()))
 
 
 MANY = 1000
@@ -290,7 +290,7 @@ _TREES = """
     n_targets aggregate_function post_transform nodes_treeids nodes_nodeids nodes_featureids nodes_values
     nodes_truenodeids nodes_falsenodeids nodes_modes target_treeids target_nodeids target_ids target_weights
 """
-OPERATORS: Mapping[tuple[str, str], Operator] = {
+OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Abs"): _operator(_elementwise, 1, 1),
     ("", "Add"): _operator(_elementwise, 2, 2),
     ("", "BatchNormalization"): _operator(_first, 5, 5, "epsilon"),
