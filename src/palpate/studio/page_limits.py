@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from nicegui import Client
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+
+if TYPE_CHECKING:
+    from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol as Http
+else:
+    from uvicorn.protocols.http.auto import AutoHTTPProtocol as Http
 
 MAX_CONNECTIONS = 256
 """Connections, sockets of pages included. Beyond it, the oldest that waits for a request is closed."""
@@ -27,11 +31,14 @@ MAX_UNJOINED = 32
 """Pages that were sent and have not opened their socket; beyond it, the oldest is forgotten."""
 
 
-class LimitedHttp(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
-    """HTTP connection with limits in time and in number."""
+class LimitedHttp(Http):
+    """HTTP connection with limits in time and in number.
 
-    waiting: dict[LimitedHttp, None]
-    """Connections of the server that wait for a request, the oldest first; see `limited_http`."""
+    Attributes:
+        waiting: connections of the server that wait for a request, the oldest first; see `limited_http`.
+    """
+
+    waiting: ClassVar[dict[LimitedHttp, None]]
 
     def connection_made(self, transport: Any) -> None:
         """Accept a connection, in place of the oldest that waits for a request if there are too many."""
@@ -118,7 +125,11 @@ class LimitedHttp(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
 
 def limited_http() -> type[LimitedHttp]:
     """Return the protocol of one server, with connections of its own to count."""
-    return type("LimitedHttp", (LimitedHttp,), {"waiting": {}})
+
+    class OwnHttp(LimitedHttp):
+        waiting: ClassVar[dict[LimitedHttp, None]] = {}
+
+    return OwnHttp
 
 
 class PageQueue:

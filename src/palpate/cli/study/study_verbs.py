@@ -240,13 +240,13 @@ def serve_studio(
     recorded = (runs or workspace / "runs").absolute()
     check_port(port, host)
     folder = workspace_folder(workspace)
-
-    def launch_rig() -> None:
-        launch(name, recorded, accelerated=accelerated, folder=folder)
-        client.reached(within_s=10.0)
-
     # Of a terminal that is closed nothing is heard: a recording goes on then, as the rig's process does.
     with stopped_by_signals((signal.SIGINT, signal.SIGTERM)), RigClient(name, folder) as client:
+
+        def launch_rig() -> None:
+            launch(name, recorded, accelerated=accelerated, folder=folder)
+            client.reached(within_s=10.0)
+
         if rig is not None and not client.reached(within_s=1.0):
             typer.echo(f"starting the rig {name} …")
             launch_rig()

@@ -45,7 +45,9 @@ class LiveConnection(Protocol):
 class NoConnection:
     """Stands for the connection to a live sensor whose process does not run."""
 
-    status = picture = told_s = None
+    status: dict[str, Any] | None = None
+    picture: tuple[int, bytes, tuple[int, int]] | None = None
+    told_s: float | None = None
 
     def ask(self, do: str, **fields: Any) -> Any:
         """Refuse."""
