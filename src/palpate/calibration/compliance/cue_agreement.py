@@ -46,6 +46,9 @@ GRID = 24  # softness values at which the minimum is bracketed
 RANK = 1e-9  # smallest singular value that counts, over the largest
 
 Vectors = Float[ndarray, "n d"]
+Point = Float[ndarray, " m"]  # parameters of the object
+Place = Float[ndarray, " q"]  # in the small space
+Places = Float[ndarray, "n q"]
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ class _Model:
     """m(p) in the small space of the references, its alternatives, and its minimizer."""
 
     space: SmallSpace
-    mean: Callable[[Vector], Vector]
-    others: Callable[[Vector], Vectors]
-    minimize: Callable[[Callable[[Vector], float], Vector], float]
+    mean: Callable[[Point], Place]
+    others: Callable[[Point], Places]
+    minimize: Callable[[Callable[[Point], float], Place], float]
 
 
 def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit:
@@ -110,11 +113,11 @@ def _model(calibration: ComplianceCalibration, placed: bool) -> _Model:
 
 
 def _curve_model(curve: SoftnessCurve) -> _Model:
-    def others(p: Vector) -> Vectors:
+    def others(p: Point) -> Places:
         bent = [curve.at(p, bend * curve.turning_n_m) for bend in BENDS]
         return np.concatenate(bent) - curve.at(p)
 
-    def least(misfit: Callable[[Vector], float], _start: Vector) -> float:
+    def least(misfit: Callable[[Point], float], _start: Place) -> float:
         grid = np.linspace(0.0, SOFTEST, GRID)
         best = int(np.argmin([misfit(np.array([s])) for s in grid]))
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)])
@@ -124,10 +127,10 @@ def _curve_model(curve: SoftnessCurve) -> _Model:
 
 
 def _surface_model(surface: ShapeSurface) -> _Model:
-    def others(p: Vector) -> Vectors:
+    def others(p: Point) -> Places:
         return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
 
-    def least(misfit: Callable[[Vector], float], start: Vector) -> float:
+    def least(misfit: Callable[[Point], float], start: Place) -> float:
         begun = surface.nearest(start)
         tolerance = {"xatol": 1e-4, "fatol": 0.01}
         return float(minimize(misfit, begun, method="Nelder-Mead", options=tolerance).fun)
@@ -149,7 +152,7 @@ def _misfit(
     seen = ((y - space.middle)[known] / noise) @ directions
     scatter = np.linalg.cholesky(space.scatter).T @ basis
 
-    def at(p: Vector) -> float:
+    def at(p: Point) -> float:
         off = seen - model.mean(p) @ basis
         wide = np.vstack([scatter, changes, model.others(p) @ basis])
         return float(off @ np.linalg.solve(np.eye(len(off)) + wide.T @ wide, off))

@@ -105,7 +105,7 @@ def _check_series(names: Sequence[str], kappa: Vector, approach_m: Vector, limit
     )
 
 
-def _log_series(kappa: Vector, approach_m: Vector) -> Vector:
+def _log_series(kappa: Vector, approach_m: Vector) -> Float[ndarray, " _"]:
     """Return log G of every reference but the stiffest; -inf or NaN where a softer one gives way less."""
     order = np.argsort(-kappa)
     stiffest, softer = order[0], order[1:]
