@@ -46,7 +46,10 @@ def test_the_table_has_one_row_for_every_frame_but_the_first(press, tmp_path) ->
     assert "11 steps by horn-schunck" in said
     assert "px" in said
     table = pd.read_csv(tmp_path / "out/flow.csv")
-    assert list(table) == ["frame", "speed_px", "divergence_per_frame", "accumulated_divergence"]
+    assert list(table) == [
+        "frame", "speed_px", "divergence_per_frame", "border_flux_per_frame", "accumulated_divergence",
+        "accumulated_border_flux",
+    ]  # fmt: skip
     assert table["frame"].tolist() == list(range(1, 12))
     assert table["speed_px"].between(0.15, 0.21).all()  # of the 0.2 px, smoothness takes a little
 
@@ -64,6 +67,19 @@ def test_every_method_finds_the_motion_since_the_first_frame(press, tmp_path, me
     palpate("flow", press, "--out", tmp_path / "out", "--method", method, "--from-first")
     speeds = pd.read_csv(tmp_path / "out/flow.csv")["speed_px"]
     assert speeds.iloc[-1] == pytest.approx(2.2, rel=0.35)  # OpenCV's are rough on so small an image
+
+
+def test_the_divergence_is_of_the_region_that_is_given(press, tmp_path) -> None:
+    words = ("flow", press, "--json", "--region", "10,20,60,40", "--out", tmp_path / "out")
+    got = json.loads(palpate(*words).stdout)
+    assert got["region"] == {"kind": "given", "pixels": 2400, "box_px": [10, 20, 60, 40]}
+    assert got["accumulated_divergence"] != got["accumulated_border_flux"]
+
+
+@pytest.mark.parametrize("region", ["100,20,60,40", "0,0,0,5", "-1,0,5,5", "1,2"])
+def test_a_region_outside_the_images_is_refused(press, tmp_path, region) -> None:
+    palpate("flow", press, "--out", tmp_path / "out", f"--region={region}", status=2)
+    assert not (tmp_path / "out").exists()
 
 
 def test_fields_are_kept_on_request(press, tmp_path) -> None:

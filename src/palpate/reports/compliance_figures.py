@@ -23,6 +23,8 @@ from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, styled_p
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
 """For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
 
+UNBOUNDED = 30.0  # upper end that is drawn of a range without one, over its lower end
+
 Course = tuple[Float[ndarray, " _"], Float[ndarray, " _"]]
 Courses = Mapping[str, Sequence[Course]]
 Colours = Mapping[str, str]
@@ -132,6 +134,7 @@ def _stiffness(axes: Axes, touch: PressReading) -> None:
     if touch.stiffness_both is not None:
         rows["touch and\nposition"] = touch.stiffness_both
     low, high = (x / 1e3 for x in touch.stiffness.calibrated_range)
+    high = min(high, UNBOUNDED * low)  # the axis is logarithmic
     axes.axvspan(low, high, color=BAND, zorder=0)
     axes.annotate(
         "calibrated",

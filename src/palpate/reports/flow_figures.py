@@ -6,19 +6,25 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from palpate.core import new_folder, storage_errors
-from palpate.estimators.flow.flow_sequence import Step, course
+from palpate.core import Bool, InputError, new_folder, storage_errors
+from palpate.estimators.flow.flow_sequence import METHODS, Step, contact_region, course
 from palpate.estimators.flow.horn_schunck import FlowField
-from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.reports.calibration_figures import ACCENT, INK, STYLE
 
 ARROWS = 24  # along the image's longer side
+COLUMNS = ["frame", "speed_px", "divergence_per_frame", "border_flux_per_frame"]
+SUMMED = {
+    "accumulated_divergence": "divergence_per_frame",
+    "accumulated_border_flux": "border_flux_per_frame",
+}
 SPEEDS = "GnBu"  # light where little moves
 
 
@@ -29,6 +35,7 @@ def write_flow(
     method: str = "horn-schunck",
     from_first: bool = False,
     fields: bool = False,
+    region_px: tuple[int, int, int, int] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
     """Compute flow along a sequence and write ``flow.csv``, ``flow.png`` and perhaps ``fields.npy``.
@@ -40,6 +47,7 @@ def write_flow(
         out: folder to make; must not exist. It appears when all is done.
         method, from_first: see `course`.
         fields: also write every flow ``[steps 2 h w]``, float32.
+        region_px: x, y, width, and height of the region of the divergence; None for `contact_region` [px].
         progress: called with how many steps are done of how many.
 
     Returns:
@@ -47,14 +55,15 @@ def write_flow(
 
     Raises:
         ExistsError: `out` exists.
-        InputError, ImageError, RecordingError: nothing that flows.
+        InputError, ImageError, RecordingError: nothing that flows, or a region outside the images.
     """
     with open_sequence(frames) as sequence, new_folder(out) as building:
-        rows: list[tuple[int, float, float]] = []
+        rows: list[tuple[int, float, float, float]] = []
+        region = _region(sequence, method, region_px)
         fastest: Step | None = None
         flows: np.ndarray | None = None
-        for i, step in enumerate(course(sequence, method, from_first=from_first)):
-            rows.append((i + 1, step.speed_px, step.divergence))
+        for i, step in enumerate(course(sequence, method, from_first=from_first, region=region)):
+            rows.append((i + 1, step.speed_px, step.divergence, step.border_flux))
             if fastest is None or step.speed_px > fastest.speed_px:
                 fastest = step
             if fields:
@@ -63,9 +72,9 @@ def write_flow(
                 flows[i] = step.field
             progress(i + 1, len(sequence) - 1)
         assert fastest is not None
-        table = pd.DataFrame(rows, columns=["frame", "speed_px", "divergence_per_frame"])
-        total = table["divergence_per_frame"]
-        table["accumulated_divergence"] = total if from_first else total.cumsum()
+        table = pd.DataFrame(rows, columns=COLUMNS)
+        for name, column in SUMMED.items():
+            table[name] = table[column] if from_first else table[column].cumsum()
         with storage_errors(building):
             table.to_csv(building / "flow.csv", index=False)
             _draw(
@@ -78,8 +87,32 @@ def write_flow(
         "steps": len(table),
         "fastest_frame": _fastest(table),
         "mean_speed_px": float(table["speed_px"].mean()),
-        "accumulated_divergence": float(table["accumulated_divergence"].iloc[-1]),
+        **{name: float(table[name].iloc[-1]) for name in SUMMED},
+        "region": {
+            "kind": "contact" if region_px is None else "given",
+            "pixels": int(region.sum()),
+            "box_px": [int(x) for x in cv2.boundingRect(region.astype(np.uint8))],
+        },
     }
+
+
+def _region(
+    sequence: FrameSequence, method: str, region_px: tuple[int, int, int, int] | None
+) -> Bool[np.ndarray, "h w"]:
+    if method not in METHODS:
+        raise InputError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    if region_px is None:
+        return contact_region(sequence, method)
+    x, y, width, height = region_px
+    rows, columns = next(iter(sequence)).shape[:2]
+    if min(x, y) < 0 or min(width, height) < 1 or x + width > columns or y + height > rows:
+        raise InputError(
+            f"A region of {width} x {height} px at ({x}, {y}) is not inside the images of {columns} x {rows} "
+            "px. Give X,Y,WIDTH,HEIGHT inside them."
+        )
+    region = np.zeros((rows, columns), bool)
+    region[y : y + height, x : x + width] = True
+    return region
 
 
 def _flows_file(folder: Path, steps: int, step: Step) -> np.ndarray:
@@ -106,7 +139,7 @@ def _draw(table: pd.DataFrame, fastest: Step, how: str) -> Figure:
         above.set(title="mean speed", ylabel="speed [px]", ylim=(0, None))
         below.plot(table["frame"], table["accumulated_divergence"], color=ACCENT)
         below.axhline(0, color=INK, lw=0.6)
-        below.set(title="mean divergence so far", xlabel="frame", ylabel="divergence [1]")
+        below.set(title="mean divergence of the region so far", xlabel="frame", ylabel="divergence [1]")
         below.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3), useMathText=True)
         above.sharex(below)
         above.tick_params(labelbottom=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
+from palpate.calibration.compliance.reference_check import check_references
 from palpate.calibration.compliance.shape_calibration import errors_between, fit_shapes
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
@@ -40,7 +41,7 @@ from palpate.estimators.compliance.contact_area import (
 )
 from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.contact_seat import Seat, fit_seat, sideways_px
-from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger
+from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
 from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
 from palpate.estimators.compliance.shape_surface import ShapeSurface
@@ -120,6 +121,8 @@ class ComplianceCalibration:
         latency_s: of the camera, which the references' frames were corrected for; None for none [s].
         shape: modulus and radius by motion and approach; None without spheres among the references, or
             without their positions, and in calibrations of before.
+        moduli_per_m: E* over stiffness of the flat references, by the same inversion as of a press; None
+            without `finger` or a soft reference, and in calibrations of before [1/m].
         level: areas at 4 N against known ones; None as `rate` is, and in calibrations of before, whose areas
             there have the error of the worst reference's frames at any force.
     """
@@ -145,6 +148,7 @@ class ComplianceCalibration:
     latency_s: float | None = None
     shape: ShapeSurface | None = None
     level: RateFit | None = None
+    moduli_per_m: float | None = None
 
     @cached_property
     def id(self) -> str:
@@ -188,6 +192,7 @@ def calibrate_compliance(
 
     Raises:
         InputError: too few references or trials, presses that do not reach far enough, or of another sensor.
+        ReferenceStiffnessError: the presses contradict the stated stiffness of a reference.
     """
     trials = [(i, trial) for i, one in enumerate(references) for trial in one.trials]
     if not trials:
@@ -212,10 +217,14 @@ def calibrate_compliance(
         shape = fit_shapes([one.body for one in references], joined, which)
     flat_trials = [(i, t, m) for (i, t), m in zip(trials, motions_px, strict=True) if i in flat]
     motions, area, ring, rate, level = _areas(
-        [(i, t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
+        [(flat.index(i), t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
     )
     touch = curve(touch_rows)
+    check_references(
+        [references[i].name for i in flat], touch, both, approach_px=APPROACH_PX, tilt_rad=tilt_rad
+    )
     speeds = [press.speed_m_s for press in presses]
+    finger = _finger(references)
     return ComplianceCalibration(
         tuple(one.name for one in references),
         layout,
@@ -225,7 +234,7 @@ def calibrate_compliance(
         motions,
         area,
         ring,
-        _finger(references),
+        finger,
         float(np.sqrt(np.mean([wobble_px(press, layout) ** 2 for press in presses]))),
         (float(np.min(speeds)), float(np.max(speeds))),
         tilt_rad,
@@ -238,6 +247,7 @@ def calibrate_compliance(
         ),
         shape=shape,
         level=level,
+        moduli_per_m=None if finger is None else _moduli_per_m(finger, [references[i] for i in flat]),
     )
 
 
@@ -364,15 +374,28 @@ def _against_known(
 
 
 def _finger(references: Sequence[ReferenceSpecimen]) -> Finger | None:
-    presses = [
+    presses = _curves(one for one in references if np.isinf(one.kappa_n_m))
+    return fit_finger(presses) if presses else None
+
+
+def _moduli_per_m(finger: Finger, flats: Sequence[ReferenceSpecimen]) -> float | None:
+    """Return the median of E* over stiffness [1/m] of the soft references whose areas are known."""
+    soft = [(one, presses) for one in flats if np.isfinite(one.kappa_n_m) and (presses := _curves([one]))]
+    moduli = [invert_hertz(presses, finger, np.random.default_rng(0)).modulus_pa[0] for _, presses in soft]
+    ratios = [modulus / one.kappa_n_m for modulus, (one, _) in zip(moduli, soft, strict=True)]
+    finite = [ratio for ratio in ratios if np.isfinite(ratio)]
+    return float(np.median(finite)) if finite else None
+
+
+def _curves(references: Iterable[ReferenceSpecimen]) -> list[PressCurves]:
+    """Return force, approach, and area of the trials whose area and position are known."""
+    return [
         PressCurves(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
         for one in references
-        if np.isinf(one.kappa_n_m)
         for t in one.trials
         if t.area_m2 is not None and t.press.position_m is not None
         for good in [np.isfinite(t.area_m2) & (t.press.force_n >= LEVELS_N[0])]
     ]
-    return fit_finger(presses) if presses else None
 
 
 def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:

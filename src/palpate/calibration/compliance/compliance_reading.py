@@ -18,20 +18,22 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
+from palpate.calibration.compliance.reading_reasons import SEPARATOR, Reason, ReasonCode, joined
 from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
 from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
+from palpate.estimators.compliance.rate_calibration import RateFit
 from palpate.estimators.compliance.shape_surface import ShapeSurface
 from palpate.estimators.compliance.spread_rate import spread
-from palpate.estimators.compliance.stiffness_curve import SoftnessCurve
+from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, softness
 
 COVERAGE = 0.9
 NORMAL = 1.645  # standard deviations from the mean to either end of an interval of that coverage
-OUTSIDE = "{:.3g} N/mm is outside of the calibrated range, {:.3g} to {:.3g} N/mm"
-AREA_OUTSIDE = "{:.4g} mm2 is outside of the calibrated range, {:.4g} to {:.4g} mm2"
+OUTSIDE = "{:.3g} {} is outside the references, {:.3g} to {:.3g} {}"
+REACHES = "the interval, {:.3g} to {:.3g} {}, reaches beyond the calibrated range, {:.3g} to {:.3g} {}"
 EDGE = 1.05  # how far beyond the outermost reference an interval may begin: it scatters about its own value
 HEAD_ON_RAD = 0.05
 INCLINED = "E* and R are of head-on presses; this calibration is of an inclined top"
@@ -46,9 +48,14 @@ TOO_STIFF = (
 )
 CURVED = "the object is curved (R {:.3g} mm, {:.3g} to {:.3g} mm); this quantity is of flat specimens"
 APART = (
-    "touch says {:.3g} N/mm and both cues {:.3g} N/mm: no flat specimen of the references' shape, perhaps a "
-    "layer on a hard base"
+    "{} of {:.3g} to {:.3g} {} does not agree with a stiffness of {:.3g} to {:.3g} N/mm, which needs {:.3g} "
+    "to {:.3g} {}: no flat specimen of the references' shape"
 )
+UNITS = {
+    "N_per_m": ("N/mm", 1e-3), "m2": ("mm2", 1e6), "m2_per_N": ("mm2/N", 1e6), "Pa": ("MPa", 1e-6),
+}  # fmt: skip
+FLAT_ONLY = ("stiffness", "stiffness_both", "area", "spread_rate")  # quantities of flat specimens
+FIELDS = (*FLAT_ONLY, "modulus", "radius")
 NO_BETWEEN = "two references cannot tell what is lost between them; calibrate on a third"
 
 
@@ -120,37 +127,106 @@ def read_touch(
     if calibration.nuisances is not None:
         read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
         read = replace(read, nuisances=calibration.nuisances)
-    return read if calibration.shape is None else _judged(read)
+    return _judged(calibration, read)
 
 
-def _judged(read: PressReading) -> PressReading:
-    """Readings by a calibration that knows spheres: what they say of each other, their intervals known."""
-    modulus, radius = read.modulus, read.radius
-    if modulus is None or radius is None:
-        return read
-    too_stiff = np.isinf(modulus.high) or modulus.low > EDGE * modulus.calibrated_range[1]
-    why_modulus = TOO_STIFF.format(1e-6 * modulus.low) if too_stiff else ""
-    curved = CURVED.format(*(1e3 * x for x in (radius.value, radius.low, radius.high)))
-    reasons = (curved if np.isfinite(radius.high) else "", _cues_apart(read), radius.why)
-    why_flat = "; ".join(why for why in reasons if why)
-    of_flats = ("stiffness", "stiffness_both", "area", "spread_rate")
-    flats = {name: _refused(getattr(read, name), why_flat) for name in of_flats}
-    return replace(read, modulus=_refused(modulus, why_modulus), **flats)  # type: ignore[arg-type]
+def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressReading:
+    """Return the readings with the reasons that follow from their final intervals."""
+    reasons = {name: _range_reasons(calibration, name, getattr(read, name)) for name in FIELDS}
+    curved = calibration.shape is not None and _curved(read)
+    if curved:
+        assert read.radius is not None
+        text = CURVED.format(*(1e3 * x for x in (read.radius.value, read.radius.low, read.radius.high)))
+        flat = [Reason(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
+        everywhere = []
+    else:
+        flat = _reasons_of(read.radius) if calibration.shape is not None else []
+        everywhere = _disagreements(calibration, read)
+    for name in FLAT_ONLY:
+        reasons[name] += flat
+    return replace(
+        read, **{name: _refused(getattr(read, name), [*reasons[name], *everywhere]) for name in FIELDS}
+    )  # type: ignore[arg-type]
 
 
-def _cues_apart(read: PressReading) -> str:
-    """Why one stiffness does not explain both cues; empty where it does."""
-    touch, both = read.stiffness, read.stiffness_both
-    if both is None or (touch.low <= both.high and both.low <= touch.high):
-        return ""
-    return APART.format(1e-3 * touch.value, 1e-3 * both.value)
+def _curved(read: PressReading) -> bool:
+    return read.radius is not None and bool(np.isfinite(read.radius.high))
 
 
-def _refused(reading: Reading | None, why: str) -> Reading | None:
-    """A reading with one more reason why it is not valid."""
-    if reading is None or not why or why in reading.why:
+def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[Reason]:
+    """Return why an interval is not inside what was calibrated."""
+    if one is None or name == "radius":
+        return []
+    if name == "modulus" and calibration.shape is not None:
+        too_stiff = np.isinf(one.high) or one.low > EDGE * moduli_pa(calibration.shape)[1]
+        return [Reason(ReasonCode.TOO_STIFF, TOO_STIFF.format(1e-6 * one.low))] if too_stiff else []
+    unit, scale = UNITS[one.unit]
+    low, high = one.calibrated_range
+    reasons = []
+    if name.startswith("stiffness"):
+        known = calibration.touch.kappa_n_m
+        least, most = float(known.min()), float(known[np.isfinite(known)].max())
+        if one.low > most * EDGE or one.high < least / EDGE:
+            text = OUTSIDE.format(scale * one.value, unit, scale * least, scale * most, unit)
+            reasons.append(Reason(ReasonCode.OUTSIDE_RANGE, text))
+    if one.low < low or one.high > high or np.isinf(one.high):
+        ends = scale * one.low, scale * one.high, unit, scale * low, scale * high, unit
+        reasons.append(Reason(ReasonCode.INTERVAL_OUTSIDE_RANGE, REACHES.format(*ends)))
+    return reasons
+
+
+def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Reason]:
+    """Return the first quantity whose interval contains nothing that the stiffness allows.
+
+    The stiffness is that by both cues, or by touch where there is no position. What it allows of the other
+    quantities follows from the references, which are flat specimens of one shape.
+    """
+    base = read.stiffness if read.stiffness_both is None else read.stiffness_both
+    ends = np.array([base.low, base.high])
+    for name in ("stiffness", "area", "spread_rate", "modulus"):
+        one: Reading | None = getattr(read, name)
+        allowed = None if one is None else _on_flat(calibration, name, ends)
+        if one is None or allowed is None or (one.low <= allowed.max() and allowed.min() <= one.high):
+            continue
+        unit, scale = UNITS[one.unit]
+        text = APART.format(
+            one.quantity, scale * one.low, scale * one.high, unit, 1e-3 * base.low, 1e-3 * base.high,
+            scale * allowed.min(), scale * allowed.max(), unit,
+        )  # fmt: skip
+        return [Reason(ReasonCode.CUES_DISAGREE, text)]
+    return []
+
+
+def _on_flat(
+    calibration: ComplianceCalibration, name: str, kappa_n_m: Float[ndarray, " n"]
+) -> Float[ndarray, " n"] | None:
+    """Return a quantity of flat specimens of some stiffness; None where the references do not state it."""
+    if name == "stiffness":
+        return kappa_n_m
+    if name == "modulus":
+        return None if calibration.moduli_per_m is None else calibration.moduli_per_m * kappa_n_m
+    fit = calibration.level if name == "area" else calibration.rate
+    if fit is None or fit.means is None or len(fit.means) != len(calibration.touch.kappa_n_m):
+        return None
+    curve = calibration.touch
+    known, asked = (softness(k, curve.turning_n_m) for k in (curve.kappa_n_m, kappa_n_m))
+    return np.asarray(np.exp(np.polyval(np.polyfit(known, np.log(fit.means), len(known) - 1), asked)))
+
+
+def _reasons_of(reading: Reading | None) -> list[Reason]:
+    """Return the reasons that a reading carries."""
+    if reading is None or reading.valid:
+        return []
+    texts, codes = reading.why.split(SEPARATOR), reading.code.split(SEPARATOR)
+    return [Reason(ReasonCode(codes[min(i, len(codes) - 1)]), text) for i, text in enumerate(texts)]
+
+
+def _refused(reading: Reading | None, reasons: Sequence[Reason]) -> Reading | None:
+    """Return a reading with further reasons why it is not valid."""
+    if reading is None or not reasons:
         return reading
-    return replace(reading, valid=False, why="; ".join(one for one in (reading.why, why) if one))
+    fields = joined([*_reasons_of(reading), *reasons])
+    return replace(reading, **fields)  # type: ignore[arg-type]
 
 
 def _read(
@@ -261,7 +337,7 @@ class _Verdict:
 
     calibration: ComplianceCalibration
     drift: Drift
-    reasons: Sequence[str]
+    reasons: Sequence[Reason]
     name: str
 
 
@@ -275,13 +351,13 @@ class _PressReader:
 
     def reading(
         self, quantity: str, value: tuple[float, float, float], unit: str, range_: tuple[float, float],
-        why: Sequence[str] = (), coverage: float = COVERAGE,
+        why: Sequence[Reason] = (), coverage: float = COVERAGE,
     ) -> Reading:  # fmt: skip
-        reasons = [*self.verdict.reasons, *why]
         return Reading(
             quantity=quantity, value=value[0], low=value[1], high=value[2], unit=unit, coverage=coverage,
-            calibrated_range=range_, valid=not reasons, why="; ".join(reasons), drift=self.verdict.drift,
+            calibrated_range=range_, drift=self.verdict.drift,
             calibration=self.calibration.id, frame=self.verdict.name, time_s=0.0,
+            **joined([*self.verdict.reasons, *why]),  # type: ignore[arg-type]
         )  # fmt: skip
 
     def by_surface(self, surface: ShapeSurface, rows: Float[ndarray, "t d"]) -> tuple[Reading, Reading]:
@@ -295,13 +371,8 @@ class _PressReader:
         )
 
     def stiffness(self, quantity: str, curve: SoftnessCurve, rows: Float[ndarray, "t d"]) -> Reading:
-        kappa, low, high = curve.of(rows, COVERAGE).kappa_n_m
-        finite = curve.kappa_n_m[np.isfinite(curve.kappa_n_m)]
-        range_ = float(finite.min()), float(finite.max())
-        why = [] if np.isfinite(curve.between) else [NO_BETWEEN]
-        if low > range_[1] * EDGE or high < range_[0] / EDGE:
-            why.append(OUTSIDE.format(1e-3 * kappa, 1e-3 * range_[0], 1e-3 * range_[1]))
-        return self.reading(quantity, (kappa, low, high), "N_per_m", range_, why)
+        value = curve.of(rows, COVERAGE).kappa_n_m
+        return self.reading(quantity, value, "N_per_m", curve.range_n_m, self._between(curve.between))
 
     def area(self, courses: Sequence[AreaCourse]) -> Reading:
         fit, at = self._fit, np.array([AREA_AT_N])
@@ -314,11 +385,9 @@ class _PressReader:
             value = np.array(self.calibration.level.of(areas, COVERAGE))
         else:
             value = np.mean([at_forces(one.force_n, one.area_m2, at)[0] for one in courses], axis=0)
-        low, high = fit.range_m2
-        why = [] if np.isfinite(fit.spread) else [NO_BETWEEN]
-        if not low <= value[0] <= high:
-            why.append(AREA_OUTSIDE.format(1e6 * value[0], 1e6 * low, 1e6 * high))
-        return self.reading("area_at_4_N", (value[0], value[1], value[2]), "m2", fit.range_m2, why)
+        range_ = _known(self.calibration.level) or fit.range_m2
+        ends = (float(value[0]), float(value[1]), float(value[2]))
+        return self.reading("area_at_4_N", ends, "m2", range_, self._between(fit.spread))
 
     def rate(self, courses: Sequence[AreaCourse]) -> Reading:
         """dA/dF against known ones; without these its relative error is taken for at most the areas'."""
@@ -333,9 +402,12 @@ class _PressReader:
         else:
             value = self._rate_as_areas(courses)
         low, high = self._fit.range_m2
-        reach = levels[-1] - levels[0]
-        why = [] if np.isfinite(self._fit.spread) else [NO_BETWEEN]
-        return self.reading("spread_rate", value, "m2_per_N", (0.0, float((high - low) / reach)), why)
+        range_ = _known(self.calibration.rate) or (0.0, float((high - low) / (levels[-1] - levels[0])))
+        return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
+
+    def _between(self, error: float) -> list[Reason]:
+        """Return why two references are not enough."""
+        return [] if np.isfinite(error) else [Reason(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
 
     def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:
         levels = self.calibration.levels_n
@@ -357,12 +429,12 @@ class _PressReader:
             for good in [one.force_n >= self.calibration.levels_n[0]]
         ]
         contact = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
-        why = [contact.why] if contact.why else []
-        if not np.isfinite(self._fit.spread):
-            why.append(NO_BETWEEN)
+        why = [Reason(ReasonCode.TOO_STIFF, contact.why)] if contact.why else []
+        why += self._between(self._fit.spread)
         if self.calibration.tilt_rad > HEAD_ON_RAD:
-            why.append(INCLINED)
-        round_ = [NO_HERTZ.format(finger.misfit, MISFIT)] if finger.misfit > MISFIT else []
+            why.append(Reason(ReasonCode.INCLINED, INCLINED))
+        no_hertz = Reason(ReasonCode.NOT_HERTZ, NO_HERTZ.format(finger.misfit, MISFIT))
+        round_ = [no_hertz] if finger.misfit > MISFIT else []
         beyond = (0.0, float("inf"))
         return (
             self.reading("modulus", contact.modulus_pa, "Pa", beyond, why),
@@ -373,3 +445,8 @@ class _PressReader:
     def _fit(self) -> AreaFit:
         assert self.calibration.area is not None
         return self.calibration.area
+
+
+def _known(fit: RateFit | None) -> tuple[float, float] | None:
+    """Return the range of the references; None where it was not kept."""
+    return None if fit is None else fit.known

@@ -18,6 +18,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
 from palpate.calibration.compliance.contact_shape import contact_shape
 from palpate.calibration.compliance.latency_file import CameraLatency, with_latency
+from palpate.calibration.compliance.reading_reasons import SEPARATOR
 from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import InputError, Reading, Shaped, ndarray
 from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
@@ -189,6 +190,7 @@ def reading_record(reading: Reading) -> dict[str, Any]:
         "calibrated_range": [finite_or_none(x) for x in one.calibrated_range],
         "valid": one.valid,
         "why": one.why,
+        "codes": one.code.split(SEPARATOR) if one.code else [],
         "drift": None if one.drift is None else {"statistic": one.drift.statistic, "limit": one.drift.limit},
         "drifted": bool(one.drift and one.drift.drifted),
         "calibration": one.calibration,

@@ -19,7 +19,9 @@ from palpate.calibration.compliance.compliance_calibration import (
     touch_row,
     wobble_px,
 )
+from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, MAX_PINS, CueMisfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
+from palpate.calibration.compliance.reading_reasons import Reason, ReasonCode
 from palpate.core import Drift
 from palpate.estimators.compliance.contact_seat import sideways_px
 from palpate.estimators.compliance.pin_press import PinPress
@@ -60,6 +62,14 @@ CAUSES = {
 }
 SHOWN = {"late_s": 1e3}  # of the unit in which a cause is told
 PROBE = Nuisances(frame_yield_m_n=0.0)
+PINS_APART = (
+    "the pins fit no single object of the references' kind at all forces (misfit {:.3g}, {:g} is allowed); "
+    "calibrate on that kind of object, such as a layer on a hard base"
+)
+APPROACH_APART = (
+    "pins and approach fit no single object of the references' kind (misfit {:.3g}, {:g} is allowed); check "
+    "the scale of the position, or calibrate on that kind of object"
+)
 
 
 def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> Drift:
@@ -68,21 +78,32 @@ def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) ->
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
 
-def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[str]:
+def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Reason]:
     """Why no quantity of these presses is valid; empty where they are as the references' were.
 
     Raises:
         InputError: a press of another sensor.
         RangeError: one that does not reach the calibrated forces.
     """
-    reasons = list(dict.fromkeys(flaw for one in presses for flaw in one.flaws))
+    flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
+    reasons = [Reason(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
-        reasons.append(DRIFTED)
+        reasons.append(Reason(ReasonCode.DRIFTED, DRIFTED))
     rows = [touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses]
-    for ask in (_speed, _frozen, _off_centre, _unlike):
+    for code, ask in ASKED.items():
         answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
-        reasons += [why for why in answers if why][:1]
-    return reasons
+        reasons += [Reason(code, why) for why in answers if why][:1]
+    return reasons + misfit_reasons(worst_misfit(calibration, presses))
+
+
+def misfit_reasons(misfit: CueMisfit) -> list[Reason]:
+    """Return why the cues of a press do not belong to one object; empty where they do."""
+    found = ((PINS_APART, misfit.pins, MAX_PINS), (APPROACH_APART, misfit.approach, MAX_APPROACH))
+    return [
+        Reason(ReasonCode.CUES_DISAGREE, text.format(value, most))
+        for text, value, most in found
+        if not value <= most  # NaN does not agree
+    ]
 
 
 def _speed(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
@@ -190,3 +211,11 @@ def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vecto
 def _outside(curve: SmallSpace, row: Vector) -> Vector:
     """What of a press lies outside of the references' space."""
     return np.asarray(row - curve.middle - curve.place(row) @ curve.basis)
+
+
+ASKED: dict[ReasonCode, Callable[[ComplianceCalibration, PinPress, Vector], str]] = {
+    ReasonCode.SPEED: _speed,
+    ReasonCode.REPEATED_FRAMES: _frozen,
+    ReasonCode.OFF_CENTER: _off_centre,
+    ReasonCode.OUT_OF_DISTRIBUTION: _unlike,
+}

@@ -20,24 +20,34 @@ def flow(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
     method: Annotated[str, Option(help="horn-schunck, coarse-to-fine, dis or farneback.")] = "horn-schunck",
     from_first: Annotated[bool, Option(help="From the first frame, not the one before.")] = False,
+    region: Annotated[
+        str | None, Option(help="X,Y,WIDTH,HEIGHT of the divergence [px]; without, the moving region.")
+    ] = None,
     fields: Annotated[bool, Option(help="Also keep every flow: fields.npy, 4 bytes a number.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Compute optical flow and its divergence along a sequence.
 
-    Makes flow.csv and flow.png.
+    Makes flow.csv and flow.png. Speed and divergence are means over a region. The mean divergence over the
+    whole image is only the flux through its border, and is listed as such.
 
     Example: palpate flow press.tif --out flow
     """
     from palpate.reports.flow_figures import write_flow
 
+    box = cast("tuple[int, int, int, int] | None", numbers_of(region, 4, "--region"))
     with progress_bar(quiet) as progress:
         tell = partial(progress, "flow")
-        result = write_flow(frames, out, method=method, from_first=from_first, fields=fields, progress=tell)
+        result = write_flow(
+            frames, out, method=method, from_first=from_first, fields=fields,
+            region_px=box, progress=tell,
+        )  # fmt: skip
+    place = result["region"]
     text = (
         f"{out}: {result['steps']} steps by {method}, mean speed {result['mean_speed_px']:.3g} px, "
-        f"accumulated mean divergence {result['accumulated_divergence']:.3g}"
+        f"accumulated divergence {result['accumulated_divergence']:.3g} in the {place['kind']} region of "
+        f"{place['pixels']} px, border flux of the image {result['accumulated_border_flux']:.3g}"
     )
     print_found(result, text, json_)
 

@@ -24,6 +24,7 @@ from palpate.estimators.compliance.stiffness_curve import student_quantile
 MAX_DEGREE = 2
 MAX_GROWTH = 1.5  # e-folds of the spread for each standard deviation of the references' rates
 MAX_Z = 2.0  # standard deviations from the references' middle: farther the spread grows no more
+MARGIN = 0.05  # of the logarithmic span of the references, by which an interval may reach beyond them
 RECTANGULAR = np.sqrt(3.0)  # of a bound over the standard deviation of what lies anywhere within it
 
 Values = Float[ndarray, " _"]
@@ -42,6 +43,7 @@ class RateFit:
         between: error of log of the rate by which the others tell the references between them, root mean
             square; it is taken for a bound, since with that reference the gap is half as wide.
         growth: of log of the spread along what is so normalised.
+        means: Mean true rate of each reference, in their order; None in calibrations without it.
     """
 
     middle: float
@@ -52,6 +54,16 @@ class RateFit:
     freedom: int
     between: float
     growth: float = 0.0
+    means: Float[ndarray, " k"] | None = None
+
+    @property
+    def known(self) -> tuple[float, float] | None:
+        """Range in which an interval is inside the references: these, and `MARGIN` of their span."""
+        if self.means is None:
+            return None
+        low, high = np.log([self.means.min(), self.means.max()])
+        beyond = MARGIN * (high - low)
+        return float(np.exp(low - beyond)), float(np.exp(high + beyond))
 
     def of(self, rates_m2_n: Float[ndarray, " t"], coverage: float = 0.9) -> tuple[float, float, float]:
         """The true rate, low and high of its interval, of trials' rates by areas on one specimen [m^2/N]."""
@@ -82,6 +94,7 @@ def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequen
     if not ((x > 0).all() and (y > 0).all()):
         raise InputError("a contact that shrinks as the force grows; look at the areas in the tables")
     x, y, which = np.log(x), np.log(y), np.asarray(reference)
+    means = np.array([np.exp(y[which == kind].mean()) for kind in sorted(set(reference))])
     middle, scale = float(x.mean()), float(x.std() + 1e-12)
     z = (x - middle) / scale
     fit, covariance = _solved(z, y, min(MAX_DEGREE, kinds - 2))
@@ -89,7 +102,7 @@ def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequen
     off = y - _powers(z, len(fit)) @ fit
     growth = _growth(z, off)
     spread = float(np.sqrt(np.sum((off * np.exp(-growth * z)) ** 2) / freedom))
-    return RateFit(middle, scale, fit, covariance, spread, freedom, _between(z, y, which), growth)
+    return RateFit(middle, scale, fit, covariance, spread, freedom, _between(z, y, which), growth, means)
 
 
 def _growth(z: Values, off: Values) -> float:

@@ -32,6 +32,7 @@ TURNINGS = 13  # of kappa_0 that are tried
 BENDS = (0.5, 2.0)  # of kappa_0: how else the curve might run between the references
 MIN_TRIALS = 2
 STEP = 1e-3  # of s, for slopes
+MARGIN = 0.05  # of the references' span in s, by which an interval may reach beyond them
 
 Vectors = Float[ndarray, "t d"]
 Vector = Float[ndarray, " d"]
@@ -158,6 +159,17 @@ class SoftnessCurve:
         return self.turning_n_m * (1 / min(s, 1.0) - 1) if s > 0 else float("inf")
 
     @property
+    def range_n_m(self) -> tuple[float, float]:
+        """Range in which an interval is inside the references: these, and `MARGIN` of their span in s [N/m].
+
+        The upper end is infinite if a rigid plate is among the references, which then enclose every stiffer
+        specimen.
+        """
+        s = softness(self.kappa_n_m, self.turning_n_m)
+        beyond = MARGIN * float(np.ptp(s))
+        return self._kappa(float(s.max()) + beyond), self._kappa(float(s.min()) - beyond)
+
+    @property
     def space(self) -> SmallSpace:
         """Where its references lie."""
         return SmallSpace(self.middle, self.basis, self.means, self.scatter, self.outside, self.freedom)
@@ -169,6 +181,10 @@ class SoftnessCurve:
     def place(self, press: Vector) -> Float[ndarray, " q"]:
         """Place of a press in the basis, see `SmallSpace`."""
         return self.space.place(press)
+
+    def stiffness_n_m(self, y: Float[ndarray, " q"]) -> float:
+        """Return the stiffness of a place in the basis [N/m]."""
+        return self._kappa(self.nearest(y))
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
         """S of a place in the basis."""
@@ -261,16 +277,30 @@ def _turned(curve: SoftnessCurve) -> SoftnessCurve:
     return replace(curve, turning_n_m=float(tried[best]), between=max(around))
 
 
-def _between(curve: SoftnessCurve) -> float:
-    """The greatest error of log kappa of a reference between others, by these."""
+def left_out_n_m(curve: SoftnessCurve) -> dict[int, float]:
+    """Return the stiffness of each reference between others, as the others read it [N/m]."""
     order = np.argsort(curve.kappa_n_m)
-    off = []
+    found = {}
     for reference in order[1:-1]:
         others = np.delete(np.arange(len(order)), reference)
         fewer = replace(curve, kappa_n_m=curve.kappa_n_m[others], means=curve.means[others])
         s = max(fewer.nearest(curve.means[reference]), 1e-6)
-        off.append(abs(np.log(curve.turning_n_m * (1 / s - 1) / curve.kappa_n_m[reference])))
-    return float(max(off))
+        found[int(reference)] = curve.turning_n_m * (1 / s - 1)
+    return found
+
+
+def without(curve: SoftnessCurve, reference: int) -> SoftnessCurve:
+    """Return the curve through all references but one, in the same small space."""
+    others = np.delete(np.arange(len(curve.means)), reference)
+    kappa = curve.kappa_n_m[others]
+    fewer = replace(curve, kappa_n_m=kappa, means=curve.means[others], between=float("nan"))
+    return _turned(replace(fewer, turning_n_m=float(kappa[np.isfinite(kappa)].min())))
+
+
+def _between(curve: SoftnessCurve) -> float:
+    """The greatest error of log kappa of a reference between others, by these."""
+    found = left_out_n_m(curve).items()
+    return max(abs(float(np.log(kappa / curve.kappa_n_m[reference]))) for reference, kappa in found)
 
 
 def _orthonormal(rows: Float[ndarray, "n d"]) -> Float[ndarray, "q d"]:

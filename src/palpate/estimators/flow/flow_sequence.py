@@ -29,6 +29,8 @@ from palpate.estimators.flow.horn_schunck import (
     flow,
 )
 
+FASTEST = 0.99  # quantile of the speed that counts as the greatest: single pixels at edges claim more
+FAST = 0.8  # speed of the pixels that move most, over the greatest
 AHEAD = 4  # pairs a thread that wait, so that no thread waits for the reader
 
 T = TypeVar("T")
@@ -129,13 +131,17 @@ class Step:
     """One pair of frames.
 
     Attributes:
-        speed_px: mean length of the flow [px].
-        divergence: mean over the region [1/frame].
+        speed_px: mean length of the flow in the region [px].
+        divergence: mean over the region [1/frame]; the border flux if the region is the whole image.
+        border_flux: mean divergence over the whole image [1/frame]. By the divergence theorem it is the flow
+            through the border of the image over the area of the image. It is nearly 0 if the border does not
+            move, whatever expands inside.
         field: the flow itself [px].
     """
 
     speed_px: float
     divergence: float
+    border_flux: float
     field: FlowField
 
 
@@ -178,5 +184,37 @@ def _step(
     if region is not None and region.shape != field.shape[1:]:
         raise InputError(f"a region of {list(region.shape)} px on images of {list(field.shape[1:])} px")
     inside = slice(None) if region is None else region
-    speed, spread = np.hypot(*field)[inside], divergence(field)[inside]
-    return Step(float(speed.mean(dtype=np.float64)), float(spread.mean(dtype=np.float64)), field)
+    speed, spread = np.hypot(*field)[inside], divergence(field)
+    means = (float(values.mean(dtype=np.float64)) for values in (speed, spread[inside], spread))
+    return Step(*means, field)
+
+
+def contact_region(frames: Iterable[Grey], method: str = "horn-schunck") -> Bool[ndarray, "h w"]:
+    """Return the convex region of the pixels that move most between the first frame and the last.
+
+    It contains what expands between them. It is the whole image if nothing moves.
+
+    Args:
+        frames: as of `course`.
+        method: one of `METHODS`.
+
+    Raises:
+        InputError: fewer than two frames.
+    """
+    first, last = _ends(frames)
+    speed = np.hypot(*METHODS[method](first, last))
+    most = float(np.quantile(speed, FASTEST))
+    if not most > 0:
+        return np.ones(speed.shape, bool)
+    y, x = np.nonzero(speed >= FAST * most)
+    hull = cv2.convexHull(np.stack([x, y], axis=1).astype(np.int32))
+    return cv2.fillConvexPoly(np.zeros(speed.shape, np.uint8), hull, 1).astype(bool)
+
+
+def _ends(frames: Iterable[Grey]) -> tuple[Grey, Grey]:
+    """Return the first frame and the last."""
+    every = iter(frames)
+    first, last = next(every, None), deque(every, maxlen=1)
+    if first is None or not last:
+        raise InputError("flow needs two frames or more; the sequence has fewer")
+    return grey(first), grey(last[0])

@@ -1,0 +1,166 @@
+"""Agreement of the cues of one press: do pins and approach belong to one object of the references' kind?
+
+The pins and the approach at the calibrated forces form one vector y. For an object of the references' kind,
+
+    y = m(p) + B a + J b + K c + e,
+
+- m(p): mean of the references at the parameters p of the object (softness, or softness and curvature)
+- B: scatter between trials of one reference
+- J: change of the press by each stated nuisance of its standard size
+- K: other curves through the references, between which they cannot decide
+- e: noise
+
+a, b, c, and e are independent with zero mean and known variance. The misfit is the generalized
+least-squares minimum over p of the squared residual in units of its covariance. The misfit of the pins alone
+tests the pins. Its increase when the approach is added tests whether the approach agrees with the pins.
+
+The area, the spread rate, and E* are derived from the pins and the approach, so a press that fails either
+test has no valid quantity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from palpate.calibration.compliance.compliance_calibration import (
+    APPROACH_PX,
+    ComplianceCalibration,
+    approach_row,
+    touch_row,
+)
+from palpate.calibration.compliance.press_nuisances import NONE
+from palpate.core import Bool, Float, ndarray
+from palpate.estimators.compliance.pin_press import PinPress
+from palpate.estimators.compliance.shape_surface import BENDS as SURFACE_BENDS, ShapeSurface
+from palpate.estimators.compliance.stiffness_curve import BENDS, SOFTEST, SmallSpace, SoftnessCurve, Vector
+
+MAX_PINS = 26.0  # misfit of the pins
+MAX_APPROACH = 20.3  # increase by the approach: 99.5 % quantile of chi-squared with 7 degrees of freedom
+PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
+APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
+GRID = 24  # softness values at which the minimum is bracketed
+RANK = 1e-9  # smallest singular value that counts, over the largest
+
+Vectors = Float[ndarray, "n d"]
+Point = Float[ndarray, " m"]  # parameters of the object
+Place = Float[ndarray, " q"]  # in the small space
+Places = Float[ndarray, "n q"]
+
+
+@dataclass(frozen=True)
+class CueMisfit:
+    """Misfit of a press; see the module.
+
+    Attributes:
+        pins: of the pins alone.
+        approach: increase by the approach; 0 for a press without position.
+    """
+
+    pins: float
+    approach: float
+
+
+@dataclass(frozen=True)
+class _Model:
+    """m(p) in the small space of the references, its alternatives, and its minimizer."""
+
+    space: SmallSpace
+    mean: Callable[[Point], Place]
+    others: Callable[[Point], Places]
+    minimize: Callable[[Callable[[Point], float], Place], float]
+
+
+def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit:
+    """Return the misfit of the pins, and its increase by the approach.
+
+    Args:
+        calibration: of this tip.
+        press: with or without positions.
+
+    Raises:
+        InputError: a press of another sensor.
+        RangeError: a press that does not reach the calibrated forces.
+    """
+    placed = calibration.both is not None and press.position_m is not None
+
+    def row(one: PinPress) -> Vector:
+        pins = touch_row(one, calibration.layout_px, calibration.levels_n)
+        return np.concatenate([pins, approach_row(one, calibration.levels_n)]) if placed else pins
+
+    model = _model(calibration, placed)
+    sizes = NONE if calibration.nuisances is None else calibration.nuisances
+    y = row(press)
+    changes = np.array([row(one) - y for one in sizes.altered(press).values()]).reshape(-1, len(y))
+    known = np.isfinite(y) & np.isfinite(model.space.middle) & np.isfinite(changes).all(axis=0)
+    approach = np.zeros(len(y), bool)
+    if placed:
+        approach[-(len(calibration.levels_n) - 1) :] = True
+    pins = _misfit(model, y, changes, approach, known & ~approach)
+    return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+
+
+def _model(calibration: ComplianceCalibration, placed: bool) -> _Model:
+    if not placed:
+        return _curve_model(calibration.touch)
+    if calibration.shape is not None:
+        return _surface_model(calibration.shape)
+    assert calibration.both is not None
+    return _curve_model(calibration.both)
+
+
+def _curve_model(curve: SoftnessCurve) -> _Model:
+    def others(p: Point) -> Places:
+        bent = [curve.at(p, bend * curve.turning_n_m) for bend in BENDS]
+        return np.concatenate(bent) - curve.at(p)
+
+    def least(misfit: Callable[[Point], float], _start: Place) -> float:
+        grid = np.linspace(0.0, SOFTEST, GRID)
+        best = int(np.argmin([misfit(np.array([s])) for s in grid]))
+        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)])
+        return float(minimize_scalar(lambda s: misfit(np.array([s])), bounds=bounds, method="bounded").fun)
+
+    return _Model(curve.space, lambda p: curve.at(p)[0], others, least)
+
+
+def _surface_model(surface: ShapeSurface) -> _Model:
+    def others(p: Point) -> Places:
+        return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
+
+    def least(misfit: Callable[[Point], float], start: Place) -> float:
+        begun = surface.nearest(start)
+        tolerance = {"xatol": 1e-4, "fatol": 0.01}
+        return float(minimize(misfit, begun, method="Nelder-Mead", options=tolerance).fun)
+
+    return _Model(surface.space, surface.at, others, least)
+
+
+def _misfit(
+    model: _Model, y: Vector, changes: Vectors, approach: Bool[ndarray, " d"], known: Bool[ndarray, " d"]
+) -> float:
+    """Minimum over p, from the known values, in the directions that the model has."""
+    space = model.space
+    noise = np.where(approach, APPROACH_NOISE_PX, PIN_NOISE * space.outside)[known]
+    basis, changes = space.basis[:, known] / noise, changes[:, known] / noise
+    single = np.eye(len(y))[approach][:, known] / noise
+    _, sizes, directions = np.linalg.svd(np.vstack([basis, changes, single]), full_matrices=False)
+    directions = directions[sizes > RANK * sizes[0]].T
+    basis, changes = basis @ directions, changes @ directions
+    seen = ((y - space.middle)[known] / noise) @ directions
+    scatter = np.linalg.cholesky(space.scatter).T @ basis
+
+    def at(p: Point) -> float:
+        off = seen - model.mean(p) @ basis
+        wide = np.vstack([scatter, changes, model.others(p) @ basis])
+        return float(off @ np.linalg.solve(np.eye(len(off)) + wide.T @ wide, off))
+
+    return model.minimize(at, space.place(np.where(known, y, np.nan)))
+
+
+def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
+    """Return the greatest misfit over presses, of either kind."""
+    found = [cue_misfit(calibration, press) for press in presses]
+    return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))
