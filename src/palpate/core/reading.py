@@ -37,7 +37,15 @@ class Drift:
     @property
     def drifted(self) -> bool:
         """True where the sensor must be re-zeroed or calibrated anew."""
-        return self.statistic > self.limit
+        return not self.statistic <= self.limit  # NaN counts as drifted
+
+    def to_dict(self) -> dict[str, Any]:
+        """Statistic, limit, and verdict as plain values for JSON."""
+        return {
+            "statistic": plain_number(self.statistic),
+            "limit": plain_number(self.limit),
+            "drifted": self.drifted,
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -50,6 +58,7 @@ class MeasurementResult:
         coverage: how often such intervals or regions hold the truth, by calibration (0.9 is nine in ten).
         valid: False when the value should not be used.
         why: why it should not be; empty when valid.
+        code: machine-readable reason, such as ``camera_moved``; empty when valid.
         drift: of the sensor since calibration; None where no no-contact image was given or kept.
         calibration: id of the calibration that made the estimate.
         frame: name of the frame it was read from.
@@ -67,6 +76,7 @@ class MeasurementResult:
     calibration: str
     frame: str
     time_s: float
+    code: str = ""
 
     @property
     def column(self) -> str:
@@ -100,8 +110,11 @@ class MeasurementResult:
         return replace(self, unit=symbol, **{name: convert(getattr(self, name)) for name in self._WITH_UNIT})
 
     def to_dict(self) -> dict[str, Any]:
-        """The value, its interval and its verdict as plain values for JSON; what is no number is None."""
-        return {**self._numbers(), "valid": self.valid, "why": self.why}
+        """Value, interval, verdict, and drift as plain values for JSON; what is no number is None."""
+        drift = None if self.drift is None else self.drift.to_dict()
+        return {
+            **self._numbers(), "valid": self.valid, "why": self.why, "code": self.code, "drift": drift,
+        }  # fmt: skip
 
     def _numbers(self) -> dict[str, Any]:
         """The value and what surrounds it, as plain values."""
@@ -525,7 +538,7 @@ def _positive_definite(matrix: np.ndarray) -> bool:
 
 def provenance(of: MeasurementResult) -> dict[str, Any]:
     """All that a reading carries beside its quantity and its value, for another made from it."""
-    names = ("unit", "coverage", "valid", "why", "drift", "calibration", "frame", "time_s")
+    names = ("unit", "coverage", "valid", "why", "code", "drift", "calibration", "frame", "time_s")
     return {name: getattr(of, name) for name in names}
 
 
