@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from palpate.core.errors import InputError, RangeError
+from palpate.core.errors import InputError, RangeError, ScanEdgeError
 from palpate.estimators import fringe_order
 from palpate.estimators.fringe_light import Polariscope, one_line, tungsten, white_led
 from palpate.estimators.fringe_order import fit_orders
@@ -267,3 +267,39 @@ def test_no_rival_lies_below_the_least_order_that_can_be_told(monkeypatch) -> No
     near[0.001] = 0.5  # as the best of all it says that there is too little
     with pytest.raises(RangeError):
         fringe_order.refined(traces, [(slope, 0.0) for slope in near])
+
+
+@pytest.mark.parametrize("slope", [1.17, 0.17, 0.83])
+def test_every_slope_that_equal_steps_alias_is_reported_beyond_six_orders(slope) -> None:
+    """Steps of 1 N that turn 1.17 orders look as those that turn 0.17: C would be wrong by 6.9 times."""
+    load, light = np.arange(9.0), one_line(589e-9)
+    found = fit_orders(load, made(light, load, slope, jitter=0.01), light)
+    assert found.ambiguous
+    told = [found.slope_per_n, *(r.slope_per_n for r in found.rivals if r.likelihood > fringe_order.RIVAL)]
+    assert min(abs(one - slope) for one in told) < 0.01
+    assert not fit_orders(load, made(light, load, 0.17, jitter=0.01), light, greatest_order=3.0).ambiguous
+
+
+def test_a_best_slope_at_the_end_of_the_scan_is_an_error_with_a_code() -> None:
+    light = one_line(589e-9)
+    with pytest.raises(ScanEdgeError) as refused:
+        fit_orders(UNEVEN, made(light, UNEVEN, 0.31, jitter=0.01), light, greatest_order=3.0)
+    assert refused.value.code == "scan-edge"
+
+
+@pytest.mark.slow
+def test_a_longer_scan_refuses_no_sound_series() -> None:
+    """Uneven steps, 300 series: none that is told up to 6 orders becomes ambiguous up to 24."""
+    rng, told, lost, wrong = np.random.default_rng(7), 0, 0, 0
+    for seed in range(300):
+        light = (one_line(589e-9), white_led())[seed % 2]
+        load = np.round(np.sort(np.r_[0, rng.uniform(0.3, 10, 9)]), 1)
+        slope = rng.uniform(0.05, 0.45)
+        v = made(light, load, slope, offset=0.03 * rng.standard_normal(), jitter=0.03, patches=2, seed=seed)
+        found = fit_orders(load, v, light)
+        if not fit_orders(load, v, light, greatest_order=6.0).ambiguous:
+            told, lost = told + 1, lost + found.ambiguous
+        wrong += not found.ambiguous and abs(found.slope_per_n - slope) > 3 * found.half_width_per_n
+    assert told > 250
+    assert lost <= 0.03 * told
+    assert wrong == 0

@@ -1,15 +1,23 @@
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.core.errors import MaterialStrainError
 from palpate.mechanics.layers.bonded_layer import punch_force, sphere_force
 from palpate.sensors import palm
 from palpate.sensors.palm import narrow_contact
 from palpate.sensors.palm.narrow_contact import press_narrow
-from palpate.sensors.palm.palm_press import FRICTION, LINEAR_DEPTH_M, press_layers, stack_of
+from palpate.sensors.palm.palm_press import (
+    FRICTION,
+    LINEAR_DEPTH_M,
+    contact_strain,
+    press_layers,
+    stack_of,
+)
 from palpate.sensors.palm.palm_sensor import force_law_of
 from palpate.sensors.palm.probe_shapes import EDGE_SLOPE_RAD
 
@@ -321,3 +329,28 @@ def test_a_narrow_contact_may_be_pulled_sideways():
     contact = layered("edge:10", 62.5e-6, lateral_n=(0.02, -0.01))
     total = contact.shear_pa.sum(axis=(1, 2)) * cell_of(contact)
     assert math.dist(total, (0.02, -0.01)) < 1e-4 * math.hypot(0.02, 0.01)  # what the solver is asked for
+
+
+@pytest.mark.parametrize(
+    ("spec", "sound_mm", "refused_mm"),
+    [(palm.casting_resin(), 0.0131, 0.05), (palm.sylgard_184(), 5.0, None)],
+    ids=["casting-resin", "sylgard-184"],
+)
+def test_a_material_is_refused_beyond_its_greatest_strain(spec, sound_mm, refused_mm) -> None:
+    assert contact_strain(spec, palm.press(spec, Pose(0.0, 0.0, 1e-3 * sound_mm))) < spec.max_strain
+    if refused_mm is not None:
+        with pytest.raises(MaterialStrainError) as refused:
+            palm.press(spec, Pose(0.0, 0.0, 1e-3 * refused_mm))
+        assert refused.value.code == "material-strain"
+
+
+def test_around_the_greatest_strain_a_press_is_refused_from_there_on() -> None:
+    """20 depths from 0.9 to 1.1 times that at which the resin is at its limit, and another probe."""
+    spec = palm.casting_resin()
+    for depth in np.linspace(0.02e-3, 0.04e-3, 20):
+        unlimited = palm.press(replace(spec, max_strain=10.0), Pose(0.0, 0.0, float(depth)))
+        beyond = contact_strain(spec, unlimited) > spec.max_strain
+        with pytest.raises(MaterialStrainError) if beyond else nullcontext():
+            palm.press(spec, Pose(0.0, 0.0, float(depth)))
+    with pytest.raises(MaterialStrainError):
+        palm.press(spec, Pose(0.0, 0.0, 1e-3), palm.parse_probe("edge:10"))

@@ -152,7 +152,7 @@ def evaluate(
         and of which neither guard nor range rule refuses a reading of a target that they tell,
         "frames_untold": {column: frames that do not tell this target, the interval being as wide as its
         range; all where it is not read}, "frames_all_valid": frames of which every reading is valid
-        of what the calibration reads,
+        of what the calibration reads, "frames_drifted": frames read by an untouched image that has drifted,
         "learnt_frames": {"compared": frames of touches, "equal": those that the calibration has learnt from,
         "presses": of a simulated run, "repeated": those that it has learnt from, simulated again},
         "simulated": whether the calibration or the run is of a virtual sensor,
@@ -202,9 +202,9 @@ def predictions(
         ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
         NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
         reach of the joint region; ``own:valid``, as to the targets that the frame tells, ``own:all_valid``,
-        as to all that the calibration reads, and ``own:why`` it is not valid, also without ``own:`` where no
-        label is called so; of each label of classes ``estimate:COLUMN`` and ``set:COLUMN``, the names in the
-        set with ``|`` between them.
+        as to all that the calibration reads, ``own:drifted``, and ``own:why`` it is not valid, also without
+        ``own:`` where no label is called so; of each label of classes ``estimate:COLUMN`` and
+        ``set:COLUMN``, the names in the set with ``|`` between them.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -232,6 +232,7 @@ def _read_run(
     asked = [k for k, t in enumerate(card.targets) if not t.is_never_valid]
     whys: list[str] = []
     all_valid: list[bool] = []
+    drifted: list[bool] = []
     for i, row in enumerate(rows):
         readings, outputs = estimator.read_with_outputs(run.frame(int(row)), zero or zeros.get(int(row)))
         if outputs is not None and card.targets:
@@ -250,6 +251,7 @@ def _read_run(
             classes[f"set:{one.column}"].append(SEPARATOR.join(readings[one.column].members))
         named = [readings[one.column] for one in card.classes or ()]
         of_read = [*(each[k] for k in asked), *named]
+        drifted.append(any(one.drift is not None and one.drift.drifted for one in readings.values()))
         all_valid.append(bool(of_read) and all(reading.valid for reading in of_read))
         told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)]
         told += [one for one in named if 0 < len(one.members) < len(one.classes)]
@@ -265,6 +267,7 @@ def _read_run(
         "valid": [not why for why in whys],
         "why": whys,
         "all_valid": np.array(all_valid, bool),
+        "drifted": np.array(drifted, bool),
     }
     return with_own(table, own), spread, valid
 
@@ -402,6 +405,7 @@ def _counts(card: Card, run: Run, table: pd.DataFrame, read: Bool[np.ndarray, " 
         },
         "frames_valid": int(own_column(table, "valid").sum()),
         "frames_all_valid": int(own_column(table, "all_valid").sum()),
+        "frames_drifted": int(own_column(table, "drifted").sum()),
         "group_columns": list(card.split.columns),
         "learnt_from_this_run": learnt_from(card, run),
         "simulated": card.is_simulated or run.manifest.is_simulated,

@@ -23,7 +23,7 @@ from palpate.calibration.load_series import PATCHES, Series, read_series
 from palpate.core import Float, InputError, Progress, RangeError, ndarray, sha256_of_all, silent
 from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import Polariscope
-from palpate.estimators.fringe_order import OrderFit, fit_orders
+from palpate.estimators.fringe_order import SCAN_ORDER, OrderFit, fit_orders
 from palpate.mechanics.disc_stress import disc_difference
 from palpate.optics.colour import Tone
 from palpate.version import __version__
@@ -116,6 +116,8 @@ class Disc:
 FACE = 0.95  # of the radius, up to which a face is used: beyond, its rim and bent rays
 STEEP = 2.5  # times the centre's stress, from which fringes near the loads are too narrow for a patch
 FIELD_PATCHES = 1600
+FACE_ORDER = 6.0  # at the greatest load, where the scan of a whole face ends: its orders do not alias
+AMBIGUOUS = "ambiguous_order"
 
 
 def _positive(name: str, value: float) -> None:
@@ -188,6 +190,7 @@ class FringeFit:
         half_widths: what makes up the interval, each a half-width of 95 % [1/Pa]: photographs, load, section
             and wavelength; added in squares.
         ambiguous: another C fits nearly as well; see `rivals`.
+        code: "ambiguous_order" where it does, else empty.
         rivals: the other slopes' C, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
         wavelength_m: at which C holds and orders are counted [m].
         lamp: what was assumed of the light.
@@ -218,6 +221,7 @@ class FringeFit:
     high_per_pa: float
     half_widths: dict[str, float]
     ambiguous: bool
+    code: str
     rivals: tuple[CoefficientCandidate, ...]
     wavelength_m: float
     lamp: str
@@ -269,7 +273,7 @@ def fit_stress_optic(
     load_column: str | None = None,
     parallel: Path | None = None,
     tone: Tone = "srgb",
-    greatest_order: float = 6.0,
+    greatest_order: float | None = None,
     residual_order: float = 0.05,
     errors: StatedErrors = DEFAULT_ERRORS,
     progress: Progress = silent,
@@ -288,7 +292,8 @@ def fit_stress_optic(
             default the one named load, force, mass or weight.
         parallel: photograph of the unloaded specimen between parallel polarisers, exposed alike.
         tone: "srgb" undoes the curve of 8-bit colour, "linear" takes the numbers as light.
-        greatest_order: at the greatest load; where the search ends.
+        greatest_order: at the greatest load, if the orders were counted; the search ends there. None
+            searches to 24 orders, or to 6 on a whole face, so that every C that fits as well is reported.
         residual_order: one standard deviation of the order that may be there without load.
         errors: standard uncertainties of loads, section and wavelength.
         progress: called with what is done, how much of it, of how many.
@@ -321,9 +326,10 @@ def fit_stress_optic(
         FIELD_PATCHES if face else PATCHES,
     )
     light = polariscope.grey() if series.grey else polariscope
+    greatest = greatest_order or (FACE_ORDER if face else SCAN_ORDER)
     progress("fitting", 0, 1)
     if isinstance(specimen, Disc) and specimen.seen_px is not None:
-        orders = _of_face(series, specimen, light, greatest_order, residual_order)
+        orders = _of_face(series, specimen, light, greatest, residual_order)
     else:
         orders = fit_orders(
             series.load_n,
@@ -331,7 +337,7 @@ def fit_stress_optic(
             light,
             clipped=series.clipped,
             open_light=series.open_light,
-            greatest_order=greatest_order,
+            greatest_order=greatest,
             residual_order=residual_order,
         )
     progress("fitting", 1, 1)
@@ -340,7 +346,7 @@ def fit_stress_optic(
         "tone": tone,
         "bright_field": polariscope.bright_field,
         "dispersion_m2": polariscope.dispersion_m2,
-        "greatest_order": greatest_order,
+        "greatest_order": greatest,
         "residual_order": residual_order,
         "parallel": None if parallel is None else parallel.name,
     }
@@ -403,6 +409,7 @@ def _coefficients(orders: OrderFit, per_slope: float, shares: dict[str, float]) 
         "high_per_pa": C + half,
         "half_widths": halves,
         "ambiguous": orders.ambiguous,
+        "code": AMBIGUOUS if orders.ambiguous else "",
         "rivals": tuple(
             CoefficientCandidate(r.slope_per_n * per_slope, r.likelihood, r.deciding_load_n, r.why)
             for r in orders.rivals

@@ -42,8 +42,26 @@ class RangeError(InputError):
     """A value lies outside the range where a law or a device is valid."""
 
 
+class MaterialStrainError(RangeError):
+    """A material is strained beyond the range of its law."""
+
+    code = "material-strain"
+
+
+class ScanEdgeError(RangeError):
+    """The best value lies at the end of the searched range."""
+
+    code = "scan-edge"
+
+
 class ImageError(InputError):
     """An image is missing, damaged, too large, or of a kind that is not read."""
+
+
+class MisfitError(ImageError):
+    """A model does not fit an image within its noise."""
+
+    code = "misfit"
 
 
 class ColumnError(InputError, KeyError):

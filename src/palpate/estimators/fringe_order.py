@@ -27,6 +27,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
 from palpate.core import Bool, Float, InputError, RangeError, ndarray
+from palpate.core.errors import ScanEdgeError
 from palpate.estimators.fringe_light import Polariscope
 
 MIN_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
@@ -43,13 +44,14 @@ UNKNOWNS = 4  # k, N0, a and b
 MIN_ORDER = 0.1  # at the greatest load; where the scan begins if the gain is not known
 MIN_WITH_GAIN = 0.02
 STEP = 0.02  # of the scan, in orders at the greatest load
-CANDIDATES = 5
+CANDIDATES = 8
+SCAN_ORDER = 24.0  # at the greatest load, where the scan ends if no greatest order is stated
 HOPELESS = 20.0  # times the best one's misfit: likelihood below 1e-3 with five photographs to spare
 TOO_LITTLE = (
     "the photographs show too small a part of a fringe to tell the order from the lamp's brightness; "
     "load more, or add a photograph between parallel polarisers"
 )
-TOO_MUCH = "the best fit lies at the scan's end, order {:g} at the greatest load; allow greater orders"
+TOO_MUCH = "the best fit is at the end of the scan, order {:g} at the greatest load; allow greater orders"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ def candidates(traces: Traces, greatest_order: float) -> list[tuple[float, float
     deepest = sorted([*inner, *ends], key=lambda i: valley[i])
     if not deepest or deepest[0] in ends:
         over = bool(deepest) and deepest[0] == -1
-        raise RangeError(TOO_MUCH.format(greatest_order) if over else TOO_LITTLE)
+        raise ScanEdgeError(TOO_MUCH.format(greatest_order) if over else TOO_LITTLE)
     best = [i for i in deepest[:CANDIDATES] if valley[i] <= HOPELESS * valley[deepest[0]]]
     return [(float(slopes[i]), float(offsets[cost[i].argmin()])) for i in best]
 
@@ -386,7 +388,7 @@ def fit_orders(
     *,
     clipped: Bool[ndarray, "n p c"] | None = None,
     open_light: Float[ndarray, "p c"] | None = None,
-    greatest_order: float = 6.0,
+    greatest_order: float = SCAN_ORDER,
     residual_order: float = 0.05,
 ) -> OrderFit:
     """Orders per newton from the light of some patches at several loads.
@@ -398,7 +400,8 @@ def fit_orders(
         clipped: where the camera was saturated; such light may be greater than it is written.
         open_light: of the unloaded specimen between parallel polarisers, on the same scale. It fixes the
             gain, and is needed where the loads turn less than about half an order.
-        greatest_order: at the greatest load; slopes up to it are tried.
+        greatest_order: at the greatest load; slopes up to it are tried. A slope that fits as well beyond it
+            is not reported, so state less than the default only where the orders were counted.
         residual_order: one standard deviation of what N0 may be, before any photograph is seen.
 
     Returns:
@@ -407,7 +410,8 @@ def fit_orders(
     Raises:
         InputError: too few photographs or loads, shapes that differ, values that are no light, or no change
             of light with load.
-        RangeError: the scan's range is empty, the best slope lies at an end of it, or its interval reaches 0.
+        RangeError: the scan's range is empty, or the interval of the best slope reaches 0.
+        ScanEdgeError: the best slope is at an end of the scan.
     """
     _check(load_n, light, polariscope, greatest_order, residual_order)
     traces = Traces.of(load_n, light, clipped, open_light, polariscope, residual_order)

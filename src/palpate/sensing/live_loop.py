@@ -95,13 +95,7 @@ class LiveReading:
         """Plain values for one JSON object; those of `palpate sense` and the loop's own."""
         readings = self.readings
         first = None if readings is None else next(iter(readings.values()), None)
-        drift = None
-        if first is not None and first.drift is not None:
-            numbers = {
-                "statistic": plain_number(first.drift.statistic),
-                "limit": plain_number(first.drift.limit),
-            }
-            drift = {**numbers, "drifted": first.drift.drifted}
+        drift = None if first is None or first.drift is None else first.drift.to_dict()
         return {
             "frame": self.frame,
             "time_s": round(self.time_s, 6),

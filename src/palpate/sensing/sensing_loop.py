@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from palpate.core import Drift, Readings
-from palpate.core.reading import plain_number
+from palpate.core import Readings
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.frame_sources import FrameStream, RunFrames, Unreadable
 
@@ -42,7 +41,7 @@ class Sensed:
             "frame": self.frame,
             "time_s": round(self.time_s, 6),
             "readings": {name: reading.to_dict() for name, reading in self.readings.items()},
-            "drift": _drift(first.drift),
+            "drift": None if first.drift is None else first.drift.to_dict(),
             "calibration": first.calibration,
         }
 
@@ -70,10 +69,3 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)
-
-
-def _drift(drift: Drift | None) -> dict[str, Any] | None:
-    if drift is None:
-        return None
-    numbers = {"statistic": plain_number(drift.statistic), "limit": plain_number(drift.limit)}
-    return {**numbers, "drifted": drift.drifted}

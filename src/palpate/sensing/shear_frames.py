@@ -14,9 +14,12 @@ from palpate.calibration.shear import ForceFollower, ShearCalibration
 from palpate.core import Frame, ImageError, InputError, PathText, Readings, storage_errors
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
+from palpate.estimators.shear.refusal import Refusal
 from palpate.estimators.surface_strain import StrainFields
 from palpate.recordings.exchange.frame_sequences import TIFFS, open_sequence
 from palpate.sensing.frame_sources import FrameStream, ImageFiles, SequenceFrames, Unreadable, open_source
+
+UNREADABLE = "no_image"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,16 +46,25 @@ class TouchedFrame:
         """Frame, readings and all contacts as plain values for JSON."""
         head: dict[str, Any] = {"frame": self.name, "time_s": self.time_s}
         if self.touch is None:
-            return {**head, "read": False, "why": self.reason, "readings": {}, "contacts": []}
+            return {
+                **head,
+                "read": False,
+                "why": self.reason,
+                "code": UNREADABLE,
+                "readings": {},
+                "contacts": [],
+            }
         readings = {key: reading.to_dict() for key, reading in self.touch.readings.items()}
         if "force_N" in readings:
-            head["calibration"] = self.touch.readings["force_N"].calibration
+            force = self.touch.readings["force_N"]
+            head |= {"calibration": force.calibration, "assumes": self.touch.assumes}
+            head["drift"] = readings["force_N"]["drift"]
         contacts = [
             {"x": c.x, "y": c.y, "x_error": c.x_error, "y_error": c.y_error, "told_by": c.told_by}
             for c in self.touch.places.contacts
         ]
-        read = not self.touch.reason
-        return {**head, "read": read, "why": self.touch.reason, "readings": readings, "contacts": contacts}
+        verdict = {"read": not self.touch.reason, "why": self.touch.reason, "code": self.touch.code}
+        return {**head, **verdict, "readings": readings, "contacts": contacts}
 
 
 @contextmanager
@@ -118,18 +130,18 @@ class ForceInTouch:
         self._follower = ForceFollower(calibration, self._in_pixels(reader.marks.reference))
 
     def added(self, touch: ShearTouch, frame: Frame, *, clocked: bool = True) -> ShearTouch:
-        """The touch with a reading ``force_N``, not valid where the frame is not, or the skin looks torn.
+        """The touch with a reading ``force_N``, not valid where gamma, of the same fields, is not.
 
         Without a clock the skin's memory is not used, since it fades by seconds and not by frames.
         """
-        torn = touch.readings["damage"].value == "yes"
-        why = touch.reason or ("the skin looks torn" if torn else "")
+        fields = touch.readings["gamma_ratio"]
         named = (frame.time_s, frame.name)
-        if why:
-            force = self._follower.unread(why, *named)
+        if not fields.valid:
+            force = self._follower.unread(Refusal(fields.code, fields.why), *named)
         else:
             force = self._follower.read(self._in_pixels(touch.points), *named, clocked=clocked)
-        return replace(touch, readings=Readings({**touch.readings, "force_N": force}))
+        readings = Readings({**touch.readings, "force_N": force})
+        return replace(touch, readings=readings, assumes=self._follower.calibration.assumes)
 
     def _in_pixels(self, points: ControlPoints) -> ControlPoints:
         scale = self._marks.px_per_unit

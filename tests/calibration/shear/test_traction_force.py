@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from tests.virtual_shears import VirtualPad
 
-from palpate.calibration.shear import SkinDoubt, traction_readings
-from palpate.calibration.shear.traction_force import KNOWN, force_budget, stiffer, thicker_support
+from palpate.calibration.shear import SkinDoubt, traction_force, traction_readings
+from palpate.calibration.shear.traction_force import (
+    KNOWN,
+    force_budget,
+    greatest_strain,
+    stiffer,
+    thicker_support,
+)
 from palpate.core import InputError, Pose, PressHistory, RangeError
 from palpate.estimators.surface_strain import PatternedSkin, recover_traction
 
@@ -29,15 +35,15 @@ def test_force_of_a_known_skin_lies_in_a_narrow_interval():
     assert reading.valid
     assert reading.contains(contact.force_n)
     assert abs(reading.value / contact.force_n - 1) < 0.05
-    assert reading.high - reading.low < 0.1 * contact.force_n
+    assert reading.high - reading.low < 0.28 * contact.force_n  # 13 % each way: linear layers, strained
 
 
 def test_a_wrong_modulus_is_held_by_the_doubt_alone():
-    """Of a skin 10 % stiffer than stated the narrow interval misses the force, the wide one holds it."""
+    """Of a skin 20 % stiffer than stated the narrow interval misses the force, the wide one holds it."""
     seen, contact = fields()
-    wrong = stiffer(SKIN, -0.10)
+    wrong = stiffer(SKIN, -0.20)
     assert not traction_readings(seen, wrong, KNOWN)["force_N"].contains(contact.force_n)
-    assert traction_readings(seen, wrong, SkinDoubt(0.10))["force_N"].contains(contact.force_n)
+    assert traction_readings(seen, wrong, SkinDoubt(0.20))["force_N"].contains(contact.force_n)
 
 
 def test_the_budget_is_what_each_change_does():
@@ -49,14 +55,16 @@ def test_the_budget_is_what_each_change_does():
     assert thick < -0.03  # a thicker gel moves as much under less
     assert budget.support == pytest.approx(-thick)
     assert budget.friction == 0.0
-    assert budget.total == pytest.approx(np.linalg.norm([budget.noise, budget.form, 0.10, budget.support]))
+    assert budget.total == pytest.approx(
+        np.linalg.norm([budget.noise, budget.form, budget.strain, 0.10, budget.support])
+    )
 
 
 def test_a_lateral_force_comes_back_with_friction_and_is_refused_without():
     seen, contact = fields(LOAD_N)
     refused = traction_readings(seen, SKIN)["force_N"]
     assert not refused.valid
-    assert "another closure" in refused.why
+    assert refused.code == "misfit"
     readings = traction_readings(seen, SKIN, SkinDoubt(0.02, 0.1, 0.0), closure="coulomb")
     for name, truth in zip(("force_x_N", "force_y_N"), LOAD_N, strict=True):
         assert readings[name].value == pytest.approx(truth, abs=0.08)
@@ -83,7 +91,7 @@ def test_loads_that_cannot_be_told_are_an_invalid_reading_that_says_why(monkeypa
     reading = traction_readings(fields()[0], SKIN)["force_N"]
     assert not reading.valid
     assert np.isnan(reading.value)
-    assert "fewer contacts" in reading.why
+    assert reading.code == "contact_too_large"
 
 
 def twisted(depth_m: float, share: float, place: tuple[float, float], tip: str = "round"):
@@ -110,3 +118,19 @@ def test_a_torque_comes_back_with_its_sign():
         held.append(reading.contains(torque))
     assert np.mean(held) >= 0.75  # of 90 %; 2.5 binomial standard deviations of 12 below is 0.68
     assert "torque_Nm" not in traction_readings(seen, SKIN, KNOWN, closure="bonded")
+
+
+def test_the_interval_holds_the_error_of_linear_layers_at_finite_strain():
+    """Neo-Hookean layers bear 7 to 12 % more than linear ones at 1.5 mm; the error goes with the strain."""
+    for depth in np.linspace(0.8e-3, 1.6e-3, 5):
+        seen, contact = fields(depth=float(depth))
+        reading = traction_readings(seen, SKIN, KNOWN)["force_N"]
+        stiffening = 1 + 0.12 * greatest_strain(seen) / 0.28
+        assert not reading.valid or reading.contains(stiffening * contact.force_n)
+
+
+def test_a_strain_beyond_linear_layers_is_refused_with_a_code(monkeypatch):
+    monkeypatch.setattr(traction_force, "MAX_STRAIN", 0.2)
+    reading = traction_readings(fields()[0], SKIN)["force_N"]
+    assert not reading.valid
+    assert reading.code == "strain_beyond_linear"

@@ -48,12 +48,15 @@ from palpate.core import (
     ndarray,
 )
 from palpate.estimators.lattice import ControlPoints
+from palpate.estimators.shear.contact_reach import CODE as OUTSIDE_AREA
+from palpate.estimators.shear.refusal import NONE, Refusal
 from palpate.version import __version__
 
 MIN_FORCE_N = 1.0  # below it the published sensor's pattern did not move enough
 COVERAGE = 0.90
 BEYOND_PLACES_M = 1e-3  # a place this far outside of those calibrated is still taken
 COPY_STIFFNESS = 0.10  # standard deviation of the stiffness of copies; assumed, as the virtual pad's copies
+PAD_STIFFNESS = 0.10  # standard deviation of the calibrated pad's own stiffness since then; assumed
 COPY_SHAPE = 0.02  # what one known weight does not tell of a copy: layers of other thickness bend the law
 DRIFT_LIMIT_PX = 0.5  # root mean square shift of the untouched marks
 
@@ -78,7 +81,7 @@ class ShearCalibration:
         presses: how many it was fitted to.
         mae_n: mean absolute error of held-out presses, of single frames and of followed ones [N].
         scale: of all forces, 1 on the pad that was calibrated.
-        scale_error: its standard error; 0 on that pad.
+        scale_error: its standard error; 0 on that pad, where that of `stiffness_error` counts.
         copy: in words, what is assumed of the pad.
         note: free words.
         version: of palpate.
@@ -105,6 +108,22 @@ class ShearCalibration:
     copy: str = "the pad that was calibrated"
     note: str = ""
     version: str = __version__
+
+    @property
+    def stiffness_error(self) -> float:
+        """Standard deviation of the pad's stiffness over the assumed one, as a fraction.
+
+        No frame shows the stiffness: a pad of half the modulus looks like one under twice the force. Age,
+        temperature, and relaxation under a static load change it since the calibration. A known weight
+        replaces the assumed 10 %; see `weighed`.
+        """
+        return self.scale_error or PAD_STIFFNESS
+
+    @property
+    def assumes(self) -> str:
+        """What a force assumes of the pad, in words."""
+        percent = f"{100 * self.stiffness_error:.3g} %"
+        return f"{self.copy}; stiffness within {percent} (standard deviation), which no frame shows"
 
     @property
     def id(self) -> str:
@@ -225,37 +244,43 @@ class ShearCalibration:
         value = self.scale * own
         if not math.isfinite(value):
             return self._reading(0.0, 0.0, self.range_n[0], self._refusal(cues, 0.0), frame, time_s, drift)
-        half = math.hypot(self.scale * interval.half(own), self._sigmas * self.scale_error * value)
+        half = math.hypot(self.scale * interval.half(own), self._sigmas * self.stiffness_error * value)
         why = self._refusal(cues, value)
         low, high = max(value - half, 0.0), max(value + half, 0.0)
         return self._reading(max(value, 0.0), low, high, why, frame, time_s, drift)
 
-    def _refusal(self, cues: TouchCues, value: float) -> str:
-        """Why a force is not valid; empty where it is."""
+    def _refusal(self, cues: TouchCues, value: float) -> Refusal:
+        """Why a force is not valid; none where it is."""
         low, high = self.range_n
         if cues.contacts == 0:
-            return f"no contact is seen; one below {MIN_FORCE_N:g} N hardly moves the pattern"
+            return Refusal(
+                "no_contact", f"no contact is seen; one below {MIN_FORCE_N:g} N hardly moves the pattern"
+            )
         if cues.contacts > 1:
-            return f"{cues.contacts} contacts at once, and the calibration is of one"
+            return Refusal(
+                "several_contacts", f"{cues.contacts} contacts at once, and the calibration is of one"
+            )
         if value < low:
-            return f"below {low:.3g} N, where the calibration begins"
+            return Refusal("out_of_range", f"below {low:.3g} N, where the calibration begins")
         if value > high:
-            return f"above {high:.3g} N, where the calibration ends"
+            return Refusal("out_of_range", f"above {high:.3g} N, where the calibration ends")
         x0, x1, y0, y1 = self.places_m
         beside = max(x0 - cues.x_m, cues.x_m - x1, y0 - cues.y_m, cues.y_m - y1)
         if beside > BEYOND_PLACES_M:
-            return f"{1e3 * beside:.1f} mm beside the places of the calibration"
-        return ""
+            return Refusal(OUTSIDE_AREA, f"{1e3 * beside:.1f} mm beside the places of the calibration")
+        return NONE
 
     def _reading(
-        self, value: float, low: float, high: float, why: str, frame: str, time_s: float, drift: Drift | None
-    ) -> Reading:
+        self, value: float, low: float, high: float, why: Refusal, frame: str, time_s: float,
+        drift: Drift | None,
+    ) -> Reading:  # fmt: skip
         return Reading(
             quantity="force",
             unit="N",
             coverage=self.alone.coverage,
             valid=not why,
-            why=why,
+            why=why.why,
+            code=why.code,
             drift=drift,
             calibration=self.id,
             frame=frame,
@@ -323,7 +348,7 @@ class ForceFollower:
             drift=self._drift,
         )
 
-    def unread(self, why: str, time_s: float, frame: str = "") -> Reading:
+    def unread(self, why: Refusal, time_s: float, frame: str = "") -> Reading:
         """Reading of a frame whose marks are not to be used: not valid, and why."""
         nan = math.nan
         return self.calibration._reading(nan, nan, nan, why, frame, time_s, self._drift)
@@ -443,4 +468,6 @@ def calibration_record(calibration: ShearCalibration) -> dict[str, Any]:
         "pad": calibration.copy,
         "scale": calibration.scale,
         "scale_error": calibration.scale_error,
+        "stiffness_error": calibration.stiffness_error,
+        "assumes": calibration.assumes,
     }

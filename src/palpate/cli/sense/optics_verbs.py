@@ -92,7 +92,9 @@ def fit_c(
         str | None, Option(help="Column of the load, e.g. load_N, load_kgf or mass_g.")
     ] = None,
     image_column: Annotated[str, Option(help="Column that names the photograph.")] = "image_file",
-    max_order: Annotated[float, Option(help="Greatest order that the greatest load may turn.")] = 6.0,
+    max_order: Annotated[
+        float | None, Option(help="Greatest order at the greatest load, if you counted the fringes.")
+    ] = None,
     residual_order: Annotated[
         float, Option(help="Order that may be there without load, one standard deviation.")
     ] = 0.05,
@@ -199,6 +201,7 @@ def _text(fit: FringeFit) -> str:
         for r in fit.rivals
         if r.likelihood > RIVAL
     ]
+    lines += [f"not valid alone: {fit.code}"] if fit.code else []
     lines += [
         f"{name}: {load:.4g} N, order {order:.2f}, seen {seen:.2f} ({low:.2f} to {high:.2f})"
         for name, load, order, seen, low, high in zip(

@@ -15,6 +15,7 @@ import numpy as np
 
 from palpate.core import Float, Shaped, ndarray
 from palpate.estimators.brightest_channel import brightest_channel
+from palpate.estimators.shear.refusal import NONE, Refusal
 
 MIN_CONTRAST = 0.4  # of the reference's
 MIN_SHARPNESS = 0.7  # of the reference's
@@ -66,16 +67,20 @@ def _level(values: Shaped[ndarray, ...], percent: float) -> float:
     return float(lower + (upper - lower) * (place % 1))
 
 
-def why_unreadable(now: FrameLook, reference: FrameLook) -> str:
-    """Why a frame is not to be read beside its reference; empty where it may be."""
+def why_unreadable(now: FrameLook, reference: FrameLook) -> Refusal:
+    """Why a frame is not to be read against its reference; none where it may be."""
     if now.clipped > reference.clipped + MAX_CLIPPED:
-        return f"{100 * now.clipped:.0f} % of the pattern is saturated; lower light or exposure"
+        percent = f"{100 * now.clipped:.0f} %"
+        return Refusal("saturated", f"{percent} of the pattern is saturated; lower light or exposure")
     if now.contrast < MIN_CONTRAST * reference.contrast:
-        return (
+        return Refusal(
+            "low_contrast",
             f"the pattern's contrast is {now.contrast:.0f} grey levels, and {reference.contrast:.0f} in the "
-            f"reference: too dark, or covered; look at the light"
+            f"reference: too dark, or covered; look at the light",
         )
     sharp = min(a / b for a, b in zip(now.steep, reference.steep, strict=True))
     if sharp < MIN_SHARPNESS:
-        return f"the frame is blurred: edges are {100 * sharp:.0f} % as steep as the reference's"
-    return ""
+        return Refusal(
+            "blurred", f"the frame is blurred: edges are {100 * sharp:.0f} % as steep as the reference's"
+        )
+    return NONE

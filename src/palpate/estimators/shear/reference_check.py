@@ -30,12 +30,14 @@ class LatticeFit:
     Attributes:
         nominal: places by a cubic in column and row ``[n 2]`` [unit].
         pitch: side of a cell by the best affine lattice [unit].
+        sides: the same along columns and along rows [unit].
         bent: root mean square of the cubic beside that lattice [unit].
         spread: standard deviation of marks beside the cubic, by their median [unit].
     """
 
     nominal: Float[ndarray, "n 2"]
     pitch: float
+    sides: tuple[float, float]
     bent: float
     spread: float
 
@@ -54,8 +56,9 @@ def fit_lattice(points: ControlPoints) -> LatticeFit:
         0
     ][1:]
     pitch = math.sqrt(abs(float(np.linalg.det(steps))))
+    along, across = np.hypot(*steps.T).tolist()
     bent = math.sqrt(float(((nominal - affine) ** 2).sum(axis=1).mean()))
-    return LatticeFit(nominal, pitch, bent, spread)
+    return LatticeFit(nominal, pitch, (along, across), bent, spread)
 
 
 def refuse_reference(marks: SkinMarks, skin: object) -> LatticeFit:

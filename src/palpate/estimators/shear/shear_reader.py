@@ -14,8 +14,11 @@ from dataclasses import dataclass
 
 from palpate.core import Frame, InputError, Lens, RangeError, Readings
 from palpate.estimators.lattice import ControlPoints, DottedSkin
+from palpate.estimators.shear.camera_motion import camera_motion
+from palpate.estimators.shear.contact_reach import reach_of
 from palpate.estimators.shear.frame_quality import look_at, pattern_box, why_unreadable
 from palpate.estimators.shear.reference_check import refuse_reference
+from palpate.estimators.shear.refusal import NONE, Refusal
 from palpate.estimators.shear.skin_damage import damage_of
 from palpate.estimators.shear.skin_marks import DotMarks, SkinMarks, TiledSkin, TileMarks
 from palpate.estimators.shear.slip_onset import SlipWatch
@@ -37,6 +40,8 @@ class ShearTouch:
         fields: their strain against the reference, degree 1; None as well.
         places: its contacts.
         reason: why the frame is not to be read; empty where it is.
+        code: the same for programs.
+        assumes: what a force in the readings assumes of the skin; empty without one.
     """
 
     readings: Readings
@@ -44,6 +49,8 @@ class ShearTouch:
     fields: StrainFields | None
     places: TouchPlaces
     reason: str
+    code: str = ""
+    assumes: str = ""
 
 
 class ShearReader:
@@ -87,34 +94,57 @@ class ShearReader:
         Raises:
             InputError: a frame of another size or kind than the reference.
         """
-        points, fields, reason = self._seen(frame)
+        points, fields, refusal = self._seen(frame)
         places = NOTHING if fields is None else touch_places(fields, self.marks, self.skin)
-        damage = "" if fields is None else self._damage(fields, places, points)
+        if fields is not None:
+            refusal = camera_motion(fields, self.marks.pitch, self.marks.px_per_unit, places)
+        if fields is None or refusal:
+            fields, places = None, NOTHING
+        reach = NONE if fields is None else reach_of(fields, places, self.marks, self.skin)
+        damage = NONE if fields is None else self._damage(fields, places, points, reach)
         slip = self._slip.slips(places)
         readings = touch_readings(
-            frame, self.marks, self.skin, len(points), fields, places, reason, slip, damage
+            frame,
+            self.marks,
+            self.skin,
+            self.lattice,
+            len(points),
+            fields,
+            places,
+            refusal,
+            reach,
+            slip,
+            damage,
         )
-        return ShearTouch(readings, points, fields, places, reason)
+        return ShearTouch(readings, points, fields, places, refusal.why, refusal.code)
 
-    def _damage(self, fields: StrainFields, places: TouchPlaces, points: ControlPoints) -> str:
+    def _damage(
+        self, fields: StrainFields, places: TouchPlaces, points: ControlPoints, reach: Refusal
+    ) -> Refusal:
+        """Why the skin looks torn; a contact outside the area moves marks as no model has it."""
         marks = self.marks
-        return self._torn or damage_of(
-            fields, places, marks.reference, points, marks.bare, marks.gap, marks.pitch
+        torn = self._torn or damage_of(
+            fields, places, marks.reference, points, marks.bare, marks.gap, marks.pitch, moved=not reach
         )
+        return Refusal("skin_torn", f"the skin looks torn: {torn}") if torn else NONE
 
-    def _seen(self, frame: Frame) -> tuple[ControlPoints, StrainFields | None, str]:
+    def _seen(self, frame: Frame) -> tuple[ControlPoints, StrainFields | None, Refusal]:
         """Marks and strain of a frame, or why there are none."""
         tracked = self.marks.follow(frame.image)
         points = tracked.points
-        reason = tracked.reason or why_unreadable(look_at(frame.image, self._box), self._look)
-        if not reason and len(points) < MIN_SEEN * len(self.marks.reference):
-            reason = (
+        refusal = Refusal("no_pattern", tracked.reason) if tracked.reason else NONE
+        refusal = refusal or why_unreadable(look_at(frame.image, self._box), self._look)
+        if not refusal and len(points) < MIN_SEEN * len(self.marks.reference):
+            refusal = Refusal(
+                "too_few_marks",
                 f"{len(points)} of the reference's {len(self.marks.reference)} marks are seen, and at least "
-                f"{100 * MIN_SEEN:.0f} % are needed"
+                f"{100 * MIN_SEEN:.0f} % are needed",
             )
-        if reason:
-            return points, None, reason
+        if refusal:
+            return points, None, refusal
         try:
-            return points, self._meter.fields(points), ""
+            fields = self._meter.fields(points)
         except RangeError as refused:
-            return points, None, str(refused)
+            return points, None, Refusal("too_few_marks", str(refused))
+        moved = camera_motion(fields, self.marks.pitch, self.marks.px_per_unit)
+        return points, None if moved else fields, moved

@@ -39,6 +39,8 @@ def damage_of(
     bare: set[tuple[int, int]],
     gap: float,
     pitch: float,
+    *,
+    moved: bool = True,
 ) -> str:
     """Why a frame's skin looks torn; empty where it looks whole.
 
@@ -49,12 +51,14 @@ def damage_of(
         bare: corners of tiles that have come off.
         gap: length of the longest dark line across the tiles [pitches], 0 without one.
         pitch: distance of marks [unit].
+        moved: whether motion and loss of marks count, in addition to a dark line.
     """
     if gap:
         return f"a dark line crosses {gap:.1f} tiles"
-    moved = _moved(fields, places)
-    if moved:
-        return moved
+    if not moved:
+        return ""
+    if found := _moved(fields, places):
+        return found
     lost = _lost(reference, seen, bare)
     touched = [(c.x, c.y) for c in places.contacts]
     if touched and lost.any():

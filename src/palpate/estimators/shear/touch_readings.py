@@ -10,8 +10,12 @@ import math
 from typing import Any
 
 from palpate.core import CircularReading, ClassReading, Frame, MeasurementResult, Reading, Readings
+from palpate.estimators.shear.camera_motion import motion_limit
+from palpate.estimators.shear.contact_reach import area_of
 from palpate.estimators.shear.pattern_shift import PatternShift, pattern_shift
-from palpate.estimators.shear.skin_marks import SkinMarks
+from palpate.estimators.shear.reference_check import LatticeFit
+from palpate.estimators.shear.refusal import NONE, Refusal
+from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
 from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces
 from palpate.estimators.surface_strain import StrainFields, shear_measure
 from palpate.estimators.surface_strain.shear_measure import PUBLISHED_ALPHA
@@ -19,9 +23,10 @@ from palpate.estimators.surface_strain.shear_measure import PUBLISHED_ALPHA
 COVERAGE = 0.9
 NORMAL_90 = 1.6449  # standard errors
 COUNTS = tuple(map(str, range(7)))
-NO_CONTACT = "no contact"
-NO_PAST = "slip is a change of one contact from frame to frame"
-TORN = "the skin looks torn"
+NO_CONTACT = Refusal("no_contact", "no contact")
+UNSURE = Refusal("no_contact_form", "stretched, but not as a contact does")
+NO_PAST = Refusal("no_history", "slip is a change of one contact from frame to frame")
+NO_EDGE = Refusal("no_edge", "no edge: the contact is round, or there are several")
 FLAG = ("no", "yes")
 NAN = math.nan
 
@@ -30,82 +35,96 @@ def touch_readings(
     frame: Frame,
     marks: SkinMarks,
     skin: object,
+    lattice: LatticeFit,
     seen: int,
     fields: StrainFields | None,
     places: TouchPlaces,
-    reason: str,
+    refusal: Refusal,
+    reach: Refusal = NONE,
     slip: bool | None = None,
-    damage: str = "",
+    damage: Refusal = NONE,
 ) -> Readings:
     """Readings of a frame.
 
     Args:
         frame: where they come from.
         marks, skin: of the reader.
+        lattice: of the reference, which shows how far lens and distance fit the skin.
         seen: number of marks in the frame.
         fields, places: of the frame; None and nothing where it is not to be read.
-        reason: why it is not.
+        refusal: why it is not.
+        reach: why its contact is outside of the area.
         slip: of the contact; None where it cannot be told.
-        damage: why the skin looks torn; empty where it looks whole.
+        damage: why the skin looks torn.
     """
     common: dict[str, Any] = {
         "coverage": COVERAGE, "drift": None, "calibration": "", "frame": frame.name, "time_s": frame.time_s,
     }  # fmt: skip
-    made = _Maker(common, marks)
+    made = _Maker(common, marks, skin, lattice)
     first = places.contacts[0] if places.contacts else None
-    why = reason or (f"{TORN}: {damage}" if damage else "") or ("" if first else _why_none(places))
+    why = refusal or damage or reach or (NONE if first else _why_none(places))
     rows: list[MeasurementResult] = [
         *made.place(first, why),
         made.edge(places, why),
-        _count(places, reason, damage, common),
+        _count(places, refusal, damage or reach, common),
         *made.turn_and_shift(places, fields, why, skin),
-        made.gamma(fields, reason),
-        made.share(seen, reason),
-        _flag("slip", slip, reason or ("" if slip is not None else NO_PAST), common),
-        _flag("damage", None if reason else bool(damage), reason, common),
+        made.gamma(fields, places, refusal or damage or reach),
+        made.share(seen, refusal),
+        _flag("slip", slip, refusal or reach or (NONE if slip is not None else NO_PAST), common),
+        _flag(
+            "damage",
+            None if refusal or (reach and not damage) else bool(damage),
+            refusal or (NONE if damage else reach),
+            common,
+        ),
     ]
     return Readings({row.column: row for row in rows})
 
 
-def _why_none(places: TouchPlaces) -> str:
-    return "stretched, but not as a contact does" if places.unsure else NO_CONTACT
+def _why_none(places: TouchPlaces) -> Refusal:
+    return UNSURE if places.unsure else NO_CONTACT
+
+
+def _verdict(why: Refusal) -> dict[str, Any]:
+    return {"valid": not why, "why": why.why, "code": why.code}
 
 
 class _Maker:
     """Readings of one frame, with what they share."""
 
-    def __init__(self, common: dict[str, Any], marks: SkinMarks) -> None:
+    def __init__(self, common: dict[str, Any], marks: SkinMarks, skin: object, lattice: LatticeFit) -> None:
         self._common, self._marks = common, marks
-        at = marks.reference.places
-        self._low, self._high = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+        self._low, self._high = area_of(marks, skin)
+        self._off, self._bent = (0.0, 0.0), 0.0
+        if isinstance(skin, TiledSkin):
+            along, across = (abs(side / skin.pitch_m - 1) for side in lattice.sides)
+            self._off, self._bent = (along, across), lattice.bent
 
-    def place(self, contact: TouchPlace | None, why: str) -> list[MeasurementResult]:
-        return [
-            self._scalar(
-                axis,
-                self._marks.unit,
-                NAN if contact is None else getattr(contact, axis),
-                NAN if contact is None else getattr(contact, f"{axis}_error"),
-                (self._low[i], self._high[i]),
-                why,
-            )
-            for i, axis in enumerate("xy")
-        ]
+    def place(self, contact: TouchPlace | None, why: Refusal) -> list[MeasurementResult]:
+        """Place, its error with that of lens and distance: the pattern's pitch shows their scale."""
+        made: list[MeasurementResult] = []
+        for i, axis in enumerate("xy"):
+            at = NAN if contact is None else getattr(contact, axis)
+            error = NAN if contact is None else getattr(contact, f"{axis}_error")
+            whole = math.hypot(error, self._off[i] * at, self._bent)
+            span = (self._low[i], self._high[i])
+            made.append(self._scalar(axis, self._marks.unit, at, whole, span, why))
+        return made
 
-    def edge(self, places: TouchPlaces, why: str) -> MeasurementResult:
+    def edge(self, places: TouchPlaces, why: Refusal) -> MeasurementResult:
         edge = None if why else places.edge
-        why = why or ("" if edge else "no edge: the contact is round, or there are several")
+        why = why or (NONE if edge else NO_EDGE)
         if edge is None:
             value = low = high = NAN
         else:
             value, low, high = edge.angle_rad, edge.angle_rad - edge.half_rad, edge.angle_rad + edge.half_rad
         return CircularReading(
             quantity="edge", unit="rad", value=value, low=low, high=high, period=math.pi,
-            calibrated_range=(0.0, math.pi), valid=not why, why=why, **self._common,
+            calibrated_range=(0.0, math.pi), **_verdict(why), **self._common,
         )  # fmt: skip
 
     def turn_and_shift(
-        self, places: TouchPlaces, fields: StrainFields | None, why: str, skin: object
+        self, places: TouchPlaces, fields: StrainFields | None, why: Refusal, skin: object
     ) -> list[MeasurementResult]:
         """Rotation and lateral shift of the pattern under the first contact."""
         if why or fields is None:
@@ -121,53 +140,55 @@ class _Maker:
             ),
         ]
 
-    def gamma(self, fields: StrainFields | None, why: str) -> MeasurementResult:
+    def gamma(self, fields: StrainFields | None, places: TouchPlaces, why: Refusal) -> MeasurementResult:
+        """Gamma; its bound holds the noise, and the camera motion that is not reported."""
         value = floor = NAN
         if fields is not None:
             alpha = PUBLISHED_ALPHA * self._marks.px_per_unit * (1 - 1e-12)
             value = shear_measure(fields, alpha).mean_form
             per_axis = math.sqrt(float(fields.variances.sum(axis=0).mean()))
-            floor = alpha * fields.basis.count * math.sqrt(math.pi / 2) * per_axis
+            camera = motion_limit(fields, self._marks.pitch, places.traction is not None)
+            floor = alpha * fields.basis.count * (math.sqrt(math.pi / 2) * per_axis + camera)
         low = max(value - floor, 0.0) if math.isfinite(value) else NAN
         return Reading(
             quantity="gamma", unit="ratio", value=value, low=low, high=value + floor,
-            calibrated_range=(0.0, math.inf), valid=not why, why=why, **self._common,
+            calibrated_range=(0.0, math.inf), **_verdict(why), **self._common,
         )  # fmt: skip
 
-    def share(self, seen: int, why: str) -> MeasurementResult:
+    def share(self, seen: int, why: Refusal) -> MeasurementResult:
         value = seen / len(self._marks.reference)
         return Reading(
             quantity="seen", unit="ratio", value=value, low=value, high=value, calibrated_range=(0.0, 1.0),
-            valid=not why, why=why, **self._common,
+            **_verdict(why), **self._common,
         )  # fmt: skip
 
     def _scalar(
-        self, quantity: str, unit: str, value: float, error: float, span: tuple[float, float], why: str
+        self, quantity: str, unit: str, value: float, error: float, span: tuple[float, float], why: Refusal
     ) -> Reading:
         if not why and not span[0] <= value <= span[1]:
-            why = f"{value:.4g} {unit} is outside {span[0]:.4g} to {span[1]:.4g} {unit}"
+            outside = f"{value:.4g} {unit} is outside {span[0]:.4g} to {span[1]:.4g} {unit}"
+            why = Refusal("out_of_range", outside)
         half = NORMAL_90 * error
         return Reading(
             quantity=quantity, unit=unit, value=value, low=value - half, high=value + half,
-            calibrated_range=span, valid=not why, why=why, **self._common,
+            calibrated_range=span, **_verdict(why), **self._common,
         )  # fmt: skip
 
 
-def _flag(quantity: str, up: bool | None, why: str, common: dict[str, Any]) -> ClassReading:
+def _flag(quantity: str, up: bool | None, why: Refusal, common: dict[str, Any]) -> ClassReading:
     value = "" if up is None else FLAG[up]
     return ClassReading(
         quantity=quantity, unit="", value=value, members=(value,) if value else (), classes=FLAG,
-        valid=not why, why=why, **common,
+        **_verdict(why), **common,
     )  # fmt: skip
 
 
-def _count(places: TouchPlaces, reason: str, damage: str, common: dict[str, Any]) -> ClassReading:
-    torn = f"{TORN}: {damage}" if damage else ""
-    why = reason or torn or (_why_none(places) if places.unsure else "")
+def _count(places: TouchPlaces, refusal: Refusal, doubt: Refusal, common: dict[str, Any]) -> ClassReading:
+    why = refusal or doubt or (_why_none(places) if places.unsure else NONE)
     count = str(len(places.contacts))
     most = str(min(len(places.contacts) + places.unsure, len(COUNTS) - 1))
-    members = () if reason else tuple(c for c in COUNTS if count <= c <= most)
+    members = () if refusal else tuple(c for c in COUNTS if count <= c <= most)
     return ClassReading(
-        quantity="contacts", unit="", value="" if reason else count, members=members, classes=COUNTS,
-        valid=not why, why=why, **common,
+        quantity="contacts", unit="", value="" if refusal else count, members=members, classes=COUNTS,
+        **_verdict(why), **common,
     )  # fmt: skip

@@ -41,6 +41,8 @@ SCHEMA = {
                     "unit": {"type": "string"},
                     "valid": {"type": "boolean"},
                     "why": {"type": "string"},
+                    "code": {"type": "string"},
+                    "drift": {"type": ["object", "null"]},
                 },
             },
         },

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from palpate.core import Drift, Image, ImageError, Readings
-from palpate.core.reading import plain_number
 from palpate.core.shared_history import SharedHistory
 from palpate.estimators.guard import EXCHANGED, MIRRORED
 from palpate.sensing.streaming.live_readers import FrameReader
@@ -118,10 +117,7 @@ class DriftWatch:
     def to_dict(self) -> dict[str, Any] | None:
         """Drift as plain values; None where it is not known."""
         drift = self.drift
-        if drift is None:
-            return None
-        numbers = {"statistic": plain_number(drift.statistic), "limit": plain_number(drift.limit)}
-        return {**numbers, "drifted": drift.drifted, "action": self.action}
+        return None if drift is None else {**drift.to_dict(), "action": self.action}
 
     def _recent(self) -> list[Look]:
         now_s = time.monotonic()

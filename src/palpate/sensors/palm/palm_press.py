@@ -19,6 +19,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
+from palpate.core.errors import MaterialStrainError
 from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
@@ -287,7 +288,39 @@ def press(
     Raises:
         InputError: a place or a load that is not a number.
         RangeError: the depth lies beyond the law, the contact reaches over the rim, or the probe would slip.
+        MaterialStrainError: the material is strained beyond the spec's `max_strain`.
     """
+    return within_material(spec, _pressed_by_law(spec, pose, probe, lateral_n, moment_nm))
+
+
+def contact_strain(spec: PalmSpec, contact: Contact) -> float:
+    """Mean contact pressure over Young's modulus; 0 without force."""
+    area_m2 = math.pi * contact.radius_m**2
+    return contact.force_n / (area_m2 * spec.youngs_modulus_pa) if contact.force_n > 0 < area_m2 else 0.0
+
+
+def within_material(spec: PalmSpec, contact: Contact) -> Contact:
+    """The contact itself.
+
+    Raises:
+        MaterialStrainError: it strains the material beyond the spec's `max_strain`.
+    """
+    strain = contact_strain(spec, contact)
+    if strain > spec.max_strain:
+        raise MaterialStrainError(
+            f"the contact strains {spec.name} by {100 * strain:.3g} % (mean pressure over E), and its law "
+            f"holds to {100 * spec.max_strain:.3g} %; press less, or state another max_strain"
+        )
+    return contact
+
+
+def _pressed_by_law(
+    spec: PalmSpec,
+    pose: Pose,
+    probe: Probe | None,
+    lateral_n: tuple[float, float],
+    moment_nm: float | None,
+) -> Contact:
     for asked, value, unit in (("place", (pose.x_m, pose.y_m), "m"), ("lateral load", lateral_n, "N")):
         if not all(map(math.isfinite, value)):
             raise InputError(f"the {asked} {value} {unit} is not finite; give two numbers in {unit}, x and y")
@@ -297,7 +330,8 @@ def press(
     ball = Probe("sphere", spec.indenter_radius_m)
     probe = ball if probe is None else as_pair(upright_ball(probe))
     if -math.inf < pose.depth_m < 0:
-        return replace(press(spec, replace(pose, depth_m=0.0), probe), pose=pose)
+        touching = _pressed_by_law(spec, replace(pose, depth_m=0.0), probe, (0.0, 0.0), None)
+        return replace(touching, pose=pose)
     aside = lateral_n != (0.0, 0.0) or moment_nm not in (None, 0.0)
     if probe == ball and not aside:
         return _tabled(spec, pose)
@@ -464,7 +498,7 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
     except RangeError:  # too few cells touch; what does not hold on cells of its own either is raised there
         pressed, is_narrow = press_narrow(stack, probe, pose, x, y), True
     _check_inside(spec, pressed, pose)
-    return Layered(pressed, pressed.as_contact(probe, pose), is_narrow)
+    return Layered(pressed, within_material(spec, pressed.as_contact(probe, pose)), is_narrow)
 
 
 def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | None = None) -> Contact:

@@ -105,6 +105,8 @@ class PalmSpec:
         diameter_m: of the membrane [m]. R: 57 mm.
         thickness_m: of the membrane [m]. Assumed: with the modulus below it gives forces as the report's are.
         youngs_modulus_pa: E, small strain [Pa]. Assumed: between soft silicones of Shore 10A and 20A.
+        max_strain: greatest mean contact pressure over E for which the material's law holds. Solaris:
+            elongation at break by its maker's data sheet (290 %); see the presets for other materials.
         poisson_ratio: of the membrane. Assumed: nearly incompressible.
         friction: Coulomb's coefficient between ball and membrane. Assumed.
         stress_optic: C and its dispersion. Assumed: the report prints no C, but ranks Solaris above a casting
@@ -154,6 +156,7 @@ class PalmSpec:
     diameter_m: float = 57e-3
     thickness_m: float = 10e-3
     youngs_modulus_pa: float = 0.32e6
+    max_strain: float = 2.9
     poisson_ratio: float = 0.49
     friction: float = 0.0
     stress_optic: StressOpticLaw = field(default_factory=lambda: StressOpticLaw(1e-9))
@@ -249,6 +252,7 @@ _RANGES = {
     "diameter_m": (1e-3, 1.0, "m"),
     "thickness_m": (1e-4, 1.0, "m"),
     "youngs_modulus_pa": (1e2, 1e12, "Pa"),
+    "max_strain": (1e-4, 10.0, "(a ratio)"),
     "poisson_ratio": (0.0, 0.5, "(below 0.5)"),
     "friction": (0.0, 10.0, "(a ratio of forces)"),
     "refractive_index": (1.0, 3.0, "(air has 1, silicones 1.4)"),
@@ -319,17 +323,28 @@ def solaris() -> PalmSpec:
 
 
 def sylgard_184() -> PalmSpec:
-    """Stiffer, and of ordinary silicone's stress-optic coefficient; E and C of the order usually printed."""
+    """Stiffer, and of ordinary silicone's stress-optic coefficient; E and C of the order usually printed.
+
+    Its greatest strain is the order of its elongation at break. Assumed.
+    """
     return replace(
-        palm(), youngs_modulus_pa=1.8e6, stress_optic=StressOpticLaw(1.7e-10), name="palm-sylgard-184"
+        palm(),
+        youngs_modulus_pa=1.8e6,
+        max_strain=1.0,
+        stress_optic=StressOpticLaw(1.7e-10),
+        name="palm-sylgard-184",
     )
 
 
 def casting_resin() -> PalmSpec:
-    """Hard: a grasp hardly dents it. E and C of the order of a cured epoxy's; nu that of the tables."""
+    """Hard: a grasp hardly dents it. E and C of the order of a cured epoxy's; nu that of the tables.
+
+    Its greatest strain is the order of an epoxy's strain at yield. Assumed.
+    """
     return replace(
         palm(),
         youngs_modulus_pa=2.5e9,
+        max_strain=0.04,
         stress_optic=StressOpticLaw(5.5e-11),
         refractive_index=1.55,
         name="palm-casting-resin",

@@ -1,0 +1,144 @@
+"""Motion of the camera, contacts at the rim, and the lens: no valid reading of touch that is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+import palpate
+from palpate.core import Frame, Pose
+from palpate.estimators.shear import ShearReader
+from palpate.estimators.shear.contact_reach import area_of
+
+SENSOR = palpate.sensor("nusense")
+SKIN = SENSOR.shear_skin()
+TOUCH = ("x", "y", "edge", "contacts", "gamma", "slip", "damage")
+LIMIT_PX = 0.017  # noise of one mark's shift, the detection limit without a contact
+
+
+def frame_of(
+    depth: float = 0.0, x: float = 0.0, y: float = 0.0, seed: int = 0, words: str = "round"
+) -> Frame:
+    contact = SENSOR.press(SENSOR.probe(words), Pose(x, y, depth))
+    return SENSOR.render(contact, np.random.default_rng(seed))
+
+
+def moved(frame: Frame, dx: float = 0.0, dy: float = 0.0, zoom: float = 1.0, turn: float = 0.0) -> Frame:
+    """The frame by a camera that has moved [px, rad]."""
+    height, width = frame.image.shape[:2]
+    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), np.degrees(turn), zoom)
+    matrix[:, 2] += dx, dy
+    image = cv2.warpAffine(
+        frame.image, matrix, (width, height), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE
+    )
+    return replace(frame, image=image)
+
+
+@cache
+def untouched() -> Frame:
+    return frame_of()
+
+
+def reader() -> ShearReader:
+    return ShearReader(SKIN, untouched())
+
+
+def is_camera_motion(readings) -> bool:
+    """Whether every reading of touch has the code of camera motion, and none is valid."""
+    return all(readings[name].code == "camera_moved" and not readings[name].valid for name in TOUCH)
+
+
+@pytest.mark.parametrize("depth", [0.0, 1.2e-3])
+@pytest.mark.parametrize(
+    "motion",
+    [{"dx": 0.5}, {"dy": -0.5}, {"zoom": 1.003}, {"zoom": 0.997}, {"turn": 0.003}, {"dx": 0.2}],
+    ids=str,
+)
+def test_a_shift_a_zoom_and_a_rotation_of_all_marks_are_motion_of_the_camera(motion, depth) -> None:
+    own = reader()
+    assert own.read(frame_of(depth, 4e-3, -3e-3, 1))["gamma"].valid
+    touch = own.touch(moved(frame_of(depth, 4e-3, -3e-3, 2), **motion))
+    assert is_camera_motion(touch.readings)
+    assert touch.code == "camera_moved"
+
+
+def test_below_the_limit_the_interval_of_gamma_covers_the_motion() -> None:
+    own = reader()
+    rest = own.read(frame_of(seed=3))["gamma"]
+    for i, share in enumerate(np.linspace(0.1, 2.0, 8)):
+        dx = share * LIMIT_PX
+        gamma = own.read(moved(frame_of(seed=3), dx, 0.0))["gamma"]
+        if gamma.valid:
+            assert gamma.low <= rest.value <= gamma.high
+        else:
+            assert gamma.code == "camera_moved"
+            assert share > 0.8, i  # the limit is not lower than stated
+
+
+@pytest.mark.slow
+def test_no_valid_reading_is_wrong_at_the_limit_and_sound_ones_stay_valid() -> None:
+    """Each motion 20 times about the limit: 0 to 0.12 px, over which gamma may err by three half-widths."""
+    own, rng, wrong, refused, sound = reader(), np.random.default_rng(7), 0, 0, 0
+    for i in range(60):
+        x, y = rng.uniform(-18e-3, 18e-3), rng.uniform(-12e-3, 12e-3)
+        frame = frame_of(rng.uniform(0.4e-3, 1.6e-3), x, y, 100 + i)
+        truth = own.read(frame)
+        sound, refused = sound + 1, refused + (not truth["gamma"].valid)
+        size = rng.uniform(0.0, 0.12)
+        motion = [{"dx": size}, {"zoom": 1 + size / 120}, {"turn": size / 120}][i % 3]
+        now = own.read(moved(frame, **motion))
+        for name, true in (("gamma", truth["gamma"].value), ("x", x), ("y", y)):
+            one = now[name]
+            wrong += one.valid and abs(one.value - true) > 1.5 * (one.high - one.low)
+    assert wrong == 0
+    assert refused <= 0.03 * sound
+
+
+def test_the_area_is_that_over_which_places_were_measured() -> None:
+    low, high = (np.array(end) for end in area_of(reader().marks, SKIN))
+    np.testing.assert_allclose(1e3 * (high - low), [40.0, 28.0], atol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("words", "x", "y", "depth"),
+    [
+        ("flat", 9.9e-3, -16.8e-3, 0.4e-3),
+        ("flat", -21.4e-3, -4.7e-3, 0.3e-3),
+        ("round", -23.9e-3, -5.7e-3, 1.4e-3),
+        ("round", 10.6e-3, -17.6e-3, 1.2e-3),
+        ("round", 22.3e-3, 4.5e-3, 1.6e-3),
+    ],
+)
+def test_a_contact_beyond_the_area_has_no_valid_place_and_is_no_tear(words, x, y, depth) -> None:
+    readings = reader().read(frame_of(depth, x, y, 5, words))
+    for name in ("x", "y", "gamma", "contacts", "damage"):
+        assert not readings[name].valid
+        assert readings[name].code == "outside_calibrated_area"
+    assert readings["damage"].value == ""
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.005, 1.027, 0.978])
+def test_a_place_s_interval_holds_the_error_of_a_wrong_focal_length(scale) -> None:
+    lens = SKIN.lens
+    wrong = replace(lens, focal_px=(lens.focal_px[0] * scale, lens.focal_px[1] * scale))
+    own, at = ShearReader(replace(SKIN, lens=wrong), untouched()), (14e-3, -9e-3)
+    readings = own.read(frame_of(1.0e-3, *at, 6))
+    for name, true in zip("xy", at, strict=True):
+        one = readings[name]
+        assert one.valid
+        assert abs(one.value - true) < 3 * (one.high - one.low) / 2
+    if scale == 1.0:  # a lens that fits costs nothing
+        assert readings["x"].high - readings["x"].low < 0.1e-3
+
+
+def test_each_invalid_reading_has_a_code() -> None:
+    own = reader()
+    dark = replace(frame_of(seed=8), image=np.zeros_like(untouched().image))
+    for readings in (own.read(frame_of(seed=8)), own.read(dark)):
+        for one in readings.values():
+            assert bool(one.code) != one.valid
+            assert bool(one.why) != one.valid
