@@ -172,7 +172,8 @@ class ForceMonitor:
         self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
         self._touched, self._moved = False, 0
         self._deficit = self._excess = self._held = 0.0
-        self._soft = self._stiff = 0.0
+        self._soft = self._stiff = 0.0  # of the stated range, since contact began
+        self._began_touched = self._counts = False
         self._quiet: deque[float] = deque(maxlen=QUIET_SAMPLES)
         self._quiet_sum = 0.0
         self._before.clear()
@@ -191,6 +192,7 @@ class ForceMonitor:
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
         self._is_over = False
         self._climb = ForceClimb()
+        self._began_touched = self._counts = self._touched
         self._behind_n = self._held if phase is Phase.UP else self._deficit if self._touched else 0.0
 
     def reported(self, way_m: float) -> None:
@@ -215,6 +217,8 @@ class ForceMonitor:
         return self._arrived_down(self._climb.from_n, self._climb.rise_n)
 
     def _arrived_down(self, from_n: float, rise_n: float) -> Doubt | None:
+        if self._began_touched and (doubt := self._outside(self._length_m - self._way_m, 0.0)) is not None:
+            return doubt
         if from_n < CONTACT * self._noise_n:
             return None
         if self._way_m == 0:
@@ -376,6 +380,7 @@ class ForceMonitor:
             self._touched = level_n > CONTACT * noise_n
             self._deficit = self._excess = self._soft = self._stiff = 0.0
             self._moved = 0
+            self._counts = sent
             return None
         return None if self._is_over else self._on_the_way_down(step_m, rise_n, sent)
 
@@ -391,7 +396,7 @@ class ForceMonitor:
             if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
                 self.corridor.feel(force_n, rise_n, step_m)
             self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
-        if (doubt := self._outside(step_m, rise_n, sent) or self._flat(least, self._early_s)) is not None:
+        if (doubt := self._outside(step_m, rise_n) or self._flat(least, self._early_s)) is not None:
             return doubt
         if self._excess > self._slack_n(EXCESS, greatest, self._sending_s):
             return self._doubt(
@@ -399,13 +404,16 @@ class ForceMonitor:
             )
         return None
 
-    def _outside(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
-        """Hold a sample's rise against the range of stiffness that the rig states."""
+    def _outside(self, way_m: float, rise_n: float) -> Doubt | None:
+        """Hold the rise of force since contact began against the range of stiffness that the rig states.
+
+        A move in which contact begins before it was sent for certain does not count: its way is unknown.
+        """
         least, greatest = self.corridor.stated_n_m(self._level_n)
-        if not sent or least == 0:
+        if not self._counts or least == 0:
             return None
-        self._soft = max(self._soft + least * step_m - rise_n, 0.0)
-        self._stiff = max(self._stiff + rise_n - greatest * step_m, 0.0)
+        self._soft += least * way_m - rise_n
+        self._stiff += rise_n - greatest * way_m
         early_s = self._early_s
         for kind, sum_n, bound, noises in (
             ("soft", self._soft, least, DEFICIT),
