@@ -12,7 +12,9 @@ import pytest
 from pydantic import ValidationError
 from tests.rig.altered_force import AlteredForce, law_range
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, plan, rig
+from typer.testing import CliRunner
 
+from palpate.cli import app
 from palpate.core import ManualClock, RangeError
 from palpate.devices import Reason
 from palpate.devices.force_trust import StiffnessCorridor, StiffnessRange
@@ -93,6 +95,9 @@ def test_a_range_from_a_run_finds_the_gain_that_changed_after_it(tmp_path: Path)
     file = RigFile.model_validate({"name": "bench", **tables})
     (part,) = file.stiffness
     assert part.range().least_n_m == pytest.approx(found.range.least_n_m, rel=1e-3)
+    said = CliRunner().invoke(app, ["rig", "stiffness", str(tmp_path / "good")])
+    assert said.exit_code == 0, said.output
+    assert tomllib.loads(said.stdout)["stiffness"][0]["force_N"] == tables["stiffness"][0]["force_N"]
     stated = {part.indenter: part.range()}
     for gain, state, reason in (
         (1.0, State.DONE, None),

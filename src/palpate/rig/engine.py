@@ -248,7 +248,10 @@ class Engine:
             approaches=list(approaches),
             retried=retry,
         )
-        if not retry or self._lift_if_possible():
+        if not retry:
+            raise fault
+        if self._lift_if_possible():
+            self._control.check((OperatorCommand.ESTOP,))
             raise fault
         self._retries += 1
         self._tried = ""  # is the force later than before?
@@ -371,7 +374,11 @@ class Engine:
         self._turn(State.PAUSED, self._wanted or "paused by the operator")
         self._wanted = ""
         while self._control.wait_while_paused(0.02):
-            self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
+            try:
+                self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
+            except Tripped as e:  # what is not back when it goes on ends it then
+                if e.reason not in TRANSIENT:
+                    raise
             self._tell()
         self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
         self._turn(State.RUNNING, "resumed")

@@ -362,6 +362,10 @@ FAULTS = (
             ),
         },
     ),
+)
+"""All of them, in the order of the table's rows."""
+
+RECOVERY_FAULTS = (
     RigFault("samples 45 ms late, once", "force", withheld_once(0.045), ("done",), within=OPEN),
     RigFault("no sample for 0.2 s", "force", withheld_once(0.2, lost=True), ("done",), within=OPEN),
     RigFault("does not answer for 0.5 s", "force", silent_for(0.5), ("done",), within=OPEN),
@@ -373,13 +377,16 @@ FAULTS = (
         within=OPEN,
         elsewhere=dict.fromkeys(
             ("travel", "pause", "resume"),
-            Otherwise(("done",), "the delay begins between presses, and is found at the next touch"),
+            Otherwise(
+                ("done", "force-dead", "force-lag"),
+                "it begins between two presses, and looks as a force that follows too little",
+            ),
         ),
     ),
     RigFault(
-        "twice the gain, stiffness stated",
+        "1.8 times the gain, stiffness stated",
         "force",
-        both(stated_stiffness, altered(gain=2.0)),
+        both(stated_stiffness, altered(gain=1.8)),
         ("force-scaled",),
         within=TRUST,
         shows="force",
@@ -395,4 +402,4 @@ FAULTS = (
         elsewhere={"idle": Otherwise(("stiffness",), "nothing but the skin shows it", OPEN)},
     ),
 )
-"""All of them, in the order of the table's rows."""
+"""Faults that a repeated press overcomes, or that the first touch or press has to show."""
