@@ -28,7 +28,7 @@ from tests.rig.fault_matrix.matrix_page import (
     page,
 )
 from tests.rig.fault_matrix.observed_rig import ObservedRig
-from tests.rig.fault_matrix.rig_faults import FAULTS
+from tests.rig.fault_matrix.rig_faults import FAULTS, RECOVERY_FAULTS
 from tests.slow_params import mostly_slow
 
 from palpate.devices import MotionGuard
@@ -52,6 +52,12 @@ ORDINARY = [
     (fault, ordinary(fault, STATES[(STRIDE * i + 1) % len(STATES)])) for i, fault in enumerate(FAULTS)
 ]
 GOES_ON = ORDINARY[1 :: len(ORDINARY) // 3]
+RECOVERED = [
+    (fault, short(state))
+    for fault, names in zip(RECOVERY_FAULTS, ("press", "slide", "pause", "idle", "idle", "idle"), strict=True)
+    for state in STATES
+    if state.name in names
+]
 ORDINARY_GRBL = [
     (GRBL_FAULTS[STRIDE * i % len(GRBL_FAULTS)], state, FIRMWARES[i % 2])
     for i, state in enumerate(GRBL_STATES)
@@ -88,6 +94,13 @@ def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(
     fault: RigFault, state, firmware
 ) -> None:
     assert faults_of(run_grbl_cell(fault, state, firmware), fault) == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"), RECOVERED, ids=[f"{f.part}: {f.name} / {s.name}" for f, s in RECOVERED]
+)
+def test_a_fault_is_overcome_by_a_repeated_press_or_shown_by_the_first(fault: RigFault, state) -> None:
+    assert faults_of(run_cell(fault, state), fault) == []
 
 
 def test_the_rule_gives_each_fault_one_state_and_each_state_some_faults() -> None:

@@ -92,4 +92,5 @@ class ForceWatch:
                 Reason.FORCE_STALE,
                 f"the newest force is {age_s * 1e3:.0f} ms old; nothing moves on more than "
                 f"{self._bounds.age_s * 1e3:g} ms",
+                {"age_s": age_s, "allowed_s": self._bounds.age_s},
             )

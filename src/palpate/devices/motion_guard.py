@@ -21,7 +21,7 @@ from typing import Generic, ParamSpec
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError, Position, Wrench
 from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
-from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, name_fault
+from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, StiffnessRange, name_fault
 from palpate.devices.force_watch import ForceWatch
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
@@ -179,13 +179,16 @@ class MotionGuard:
         if len({(one.force_n, one.torque_nm) for one in _good(samples)}) == 1:
             samples += self.wait(LONGER_S, judged=False)
         if len(_good(samples)) >= FEW:
+            if self._disbelieved:
+                self.monitor.corridor.forget()
             self.monitor.learn_air(_good(samples), stated_hz)
         self._bias.measure(samples)
+        self._disbelieved = False  # it measures in the air as it has to
         return samples
 
-    def new_tool(self) -> None:
-        """Forget the stiffness that was learnt: another tool or skin follows."""
-        self.monitor.new_tool()
+    def new_tool(self, stated: StiffnessRange | None = None) -> None:
+        """Forget the stiffness that was learnt: another tool or skin follows; its range may be stated."""
+        self.monitor.new_tool(stated)
 
     def learn_press(self) -> None:
         """Learn the skin's stiffness from the way down that went well just now."""
@@ -444,7 +447,7 @@ class MotionGuard:
             self._clock.sleep(WAIT_S)
             heard += self._look(_unchecked, LEAVING)
             listened_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
-        named = Tripped(*name_fault(doubt, heard, self.monitor.air, self._bias, listened_s))
+        named = Tripped(*name_fault(doubt, heard, self.monitor.air, self._bias, listened_s), doubt.numbers)
         self._disbelieved = named.reason not in FELT
         return named
 

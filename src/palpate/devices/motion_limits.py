@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -25,7 +26,9 @@ class Reason(StrEnum):
     FORCE_SCALED = "force-scaled"  # its scale has changed since the air
     FORCE_DRIFT = "force-drift"  # its zero moved while it pressed
     FORCE_LATE = "force-late"  # samples are held back on their way
+    FORCE_LAG = "force-lag"  # it follows the motion too late, whatever its timestamps state
     FORCE_SLOW = "force-slow"  # fewer samples come than it states
+    STIFFNESS = "stiffness"  # force over depth lies outside the range that the rig states
     FORCE_IMPLAUSIBLE = "force-implausible"  # no motion explains it, and nothing else of these
     TOUCHED_EARLY = "touched-early"
     NO_CONTACT = "no-contact"
@@ -55,11 +58,13 @@ class Tripped(SafetyError):  # noqa: N818 - a guard trips
 
     Attributes:
         reason: which guard.
+        numbers: what was measured and what is allowed, by name with the unit.
     """
 
-    def __init__(self, reason: Reason, message: str) -> None:
+    def __init__(self, reason: Reason, message: str, numbers: Mapping[str, float] | None = None) -> None:
         super().__init__(message)
         self.reason = reason
+        self.numbers = dict(numbers or {})
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,9 @@
 A press that is interrupted, by a pause, a fault or a kill, is approached anew: lifted, tared, contact found
 again, down again under guard; only the frames that are missing are recorded. So nothing ever moves on from
 where it was left without testing the force.
+
+A transient fault, such as one late force sample, rejects the attempt: the probe is lifted, the force must be
+zero at the clearance, the gentle touch is repeated, and then the press, as often as `Rig.retries` allows.
 """
 
 from __future__ import annotations
@@ -14,7 +17,15 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import assert_never
 
-from palpate.core import DeviceError, MonotonicClock, PalpateError, PathText, RecordingError, StorageError
+from palpate.core import (
+    NS_PER_S,
+    DeviceError,
+    MonotonicClock,
+    PalpateError,
+    PathText,
+    RecordingError,
+    StorageError,
+)
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import (
     ForceBias,
@@ -47,8 +58,9 @@ from palpate.rig.plans.recording_plan import (
     Sweep,
     TareStep,
 )
-from palpate.rig.preflight import check_ready
+from palpate.rig.preflight import check_ready, notes_of
 from palpate.rig.press_motion import PressMotion, check_plan
+from palpate.rig.press_retries import REJECTED, TRANSIENT
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import (
     PLAN,
@@ -74,10 +86,12 @@ DISBELIEVED = frozenset(
         Reason.FORCE_REVERSED,
         Reason.FORCE_SCALED,
         Reason.FORCE_STUCK,
+        Reason.STIFFNESS,
     }
 )
 """Reasons that say a force was wrong for some time before it was found out: a press is void."""
 
+POLL_S = 0.02  # while nothing moves
 TOLD_EVERY_S = 0.1  # of the machine's time
 
 Watch = Callable[[Status], None]
@@ -121,7 +135,7 @@ class Engine:
         self._planned = [len(plan.shots(press)) for press in plan.presses()]
         self._shots = sum(self._whole(press) for press in plan.presses())
         self._begun = (time.monotonic(), self._shots)
-        self._indenter = self._tried = ""
+        self._indenter = self._tried = self._known = ""  # mounted, touched with, of a known stiffness
         self._wanted = ""
         self._touches = False
         self._clocks: Offset | None = None
@@ -129,15 +143,26 @@ class Engine:
         self._unproven_in: set[int] = set()  # and of these approaches
         self._zero_moved_n: float | None = None
         self._void_shots = 0
+        self._retries = 0
+        self._unverified_s = 0.0  # wait before the zero is verified after a rejected attempt; 0 without one
         self._swept: set[str] = set()  # shots that an event says to be whole
 
     def run(self) -> Outcome:
         """Record all that is missing, or as much as can be; the probe is lifted at the end."""
         self._recorder.event(PLAN, hash=self._plan.hash, plan=self._plan.model_dump(mode="json"))
         rig = self._rig
-        self._recorder.event("rig", name=rig.name, origin_m=rig.origin_m, limits=asdict(rig.limits))
+        self._recorder.event(
+            "rig",
+            name=rig.name,
+            origin_m=rig.origin_m,
+            limits=asdict(rig.limits),
+            retries=asdict(rig.retries),
+            stiffness={name: asdict(one) for name, one in rig.stiffness.items()},
+            weighed_on=rig.weighed_on,
+            **rig.scheduling,
+        )
         self._recorder.sync()  # before anything moves
-        self._turn(State.RUNNING, "begun")
+        self._turn(State.RUNNING, "; ".join(["begun", *notes_of(rig, self._plan.indenters)]))
         try:
             for press in self._plan.presses():
                 if self._control.command is OperatorCommand.STOP:
@@ -172,10 +197,13 @@ class Engine:
             self._guard.close()
 
     def _finish(self, press: PlannedPress) -> None:
-        """A press until nothing of it is missing, however often it is paused."""
+        """A press until nothing of it is missing, however often it is paused or repeated."""
+        attempt = 1
         while self._plan.missing(press, self._done):
+            before = self._motion.approach
             try:
                 self._control.check()
+                self._verify_zero()
                 self._mount(press.indenter)
                 if self._tried != press.indenter:
                     self._try_sensor(press)
@@ -186,6 +214,68 @@ class Engine:
                 if interrupt.command is not OperatorCommand.PAUSE:
                     raise
                 self._paused()
+            except Tripped as fault:
+                self._reject(press, attempt, fault, before)
+                attempt += 1
+
+    def _reject(self, press: PlannedPress, attempt: int, fault: Tripped, before: int) -> None:
+        """Reject an attempt that a transient fault ended, and lift the probe so that it can be repeated.
+
+        Args:
+            press: that was attempted.
+            attempt: its number, from 1.
+            fault: that ended it.
+            before: number of approaches before this attempt; the frames of all later ones are void.
+
+        Raises:
+            Tripped: the fault, where it is not transient or no retry is left.
+        """
+        if fault.reason not in TRANSIENT:
+            raise fault
+        retry = self._rig.retries.allow(fault.reason, attempt, self._retries)
+        approaches = range(before + 1, self._motion.approach + 1)
+        self._unproven_in.update(approaches)
+        self._void()
+        self._recorder.event(
+            REJECTED,
+            reason=fault.reason.value,
+            numbers=fault.numbers,
+            message=str(fault),
+            place=press.place.name,
+            cycle=press.cycle,
+            indenter=press.indenter,
+            attempt=attempt,
+            approaches=list(approaches),
+            retried=retry,
+        )
+        if not retry:
+            raise fault
+        if self._lift_if_possible():
+            self._control.check((OperatorCommand.ESTOP,))
+            raise fault
+        self._retries += 1
+        self._tried = ""  # is the force later than before?
+        self._unverified_s = max(attempt * self._rig.retries.wait_s, POLL_S)
+        self._message = f"{press.place.name}, cycle {press.cycle}: rejected ({fault.reason.value}), repeated"
+
+    def _verify_zero(self) -> None:
+        """After a rejected attempt: wait at the clearance, and verify that the force is zero there.
+
+        Raises:
+            Tripped: it is not, by more than noise and drift allow, or the fault persists.
+        """
+        if not self._unverified_s:
+            return
+        end_ns = self._rig.clock.now_ns() + round(self._unverified_s * NS_PER_S)
+        while self._rig.clock.now_ns() < end_ns:
+            self._control.check()
+            with suppress(Tripped):
+                self._guard.look(judged=False)
+            self._tell()
+            self._rig.clock.sleep(POLL_S)
+        if self._bias.noise_n > 0:  # a zero was measured before
+            self._motion.check_zero()
+        self._unverified_s = 0.0
 
     def _approached(self, press: PlannedPress) -> None:
         self._motion.begin(press)
@@ -211,7 +301,7 @@ class Engine:
     def _void(self) -> None:
         """Take back all frames since the last zero: they are missing again, and their labels not believed."""
         whole = [key for key, frames in self._unproven.items() if key in self._swept and frames]
-        if not self._unproven:
+        if not self._unproven_in:
             return
         before = self._shots
         self._recorder.event(
@@ -258,8 +348,8 @@ class Engine:
 
     def _try_sensor(self, press: PlannedPress) -> None:
         self._message = f"{press.place.name}: a gentle touch, to try the force sensor"
-        self._motion.try_sensor(press)
-        self._tried = press.indenter
+        self._motion.try_sensor(press, press.indenter != self._known)
+        self._tried = self._known = press.indenter
 
     def _set_clocks(self, press: PlannedPress) -> None:
         self._message = f"{press.place.name}: {self._plan.taps} taps, to set the clocks"
@@ -284,7 +374,11 @@ class Engine:
         self._turn(State.PAUSED, self._wanted or "paused by the operator")
         self._wanted = ""
         while self._control.wait_while_paused(0.02):
-            self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
+            try:
+                self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
+            except Tripped as e:  # what is not back when it goes on ends it then
+                if e.reason not in TRANSIENT:
+                    raise
             self._tell()
         self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
         self._turn(State.RUNNING, "resumed")
@@ -358,6 +452,7 @@ class Engine:
             self._clocks,
             self._zero_moved_n,
             self._void_shots,
+            self._retries,
         )
 
     def _turn(self, state: State, message: str) -> None:

@@ -5,6 +5,7 @@ A second of listening at a stand. What is wrong is named with both numbers, and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,6 +74,26 @@ def check_promises(rig: Rig) -> None:
             f"{known_s:.3g} "
             f"s late: the probe would run on further than is stated; give {known_s:.3g} or more"
         )
+
+
+def notes_of(rig: Rig, indenters: Sequence[str] | None = None) -> list[str]:
+    """Return what a rig does not protect against, and what to do; none for a virtual rig.
+
+    Args:
+        rig: to be recorded or checked.
+        indenters: that are pressed; None for any.
+    """
+    if rig.seed is not None:
+        return []
+    notes = [rig.scheduling["remedy"] and f"no real-time scheduling: {rig.scheduling['remedy']}"]
+    wanted = set(rig.stiffness if indenters is None else indenters)
+    if not rig.stiffness or wanted - set(rig.stiffness):
+        weighed = f"weighed on {rig.weighed_on}" if rig.weighed_on else "never weighed"
+        notes.append(
+            f"the gain of the force is not checked in the first press ({weighed}): weigh the sensor, record "
+            "a run, and append what 'palpate rig stiffness RUN' prints to the rig's file"
+        )
+    return [one for one in notes if one]
 
 
 def _listen(rig: Rig) -> Heard:

@@ -179,14 +179,19 @@ class PressMotion:
             return bool(means) and max(map(abs, means)) <= allowed
         return False
 
-    def try_sensor(self, press: PlannedPress) -> None:
+    def try_sensor(self, press: PlannedPress, new_tool: bool = True) -> None:
         """Touch gently, to see that force rises under a touch and falls after it, before anything presses.
+
+        Args:
+            press: with the indenter that is mounted.
+            new_tool: nothing is known of the stiffness that it meets.
 
         Raises:
             Tripped: it does not; all that a guarded motion raises.
         """
         self.over(press.place.x_mm * MM, press.place.y_mm * MM)
-        self._guard.new_tool()
+        if new_tool:
+            self._guard.new_tool(self._rig.stiffness.get(press.indenter))
         self.measure_bias()
         felt = touch_gently(self._rig, self._plan, self._guard)
         self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))

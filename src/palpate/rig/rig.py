@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices import Limits, Mounting, SupervisorLink
+from palpate.devices.force_trust import StiffnessRange
 from palpate.recordings.manifest import NOT_MEASURED
+from palpate.rig.press_retries import RetryLimits
 
 VIRTUAL = "virtual:"
 """What the name of a virtual rig begins with, before its sensor's."""
@@ -70,6 +72,9 @@ class Rig:
         label_mounting: of the second force sensor.
         supervisor: process that owns stage and force sensor and guards every motion; None where this process
             does.
+        retries: of a press that a transient fault ended.
+        stiffness: range of stiffness that each indenter meets, by its name; checked from the first press on.
+        weighed_on: date on which a known weight was laid on the force sensor, ISO 8601; empty for none.
         design: of the sensor, whose outline and probe plans are laid on; None where only its plan knows.
     """
 
@@ -95,11 +100,21 @@ class Rig:
     label_force: ForceSensor | None = None
     label_mounting: Mounting = field(default_factory=Mounting)
     supervisor: SupervisorLink | None = None
+    stiffness: Mapping[str, StiffnessRange] = field(default_factory=dict)
+    weighed_on: str = ""
+    retries: RetryLimits = field(default_factory=RetryLimits)
 
     @property
     def is_simulated(self) -> bool:
         """Whether it is virtual, or one of its devices is, so that what it records is not all measured."""
         return self.name.startswith(VIRTUAL) or NOT_MEASURED in self.origin
+
+    @property
+    def scheduling(self) -> dict[str, str]:
+        """Scheduling of the process that guards the motion, and how to get better, see `request_priority`."""
+        return (
+            {"scheduling": "normal", "remedy": ""} if self.supervisor is None else self.supervisor.scheduling
+        )
 
     def from_origin_mm(self, at_m: Position) -> Position:
         """A place of the stage, from the layer's centre at its expected surface [mm]."""

@@ -6,6 +6,7 @@ The checks of single devices are those of `palpate.devices.check`, offered here 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,8 +22,10 @@ from palpate.devices.check.check_result import (
     with_prefix,
 )
 from palpate.devices.check.stage_motion import Box, UnsafeError
+from palpate.devices.supervisor.process_priority import FIFO, probe_realtime
 from palpate.rig.plans.plan_files import plan_of_sensor
 from palpate.rig.plans.recording_plan import RecordingPlan
+from palpate.rig.preflight import notes_of
 from palpate.rig.rig import Rig
 
 __all__ = ["CheckResult", "check_camera", "check_force_sensor", "check_rig", "check_stage"]
@@ -90,6 +93,9 @@ def _checks(
     if rig.label_force is not None:
         results += with_prefix("label force", _labelling(rig.label_force, rig))
     results += with_prefix("rig", gather("fitting", _fits(rig)))
+    if rig.seed is None:  # a real one
+        results.append(scheduling_result(rig.scheduling if rig.supervisor else probe_realtime()))
+        results.append(CheckResult("rig: gain of the force", True, message="; ".join(notes_of(rig))))
     sensed = all(one.ok for one in force)
     results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed, time_scale)))
     if close:
@@ -103,6 +109,12 @@ def _checks(
         for device, closing in closings.items():
             results += with_prefix(device, gather("close", closing))
     return results
+
+
+def scheduling_result(granted: Mapping[str, str]) -> CheckResult:
+    """Report whether the guard's process gets real-time scheduling; without it, a remedy."""
+    is_fifo = granted["scheduling"] == FIFO
+    return CheckResult("rig: real-time scheduling", True, float(is_fifo), message=granted["remedy"])
 
 
 def _labelling(sensor: ForceSensor, rig: Rig) -> list[CheckResult]:

@@ -105,7 +105,8 @@ class Outcome:
         clocks: how far the frames run behind the force, from taps; None where there were none.
         zero_moved_n: most that the force sensor's zero moved over a press, now [N]; None where none was
             pressed.
-        void_shots: shots that were taken back now, since the zero moved too far.
+        void_shots: shots that were taken back now: the zero moved too far, or their attempt was rejected.
+        retries: presses that were repeated now after a transient fault.
     """
 
     state: State
@@ -116,6 +117,7 @@ class Outcome:
     clocks: Offset | None = None
     zero_moved_n: float | None = None
     void_shots: int = 0
+    retries: int = 0
 
 
 PLAN = "plan"

@@ -7,9 +7,11 @@ import os
 import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
+from tests.rig.altered_force import AlteredForce, law_range
 from tests.rig.fault_matrix.observed_rig import ObservedRig
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
@@ -175,6 +177,69 @@ def late_once(seconds: float) -> Begin:
         replacing("force", "drain", replaced)(rig)
 
     return begin
+
+
+def withheld_once(seconds: float, *, lost: bool = False) -> Begin:
+    """Samples that come late together and are stamped when they come, once; or are lost."""
+
+    def begin(rig: ObservedRig) -> None:
+        until_ns, kept, last = rig.clock.now_ns() + round(seconds * NS_PER_S), list[Wrench](), list[Wrench]()
+
+        def drain(real: Callable[..., Any]) -> Any:
+            fresh, now_ns = real(), rig.clock.now_ns()
+            if now_ns < until_ns:
+                kept.extend([] if lost else fresh)
+                return []
+            late = [replace(one, time_ns=now_ns) for one in (*kept, *fresh)] if kept else fresh
+            kept.clear()
+            return late
+
+        def latest(real: Callable[..., Any]) -> Any:
+            if rig.clock.now_ns() >= until_ns:
+                return real()
+            if not last:
+                last.append(real())
+            return last[0]
+
+        both(replacing("force", "drain", drain), replacing("force", "latest", latest))(rig)
+
+    return begin
+
+
+def silent_for(seconds: float) -> Begin:
+    """A force sensor that does not answer for some time."""
+
+    def begin(rig: ObservedRig) -> None:
+        until_ns = rig.clock.now_ns() + round(seconds * NS_PER_S)
+
+        def replaced(real: Callable[..., Any], *args: Any) -> Any:
+            if rig.clock.now_ns() < until_ns:
+                raise DeviceError("the force sensor does not answer")
+            return real(*args)
+
+        both(replacing("force", "drain", replaced), replacing("force", "latest", replaced))(rig)
+
+    return begin
+
+
+def altered(delay_s: float = 0.0, gain: float = 1.0) -> Begin:
+    """A force that comes late under current timestamps, or of another gain, bias included."""
+
+    def begin(rig: ObservedRig) -> None:
+        source = SimpleNamespace(drain=rig.force.inner.drain)
+        force = AlteredForce(source, rig.clock, delay_s, gain, settle_s=0.0)
+        both(
+            replacing("force", "drain", lambda real: force.drain()),
+            replacing("force", "latest", lambda real: force.latest_or(real)),
+        )(rig)
+
+    return begin
+
+
+def stated_stiffness(rig: ObservedRig) -> None:
+    """The rig states the stiffness of its skin to 25 %; it counts where the recording is not begun yet."""
+    ranges = dict.fromkeys(rig.plan.indenters, law_range(rig.truth, 1.25))
+    rig.rig = replace(rig.rig, stiffness=ranges)
 
 
 def stage_late(seconds: float) -> Begin:

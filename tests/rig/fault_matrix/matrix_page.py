@@ -201,7 +201,8 @@ A fault sets in while the engine is in one of these states:
 
 - `force-stale`: the name with which the recording ended (a reason of the run's events, `aborted`,
   `e-stopped`, `stopped`, or the exception of a program that was ended). *recorded whole*: nothing ended it,
-  and the run holds the plan. *at zero*: in that state it did no harm, and was seen in this later one.
+  and the run holds the plan; a press that a transient fault interrupted was repeated. *at zero*: in that
+  state it did no harm, and was seen in this later one.
 - **stays**: the probe was not lifted. Everywhere else it hung in the air at the end, above the skin's own
   surface.
 - *stop*: way from asking for a stop until the stage truly stood [mm], of the stop that came nearest to its

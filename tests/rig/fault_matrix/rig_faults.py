@@ -14,6 +14,7 @@ from tests.rig.fault_matrix.fault_injection import (
     TRUST,
     Otherwise,
     RigFault,
+    altered,
     backward_stamps,
     both,
     computer_stands_still,
@@ -35,9 +36,12 @@ from tests.rig.fault_matrix.fault_injection import (
     raising,
     raising_once,
     replacing,
+    silent_for,
     slipping,
     slow_disk,
     stage_late,
+    stated_stiffness,
+    withheld_once,
 )
 
 from palpate.core import DeviceError
@@ -360,3 +364,42 @@ FAULTS = (
     ),
 )
 """All of them, in the order of the table's rows."""
+
+RECOVERY_FAULTS = (
+    RigFault("samples 45 ms late, once", "force", withheld_once(0.045), ("done",), within=OPEN),
+    RigFault("no sample for 0.2 s", "force", withheld_once(0.2, lost=True), ("done",), within=OPEN),
+    RigFault("does not answer for 0.5 s", "force", silent_for(0.5), ("done",), within=OPEN),
+    RigFault(
+        "100 ms late, with current timestamps",
+        "force",
+        altered(delay_s=0.1),
+        ("force-lag",),
+        within=OPEN,
+        elsewhere=dict.fromkeys(
+            ("travel", "pause", "resume"),
+            Otherwise(
+                ("done", "force-dead", "force-lag"),
+                "it begins between two presses, and looks as a force that follows too little",
+            ),
+        ),
+    ),
+    RigFault(
+        "1.8 times the gain, stiffness stated",
+        "force",
+        both(stated_stiffness, altered(gain=1.8)),
+        ("force-scaled",),
+        within=TRUST,
+        shows="force",
+        elsewhere={"idle": Otherwise(("stiffness",), "nothing but the skin shows it", OPEN)},
+    ),
+    RigFault(
+        "half the gain, stiffness stated",
+        "force",
+        both(stated_stiffness, altered(gain=0.5)),
+        ("force-scaled",),
+        within=TRUST,
+        shows="force",
+        elsewhere={"idle": Otherwise(("stiffness",), "nothing but the skin shows it", OPEN)},
+    ),
+)
+"""Faults that a repeated press overcomes, or that the first touch or press has to show."""

@@ -85,7 +85,9 @@ def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...], json_: bool) 
     if outcome.zero_moved_n is not None:
         text += f"\nthe force sensor's zero moved by at most {outcome.zero_moved_n:.4f} N over a press"
     if outcome.void_shots:
-        text += f"\n{outcome.void_shots} shots were taken back, since the force sensor's zero moved too far"
+        text += f"\n{outcome.void_shots} shots were rejected and do not count"
+    if outcome.retries:
+        text += f"\n{outcome.retries} presses were repeated after a transient fault (events 'rejected')"
     goes_on = "\nthe same command goes on at the first missing shot"
     text += _write_presses(out, indenters, result) if done else goes_on
     print_found(result, text, json_)
@@ -135,11 +137,33 @@ def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], j
         findings = check_rig(open_rig(rig, supervised=False))
     wrong = [one for one in findings if not one.ok]
     lines = [_measured(one) for one in findings if one.ok and one.unit]
+    lines += [f"note: {one.name}: {one.message}" for one in findings if one.ok and one.message]
     lines += wrong_lines(wrong)
     text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
     print_found([asdict(one) for one in findings], text, json_)
     if wrong:
         raise typer.Exit(1)
+
+
+@rig_app.command()
+def stiffness(
+    run: Annotated[Path, Argument(help="A run whose force was right.")], json_: Json = False
+) -> None:
+    """Print the range of stiffness that a run's presses met, for the rig's file.
+
+    The guard then checks the first press of every run against it. Weigh the force sensor before the run.
+
+    Example: palpate rig stiffness run >> bench.toml
+    """
+    from palpate.rig.skin_stiffness import MAX_RATIO, stiffness_lines, stiffness_of
+
+    opened = palpate.Run.open(run)
+    found = stiffness_of(opened)
+    indenter = next(iter(opened.labels["indenter"].dropna()), "")
+    text = stiffness_lines(indenter, found, opened.manifest.created_utc[:10])
+    if found.ratio > MAX_RATIO:
+        typer.echo(f"note: the range is {found.ratio:.2g} wide; a gain of two may lie inside it", err=True)
+    print_found({"indenter": indenter, **asdict(found)}, text, json_)
 
 
 @rig_app.command()

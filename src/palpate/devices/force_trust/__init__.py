@@ -7,7 +7,7 @@ from palpate.devices.force_trust.air_noise import AirNoise
 from palpate.devices.force_trust.fault_names import name_fault
 from palpate.devices.force_trust.force_monitor import Doubt, ForceMonitor, Phase
 from palpate.devices.force_trust.sample_dating import SampleDating
-from palpate.devices.force_trust.stiffness_corridor import StiffnessCorridor
+from palpate.devices.force_trust.stiffness_corridor import StiffnessCorridor, StiffnessRange
 
 __all__ = [
     "AirNoise",
@@ -16,5 +16,6 @@ __all__ = [
     "Phase",
     "SampleDating",
     "StiffnessCorridor",
+    "StiffnessRange",
     "name_fault",
 ]

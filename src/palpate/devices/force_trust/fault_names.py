@@ -100,6 +100,11 @@ def _of_level(doubt: Doubt, six: Float[ndarray, "n 6"], air: AirNoise, bias: For
         return Reason.FORCE_DEAD, "the sensor reads as in the air and feels nothing any more"
     if equal:
         return Reason.FORCE_STUCK, "the sensor repeats what it read and measures no more"
+    if doubt.kind in ("soft", "stiff"):
+        return (
+            Reason.STIFFNESS,
+            "the sensor's gain, the skin, or the indenter is another one than stated; weigh a known mass",
+        )
     if doubt.kind in ("flat", "holds", "lost", "repeats"):
         return Reason.FORCE_DEAD, "the sensor does not follow the contact any more; does the tool still hold?"
     if doubt.kind in RISES:

@@ -11,6 +11,7 @@ at a stand, from the samples that follow (`fault_names`).
 | jump | a change from one sample to the next that no way in between explains |
 | pull | a probe on its way down that is pulled |
 | flat, steep | a force that rises less, or more, with depth than in the presses before |
+| soft, stiff | a force that rises less, or more, with depth than the rig states |
 | holds | a force that does not fall on the way back |
 | lost | a contact that is gone though nothing moved away |
 | quiet | noise that has fallen |
@@ -25,8 +26,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 
 from palpate.core import NS_PER_S, Travel, Wrench
@@ -40,7 +41,7 @@ from palpate.devices.force_trust.air_noise import (
     six_of,
 )
 from palpate.devices.force_trust.sample_dating import SampleDating
-from palpate.devices.force_trust.stiffness_corridor import ForceClimb, StiffnessCorridor
+from palpate.devices.force_trust.stiffness_corridor import ForceClimb, StiffnessCorridor, StiffnessRange
 from palpate.devices.motion_limits import Limits
 
 BLIND_M = 0.08e-3  # of way on one sample
@@ -90,11 +91,13 @@ class Doubt:
         kind: see the module.
         text: what was read and what was expected, with units.
         before: the last samples that were believed: their times [ns] and all six axes.
+        numbers: what was measured and what is allowed, by name with the unit.
     """
 
     kind: str
     text: str
     before: tuple[tuple[int, Six], ...] = ()
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 class ForceMonitor:
@@ -123,9 +126,9 @@ class ForceMonitor:
         self._climb, self._behind_n = ForceClimb(), 0.0
         self._restart()
 
-    def new_tool(self) -> None:
-        """Another tool or skin: what was learnt of stiffness is forgotten."""
-        self.corridor = StiffnessCorridor()
+    def new_tool(self, stated: StiffnessRange | None = None) -> None:
+        """Another tool or skin: what was learnt of stiffness is forgotten, and a stated range counts."""
+        self.corridor = StiffnessCorridor(stated)
 
     def learn_air(self, samples: Sequence[Wrench], stated_hz: float) -> None:
         """Learn noise, quantum and rate from good samples in the air; the press before is learnt from as
@@ -169,6 +172,8 @@ class ForceMonitor:
         self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
         self._touched, self._moved = False, 0
         self._deficit = self._excess = self._held = 0.0
+        self._soft = self._stiff = 0.0  # of the stated range, since contact began
+        self._began_touched = self._counts = False
         self._quiet: deque[float] = deque(maxlen=QUIET_SAMPLES)
         self._quiet_sum = 0.0
         self._before.clear()
@@ -187,6 +192,7 @@ class ForceMonitor:
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
         self._is_over = False
         self._climb = ForceClimb()
+        self._began_touched = self._counts = self._touched
         self._behind_n = self._held if phase is Phase.UP else self._deficit if self._touched else 0.0
 
     def reported(self, way_m: float) -> None:
@@ -211,6 +217,8 @@ class ForceMonitor:
         return self._arrived_down(self._climb.from_n, self._climb.rise_n)
 
     def _arrived_down(self, from_n: float, rise_n: float) -> Doubt | None:
+        if self._began_touched and (doubt := self._outside(self._length_m - self._way_m, 0.0)) is not None:
+            return doubt
         if from_n < CONTACT * self._noise_n:
             return None
         if self._way_m == 0:
@@ -247,7 +255,8 @@ class ForceMonitor:
 
     def gap(self, age_s: float) -> Doubt:
         """Doubt about a sensor whose newest sample is so old [s]."""
-        return self._doubt("gap", f"no force came for {age_s * 1e3:.0f} ms at {self._speed * 1e3:g} mm/s")
+        text = f"no force came for {age_s * 1e3:.0f} ms at {self._speed * 1e3:g} mm/s"
+        return self._doubt("gap", text, age_s=age_s, allowed_s=self.oldest_s)
 
     def rise(self, from_n: float, to_n: float, up: bool) -> Doubt:
         """Doubt about a force that rises while the probe moves away, up, or through the air [N]."""
@@ -310,6 +319,8 @@ class ForceMonitor:
         return self._doubt(
             "late",
             f"a force came {late_s * 1e3:.0f} ms after its turn; {self.oldest_s * 1e3:.0f} ms are allowed",
+            late_s=late_s,
+            allowed_s=self.oldest_s,
         )
 
     def _repeats(self, six: Six, step_m: float) -> Doubt | None:
@@ -367,8 +378,9 @@ class ForceMonitor:
             if level_n < -(PULLED_COARSE if self._is_coarse else PULLED) * noise_n:
                 return self._doubt("pull", f"the probe goes down and is pulled by {-level_n:.3f} N")
             self._touched = level_n > CONTACT * noise_n
-            self._deficit = self._excess = 0.0
+            self._deficit = self._excess = self._soft = self._stiff = 0.0
             self._moved = 0
+            self._counts = sent
             return None
         return None if self._is_over else self._on_the_way_down(step_m, rise_n, sent)
 
@@ -384,12 +396,40 @@ class ForceMonitor:
             if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
                 self.corridor.feel(force_n, rise_n, step_m)
             self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
-        if (doubt := self._flat(least, self._early_s)) is not None:
+        if (doubt := self._outside(step_m, rise_n) or self._flat(least, self._early_s)) is not None:
             return doubt
         if self._excess > self._slack_n(EXCESS, greatest, self._sending_s):
             return self._doubt(
                 "steep", f"{self._level_n:.3f} N rises more steeply on the way down than it did before"
             )
+        return None
+
+    def _outside(self, way_m: float, rise_n: float) -> Doubt | None:
+        """Hold the rise of force since contact began against the range of stiffness that the rig states.
+
+        A move in which contact begins before it was sent for certain does not count: its way is unknown.
+        """
+        least, greatest = self.corridor.stated_n_m(self._level_n)
+        if not self._counts or least == 0:
+            return None
+        self._soft += least * way_m - rise_n
+        self._stiff += rise_n - greatest * way_m
+        early_s = self._early_s
+        for kind, sum_n, bound, noises in (
+            ("soft", self._soft, least, DEFICIT),
+            ("stiff", self._stiff, greatest, EXCESS),
+        ):
+            if sum_n > (slack_n := self._slack_n(noises, bound, early_s)):
+                return self._doubt(
+                    kind,
+                    f"at {self._level_n:.3f} N the force rises {'less' if kind == 'soft' else 'more'} with "
+                    f"depth than the {least * 1e-3:.3g} to {greatest * 1e-3:.3g} N/mm that the rig states",
+                    force_N=self._level_n,
+                    beyond_N=sum_n,
+                    allowed_N=slack_n,
+                    least_N_mm=least * 1e-3,
+                    greatest_N_mm=greatest * 1e-3,
+                )
         return None
 
     def _flat(self, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
@@ -447,5 +487,5 @@ class ForceMonitor:
         share = math.sqrt(max(self._quiet_sum, 0.0) / QUIET_SAMPLES)
         return self._doubt("quiet", f"the noise has fallen to {share:.2f} of what it was in the air")
 
-    def _doubt(self, kind: str, text: str) -> Doubt:
-        return Doubt(kind, text, tuple(self._before))
+    def _doubt(self, kind: str, text: str, **numbers: float) -> Doubt:
+        return Doubt(kind, text, tuple(self._before), numbers)

@@ -9,8 +9,13 @@ felt it goes on as a ball's on a half-space would at most and a spring's at leas
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import defaultdict, deque
+from dataclasses import dataclass
+from itertools import pairwise
 from statistics import median
+
+from palpate.core import RangeError
 
 WIDE_LOW = 2.5  # by which stiffness may lie below the median of earlier presses
 WIDE_HIGH = 4.0  # and above
@@ -22,10 +27,62 @@ SHRINK = 0.5  # and of its fall below what was felt: stiffness over F^(1/2), as 
 UNKNOWN_N_M = 1e6  # nothing is known: stiffer than any skin
 
 
-class StiffnessCorridor:
-    """Least and greatest stiffness at a force, for one tool on one skin."""
+@dataclass(frozen=True, slots=True)
+class StiffnessRange:
+    """Stated range of stiffness over force, for one indenter on one skin: a check from the first press on.
 
-    def __init__(self) -> None:
+    Between the stated forces it is linear. Below the least of them nothing is stated; above the greatest the
+    least stiffness stays, and there is no greatest.
+
+    Attributes:
+        force_n: normal forces, increasing [N].
+        least_n_m, greatest_n_m: least and greatest rise of force per depth at each of them [N/m].
+
+    Raises:
+        RangeError: lengths that differ, forces that do not increase, or a range that is empty.
+    """
+
+    force_n: tuple[float, ...]
+    least_n_m: tuple[float, ...]
+    greatest_n_m: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        counts = {len(self.force_n), len(self.least_n_m), len(self.greatest_n_m)}
+        if len(counts) != 1 or not self.force_n:
+            raise RangeError(f"a stiffness range with {sorted(counts)} numbers; give each force one of both")
+        values = (*self.force_n, *self.least_n_m, *self.greatest_n_m)
+        increase = all(a < b for a, b in pairwise((0.0, *self.force_n)))
+        ranges = all(0 < a < b for a, b in zip(self.least_n_m, self.greatest_n_m, strict=True))
+        if not (all(map(math.isfinite, values)) and increase and ranges):
+            raise RangeError(
+                "a stiffness range whose forces do not increase from above 0, or whose least is not below "
+                "its greatest; give positive finite numbers"
+            )
+
+    def at(self, force_n: float) -> tuple[float, float]:
+        """Return the least and the greatest stiffness at a force [N/m]."""
+        force, least, greatest = self.force_n, self.least_n_m, self.greatest_n_m
+        if force_n < force[0]:
+            return 0.0, UNKNOWN_N_M
+        if force_n > force[-1]:
+            return least[-1], UNKNOWN_N_M
+        i = max(bisect_left(force, force_n), 1)
+        if i == len(force):
+            return least[0], greatest[0]
+        share = (force_n - force[i - 1]) / (force[i] - force[i - 1])
+        low, high = (one[i - 1] + share * (one[i] - one[i - 1]) for one in (least, greatest))
+        return low, high
+
+
+class StiffnessCorridor:
+    """Least and greatest stiffness at a force, for one tool on one skin.
+
+    Args:
+        stated: range that the rig states for them; None where it states none.
+    """
+
+    def __init__(self, stated: StiffnessRange | None = None) -> None:
+        self._stated = stated
         self._felt: dict[int, deque[float]] = defaultdict(lambda: deque(maxlen=KEPT))
         self._median: dict[int, float] = {}
         self._rise: dict[int, list[float]] = {}
@@ -69,6 +126,10 @@ class StiffnessCorridor:
         bin_ = self._nearest(math.frexp(max(force_n, 1e-9))[1])
         above = max(force_n / 2.0 ** (bin_ - 1), 1.0)
         return self._median[bin_] * WIDE_HIGH * above**GROWTH
+
+    def stated_n_m(self, force_n: float) -> tuple[float, float]:
+        """Return the stated least and greatest stiffness; 0 and `UNKNOWN_N_M` without a range [N/m]."""
+        return (0.0, UNKNOWN_N_M) if self._stated is None else self._stated.at(force_n)
 
     def _nearest(self, bin_: int) -> int:
         if bin_ in self._median:

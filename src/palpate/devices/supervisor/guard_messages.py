@@ -43,12 +43,17 @@ def sample_of(row: Row) -> Wrench:
     return Wrench(int(time_ns), (fx, fy, fz), (tx, ty, tz), str(fault))
 
 
-def error_fields(error: BaseException) -> dict[str, str]:
+def error_fields(error: BaseException) -> dict[str, Any]:
     """An error as plain values."""
     if isinstance(error, OperatorInterrupt):
         return {"kind": "OperatorInterrupt", "error": error.command.value}
     if isinstance(error, Tripped):
-        return {"kind": "Tripped", "error": str(error), "reason": error.reason.value}
+        return {
+            "kind": "Tripped",
+            "error": str(error),
+            "reason": error.reason.value,
+            "numbers": error.numbers,
+        }
     known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
     return {"kind": next(known, type(error).__name__), "error": str(error)}
 
@@ -59,7 +64,7 @@ def error_of(fields: Mapping[str, Any]) -> Exception:
     if kind == "OperatorInterrupt":
         return OperatorInterrupt(OperatorCommand(text))
     if kind == "Tripped":
-        return Tripped(Reason(str(fields.get("reason"))), text)
+        return Tripped(Reason(str(fields.get("reason"))), text, fields.get("numbers"))
     family = getattr(errors, kind, None)
     if isinstance(family, type) and issubclass(family, PalpateError):
         return family(text)

@@ -22,6 +22,7 @@ from typing import Any
 from palpate.core import Clock, DeviceError, ForceSensor, InputError, PalpateError, Position, Stage
 from palpate.devices.device_proxies import StageProxy
 from palpate.devices.force_bias import ForceBias, Mounting
+from palpate.devices.force_trust import StiffnessRange
 from palpate.devices.motion_guard import Clearance, ForceReached, MotionGuard
 from palpate.devices.motion_limits import Limits, Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
@@ -77,7 +78,7 @@ class GuardSupervisor:
             "begin": self._begin, "end": self._end, "towards": self._towards, "away": self._away,
             "lift": lambda _: self._begun().lift(), "wait": self._wait, "look": self._look,
             "tare": self._tare, "clearance": self._set_clearance, "position": self._position,
-            "newest": self._newest, "new_tool": lambda _: self._begun().new_tool(),
+            "newest": self._newest, "new_tool": self._new_tool,
             "learn_press": lambda _: self._begun().learn_press(), "drain": self._drain,
             "moving": lambda _: self._stage.moving(), "release": lambda _: self._stage.release(),
         }  # fmt: skip
@@ -253,6 +254,10 @@ class GuardSupervisor:
         bias = self._bias
         zero = {"force_n": bias.force_n, "torque_nm": bias.torque_nm, "noise_n": bias.noise_n}
         return zero | {"samples": [sample_row(one) for one in samples]}
+
+    def _new_tool(self, order: Mapping[str, Any]) -> None:
+        stated = order["stated"]
+        self._begun().new_tool(stated and StiffnessRange(**{name: tuple(stated[name]) for name in stated}))
 
     def _set_clearance(self, order: Mapping[str, Any]) -> None:
         self._begun().clearance = Clearance(float(order["z_m"]), float(order["speed_m_s"]))

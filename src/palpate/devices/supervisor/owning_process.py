@@ -13,7 +13,7 @@ import threading
 import time
 from _thread import interrupt_main
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from itertools import chain
 from types import FrameType
 from typing import Any, BinaryIO, Protocol
@@ -24,12 +24,12 @@ from palpate.core.plugins import ERROR, plugin_calls
 from palpate.devices.rpc import Address, hold, publish, supervisor_name
 from palpate.devices.rpc_server import RpcServer
 from palpate.devices.supervisor.guard_messages import PipeWriter, error_fields, read_messages
+from palpate.devices.supervisor.process_priority import Facts, request_priority
 
 SWITCH_S = 0.001  # between threads, so that a stop does not wait for what others compute
 LET_GO_S = 8.0  # in which the process before this one has made its devices safe and is gone
 AGAIN_S = 0.1
 SAID_S = 5.0
-NICENESS = -10
 GIVEN_UP = (
     "the devices were let go before all of them were open: a stop was asked for, or whoever opened them left"
 )
@@ -73,11 +73,11 @@ def run_owner(opens: Opens) -> int:
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _give_up)
-    _ask_for_priority()
+    priority = request_priority()  # before any thread is started
     writer = PipeWriter(to)
     try:
         with thread_failures(), ExitStack() as opened:
-            _serve(opens, writer, opened)
+            _serve(opens, writer, opened, priority)
     except (Exception, KeyboardInterrupt) as e:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a client that hears this goes, and that is no fault
         told = DeviceError(GIVEN_UP) if isinstance(e, KeyboardInterrupt) else e
@@ -90,7 +90,7 @@ def run_owner(opens: Opens) -> int:
     return 0
 
 
-def _serve(opens: Opens, writer: PipeWriter, opened: ExitStack) -> None:
+def _serve(opens: Opens, writer: PipeWriter, opened: ExitStack, priority: Facts) -> None:
     messages = read_messages(0)
     first = next(messages, None)
     if first is None:
@@ -109,15 +109,8 @@ def _serve(opens: Opens, writer: PipeWriter, opened: ExitStack) -> None:
     stops.owner = owner
     signal.signal(signal.SIGTERM, lambda *_: owner.leave())
     reader.pass_on_to(owner)
-    writer.send({"opened": True, "ok": True, "result": facts})
+    writer.send({"opened": True, "ok": True, "result": facts | priority})
     owner.serve()
-
-
-def _ask_for_priority() -> None:
-    """Ask to be woken before others; most systems allow that to an administrator alone."""
-    if hasattr(os, "setpriority"):
-        with suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
 
 
 def _give_up(number: int, frame: FrameType | None) -> None:

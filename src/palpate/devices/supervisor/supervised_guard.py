@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any
 
 from palpate.core import ForceSensor, Position, Wrench
 from palpate.devices.force_bias import Force, ForceBias
+from palpate.devices.force_trust import StiffnessRange
 from palpate.devices.motion_guard import Clearance, ForceReached, Subscribers
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
@@ -80,9 +82,9 @@ class SupervisedGuard:
         bias.noise_n = float(zero["noise_n"])
         return [sample_of(row) for row in zero["samples"]]
 
-    def new_tool(self) -> None:
-        """Forget the stiffness that was learnt: another tool or skin follows."""
-        self._order("new_tool")
+    def new_tool(self, stated: StiffnessRange | None = None) -> None:
+        """Forget the stiffness that was learnt: another tool or skin follows; its range may be stated."""
+        self._order("new_tool", stated=None if stated is None else asdict(stated))
 
     def learn_press(self) -> None:
         """Learn the skin's stiffness from the way down that went well just now."""

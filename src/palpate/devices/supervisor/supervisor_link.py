@@ -29,6 +29,11 @@ class SupervisorLink(ProcessLink):
         self.stage = SupervisedStage(self)
         super().__init__(words, opens, TOLD)
 
+    @property
+    def scheduling(self) -> dict[str, str]:
+        """Scheduling that the process was granted, see `request_priority`."""
+        return {name: str(self.facts.get(name, "")) for name in ("scheduling", "remedy")}
+
 
 class SupervisedStage:
     """A `palpate.core.Stage` that a supervisor owns: it says where it is, and stops; the guard moves it."""

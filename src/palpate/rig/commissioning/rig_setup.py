@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -383,6 +384,8 @@ def _weight(made: SetUp, answers: Answers, say: Say, clock: Clock) -> None:
     finally:
         sensor.close()
     _take_scale(part, found, answers, say)
+    today = datetime.now(UTC).date().isoformat()
+    made.fields["known_weight"] = {"measured_on": today, "mass_g": mass_g, "factor": round(found.factor, 5)}
     if not confirm(answers, "weight_off", "Take the weight off again; is it off", True):
         raise InputError("the weight has to be off before anything moves; begin anew")
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from datetime import date
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from palpate.core import RangeError
 from palpate.devices import Limits
 from palpate.devices.file_fields import MM, Part, Three, check_above, check_below, metres
+from palpate.devices.force_trust import StiffnessRange
 from palpate.rig.plans.press_places import Positive
+from palpate.rig.press_retries import RetryLimits
 from palpate.rig.virtual.disturbances import Kind
 
 MAX_LIMITS: dict[str, float] = {
@@ -62,6 +66,54 @@ class LimitsPart(Part):
             overshoot_m=self.overshoot_mm * MM,
             step_m=self.step_mm * MM,
         )
+
+
+class RetriesPart(Part):
+    """Number of times that presses are repeated after a transient fault. See `RetryLimits`."""
+
+    per_press: Annotated[int, Field(ge=0, le=100)] = 3
+    per_session: Annotated[int, Field(ge=0, le=10_000)] = 20
+    wait_s: Annotated[float, Field(ge=0, le=600, allow_inf_nan=False)] = 1.0
+
+    def limits(self) -> RetryLimits:
+        """Return the limits."""
+        return RetryLimits(self.per_press, self.per_session, self.wait_s)
+
+
+class StiffnessPart(Part):
+    """Range of stiffness that an indenter meets on this skin, over the normal force. See `StiffnessRange`."""
+
+    indenter: Annotated[str, Field(min_length=1, max_length=100)]
+    force_N: tuple[Positive, ...]  # noqa: N815 - the unit is part of the name
+    least_N_mm: tuple[Positive, ...]  # noqa: N815
+    greatest_N_mm: tuple[Positive, ...]  # noqa: N815
+    measured_on: date | None = None
+
+    @model_validator(mode="after")
+    def _allowed(self) -> StiffnessPart:
+        self.range()
+        return self
+
+    def range(self) -> StiffnessRange:
+        """Convert to SI.
+
+        Raises:
+            InputError: no increasing forces, or an empty range.
+        """
+        per_m = 1 / MM
+        least, greatest = (tuple(n * per_m for n in one) for one in (self.least_N_mm, self.greatest_N_mm))
+        try:
+            return StiffnessRange(self.force_N, least, greatest)
+        except RangeError as e:
+            raise ValueError(str(e)) from e
+
+
+class KnownWeightPart(Part):
+    """Known weight that was laid on the force sensor, and when; `factor` is its force over the one read."""
+
+    measured_on: date
+    mass_g: Positive
+    factor: Positive = 1.0
 
 
 class FaultPart(Part):

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Tag, field_validator
+from pydantic import Discriminator, Field, Tag, field_validator
 
 from palpate.core import (
     DEFAULT_SENSOR,
@@ -36,7 +36,14 @@ if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
 
 from palpate.devices.file_fields import Part, Three, metres, read_toml, validated
-from palpate.rig.rig_file.motion_parts import LimitsPart, RegionPart, VirtualPart
+from palpate.rig.rig_file.motion_parts import (
+    KnownWeightPart,
+    LimitsPart,
+    RegionPart,
+    RetriesPart,
+    StiffnessPart,
+    VirtualPart,
+)
 from palpate.rig.rig_file.sensor_parts import (
     FollowingPart,
     ForcePluginPart,
@@ -102,6 +109,9 @@ class RigFile(Part):
         licence, origin: of what is recorded.
         regions: of the picture, each (x, y, width, height) [px].
         label_force: a second force sensor, which labels and does not guard, and so may be slow.
+        retries: of presses that a transient fault ended.
+        stiffness: range of stiffness that each indenter meets, checked from the first press on.
+        known_weight: that was laid on the force sensor, and when.
     """
 
     name: str
@@ -116,6 +126,9 @@ class RigFile(Part):
     camera: CameraPart | None = None
     label_force: ForcePart | None = None
     limits: LimitsPart | None = None
+    retries: RetriesPart = Field(default_factory=RetriesPart)
+    stiffness: tuple[StiffnessPart, ...] = ()
+    known_weight: KnownWeightPart | None = None
     regions: tuple[RegionPart, ...] = ()
 
     @field_validator("label_force")
@@ -245,6 +258,7 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
             label_force=second,
             label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),
             supervisor=supervisor,
+            **_stated(file),
         )
         _check_range(rig)
         opened.pop_all()
@@ -331,7 +345,18 @@ def _virtual(file: RigFile, part: VirtualPart) -> Rig:
         askew_m=metres(part.askew_mm),
     )
     _check_range(rig)
-    return replace(rig, name=f"{file.name}, {rig.name}", regions=_regions(file) or rig.regions)
+    regions = _regions(file) or rig.regions
+    return replace(rig, name=f"{file.name}, {rig.name}", regions=regions, **_stated(file))
+
+
+def _stated(file: RigFile) -> dict[str, Any]:
+    """Fields of a rig that its file states and no device gives."""
+    weighed = file.known_weight
+    return {
+        "retries": file.retries.limits(),
+        "stiffness": {part.indenter: part.range() for part in file.stiffness},
+        "weighed_on": "" if weighed is None else weighed.measured_on.isoformat(),
+    }
 
 
 def _check_range(rig: Rig) -> None:

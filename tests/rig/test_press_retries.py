@@ -1,0 +1,213 @@
+"""A transient fault rejects one attempt at a press, which is repeated; every other fault ends the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
+
+from palpate.core import NS_PER_S, ManualClock, RangeError, Wrench
+from palpate.core.errors import DeviceError, InputError
+from palpate.devices import Reason
+from palpate.recordings import Run, check
+from palpate.rig import State, record
+from palpate.rig.plans import Listed, Ramp
+from palpate.rig.press_retries import REJECTED, TRANSIENT, RetryLimits
+from palpate.rig.run_progress import fields_of
+from palpate.rig.skin_stiffness import stiffness_of
+
+PLACE = Listed(kind="listed", at_mm=((0.0, 0.0),))
+SMALL = plan(cycles=1, depth_mm=0.8, places=PLACE)
+DEEP_M = 0.3e-3  # of the stage, below the surface: in the first move after contact
+ALLOWED_S = 0.04  # age of a sample at 2 mm/s: 0.08 mm over the speed
+
+
+class Flaky:
+    """A device that does not answer as it should for some time, once the stage has come to some depth.
+
+    Args:
+        device: force sensor or camera.
+        stage: whose depth counts.
+        how: "late" keeps samples and stamps them on arrival, "lost" drops them, "silent" raises.
+        seconds: how long.
+        times: how often.
+        offset_n: added to the normal force from the first lift after that on.
+    """
+
+    def __init__(
+        self, device: Any, stage: Any, how: str, seconds: float, times: int = 1, offset_n: float = 0.0
+    ) -> None:
+        self._device, self._stage, self._how, self._seconds = device, stage, how, seconds
+        self._clock = stage._world.clock
+        self._left, self._offset_n = times, offset_n
+        self._until_ns, self._begun, self._was_up, self._moved_n = 0, False, True, 0.0
+        self._kept: list[Wrench] = []
+        self.deepest_m = -1.0  # since the fault began
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def _on(self) -> bool:
+        z, now_ns = self._stage.position_m()[2], self._clock.now_ns()
+        self._was_up = self._was_up or z < 0
+        if self._was_up and self._left > 0 and z > DEEP_M:
+            self._left, self._was_up, self._begun = self._left - 1, False, True
+            self._until_ns = now_ns + round(self._seconds * NS_PER_S)
+            self.deepest_m = -1.0
+        if self._begun:
+            self._moved_n = self._offset_n if z < 0 else self._moved_n
+            self.deepest_m = max(self.deepest_m, z)
+        if now_ns < self._until_ns and self._how == "silent":
+            raise DeviceError("no answer")
+        return now_ns < self._until_ns
+
+    def _moved(self, one: Wrench) -> Wrench:
+        x, y, z = one.force_n
+        return replace(one, force_n=(x, y, z + self._moved_n))
+
+    def drain(self) -> list[Any]:
+        on, fresh, now_ns = self._on(), self._device.drain(), self._clock.now_ns()
+        if on:
+            self._kept += fresh if self._how == "late" else []
+            return []
+        if self._kept:
+            fresh, self._kept = [replace(one, time_ns=now_ns) for one in (*self._kept, *fresh)], []
+        return [self._moved(one) if isinstance(one, Wrench) else one for one in fresh]
+
+    def latest(self) -> Wrench:
+        if not self._on() or not hasattr(self, "_last"):
+            self._last = self._device.latest()
+        return self._moved(self._last)
+
+    def grab(self, timeout_s: float = 1.0) -> Any:
+        if self._on():
+            self._clock.sleep(timeout_s)
+            raise DeviceError("no frame")
+        return self._device.grab(timeout_s)
+
+
+def recorded(
+    out: Path,
+    how: str,
+    seconds: float,
+    *,
+    times: int = 1,
+    offset_n: float = 0.0,
+    limits: RetryLimits | None = None,
+    device: str = "force",
+    of: Any = SMALL,
+) -> tuple[Any, Flaky]:
+    """Record a plan on a rig whose device fails for a while."""
+    sound = rig()
+    flaky = Flaky(getattr(sound, device), sound.stage, how, seconds, times, offset_n)
+    faulty = replace(sound, **{device: flaky}, retries=limits or RetryLimits())
+    return record(faulty, of, out), flaky
+
+
+@pytest.mark.parametrize(
+    ("how", "seconds", "reasons"),
+    [
+        ("late", 0.042, {Reason.FORCE_LATE}),
+        ("lost", 0.042, {Reason.FORCE_LATE}),
+        ("lost", 0.2, {Reason.FORCE_LATE, Reason.FORCE_SLOW, Reason.FORCE_STALE}),
+        ("silent", 0.5, {Reason.FORCE_SENSOR}),
+    ],
+)
+def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
+    tmp_path: Path, how: str, seconds: float, reasons: set[Reason]
+) -> None:
+    outcome, _ = recorded(tmp_path / "run", how, seconds)
+    assert outcome.state is State.DONE, outcome
+    assert outcome.retries == 1
+    run = Run.open(tmp_path / "run")
+    (event,) = fields_of(run, REJECTED)
+    assert event["reason"] in {one.value for one in reasons}
+    assert (event["attempt"], event["cycle"], event["retried"]) == (1, 1, True)
+    if how != "silent":
+        numbers: Any = event["numbers"]
+        assert numbers["allowed_s"] == pytest.approx(ALLOWED_S)
+        assert numbers["allowed_s"] < next(v for k, v in numbers.items() if k != "allowed_s")
+    assert sorted(keys(run)) == sorted(wanted(SMALL)), "each frame once"
+    labels = run.labels
+    valid = labels["approach"][labels["shot"].notna()]
+    assert not set(valid) & set(event["approaches"])  # type: ignore[call-overload]
+    assert check(run.path).sound
+    with pytest.raises(InputError):
+        stiffness_of(run)  # of presses without a fault alone
+
+
+def test_without_retries_one_late_sample_ends_the_run_and_the_next_command_completes_it(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "run"
+    outcome, _ = recorded(out, "late", 0.042, limits=RetryLimits(per_press=0))
+    assert (outcome.state, outcome.reason, outcome.retries) == (State.FAILED, Reason.FORCE_LATE, 0)
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), SMALL, out).state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(SMALL))
+
+
+@pytest.mark.parametrize(
+    ("limits", "attempts"),
+    [(RetryLimits(2, 20, 0.1), 3), (RetryLimits(5, 1, 0.1), 2)],
+    ids=["per press", "per session"],
+)
+def test_retries_end_at_their_limits_with_the_fault_s_code(
+    tmp_path: Path, limits: RetryLimits, attempts: int
+) -> None:
+    out = tmp_path / "run"
+    outcome, _ = recorded(out, "late", 0.045, times=99, limits=limits)
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_LATE)
+    events = fields_of(Run.open(out), REJECTED)
+    assert [event["retried"] for event in events] == [True] * (attempts - 1) + [False]
+    assert outcome.retries == attempts - 1
+    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), SMALL, out).state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(SMALL))
+
+
+def test_a_sensor_that_stays_silent_is_never_pressed_under_again(tmp_path: Path) -> None:
+    outcome, flaky = recorded(tmp_path / "run", "lost", 1e6)
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_STALE)
+    assert flaky.deepest_m < DEEP_M + 0.25e-3, "the move that was sent, and nothing after it"
+    assert len(fields_of(Run.open(tmp_path / "run"), REJECTED)) == 1 + RetryLimits().per_press
+
+
+def test_a_force_that_is_not_zero_at_the_clearance_ends_the_run(tmp_path: Path) -> None:
+    outcome, flaky = recorded(tmp_path / "run", "late", 0.045, offset_n=0.4)
+    assert outcome.state is State.FAILED
+    assert outcome.reason in (Reason.FORCE_DRIFT, Reason.TOUCHED_EARLY)
+    assert flaky.deepest_m < DEEP_M + 0.25e-3
+    stands_m = flaky._stage.position_m()[2]
+    assert stands_m <= -CLEARANCE_MM * 1e-3 + 1e-9
+
+
+def test_a_sweep_without_frames_for_a_while_is_repeated_and_its_frames_void(tmp_path: Path) -> None:
+    swept = Ramp(
+        name="ramp", kind="swept", places=PLACE, cycles=1, until_N=2.0, taps=0, clearance_mm=CLEARANCE_MM
+    )
+    outcome, _ = recorded(tmp_path / "run", "lost", 0.8, device="camera", of=swept)
+    assert (outcome.state, outcome.retries) == (State.DONE, 1), outcome
+    run = Run.open(tmp_path / "run")
+    (event,) = fields_of(run, REJECTED)
+    labels = run.labels[run.labels["shot"].notna()]
+    assert set(labels["approach"]).isdisjoint(event["approaches"])  # type: ignore[call-overload]
+    numbers = labels["frame_in_shot"][labels["phase"] == "sweep"].astype(int)
+    assert list(numbers) == list(range(len(numbers))), "one sweep, from its first frame to its last"
+
+
+def test_faults_that_imply_damage_are_never_transient() -> None:
+    ends = {
+        Reason.FORCE_LIMIT, Reason.FORCE_RATE, Reason.FORCE_FAULT, Reason.FORCE_DRIFT, Reason.TOUCHED_EARLY,
+        Reason.STAGE, Reason.STAGE_LATE, Reason.HARDWARE_STOP, Reason.SUPERVISOR, Reason.FORCE_DEAD,
+        Reason.FORCE_REVERSED, Reason.FORCE_SCALED, Reason.FORCE_STUCK, Reason.FORCE_IMPLAUSIBLE,
+    }  # fmt: skip
+    assert not ends & TRANSIENT
+    assert not any(RetryLimits().allow(one, 1, 0) for one in ends)
+
+
+@pytest.mark.parametrize("wrong", [{"per_press": -1}, {"per_session": -1}, {"wait_s": float("nan")}])
+def test_limits_of_retries_are_numbers_of_zero_or_more(wrong: dict[str, Any]) -> None:
+    with pytest.raises(RangeError):
+        RetryLimits(**wrong)
