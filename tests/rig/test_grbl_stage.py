@@ -14,7 +14,7 @@ from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
 from palpate.rig.fakes.grbl_controller import CANCEL
-from palpate.rig.fakes.grbl_parameters import GrblParameters
+from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real import serial_port
 from palpate.rig.real.grbl import grbl_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage
@@ -28,7 +28,7 @@ MODELS = {
     "Grbl": GrblParameters(homed=True),
     "Grbl, jogs held": GrblParameters(homed=True, hold_cancels_jog=False),
     "grblHAL": GrblParameters(firmware="grblHAL", homed=True),
-    "work coordinates": GrblParameters(homed=True, settings={10: 2}, offset_mm=(3.0, -4.0, 5.0)),
+    "work offset": GrblParameters(homed=True, offset_mm=(3.0, -4.0, 5.0)),
     "slow to obey": GrblParameters(homed=True, latency_s=0.02),
     "slow to obey, jogs held": GrblParameters(homed=True, latency_s=0.02, hold_cancels_jog=False),
 }
@@ -45,6 +45,45 @@ def metres(machine_mm):
 
 def test_it_is_a_stage(grbl_bench):
     assert isinstance(grbl_bench().open(), Stage)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "reports", "remedy"),
+    [
+        *(("1.1h", 0, 1), ("1.1h", 2, 1), ("grblHAL", 1, 511), ("grblHAL", 510, 511)),
+        *(("1.1h", 1, None), ("grblHAL", 17, None), ("grblHAL", 511, None)),
+    ],
+)
+def test_reports_without_coordinates_or_inputs_are_refused_with_the_remedy(
+    grbl_bench, firmware, reports, remedy
+):
+    bench = grbl_bench(GrblParameters(firmware, homed=True, settings={10: reports}))
+    if remedy is None:
+        assert bench.open().position_m()
+        return
+    with pytest.raises(DeviceError, match=rf"\$10={remedy} "):
+        bench.open()
+
+
+def test_one_wrong_digit_counts_only_when_a_second_report_confirms_it(grbl_bench, model):
+    bench = grbl_bench(model, GrblFaults(wrong_digit_every=11))
+    stage = bench.open()
+    for target in ((-0.048, 0.050, 0.0521), START):
+        stage.move_to(target, 0.01)
+        bench.arrive(stage)
+        assert stage.position_m() == pytest.approx(target, abs=1e-6)
+    assert bench.firmware.wire.reports > 22
+
+
+def test_a_wrong_digit_in_every_report_is_a_lost_position(grbl_bench):
+    bench = grbl_bench()
+    stage = bench.open()
+    bench.spoil(GrblFaults(wrong_digit_every=1))
+    with pytest.raises(DeviceError):
+        stage.position_m()
+    bench.spoil(GrblFaults())
+    with pytest.raises(DeviceError):
+        stage.position_m()
 
 
 def test_it_goes_where_it_is_sent(grbl_bench, model):
@@ -161,8 +200,8 @@ def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_bench, monkeyp
     bench.say(b"!")
     reset, held = stage._session.reset, []
 
-    def reset_and_hold():  # as another thread's stop can
-        reset()
+    def reset_and_hold(**words):  # as another thread's stop can
+        reset(**words)
         if len(held) < 2:
             held.append(True)
             stage._link.slow_down(b"!")

@@ -8,6 +8,7 @@ them, and do not depend on its pace.
 from __future__ import annotations
 
 import math
+import random
 import time
 from contextlib import ExitStack
 
@@ -16,14 +17,17 @@ from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
 
 from palpate.core import DeviceError, MonotonicClock, RangeError
 from palpate.devices.check import check_stage
+from palpate.rig.real.grbl.grbl_link import RefusedError
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
-SETTINGS = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1", "$100=250", "$101=250", "$102=250")
+SETTINGS = ("$20=0", "$22=0", "$21=0", "$13=0", "$100=250", "$101=250", "$102=250")
+REPORTS = {"1.1h": "$10=1", "grblHAL": "$10=511"}
 MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200", "$130=100", "$131=100")
 WHERE = {
     f"{kind} {firmware}": (kind, firmware) for kind in ("fake", "real") for firmware in ("1.1h", "grblHAL")
 }
+SHORT_JOGS = 100
 LATENCY_S = 0.05
 SPEED_M_S = 0.010
 BOUND_MM = 10.0**2 / (2 * 50.0) + 10.0 * LATENCY_S + 0.02  # v^2/2a, v latency, and two steps
@@ -38,7 +42,7 @@ def where(request, tmp_path):
         path = stack.enter_context(fake(firmware) if kind == "fake" else simulator(tmp_path, firmware))
         with Talk(path) as talk:
             talk.wake()
-            for line in (*SETTINGS, *MOTION, "$X"):
+            for line in (*SETTINGS, REPORTS[firmware], *MOTION, "$X"):
                 assert talk.send(line)[-1] == "ok", line
         yield path, firmware
 
@@ -105,6 +109,34 @@ def test_twenty_stops_lose_no_step(stage):
     assert counted_mm(stage) == pytest.approx(stage._session.mount.machine_mm((0.0, 0.0, 0.0)), abs=0.01)
 
 
+@pytest.mark.slow
+def test_stops_of_short_jogs_at_random_lose_no_position(stage):
+    """Many of these stops meet the end of their jog."""
+    rng = random.Random(41)
+    for _ in range(SHORT_JOGS):
+        x_m = stage.position_m()[0]
+        length_m = math.copysign(rng.uniform(1e-4, 6e-4), -x_m)
+        stage.move_to((x_m + length_m, 0.0, 0.0), SPEED_M_S)
+        time.sleep(rng.uniform(0.0, 2.0 * math.sqrt(abs(length_m) / 0.05) + 0.03))
+        stage.stop()  # a lost position is an error
+        assert stage.position_m()[0] == pytest.approx(counted_mm(stage)[0] / 1e3, abs=1e-6)
+
+
+def test_a_door_command_in_a_jog_keeps_the_position(where):
+    """grblHAL stays in Jog, standing, until its own stop command."""
+    with GrblStage.open(spec(where[0], still_s=3.0)) as stage:
+        stage.reference((0.0, 0.0, 0.0))
+        run_up(stage, (0.045, 0.0, 0.0))
+        stage._link._write(b"\x84")
+        with pytest.raises(DeviceError):
+            arrive(stage)
+        stage.stop()
+        assert stage.position_m()[0] < 0.04
+        stage.move_to((0.0, 0.0, 0.0), 0.02)
+        arrive(stage)
+        assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
+
+
 def test_without_the_jog_cancel_only_1_1_stops_short(where):
     """The control: grblHAL ignores a hold in a jog, and the stop says that it went on."""
     path, firmware = where
@@ -147,7 +179,12 @@ def test_a_hold_of_a_programmed_move_is_cleared_by_a_stop(stage):
 
 
 @pytest.mark.parametrize(("line", "state"), [("$SLP", "Sleep"), ("$C", "Check")])
-def test_sleep_and_check_are_cleared_by_a_stop(stage, line, state):
+def test_sleep_and_check_are_cleared_by_a_stop(where, stage, line, state):
+    if line == "$SLP" and where[1] == "grblHAL":
+        with pytest.raises(RefusedError) as caught:
+            stage._link.command(line)
+        assert caught.value.code == 3
+        return
     stage._link.command(line)
     while stage._link.report(PATIENCE_S).status.state != state:
         time.sleep(0.05)

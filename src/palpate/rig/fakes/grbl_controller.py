@@ -19,8 +19,9 @@ PLANNER, RX_BYTES = 15, 128
 Work = Generator[None, None, str]
 """A line being done: it yields while it has to wait, and returns its answer."""
 _TICK_S = 0.002
-HOLD, CANCEL, DOOR, RESET = ord("!"), 0x85, 0x84, 0x18
-_REALTIME = {ord("?"), HOLD, ord("~"), RESET}
+HOLD, CANCEL, DOOR, RESET, STOP = ord("!"), 0x85, 0x84, 0x18, 0x19
+_REALTIME = {ord("?"), HOLD, ord("~"), RESET, STOP}
+_FEED, _PINS, _OFFSETS = 8, 16, 32  # bits of $10 on grblHAL; Grbl 1.1 always reports these fields
 
 
 class GrblController:
@@ -37,10 +38,19 @@ class GrblController:
     - Jog cancel 0x85 ends a jog at Idle with its place kept, on both; in any other state it does nothing.
       Observed. On grblHAL it also drops lines that were not read yet, which are then never answered (its
       public documentation).
-    - A jog cancel that meets the very end of its jog leaves 1.1h Idle and deaf to lines until `~` or 0x18:
-      github.com/gnea/grbl/issues/195.
-    - The door, by its input or 0x84, stops every motion: a jog is cancelled first, then the state is Door. An
-      input that stays open brings Door back after a reset. Public Grbl 1.1 interface description.
+    - A jog cancel that meets the very end of its jog leaves grblHAL Idle, suspended, and deaf to lines. 0x18
+      then locks it with ALARM:3 although nothing moves. 0x19 removes the suspended hold, so that 0x18 keeps
+      the place; whether it also hears lines after 0x19 alone is `stop_hears`. Observed on grblHAL; 1.1h shows
+      no such state (120 stops).
+    - 0x19 on grblHAL slows any motion down to Idle and keeps the place. In Alarm it unlocks. 1.1h ignores it.
+      Observed.
+    - The door, by its input or 0x84, stops every motion on 1.1h: a jog is cancelled first, then the state is
+      Door. An input that stays open brings Door back after a reset. Public Grbl 1.1 interface description;
+      stock 1.1h has no such input.
+    - The door in a jog on grblHAL slows it down to a stand that is reported as Jog with Pn:D, never as Door,
+      and deaf. 0x18 then raises ALARM:3. 0x19 ends it once the door is closed; before, it leaves the Jog for
+      good. `~` after closing goes on to the target, as Run. Observed.
+    - The hold's input stops a move (Run) as the byte does, and no jog on either. Observed.
     - 0x18 at a stand keeps the place; in motion it loses steps and locks with ALARM:3, while homing with
       ALARM:6. Observed.
     - After `$SLP` (Sleep) and `$C` (Check) only 0x18 brings it back. Observed. Sleep switches the motors off
@@ -53,14 +63,13 @@ class GrblController:
         received: every byte that came, for tests to look at.
         stops: each byte that asked for a stop, in the order of coming, with the true place then [mm].
         door_open: the door's input.
-        hold_pressed: the hold's input. What it does is what the byte does (public Grbl 1.1 interface
-            description); whether grblHAL ignores it in a jog, as it does the byte, was not observed.
+        hold_pressed: the hold's input.
     """
 
     def __init__(self, model: GrblParameters, faults: GrblFaults, now_s: float) -> None:
         self.model = model
         self.wire = OutgoingLines(faults, model.print_s)
-        self.settings = {**SETTINGS, **model.settings}
+        self.settings = {**SETTINGS, **({10: 511} if self._hal else {}), **model.settings}
         self.received = bytearray()
         self.stops: list[tuple[int, Millimetres]] = []
         self.door_open = self.hold_pressed = False
@@ -115,9 +124,10 @@ class GrblController:
             return f"Door:{int(self.door_open) if stands else 2}"
         if self._holding:
             return "Hold:0" if stands else "Hold:1"
-        if self._axes.blocks:
+        if self._axes.blocks or self._stranded:
             hidden = self._now_s - self._began_s < self.faults.idle_s
-            return "Idle" if hidden else "Jog" if self._jogging and not self._spoilt else "Run"
+            jogging = self._stranded or (self._jogging and not self._spoilt)
+            return "Idle" if hidden else "Jog" if jogging else "Run"
         return "Idle"
 
     def power_up(self) -> None:
@@ -138,7 +148,12 @@ class GrblController:
     def press_hold(self) -> None:
         """Press the hold's input, as a button on the machine does."""
         self.hold_pressed = True
-        self._realtime(HOLD)
+        if not (self._jogging and self._axes.blocks):
+            self._realtime(HOLD)
+
+    def close_door(self) -> None:
+        """Close the door's input."""
+        self.door_open = False
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host, now."""
@@ -146,6 +161,8 @@ class GrblController:
         if self._booting:
             return
         for byte in data:
+            if byte == STOP and not self._hal:
+                continue
             if byte in _REALTIME or byte >= 0x80:
                 self._realtime(byte)
             elif len(self._rx) < RX_BYTES:
@@ -202,8 +219,8 @@ class GrblController:
             self.power_up()
 
     def _serve(self) -> None:
-        """Get on with lines, until one has to wait; asleep, or hung after a jog cancel, it reads none."""
-        while not (self._sleeping or self._hung):
+        """Get on with lines, until one has to wait; asleep or suspended, it reads none."""
+        while not (self._sleeping or self._suspended or self._stranded):
             if self._work is None:
                 end = min((self._rx.find(c) for c in b"\r\n" if c in self._rx), default=-1)
                 if end < 0:
@@ -227,14 +244,16 @@ class GrblController:
             if self.wire.hears_question(self._now_s) and not mute:
                 self.wire.report(self._report(), self._now_s)
             return
-        if byte in (HOLD, CANCEL, DOOR, RESET):
+        if byte in (HOLD, CANCEL, DOOR, RESET, STOP):
             self.stops.append((byte, self.place_mm))
         if byte == RESET:
             self._soft_reset()
+        elif byte == STOP:
+            self._stop()
         elif byte == ord("~"):
-            self._hung = False
-            if not self.door_open:
-                self._holding = self._door = self._axes.holding = False
+            if not self.door_open and (self._axes.blocks or not self._stranded):
+                self._spoilt = self._spoilt or self._stranded
+                self._holding = self._door = self._stranded = self._axes.holding = False
         elif byte == CANCEL:
             self._cancel()
         elif byte in (HOLD, DOOR):
@@ -243,10 +262,22 @@ class GrblController:
     def _cancel(self) -> None:
         if self.faults.deaf_to_cancel:
             return
-        if self.model.firmware == "grblHAL":
+        if self._hal:
             self._rx.clear()
         if self._jogging and self._axes.blocks:  # told apart when it comes, not when it is taken up
             self._delay(CANCEL)
+
+    def _stop(self) -> None:
+        """0x19 of grblHAL."""
+        if self._homing or self._sleeping:
+            return
+        self._rx.clear()
+        self._hold_pending = False
+        self._suspended = self._suspended and not self.model.stop_hears
+        self._stranded = self._stranded and self.door_open
+        self._cancelling = self._axes.holding = bool(self._axes.blocks)
+        self._alarm = self._alarm and self._critical
+        self._say("[MSG:Stop]")
 
     def _delay(self, byte: int) -> None:
         if self.model.latency_s == 0:
@@ -258,13 +289,17 @@ class GrblController:
         """A hold, a jog cancel or the door, when the firmware comes to it."""
         if self._alarm or self._homing or self._checking or self._sleeping:
             return
-        jogging, hal = self._jogging and bool(self._axes.blocks), self.model.firmware == "grblHAL"
-        if byte == DOOR:
+        jogging, hal = self._jogging and bool(self._axes.blocks), self._hal
+        if byte == DOOR and jogging and hal:
+            self._stranded = self._axes.holding = True
+        elif self._stranded:
+            return
+        elif byte == DOOR:
             self._door = True
             self._cancelling = self._cancelling or jogging
             self._axes.holding = bool(self._axes.blocks)
         elif byte == CANCEL and not jogging:
-            self._hung = not hal
+            self._suspended = self._hold_pending = hal
         elif byte == CANCEL or (jogging and not hal and self.model.hold_cancels_jog):
             if not self._spoilt or self.model.cancel_after_hold:
                 self._cancelling = self._axes.holding = True
@@ -274,7 +309,8 @@ class GrblController:
             self._holding = self._axes.holding = True
 
     def _soft_reset(self) -> None:
-        moved, slept = self._axes.speed_mm_s > 0.0, self._sleeping
+        slept = self._sleeping
+        moved = self._axes.speed_mm_s > 0.0 or self._stranded or self._hold_pending
         stale = self._critical and self._work is not None
         homing = self._homing
         self._stop_dead()
@@ -308,7 +344,8 @@ class GrblController:
         self._holding = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
         self._sleeping = self._checking = self._door = False
         self._spoilt = False  # a hold has met a jog on grblHAL
-        self._hung = False  # a jog cancel has met the end of its jog
+        self._suspended = self._hold_pending = False  # a jog cancel has met the end of its jog on grblHAL
+        self._stranded = False  # the door was opened in a jog on grblHAL
         self._reports, self._began_s = 0, -math.inf
 
     def _lock(self, code: int) -> None:
@@ -318,15 +355,23 @@ class GrblController:
             self._say("[MSG:Reset to continue]")
 
     def _hard_but_answers(self) -> bool:
-        return self._hard and self.model.firmware == "grblHAL"
+        return self._hard and self._hal
+
+    @property
+    def _hal(self) -> bool:
+        return self.model.firmware == "grblHAL"
+
+    def _shows(self, field: int) -> bool:
+        """Whether $10 lets a field be reported."""
+        return not self._hal or bool(int(self.settings[10]) & field)
 
     def _greet(self, *, dump: bool = False) -> None:
         if dump:
             self._say("error:7")
             self._dump()
         if not self.faults.no_banner:
-            hal = self.model.firmware == "grblHAL"
-            self._say("", "GrblHAL 1.1f ['$' or '$HELP' for help]" if hal else "Grbl 1.1h ['$' for help]")
+            name = "GrblHAL 1.1f ['$' or '$HELP' for help]" if self._hal else "Grbl 1.1h ['$' for help]"
+            self._say("", name)
         if self._alarm:
             self._say("[MSG:'$H'|'$X' to unlock]")
 
@@ -346,12 +391,13 @@ class GrblController:
             fields.append(f"WPos:{in_words((x, y, z))}")
         if mask & 2:
             fields.append(f"Bf:{max(PLANNER - len(self._axes.blocks), 0)},{RX_BYTES - len(self._rx)}")
-        fields.append(f"FS:{self.speed_mm_s * 60:.0f},0")
-        if pins := "D" * self.door_open + "H" * self.hold_pressed:
+        if self._shows(_FEED):
+            fields.append(f"FS:{self.speed_mm_s * 60:.0f},0")
+        if (pins := "D" * self.door_open + "H" * self.hold_pressed) and self._shows(_PINS):
             fields.append(f"Pn:{pins}")
-        if self._reports % 10 == 2:
+        if self._reports % 10 == 2 and self._shows(_OFFSETS):
             fields.append(f"WCO:{in_words(offset)}")
-        if self.model.firmware == "grblHAL":
+        if self._hal:
             fields.append(f"H:{int(self.homed)}")
         return f"<{'|'.join(fields)}>"
 

@@ -52,7 +52,10 @@ class GrblFirmware(GrblController):
         if line == "$$":
             self._dump()
         elif line == "$I":
-            self._say(f"[VER:{self.model.firmware}.20190830:]", f"[OPT:V,{PLANNER},{RX_BYTES}]")
+            version = "1.1f.20260817" if self._hal else "1.1h.20190830"
+            self._say(f"[VER:{version}:]", f"[OPT:V,{PLANNER},{RX_BYTES}]")
+            if self._hal:
+                self._say("[FIRMWARE:grblHAL]")
         elif line == "$G":
             unit, how = "G20" if self._modes.inches else "G21", "G91" if self._modes.steps else "G90"
             feed = f"{self._modes.feed_mm_min:.0f}"
@@ -66,6 +69,8 @@ class GrblFirmware(GrblController):
             self._checking = True
             self._say("[MSG:Enabled]")
         elif line == "$SLP":
+            if self._hal:  # a default build has no sleep
+                raise RefusalError(3)
             self._reply("ok")
             self._sleeping = True
             self._say("[MSG:Sleeping]")

@@ -13,7 +13,7 @@ SETTINGS: dict[int, float] = {10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 27: 1} |
     for first, value in ((100, 250.0), (110, 1200.0), (120, 50.0), (130, 100.0))
     for axis in range(3)
 }
-"""Steps/mm, mm/min, mm/s^2 and mm of each axis, and the switches that matter here."""
+"""Steps/mm, mm/min, mm/s^2 and mm of each axis, and the switches that matter here; $10 of grblHAL is 511."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,8 @@ class GrblParameters:
             relatives of it do. On grblHAL a hold does not end a jog at all.
         cancel_after_hold: on grblHAL a jog cancel still ends a jog that a hold has met. Not observed either
             way; without it is the worse case, and so the default.
+        stop_hears: grblHAL, suspended after a jog cancel, hears lines again after 0x19 alone. Real simulators
+            were seen to need 0x18 after it (14 of 14), and so that is the default.
         latency_s: from a byte to its effect, for hold, door and jog cancel [s].
         print_s: how long it prints a report, in which the next `?` is lost [s]; 70 bytes at 115200 baud are
             6 ms. Zero where the clock is in the test's hand: there all is said at one instant.
@@ -47,6 +49,7 @@ class GrblParameters:
     switches: bool = True
     hold_cancels_jog: bool = True
     cancel_after_hold: bool = False
+    stop_hears: bool = False
     latency_s: float = 0.0
     print_s: float = 0.0
     offset_mm: Millimetres = NOWHERE
@@ -70,6 +73,7 @@ class GrblFaults:
         silent: it answers lines, and no `?`.
         lose_every, garble_every, late_every: of so many questions one is lost, of so many reports one has a
             damaged byte, or comes `late_s` late [s]; 0 for none.
+        wrong_digit_every: of so many reports one has a wrong digit in a coordinate; 0 for none.
         deaf_to_cancel: it drops 0x85; the control of tests that say what 0x85 is needed for.
     """
 
@@ -89,5 +93,6 @@ class GrblFaults:
     lose_every: int = 0
     garble_every: int = 0
     late_every: int = 0
+    wrong_digit_every: int = 0
     late_s: float = 2.0
     deaf_to_cancel: bool = False

@@ -52,6 +52,9 @@ class OutgoingLines:
         if _every(faults.garble_every, self.reports):
             middle = len(data) // 2
             data = data[:middle] + b"\xb0" + data[middle + 1 :]  # one byte with bits flipped
+        if _every(faults.wrong_digit_every, self.reports):
+            at = data.index(b".", data.index(b"Pos:")) - 1  # the ones of X
+            data = data[:at] + b"%d" % ((data[at] - ord("0") + 5) % 10) + data[at + 1 :]
         late_s = faults.late_s if _every(faults.late_every, self.reports) else self._print_s
         self._held_until_s = max(self._held_until_s, now_s + late_s)
         self._out += data

@@ -25,6 +25,7 @@ from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,
     Failed,
+    GrblState,
     GrblStatus,
     Line,
     Ok,
@@ -35,7 +36,9 @@ from palpate.rig.real.grbl.grbl_parser import (
 from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.serial_port import SerialPort
 
-HOLD, CANCEL, RESET, ASK = b"!", b"\x85", b"\x18", b"?"
+HOLD, CANCEL, STOP, RESET, ASK = b"!", b"\x85", b"\x19", b"\x18", b"?"  # Grbl 1.1 ignores STOP
+STOP_PINS = {"D": "its door input", "H": "its hold input"}  # letters in Pn: (Grbl 1.1 interface description)
+_RESET_ALARMS = {3, 6}  # alarms that a reset in motion or in homing raises before its banner
 MAX_SENT = 80  # bytes; the controller refuses longer lines
 KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
 MAX_READ_BYTES = 4096
@@ -101,6 +104,7 @@ class GrblLink:
         self.halts = 0  # calls of `halt`; a line asked for before the last one is not sent any more
         self.halted_ns = 0  # when the last one was
         self.banners = 0
+        self._banner_due = False  # an alarm announced a banner that has not come yet
         self.firmware = ""  # and version, as the last banner named them
         self.garbage = 0  # lines that are not GRBL's
         self.tail = HeardTail()
@@ -270,15 +274,19 @@ class GrblLink:
             return self.restless
 
     def slow_down(self, byte: bytes) -> None:
-        """Send `HOLD` or `CANCEL`."""
+        """Send `HOLD`, `CANCEL`, or `STOP`."""
         self._write(byte)
 
     def reset(self) -> bool:
         """Reset the controller, and wait for its banner; answers still due are forgotten.
 
+        The banner of a reset that an alarm has announced is not counted as the answer to this one.
+
         Returns:
             Whether the banner came.
         """
+        if self._banner_due:
+            self._wait(lambda: not self._banner_due, None)
         with self._news:
             banners = self.banners
         self._write(RESET)
@@ -370,7 +378,16 @@ class GrblLink:
             if isinstance(line, Banner):
                 self.banners += 1
                 self.firmware = f"{line.firmware} {line.version}"
+                self._banner_due = False
                 self._replies.clear()
             elif isinstance(line, Alarm):
-                self.alarm = line.code
+                self.alarm, self._banner_due = line.code, line.code in _RESET_ALARMS
             self._news.notify_all()
+        if isinstance(line, GrblStatus):
+            self._obey_inputs(line)
+
+    def _obey_inputs(self, status: GrblStatus) -> None:
+        """Cancel a jog while an input asks for a stop: no firmware was seen to stop a jog reliably by one."""
+        if status.state is GrblState.JOG and set(status.pins) & set(STOP_PINS):
+            with suppress(DeviceError):  # the link is buried then, which whoever waits is told
+                self._write(CANCEL)

@@ -11,6 +11,7 @@ from palpate.rig.real.grbl.grbl_supervisor import S_PER_MIN, GrblMachine
 Millimetres = tuple[float, float, float]
 _REPORTED_MM = 0.001  # resolution of a status report
 _UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}
+_CLOCKS = 1.05  # ratio of the controller's clock and ours, at most
 _SOONEST = 0.9  # of a move's time, speeding up and slowing down: an Idle before that is of another moment
 
 
@@ -62,6 +63,13 @@ class MoveSupervisor:
             return ""
         way = f"from {shown(self.start_mm)} to {shown(self.target_mm)}"
         return f"the stage reports {shown(place_mm)}, {off:.3f} mm off its way {way} (machine coordinates)"
+
+    def plausible(self, place_mm: Millimetres, at_ns: int) -> bool:
+        """Whether it can be there: on its way, not behind the last report, and not ahead of its speed."""
+        least_mm = math.dist(self.start_mm, self.place_mm) - self.tolerance_mm
+        since_s = _CLOCKS * (at_ns - self._began_ns) / NS_PER_S
+        most_mm = since_s * self.feed_mm_min / S_PER_MIN + self.tolerance_mm
+        return not self.stray(place_mm) and least_mm <= math.dist(self.start_mm, place_mm) <= most_mm
 
     def note(self, place_mm: Millimetres, at_ns: int) -> None:
         """Take in a report that counts."""

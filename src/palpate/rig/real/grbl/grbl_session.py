@@ -7,11 +7,14 @@ reset in motion. It comes back by homing or on the caller's word, never by itsel
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
 from palpate.rig.real.grbl.grbl_link import (
     CANCEL,
     HOLD,
+    STOP,
+    STOP_PINS,
     CutOffError,
     GrblLink,
     HeardStatus,
@@ -19,12 +22,18 @@ from palpate.rig.real.grbl.grbl_link import (
     SilenceError,
 )
 from palpate.rig.real.grbl.grbl_move import Millimetres, MoveSupervisor, shown
-from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
-from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec, Mount, check_limits, read_machine
+from palpate.rig.real.grbl.grbl_parser import GrblMessage, GrblState, GrblStatus, alarm_name
+from palpate.rig.real.grbl.grbl_supervisor import (
+    GrblMachine,
+    GrblSpec,
+    Mount,
+    check_limits,
+    check_reports,
+    read_machine,
+)
 from palpate.rig.real.serial_port import SerialPort
 
 _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
-STOP_PINS = {"D": "its door input", "H": "its hold input"}  # letters in Pn: (Grbl 1.1 interface description)
 _SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a reset alone
 _HOW = "call home(), or reference() on your own word"
 _SLOWING_S = 10.0  # from any speed, until the settings are known
@@ -34,7 +43,7 @@ _SYNC_S = 0.5  # for the answer to an empty line of a controller that stands
 _NEAR_PERIODS = 2.0  # before its predicted end from which a move is looked at as often as can be
 _YOUNG_S = 0.003  # age of a report that two looks in a row share
 _RESETS = 8  # stops from as many threads at once
-_OFFSET_WITHIN = 40  # status reports; the work offset comes in one of 10 to 30
+_READINGS = 8  # status reports within which two must agree on the place of a stage that stands
 
 
 class PositionLostError(DeviceError):
@@ -55,10 +64,11 @@ class GrblSession:
         self.mount = Mount(spec.axes)
         self.move: MoveSupervisor | None = None
         self.homing = self.unlocked = False
+        self.stuck = False  # it stands in Jog until its door is closed
         self.started_anew = False  # as its port was opened
+        self.hal = False  # grblHAL, as its banner or $I names it
         self.homed: bool | None = None  # as grblHAL says; None where it does not
         self.lost = "its port was just opened, which may have reset it"
-        self._offset_mm: tuple[float, ...] | None = None
         self._stood_mm: Millimetres | None = None
         self._boots = 0  # banners accounted for
         self._slowing_s = _SLOWING_S
@@ -67,6 +77,8 @@ class GrblSession:
         self.link = GrblLink(port, spec.reply_s, spec.status_s, clock)
         try:
             self.machine = self._greet()
+            self.hal = "hal" in self.ask_firmware().lower()
+            check_reports(self.machine, hal=self.hal)
             check_limits(spec, self.machine)
             self._slowing_s = self.machine.slowing_s
         except BaseException:
@@ -100,6 +112,11 @@ class GrblSession:
         if heard is None or heard.number < move.first:
             return None
         place_mm = self._place(heard.status)
+        if place_mm and not move.plausible(place_mm, heard.time_ns):  # one wrong digit needs confirmation
+            heard = self.link.report(self.spec.reply_s)
+            if heard is None:
+                raise self._silent()
+            place_mm = self._place(heard.status)
         self._check_state(heard.status)
         if place_mm is None:
             return None
@@ -134,7 +151,8 @@ class GrblSession:
         """Place of a stage with no move in flight, asked for now, and kept for a move that begins at once."""
         _, place_mm = self.look()
         self.check_place(place_mm)
-        self._just_seen = self.link.latest
+        latest = self.link.latest
+        self._just_seen = latest if latest and self._place(latest.status) == place_mm else None
         return place_mm
 
     def check_place(self, place_mm: Millimetres) -> None:
@@ -150,7 +168,7 @@ class GrblSession:
 
     def settle(self, place_mm: Millimetres) -> None:
         """Note that it stands here, with no move in flight."""
-        self.move, self._stood_mm, self.homing = None, place_mm, False
+        self.move, self._stood_mm, self.homing, self.stuck = None, place_mm, False, False
         self.link.restless = False
 
     def regain(self, mount: Mount) -> None:
@@ -165,7 +183,7 @@ class GrblSession:
         """Take note of a restart that nobody asked for; whether there was one."""
         if self.link.banners == self._boots:
             return False
-        self._boots, self._offset_mm, self.move = self.link.banners, None, None
+        self._boots, self.move = self.link.banners, None
         self.homed = None if self.homed is None else False
         self.lose("its controller restarted by itself")
         return True
@@ -188,7 +206,7 @@ class GrblSession:
                 "homing is off on the stage ($22=0); switch it on, or open with require_homed=False and say "
                 "where it is by reference()"
             )
-        unsure = self.homed is None and "hal" in self.link.firmware.lower()  # grblHAL says; Grbl never does
+        unsure = self.homed is None and self.hal  # only grblHAL reports it
         if self.unlocked or self.homed is False or unsure:
             raise DeviceError("the stage is not homed, so its own limits do not hold; call home()")
 
@@ -210,6 +228,13 @@ class GrblSession:
         of steps. A reset at a stand keeps it too, and clears what is held, asleep or only checking. A reset
         in motion, which loses the count and says so by an alarm, is left for homing, and for a controller
         that says nothing or does not come to a stand in time.
+
+        A jog cancel that meets the end of its jog leaves grblHAL Idle, suspended, and deaf to lines. Its
+        stop command, 0x19, then clears the suspended hold, so that the reset after it keeps the position.
+
+        Raises:
+            HardwareStopError: it stands, and its door input is open. The position is kept.
+            PositionLostError: it stands, and where is not known any more.
         """
         lost_before, move, sent = self.lost, self.move, self.link.restless
         # Homing ignores all but a reset, and answers nothing until it ends.
@@ -220,8 +245,12 @@ class GrblSession:
         state = stood[0].state if stood else None
         if state is GrblState.SLEEP:
             self.lose("it was asleep, with its motors off")
+        if stood and stood[1] and state is GrblState.JOG:  # a reset with its door open loses the place
+            self.settle(stood[1])
+            self.stuck = self.link.restless = True  # it answers no line before the next stop
+            raise _not_cleared(stood[0])
         if state not in (GrblState.IDLE, GrblState.ALARM) or (sent and not self._takes_lines(state)):
-            self.reset()
+            self.reset(suspended=state is GrblState.IDLE)
         status, place_mm = self._cleared()
         stood_mm = stood[1] if stood else None
         if stood_mm and not self.lost and math.dist(place_mm, stood_mm) > self.machine.tolerance_mm:
@@ -267,7 +296,9 @@ class GrblSession:
         """The first report of a stand that can be trusted, and the place; None where none comes in time.
 
         Where it goes on, what is sent next depends on what it says it does: to a jog mostly jog cancels,
-        since a hold can keep one from being cancelled (grblHAL), to anything else mostly holds.
+        since a hold can keep one from being cancelled (grblHAL), to anything else mostly holds. A door that
+        opens in a jog leaves grblHAL in Jog, standing: that is a stand until the door is closed, and ends by
+        its stop command afterwards.
         """
         link, clock, move = self.link, self.clock, self.move
         began_ns, previous, sent = clock.now_ns(), None, int(cancelled)
@@ -282,16 +313,18 @@ class GrblSession:
             status, place_mm, now_ns = heard.status, self._place(heard.status), clock.now_ns()
             if move and place_mm and previous is None:
                 self._left_mm = max(self._left_mm, math.dist(place_mm, move.target_mm))
-            if _held_still(status) or status.state in _STANDS - {GrblState.IDLE}:
-                return status, place_mm
-            # Idle can be of the moment before a line was read; the same twice cannot.
-            if status.state is GrblState.IDLE and previous == (status.state, place_mm):
+            # Idle can be of the moment before a line was read, and one place can have a wrong digit.
+            same = previous == (status.state, place_mm)
+            if same and stands(status):
                 return status, place_mm
             late_s = (now_ns - began_ns) / NS_PER_S - slowing_s - self.spec.latency_s
+            stuck = same and late_s > 0 and status.state is GrblState.JOG
+            if stuck and "D" in status.pins:
+                return status, place_mm
             if status.state is GrblState.HOME or late_s > self.spec.stop_s:
                 return None
             if _goes_on(status) and (sent_ns is None or now_ns - sent_ns >= _AGAIN_S * NS_PER_S):
-                link.slow_down(_next_byte(status, sent, late_s > 0))
+                link.slow_down(STOP if stuck else _next_byte(status, sent, late_s > 0))
                 sent, sent_ns = sent + 1, now_ns
             previous = status.state, place_mm
             clock.sleep(self.spec.poll_s)
@@ -309,8 +342,16 @@ class GrblSession:
                 break
         return status, place_mm
 
-    def reset(self) -> None:
-        """Reset the controller: where it stands, this keeps the place and forgets answers still due."""
+    def reset(self, *, suspended: bool = False) -> None:
+        """Reset the controller: where it stands, this keeps the place and forgets answers still due.
+
+        Args:
+            suspended: it is Idle and may be suspended, in which a reset alone loses the place on grblHAL. In
+                an alarm the stop command would unlock it.
+        """
+        if suspended:
+            self.link.slow_down(STOP)
+            self.link.report(_SYNC_S)  # it has obeyed before it reports
         if not self.link.reset():
             self.lose("it did not come back from a reset")
             raise DeviceError(
@@ -318,7 +359,20 @@ class GrblSession:
                 if self.link.restless
                 else "the stage's controller does not answer a reset; check its cable and its power"
             )
-        self._boots, self._offset_mm = self.link.banners, None
+        self._boots = self.link.banners
+
+    def ask_firmware(self) -> str:
+        """Firmware and version, asked of the controller (`$I`) where no banner named them; empty if unknown.
+
+        Grbl 1.1 answers ``[VER:1.1h.20190830:]``; a build may name itself in ``[FIRMWARE:...]`` as well.
+        """
+        if self.link.firmware:
+            return self.link.firmware
+        with suppress(RefusedError):  # in an alarm, or of a build without it
+            told = {one.tag: one.text for one in self.link.command("$I") if isinstance(one, GrblMessage)}
+            version = told.get("VER", "").strip(": ")
+            return " ".join(filter(None, (told.get("FIRMWARE"), version and f"version {version}")))
+        return ""
 
     def _greet(self) -> GrblMachine:
         """Get into step with a controller that may be booting, moving, held, locked or not there."""
@@ -339,9 +393,11 @@ class GrblSession:
         state: GrblState | None = heard.status.state
         if state not in (GrblState.IDLE, GrblState.ALARM):
             stood = self._await_stand(cancelled=False)
+            if stood and stood[0].state is GrblState.JOG:
+                raise _not_cleared(stood[0])
             state = stood[0].state if stood else None
         if state not in (GrblState.IDLE, GrblState.ALARM) or not self._takes_lines(state):
-            self.reset()
+            self.reset(suspended=state is GrblState.IDLE)
             heard = self.link.report(self.spec.reply_s)
         if heard and _by_input(heard.status):
             raise HardwareStopError(f"the stage at {self.spec.port} is stopped by {_input(heard.status)}")
@@ -365,15 +421,20 @@ class GrblSession:
             )
 
     def _where(self) -> tuple[GrblStatus, Millimetres]:
-        for _ in range(_OFFSET_WITHIN):
+        """State and place, asked for now; a place where it is not expected takes two reports that agree."""
+        previous = None if self.move else self._stood_mm
+        for _ in range(_READINGS):
             heard = self.link.report(self.spec.silence_s)
             if heard is None:
                 self.check_alarm()  # after some alarms it answers nothing
                 raise self._silent()
-            place_mm = self._place(heard.status)
-            if place_mm is not None:
+            if (place_mm := self._place(heard.status)) is None:
+                continue
+            agree = previous and math.dist(place_mm, previous) <= self.machine.tolerance_mm
+            if agree or not stands(heard.status):
                 return heard.status, place_mm
-        raise DeviceError("the stage does not report where it is; set $10=1 on it")
+            previous = place_mm
+        raise DeviceError("no two reports agree on where the stage stands; check its cable")
 
     def _silent(self) -> DeviceError:
         what = (
@@ -384,14 +445,9 @@ class GrblSession:
         )
 
     def _place(self, status: GrblStatus) -> Millimetres | None:
-        """Machine coordinates of a report, of either kind [mm]."""
-        self._offset_mm = status.offset_mm or self._offset_mm
+        """Machine coordinates of a report [mm]; None where it has none, or its field is damaged."""
         self.homed = status.homed if status.homed is not None else self.homed
-        if status.machine_mm is not None:
-            place = status.machine_mm
-        elif status.work_mm is not None and self._offset_mm is not None:
-            place = tuple(a + b for a, b in zip(status.work_mm, self._offset_mm, strict=False))
-        else:
+        if (place := status.machine_mm) is None:
             return None
         if len(place) < len("XYZ"):
             raise DeviceError(f"the stage reports {len(place)} axes; three are needed")
@@ -435,7 +491,7 @@ def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
     """What to send when so many bytes did not bring it to a stand: mostly the kind that fits its state.
 
     A hold comes to a jog only once that should long have stood: before, it would meet one that is just
-    ending, and leave it held.
+    ending, and leave it held. grblHAL ignores it there.
     """
     if status.state is GrblState.JOG:
         return HOLD if overdue and sent % 2 else CANCEL
@@ -444,7 +500,7 @@ def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
 
 def _not_cleared(status: GrblStatus) -> DeviceError:
     """Say that it stands where it does, and that it may move only where it may."""
-    if status.state is GrblState.DOOR and status.substate in (0, 1):
+    if status.state is GrblState.JOG or (status.state is GrblState.DOOR and status.substate in (0, 1)):
         return HardwareStopError(f"the stage stands, stopped by {_input(status)}")
     if _held_still(status) or status.state in _SPENT:
         return DeviceError(f"the stage stands, and a reset does not clear its {status.state}; power it anew")

@@ -18,7 +18,7 @@ from contextlib import suppress
 from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SilenceError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
-from palpate.rig.real.grbl.grbl_parser import GrblMessage, GrblState, GrblStatus, alarm_name
+from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, stands
 from palpate.rig.real.grbl.grbl_supervisor import (
     MM_PER_M,
@@ -126,17 +126,8 @@ class GrblStage(Closing):
         return self._link.firmware
 
     def ask_firmware(self) -> str:
-        """Firmware and version, asked of the controller (`$I`) where no banner named them; empty if unknown.
-
-        Grbl 1.1 answers ``[VER:1.1h.20190830:]``; a build may name itself in ``[FIRMWARE:...]`` as well.
-        """
-        if self.firmware:
-            return self.firmware
-        with suppress(RefusedError):  # in an alarm, or of a build without it
-            told = {one.tag: one.text for one in self._link.command("$I") if isinstance(one, GrblMessage)}
-            version = told.get("VER", "").strip(": ")
-            return " ".join(filter(None, (told.get("FIRMWARE"), version and f"version {version}")))
-        return ""
+        """Firmware and version, asked of the controller where no banner named them; empty if unknown."""
+        return self._session.ask_firmware()
 
     @property
     def started_anew(self) -> bool:
@@ -183,7 +174,7 @@ class GrblStage(Closing):
             if move is None:
                 status, place_mm = session.look()
                 session.check_place(place_mm)
-                return not stands(status)
+                return not (stands(status) or session.stuck)
             status_now = session.glance(move)
             if status_now is None or not move.arrived(status_now):
                 return True
@@ -270,7 +261,7 @@ class GrblStage(Closing):
         fresh = self._link.out_of_step
         if fresh:
             session.standing()
-            session.reset()
+            session.reset(suspended=True)
         _, place_mm = session.standing(fresh=fresh)
         if homed:
             session.need_homed()
@@ -324,7 +315,7 @@ def _clear(session: GrblSession) -> str:
         raise DeviceError(f"the stage is in {heard.status.state}, not idle; stop() it first")
     ready = heard and heard.status.state in (GrblState.IDLE, GrblState.ALARM)
     if not ready or link.out_of_step:  # some alarms end by a reset alone, and so do sleep, check and hold
-        session.reset()
+        session.reset(suspended=bool(heard) and heard.status.state is GrblState.IDLE)
     link.alarm = None
     return "" if alarm is None else alarm_name(alarm)
 

@@ -16,6 +16,10 @@ S_PER_MIN = 60.0
 MIN_FEED_MM_MIN = 1.0  # below it the planner runs at 1 mm/min whatever was asked (its stock build)
 _ROUNDING_M = 1e-9  # of a limit that was calculated; a thousandth of what the stage resolves
 _AXIS = re.compile(r"([+-])([XYZ])")
+_REPORT_MACHINE, _REPORT_PINS = (
+    1,
+    16,
+)  # bits of $10; the second is of grblHAL alone, Grbl 1.1 always reports inputs
 _DECIMALS = 4  # of a target [mm]; a tenth of what the controller reports
 
 
@@ -187,6 +191,7 @@ class GrblMachine:
         acceleration_mm_s2: $120 to $122.
         travel_mm: $130 to $132.
         homing: $22.
+        reports: $10, what a status report shows.
     """
 
     steps_per_mm: tuple[float, float, float]
@@ -194,6 +199,7 @@ class GrblMachine:
     acceleration_mm_s2: tuple[float, float, float]
     travel_mm: tuple[float, float, float]
     homing: bool
+    reports: int = 511
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -206,6 +212,7 @@ class GrblMachine:
             acceleration_mm_s2=_three(settings, 120),
             travel_mm=_three(settings, 130),
             homing=int(_number(settings, 22)) % 2 == 1,  # grblHAL keeps options in its higher bits
+            reports=int(_number(settings, 10)),
         )
 
     @property
@@ -226,6 +233,20 @@ def read_machine(link: GrblLink) -> GrblMachine:
         if settings:
             return GrblMachine.read(settings)
     raise DeviceError("the stage's controller does not list its settings on $$")
+
+
+def check_reports(machine: GrblMachine, *, hal: bool) -> None:
+    """Refuse status reports without machine coordinates, or without inputs, which grblHAL can leave out.
+
+    Raises:
+        DeviceError: $10 hides one of them.
+    """
+    needed, remedy = (_REPORT_MACHINE | _REPORT_PINS, 511) if hal else (_REPORT_MACHINE, 1)
+    if machine.reports & needed != needed:
+        hidden = "its coordinates or its hold, door and limit inputs" if hal else "its machine coordinates"
+        raise DeviceError(
+            f"$10={machine.reports} on the stage's controller hides {hidden}; set $10={remedy} on it"
+        )
 
 
 def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
