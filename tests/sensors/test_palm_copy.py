@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.core import ExistsError, ImageError, InputError, ManualClock, Pose, RangeError
+from palpate.core import Drift, ExistsError, ImageError, InputError, ManualClock, Pose, RangeError
 from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
@@ -265,12 +265,14 @@ def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_count
 
     found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
     monkeypatch.setattr(palm_copy_fit, "read_press", lambda *_: found)
+    monkeypatch.setattr(palm_copy_fit, "drift_of", lambda *_: Drift(4.0, 3.0))
     monkeypatch.setattr(palm_copy_store, "read_copy", lambda _: None)
     monkeypatch.setattr(palm_copy_store, "read_picture", lambda _: None)
     palm_verbs.read(tmp_path, tmp_path, tmp_path, json_=True, quiet=True)
     told = json.loads(capsys.readouterr().out)
     assert told["force_low_N"] == pytest.approx(3.0 * math.exp(-1.645 * 0.7))  # above 0, as a force is
     assert told["force_high_N"] == pytest.approx(3.0 * math.exp(1.645 * 0.7))
+    assert told["drift"] == {"statistic": 4.0, "limit": 3.0, "drifted": True}
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:

@@ -111,18 +111,21 @@ def read(
 
     Example: palpate palm read press.png --reference rest.png --copy mine.json --json
     """
-    from palpate.sensors.palm.copies.palm_copy_fit import read_press
+    from palpate.sensors.palm.copies.palm_copy_fit import drift_of, read_press
     from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
 
     known = read_copy(copy)
+    rest = read_picture(reference)
     with progress_bar(quiet):
-        found = read_press(known, read_picture(image), read_picture(reference))
+        found = read_press(known, read_picture(image), rest)
+    drift = drift_of(known, rest)
     force = [found.force_n * math.exp(side * COVERED * found.force_share) for side in (-1, 1)]
     answer: dict[str, Any] = {
         "force_N": found.force_n, "force_low_N": force[0], "force_high_N": force[1],
         "x_mm": 1e3 * found.x_m, "y_mm": 1e3 * found.y_m, "depth_mm": 1e3 * found.depth_m,
         "x_half_mm": 1e3 * COVERED * found.x_sd_m, "y_half_mm": 1e3 * COVERED * found.y_sd_m,
         "depth_half_mm": 1e3 * COVERED * found.depth_sd_m, "coverage": 0.9, "off_of_white": found.off,
+        "misfit": found.misfit, "valid": True, "code": "", "drift": drift.to_dict(),
     }  # fmt: skip
     text = (
         f"{found.force_n:.3f} N ({force[0]:.3f} to {force[1]:.3f}) at ({answer['x_mm']:.2f}, "

@@ -314,6 +314,8 @@ class PressFound(NamedTuple):
         x_sd_m, y_sd_m, depth_sd_m: standard deviations.
         force_share: standard deviation of the force's logarithm.
         off: root mean square of what the picture differs from the copy's, over white, away from edges.
+        misfit: the same of the pixels that the press has changed, over the stated error of a pixel.
+        blocks: number of blocks of pixels that err independently among these.
     """
 
     x_m: float
@@ -325,6 +327,8 @@ class PressFound(NamedTuple):
     depth_sd_m: float
     force_share: float
     off: float
+    misfit: float = 0.0
+    blocks: int = 1
 
     @property
     def pose(self) -> Pose:

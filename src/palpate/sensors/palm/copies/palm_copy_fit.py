@@ -13,8 +13,21 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
-from palpate.core import Float, ImageError, InputError, Pose, Progress, RangeError, UInt8, ndarray, silent
+from palpate.core import (
+    Drift,
+    Float,
+    ImageError,
+    InputError,
+    Pose,
+    Progress,
+    RangeError,
+    UInt8,
+    ndarray,
+    silent,
+)
+from palpate.core.errors import MisfitError
 from palpate.sensors.palm.copies.copy_estimate import (
     MIN_DEPTH_M,
     PIXEL_SD,
@@ -39,6 +52,7 @@ from palpate.sensors.palm.copies.press_picture import (
     backdrop_of,
     lamp_of,
     pictured,
+    regions_of,
     seen_press,
 )
 from palpate.sensors.palm.mirror_view import contact_px
@@ -54,6 +68,9 @@ PASSES = 3  # with all rays, at most
 MOVED = 0.3  # of a row, by which the deepest point has to be elsewhere for another pass
 DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
+LAMP_SD = 0.02  # logarithm of the lamp's light, by which it may differ from day to day
+DRIFTED = 3.0  # standard deviations
+FALSE_ALARM = 1e-4  # probability that noise alone refuses a reading
 MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
 FARTHEST = 5.0  # standard deviations of what was known of E and C beforehand: more is no copy of the design
 SEEN = 0.03  # of white, by which the mirror's picture has to change
@@ -127,8 +144,30 @@ def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
 def read_press(
     known: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"]
 ) -> PressFound:
-    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`."""
-    return fit_copy(known, [PicturedPress(image, reference)]).presses[0]
+    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`.
+
+    Raises:
+        MisfitError: the model with the palm's own ball does not fit the picture within the stated error of
+            its pixels, by a chi-square test: another probe, or another palm.
+    """
+    found = fit_copy(known, [PicturedPress(image, reference)]).presses[0]
+    limit = math.sqrt(float(chi2.isf(FALSE_ALARM, found.blocks)) / found.blocks)
+    if found.misfit > limit:
+        raise MisfitError(
+            f"the picture is {found.misfit:.1f} standard errors of a pixel off the palm's own ball, and "
+            f"{limit:.1f} are allowed; read presses of that ball on this palm"
+        )
+    return found
+
+
+def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
+    """Change of the lamp since the copy was fitted, in standard deviations of what is known of it.
+
+    An untouched palm does not show its modulus and coefficient; see `palm_weight` for these.
+    """
+    change = lamp_of(known, [regions_of(known.spec, reference)])
+    spread = math.hypot(math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]), LAMP_SD)
+    return Drift(abs(change) / spread, DRIFTED)
 
 
 def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> CopyState:

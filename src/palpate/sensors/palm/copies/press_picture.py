@@ -182,6 +182,11 @@ def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
     return SeenPress(pixels, change, math.log(longer), _blocks(spec), light, rest, one)
 
 
+def regions_of(spec: PalmSpec, image: UInt8[ndarray, "h w 3"]) -> Lights:
+    """Linear light of both regions of a frame."""
+    return _regions(spec, _linear(image))
+
+
 def lamp_of(known: PalmCopy, rests: Sequence[Lights]) -> float:
     """Logarithm of the lamp's light over that of a copy, with the exposure, as untouched frames show it."""
     bare = _bare(known)[1]
