@@ -178,7 +178,7 @@ class Link:
         self._buffer += data
         *lines, self._buffer = self._buffer.split(b"\n")
         for line in lines:
-            if not line.startswith(b'{"push":"picture"') and not self._take(line):
+            if not line.startswith(b'{"push":"picture"') and not self._take(bytes(line)):
                 return False
         return len(self._buffer) < MAX_LINE
 
@@ -362,7 +362,7 @@ class Visitor:
 
     def _take(self, first: str, body: bytes) -> None:
         try:
-            asked = json.loads(body) if first.startswith("POST ") else None
+            asked = json.loads(body) if first.startswith("POST ") else {}
             token, do = str(asked["token"]), str(asked["do"])
         except (ValueError, TypeError, KeyError, RecursionError):
             token = do = ""

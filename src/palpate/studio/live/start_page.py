@@ -27,7 +27,7 @@ from palpate.studio.html_parts import (
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_page import TYPED, live_address, live_name
-from palpate.studio.live.live_sources import VIRTUAL, Cameras, check_devices, plugged_in
+from palpate.studio.live.live_sources import VIRTUAL, Cameras, check_devices, plugged_in, source_options
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration, number
@@ -222,15 +222,9 @@ class StartPage:
         camera, calibration = str(session["camera"]), str(session["calibration"])
         self._live_button.disable()
         try:
-            sensor = await asyncio.to_thread(
-                self._lives.begin,
-                live_name(camera),
-                {
-                    "camera": camera,
-                    "calibration": calibration,
-                    "runs": str(self._workspace.folder / "runs"),
-                },
-            )
+            options = await asyncio.to_thread(source_options, self._workspace, camera, self._cameras)
+            options |= {"calibration": calibration, "runs": str(self._workspace.folder / "runs")}
+            sensor = await asyncio.to_thread(self._lives.begin, live_name(camera), options)
             if sensor.connection.status is not None:
                 await asyncio.to_thread(sensor.connection.ask, "calibration", path=calibration)
         except PalpateError as e:
