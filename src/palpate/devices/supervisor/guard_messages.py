@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from palpate.core import DeviceError, PalpateError, ProtocolError, Wrench, errors
+from palpate.core import DeviceError, PalpateError, PositionUnknownError, ProtocolError, Wrench, errors
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 from palpate.devices.rpc import Lines, decode_message, encode_message
@@ -50,7 +50,8 @@ def error_fields(error: BaseException) -> dict[str, str]:
     if isinstance(error, Tripped):
         return {"kind": "Tripped", "error": str(error), "reason": error.reason.value}
     known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
-    return {"kind": next(known, type(error).__name__), "error": str(error)}
+    fields = {"kind": next(known, type(error).__name__), "error": str(error)}
+    return fields | ({"code": error.code} if isinstance(error, PositionUnknownError) else {})
 
 
 def error_of(fields: Mapping[str, Any]) -> Exception:
@@ -60,6 +61,8 @@ def error_of(fields: Mapping[str, Any]) -> Exception:
         return OperatorInterrupt(OperatorCommand(text))
     if kind == "Tripped":
         return Tripped(Reason(str(fields.get("reason"))), text)
+    if kind == PositionUnknownError.__name__:
+        return PositionUnknownError(text, str(fields.get("code")))
     family = getattr(errors, kind, None)
     if isinstance(family, type) and issubclass(family, PalpateError):
         return family(text)

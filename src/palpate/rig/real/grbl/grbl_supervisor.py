@@ -46,6 +46,7 @@ class GrblSpec:
             the word of who calls `reference`.
         dtr: raise the port's DTR line. Off, an AVR board is kept from being reset where the system allows it;
             some boards with USB of their own talk only with it on.
+        frame: What defines the sensor's frame; a position that was stored with another one is not accepted.
     """
 
     port: str
@@ -65,6 +66,7 @@ class GrblSpec:
     poll_s: float = 0.02
     require_homed: bool = True
     dtr: bool = False
+    frame: str = ""
 
     def __post_init__(self) -> None:
         letters = [axis[1:] for axis in self.axes if _AXIS.fullmatch(axis)]
@@ -187,6 +189,7 @@ class GrblMachine:
         acceleration_mm_s2: $120 to $122.
         travel_mm: $130 to $132.
         homing: $22.
+        motors_hold: whether the motors keep their current at rest, $1=255.
     """
 
     steps_per_mm: tuple[float, float, float]
@@ -194,6 +197,7 @@ class GrblMachine:
     acceleration_mm_s2: tuple[float, float, float]
     travel_mm: tuple[float, float, float]
     homing: bool
+    motors_hold: bool = False
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -206,6 +210,7 @@ class GrblMachine:
             acceleration_mm_s2=_three(settings, 120),
             travel_mm=_three(settings, 130),
             homing=int(_number(settings, 22)) % 2 == 1,  # grblHAL keeps options in its higher bits
+            motors_hold=settings.get(1, "").split()[:1] == ["255"],
         )
 
     @property
