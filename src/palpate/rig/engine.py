@@ -287,6 +287,7 @@ class Engine:
             self._guard.look((OperatorCommand.ABORT, OperatorCommand.ESTOP), judged=False)
             self._tell()
         self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
+        self._motion.distrust_position()  # whoever paused may have pushed the stage
         self._turn(State.RUNNING, "resumed")
 
     def _mark(self, key: str, frame: int, whole: bool) -> None:
