@@ -273,7 +273,7 @@ def _placed(
     """
     try:
         if position == "reference":
-            stage.reference(_confirmed_m(part))  # type: ignore[arg-type]
+            stage.reference(_confirmed_m(part))
         elif position == "stored":
             with suppress(DeviceError):
                 stage.recall()
