@@ -21,6 +21,7 @@ from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.fakes.video_capture import FakeVideoCapture
+from palpate.rig.real.position_evidence import PositionStore
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 START_MM = (-50.0, -50.0, -20.0)  # of the machine; the probe hangs 10 mm above the expected surface
@@ -87,6 +88,17 @@ class LabFile:
         return x, y, z - STIFFNESS_N_MM * depth_mm
 
 
+def remember(stage: GrblFirmware, terminal: FakeTerminal) -> None:
+    """Leave the evidence of an earlier session, in which the stage was homed."""
+    marker = 47_001
+    with terminal.lock:
+        stage._modes.spindle = marker
+        steps = " ".join(f"{stage.settings[number]:g}" for number in (100, 101, 102))
+        at = stage._axes.place_mm
+    settings = f"+X -Y -Z {steps} counts None None"
+    PositionStore(terminal.path).establish(marker, settings, (0.0, 0.0, 0.0), at)
+
+
 @contextmanager
 def lab_file(
     folder: Path, *, model: GrblParameters | None = None, page: FakePage | None = None
@@ -95,11 +107,12 @@ def lab_file(
     with ExitStack() as stack:
         clock = MonotonicClock()
         model = model or GrblParameters(
-            homed=True, start_mm=START_MM, settings={120: 500, 121: 500, 122: 500}
+            homed=True, start_mm=START_MM, settings={1: 255, 120: 500, 121: 500, 122: 500}
         )
         stage = GrblFirmware(model, GrblFaults(), clock.now_ns() / NS_PER_S)
         stage.take()  # it was switched on long ago: no banner waits in its port
         terminal = stack.enter_context(FakeTerminal(stage, clock))
+        remember(stage, terminal)
         box = stack.enter_context(FakeNetFT(page=page or FakePage(ranges="30;30;60;3;3;3")))
         SOURCES[str(folder)] = FakeVideoCapture(rate_hz=20.0)
         stack.callback(SOURCES.pop, str(folder))

@@ -153,7 +153,7 @@ def mixed(request, tmp_path):
 
 
 def test_the_devices_of_a_mixed_rig_are_opened_one_by_one_as_well(mixed):
-    with open_bench(mixed) as bench:
+    with open_bench(mixed, position="reference") as bench:
         assert not bench.failed
         time.sleep(0.1)
         assert abs(bench.need_force().latest().force_n[2]) < 5
@@ -166,7 +166,7 @@ def test_a_plan_is_recorded_on_firmware_with_a_virtual_force_and_camera_and_says
         cycles=1, depth_mm=0.4, step_mm=0.2, frames=1,
         clearance_mm=0.6, seek_mm_s=1.0, press_mm_s=1.0, travel_mm_s=10.0,
     )  # fmt: skip
-    with closing(open_rig(mixed)) as rig:
+    with closing(open_rig(mixed, position="reference")) as rig:
         outcome = record(rig, small, tmp_path / "run")
     assert outcome.state is State.DONE, outcome.message
     run = Run.open(tmp_path / "run")

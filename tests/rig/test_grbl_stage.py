@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
-from palpate.core.errors import DeviceError, InputError, MissingExtraError, RangeError
+from palpate.core.errors import DeviceError, InputError, MissingExtraError, PositionUnknownError, RangeError
 from palpate.rig.fakes.grbl_controller import CANCEL
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real import serial_port
@@ -355,9 +355,9 @@ class TestHoming:
     def test_the_position_is_unknown_until_it_is_found(self, grbl_bench):
         bench = grbl_bench(GrblParameters(homing_s=0.0))
         stage = bench.open(known=False)
-        with pytest.raises(DeviceError, match=r"home\(\)"):
+        with pytest.raises(PositionUnknownError):
             stage.position_m()
-        with pytest.raises(DeviceError, match=r"home\(\)"):
+        with pytest.raises(PositionUnknownError):
             stage.move_to(START, 0.01)
         stage.home()
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))

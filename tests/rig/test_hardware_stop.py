@@ -131,7 +131,7 @@ def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(
 def test_a_door_opened_in_a_recording_is_in_its_events_and_nothing_moves_after_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, firmware: str
 ) -> None:
-    settings = {120: 500, 121: 500, 122: 500}
+    settings = {1: 255, 120: 500, 121: 500, 122: 500}
     model = GrblParameters(homed=True, start_mm=(-50.0, -50.0, -20.0), settings=settings, firmware=firmware)
     with lab_file(tmp_path, model=model) as lab:
         monkeypatch.setitem(LABS, "lab", lab)

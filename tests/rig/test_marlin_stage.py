@@ -13,7 +13,15 @@ from hypothesis import given, strategies as st
 from tests.rig.conftest import PATIENCE_S, FastClock
 from tests.rig.serial_terminal import FakeTerminal
 
-from palpate.core import DeviceError, InputError, ManualClock, MonotonicClock, RangeError, Stage
+from palpate.core import (
+    DeviceError,
+    InputError,
+    ManualClock,
+    MonotonicClock,
+    PositionUnknownError,
+    RangeError,
+    Stage,
+)
 from palpate.devices.check import check_stage
 from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
@@ -378,7 +386,7 @@ def test_what_is_no_marlin_is_refused(bench) -> None:
 
 def test_a_place_is_read_only_whole() -> None:
     whole = b"X:1.00 Y:2.00 Z:3.00 E:0.00 Count X:80 Y:160 Z:1200"
-    assert read_line(whole) == StepReport((1.0, 2.0, 3.0), (80, 160, 1200))
+    assert read_line(whole) == StepReport((1.0, 2.0, 3.0), (80, 160, 1200), 0.0)
     for cut in range(1, whole.index(b"Z:1200") + 2):
         assert not isinstance(read_line(whole[:cut]), StepReport)
 
@@ -394,12 +402,14 @@ def test_the_marlin_driver_keeps_every_law_of_a_stage(bench, parser, speed_m_s) 
     assert [one for one in found if not one.ok] == []
 
 
-def test_a_rig_s_file_opens_it_where_it_is_said_to_stand(bench) -> None:
+def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> None:
     one = bench(clock=MonotonicClock())
     fields = {"kind": "marlin", "port": one.terminal.path, "reference": [1.0, 2.0, -3.0]}
     limits = {"least_mm": [-5, -5, -5], "greatest_mm": [5, 5, 5], "sudden_mm_s": 2.5}
     part = RigFile.model_validate({"name": "bench", "stage": fields | limits}).stage
-    with part.open(one.clock) as stage:
+    with part.open(one.clock) as stage, pytest.raises(PositionUnknownError):
+        stage.position_m()
+    with part.open(one.clock, position="reference") as stage:
         assert stage.position_m() == pytest.approx((0.001, 0.002, -0.003))
         assert stage.travel.top_speed_m_s == pytest.approx(0.0025)
         assert stage.travel.greatest_m == pytest.approx((0.005, 0.005, 0.005))

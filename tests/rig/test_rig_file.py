@@ -184,7 +184,6 @@ def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
 @pytest.mark.parametrize(
     ("said", "refused"),
     [
-        ("require_homed = false", "reference"),
         ('require_homed = false\nreference = "counts"\nhome = true', "switches"),
         ("reply_s = 31", "31.*30"),
         ("top_speed_mm_s = 201", "201.*200"),
@@ -212,7 +211,7 @@ def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_be
         boot_s=0.05,
         reply_s=10.0,
     )
-    stage = part.open(MonotonicClock())
+    stage = part.open(MonotonicClock(), position="reference")
     try:
         assert stage.position_m() == pytest.approx((1e-3, 2e-3, 3e-3))
         assert stage.travel.top_speed_m_s == pytest.approx(3e-3)

@@ -122,11 +122,11 @@ class LabAnswers(FileAnswers):
 
 
 @contextmanager
-def lab(no_banner: bool = False, **kwargs: Any) -> Iterator[Lab]:
+def lab(no_banner: bool = False, hold: int = 255, **kwargs: Any) -> Iterator[Lab]:
     pytest.importorskip("serial", reason="the stage's driver needs pyserial")
     with ExitStack() as stack:
         model = GrblParameters(
-            homed=True, start_mm=(-50.0, -50.0, -5.0), settings={120: 500, 121: 500, 122: 500}
+            homed=True, start_mm=(-50.0, -50.0, -5.0), settings={1: hold, 120: 500, 121: 500, 122: 500}
         )
         bench = GrblBench(stack, MonotonicClock(), model, GrblFaults(no_banner=no_banner))
         box = stack.enter_context(FakeNetFT(page=FakePage(ranges="30;30;60;3;3;3")))
@@ -178,6 +178,17 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
     assert [c for c in made.checks if not c.ok and c.unit not in timed] == []
     assert any(c.name.startswith("stage: ") and c.ok for c in made.checks)
     assert any("firmware" in line for line in made.unchecked)
+
+
+@pytest.mark.parametrize("answer", [{"hold_motors": True}, {"still_there": True}, {"still_there": False}])
+def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(
+    tmp_path: Path, answer: dict[str, Any]
+) -> None:
+    with lab(hold=25) as one:
+        made, _, _ = walked(one, tmp_path / "rig.toml", mass_g=0, **answer)
+        assert (one.bench.firmware.settings[1] == 255) is ("hold_motors" in answer)
+    assert bool(made.checks) is (answer != {"still_there": False})
+    assert any("--position" in line for line in made.unchecked) is ("hold_motors" not in answer)
 
 
 @pytest.mark.parametrize("latency_s", [0.2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.01, 0.05))])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sys
-import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,7 @@ from tests.rig.test_rig_setup import G, LabAnswers, answers_of, lab
 
 from palpate.core import MonotonicClock
 from palpate.core.clock import NS_PER_S
-from palpate.core.errors import DeviceError, InputError
+from palpate.core.errors import DeviceError, InputError, PositionUnknownError
 from palpate.rig.commissioning.rig_setup import set_up
 from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
 from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
@@ -176,27 +175,18 @@ def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_counts_are_not_believed_after_a_start_nor_with_dtr(tmp_path: Path) -> None:
+def test_counts_are_not_believed_after_a_start(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab_:
         open_rig(lab_.write()).close()
-        with pytest.raises(InputError, match=r"dtr = true.*home = true"):
-            open_rig(lab_.write(stage={"dtr": True}))
         with lab_.terminal.lock:
-            lab_.stage.model = type(lab_.stage.model)(settings=lab_.stage.model.settings, boot_s=8.0)
-            lab_.stage.settings[22] = 0
-            lab_.stage.settings[20] = 0
-        boots = {
-            "boot_s": 20.0,
-            "require_homed": False,
-            "least_mm": [-90, 10, 10],
-            "greatest_mm": [-10, 90, 35],
-        }
-        with lab_.terminal.lock:
+            lab_.stage.settings |= {20: 0, 22: 0}
             lab_.stage.power_up()  # as its board is reset by the opening of its port
-        time.sleep(0.2)
-        with pytest.raises(DeviceError, match=r"started anew.*home = true"):
-            open_rig(lab_.write(stage=boots))
-        open_rig(lab_.write(stage={**boots, "reference": [-50, 50, 20]})).close()
+        unhomed = {"require_homed": False, "least_mm": [-90, 10, 10], "greatest_mm": [-10, 90, 35]}
+        with pytest.raises(PositionUnknownError) as refused:  # by the supervisor's process
+            open_rig(lab_.write(stage=unhomed))
+        assert refused.value.code == "marker-lost"
+        confirmed = lab_.write(stage={**unhomed, "reference": [-50, 50, 20]})
+        open_rig(confirmed, position="reference").close()
 
 
 @pytest.mark.slow

@@ -71,7 +71,9 @@ def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(
             open_rig(lab.write())
         assert port in str(told.value)
         lab.fields["stage"] = {**GRBL, "port": lab.terminal.path, "reference": "counts"}
-        open_rig(lab.write()).close()  # the control: the right one is taken, also after what failed
+        open_rig(
+            lab.write(), position="reference"
+        ).close()  # the control: the right one is taken, also after what failed
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,16 @@ class HardwareStopError(DeviceError):
     """An input of a device's own, such as a door or hold switch, stopped it, and not this computer."""
 
 
+class PositionUnknownError(DeviceError):
+    """The position of a stage is not known, so that nothing may move towards the skin.
+
+    Attributes:
+        code: Machine-readable reason, such as "marker-lost".
+    """
+
+    code = "position-lost"
+
+
 class ProtocolError(DeviceError):
     """Bytes came that are not the device's language."""
 

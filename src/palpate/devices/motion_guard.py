@@ -51,12 +51,17 @@ Check = Callable[[Wrench], None]
 
 @dataclass(frozen=True, slots=True)
 class ForceReached:
-    """Normal force at which a move ends: so much, or more [N]. Data, so that a supervisor can be told."""
+    """Normal force at which a move ends: so much, or more [N]. Data, so that a supervisor can be told.
+
+    Attributes:
+        any_way: The force in any direction counts, and not along the normal alone.
+    """
 
     normal_n: float
+    any_way: bool = False
 
     def __call__(self, force: Force) -> bool:
-        return force[2] >= self.normal_n
+        return (math.hypot(*force) if self.any_way else force[2]) >= self.normal_n
 
 
 @dataclass(frozen=True, slots=True)

@@ -381,6 +381,7 @@ class Engine:
                     raise
             self._tell()
         self._control.check((OperatorCommand.ABORT, OperatorCommand.ESTOP))
+        self._motion.distrust_position()  # whoever paused may have pushed the stage
         self._turn(State.RUNNING, "resumed")
 
     def _mark(self, key: str, frame: int, whole: bool) -> None:

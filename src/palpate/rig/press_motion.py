@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
+from palpate.devices.force_bias import Force
 from palpate.recordings.run_reader import ZERO_MOVED
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
@@ -21,7 +23,11 @@ HIGHER_MM = 5.0  # than the clearance, after contact there
 FREE = 2.0  # contact thresholds, below which the probe counts as free
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 AIR_S = 0.3  # of listening higher up
+AIR_SAMPLES = 30
 SIGMAS = 5.0  # of the force's noise that a threshold must lie above
+CHECK_LIFT_MM = 0.6  # of the first approach, to see that the force is that of the air
+ASIDE_STEP_MM = 1.0  # longest move aside of a first approach: what a broken link can run on
+LEVEL_M = 1e-6
 
 
 class PressMotion:
@@ -44,6 +50,7 @@ class PressMotion:
         self.approach = 0
         self._higher_m = 0.0
         self._zero_samples = 0
+        self._position_proven = False
         guard.clearance = Clearance(self._clearance_m, plan.travel_mm_s * MM)
 
     def begin(self, press: PlannedPress) -> None:
@@ -81,13 +88,74 @@ class PressMotion:
         return min(expected_m, max(expected_m - self._higher_m, self._rig.limits.least_m[2]))
 
     def over(self, x_m: float, y_m: float) -> None:
-        """Lift, and go over a place at the clearance [m]."""
+        """Lift, and go over a place at the clearance [m]; down to it always by a guarded search.
+
+        Until contact was found where it is expected, the way aside is a guarded search as well, since the
+        stage's position may be wrong, and contact may occur anywhere.
+
+        Raises:
+            Tripped: `TOUCHED_EARLY`, on contact above the clearance; all that a guarded motion raises.
+        """
         self.lift()
-        speed = self._plan.travel_mm_s * MM
         x, y, _ = _at(self._rig, x_m, y_m, 0.0)
         z = min(self._guard.position_m()[2], self._clearance_m)
-        self._guard.away((x, y, z), speed)
-        self._guard.away((x, y, self._clearance_m), speed)
+        if self._position_proven:
+            self._guard.away((x, y, z), self._plan.travel_mm_s * MM)
+        else:
+            self._prove_air()
+            z = min(self._guard.position_m()[2], self._clearance_m)
+            self._search((x, y, z), ASIDE_STEP_MM * MM)
+        if z < self._clearance_m - LEVEL_M:
+            self._search((x, y, self._clearance_m), None)
+
+    def distrust_position(self) -> None:
+        """Make the next approach a first one: the stage may have been pushed, or its tool changed."""
+        self._position_proven = False
+
+    def _search(self, target: Position, step_m: float | None) -> None:
+        """Move at the speed of the search for contact, and end on any contact."""
+        felt = ForceReached(max(self._plan.threshold_N, 1.5 * SIGMAS * self._bias.noise_n), any_way=True)
+        if self._guard.towards(target, self._plan.seek_mm_s * MM, felt, step_m):
+            above_mm = (self._clearance_m - self._guard.position_m()[2]) / MM
+            self._rise(HIGHER_MM)  # the clearance may lie in the skin
+            raise Tripped(
+                Reason.TOUCHED_EARLY,
+                f"the probe met something on its first approach, {above_mm:.2f} mm above the clearance: the "
+                "stage's position or origin_mm is wrong. Home the stage, or give --position touch-off",
+            )
+
+    def _prove_air(self) -> None:
+        """Lift a little, slowly, to see that the force stays the same; then take the zero.
+
+        Raises:
+            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact.
+        """
+        before, noise_n = self._mean_raw()
+        lifted_mm = self._rise(CHECK_LIFT_MM)
+        after, _ = self._mean_raw()
+        changed = math.dist(before, after)
+        if changed > max(self._plan.threshold_N, SIGMAS * noise_n):
+            self._rise(HIGHER_MM)
+            raise Tripped(
+                Reason.TOUCHED_EARLY,
+                f"the force changed by {changed:.2f} N on a lift of {lifted_mm:.2f} mm before the "
+                "first approach: the probe was in contact. Lift it, and check the stage's position",
+            )
+        self._guard.tare(self._rig.force.rate_hz)
+
+    def _rise(self, by_mm: float) -> float:
+        """Lift slowly from where the probe is, within the limits; by how much [mm]."""
+        x, y, z = self._guard.position_m()
+        higher = max(z - by_mm * MM, self._rig.limits.least_m[2])
+        self._guard.away((x, y, higher), self._plan.seek_mm_s * MM)
+        return (z - higher) / MM
+
+    def _mean_raw(self) -> tuple[Force, float]:
+        """Mean force at a stand, without the zero, and its standard deviation along the normal [N]."""
+        samples = self._guard.wait(max(AIR_S, AIR_SAMPLES / self._rig.force.rate_hz), judged=False)
+        bias = ForceBias(self._rig.mounting)
+        bias.measure(samples)
+        return bias.force_n, bias.noise_n
 
     def measure_bias(self) -> None:
         """Measure the force sensor's zero, standing in the air.
@@ -189,11 +257,13 @@ class PressMotion:
         Raises:
             Tripped: it does not; all that a guarded motion raises.
         """
+        self.distrust_position()
         self.over(press.place.x_mm * MM, press.place.y_mm * MM)
         if new_tool:
             self._guard.new_tool(self._rig.stiffness.get(press.indenter))
         self.measure_bias()
         felt = touch_gently(self._rig, self._plan, self._guard)
+        self._position_proven = True
         self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))
 
     def seek(self) -> None:
@@ -215,6 +285,7 @@ class PressMotion:
                 f"{self._place.name}; is the layer there, and the force sensor's sign right?",
             )
         self.contact_m = self._guard.position_m()[2]
+        self._position_proven = True
         self._recorder.event(
             ZERO,
             place=self._place.name,

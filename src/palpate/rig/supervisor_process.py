@@ -23,7 +23,7 @@ def _open(
     first: Mapping[str, Any], clock: MonotonicClock, send: Send, opened: ExitStack
 ) -> tuple[GuardSupervisor, dict[str, Any]]:
     file = RigFile.model_validate(first["rig"])
-    stage, force = open_guarded(file, clock, opened)
+    stage, force = open_guarded(file, clock, opened, first.get("position", "stored"))
     assert file.limits is not None
     assert file.force is not None
     limits, mounting = file.limits.limits(), Mounting(file.force.axes)

@@ -7,13 +7,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 
-from palpate.cli.record.rig_verbs import rig_app, wrong_lines
+from palpate.cli.record.rig_verbs import PositionSource, opened_at, rig_app, wrong_lines
 from palpate.cli.verb_support import Json, print_found, stopped_by_signals
+
+if TYPE_CHECKING:
+    from palpate.rig.commissioning.bench import Bench
+    from palpate.rig.rig_file import PositionFrom
 
 RigName = Annotated[str, Argument(help="A rig's TOML file, or virtual:palm.")]
 
@@ -38,7 +42,7 @@ def home(
     from palpate.rig.commissioning.hand_motion import home_clear
 
     typer.echo("lifting by force, then homing; Ctrl-C stops", err=True)
-    with stopped_by_signals(), open_bench(rig, ("force", "stage"), place=False) as bench:
+    with stopped_by_signals(), open_bench(rig, ("force", "stage"), position="nowhere") as bench:
         stage = bench.need_stage()
         bench.check_may_home()
         force = None if lifted and bench.force is None else bench.need_force()
@@ -49,6 +53,23 @@ def home(
     if lift_mm is not None:
         text += f", after a lift of {lift_mm:.1f} mm to a flat force, as a numb sensor gives too"
     print_found({"rig": rig, "position_mm": at_mm, "lifted_mm": lift_mm}, text, json_)
+
+
+def _placed_bench(rig: str, source: PositionFrom) -> Bench:
+    """Open stage and force sensor, the stage's position known.
+
+    Raises:
+        PositionUnknownError: It is not; its `code` is the reason.
+    """
+    from palpate.rig.commissioning.bench import open_bench
+
+    bench = open_bench(rig, ("force", "stage"), position=source)
+    try:
+        bench.need_stage().position_m()
+    except BaseException:
+        bench.close()
+        raise
+    return bench
 
 
 @rig_app.command()
@@ -64,6 +85,7 @@ def jog(
             "--unguarded", help="Move without a force sensor, 2 mm/s at most: your word that nothing is near."
         ),
     ] = False,
+    position: PositionSource = None,
     json_: Json = False,
 ) -> None:
     """Move one axis by some millimetres, guarded by force.
@@ -76,10 +98,9 @@ def jog(
     Example: palpate rig jog bench.toml --axis z --mm -2
     """
     from palpate.core import InputError
-    from palpate.rig.commissioning.bench import open_bench
     from palpate.rig.commissioning.hand_motion import jog as jog_stage
 
-    with stopped_by_signals(), open_bench(rig, ("force", "stage")) as bench:
+    with stopped_by_signals(), opened_at(position, lambda source: _placed_bench(rig, source)) as bench:
         stage = bench.need_stage()
         if bench.force is None and not unguarded:
             why = bench.failed.get("force", f"the rig {bench.name!r} has no [force]")
@@ -143,7 +164,7 @@ def status(rig: RigName, json_: Json = False) -> None:
 
 
 @rig_app.command()
-def zero(rig: RigName, json_: Json = False) -> None:
+def zero(rig: RigName, position: PositionSource = None, json_: Json = False) -> None:
     """Measure what the force sensor reads in the air.
 
     The probe is lifted by 0.6 mm first: where the force changes on the way, it was in contact, and the zero
@@ -151,10 +172,9 @@ def zero(rig: RigName, json_: Json = False) -> None:
 
     Example: palpate rig zero bench.toml
     """
-    from palpate.rig.commissioning.bench import open_bench
     from palpate.rig.commissioning.hand_motion import zero as zero_force
 
-    with stopped_by_signals(), open_bench(rig, ("force", "stage")) as bench:
+    with stopped_by_signals(), opened_at(position, lambda source: _placed_bench(rig, source)) as bench:
         found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits)
     x, y, z = found.force_n
     text = (

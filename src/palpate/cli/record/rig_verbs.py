@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer import Argument, Option
@@ -20,11 +21,53 @@ if TYPE_CHECKING:
     from palpate.devices.operator_control import OperatorControl
     from palpate.recordings.clock_offset import Offset
     from palpate.rig import Outcome, Status
+    from palpate.rig.rig_file import PositionFrom
 
 plan_app = group("Plans of recordings.")
 rig_app = group("Rigs: stage, force sensor, camera.")
 
+PositionSource = Annotated[
+    str | None,
+    Option(
+        help="Source of the stage's position: stored (only with complete evidence), reference (your word "
+        "that it stands at the file's reference), or touch-off (a guarded search for the skin, from at most "
+        "10 mm above its center)."
+    ),
+]
+Opened = TypeVar("Opened")
 SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
+
+
+def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> Opened:
+    """Open a rig by the source of its stage's position; without one, ask a person where that is unknown.
+
+    Raises:
+        InputError: There is no such source.
+        PositionUnknownError: The position is unknown, and nobody is at a terminal or confirms it.
+    """
+    from palpate.core import InputError, PositionUnknownError
+
+    sources: dict[str, PositionFrom] = {
+        "stored": "stored",
+        "reference": "reference",
+        "touch-off": "touch-off",
+    }
+    if position is not None and position not in sources:
+        raise InputError(f"--position {position!r} is unknown; give one of {', '.join(sources)}")
+    try:
+        return opens(sources[position or "stored"])
+    except PositionUnknownError as e:
+        if position is not None or not (sys.stdin.isatty() and sys.stderr.isatty()):
+            raise
+        typer.echo(f"palpate: {e}", err=True)
+        answer = typer.prompt(
+            "reference: the stage stands there; touch-off: the probe hangs above the skin's center; no",
+            default="no",
+            err=True,
+        )
+        if answer not in ("reference", "touch-off"):
+            raise
+    return opens(sources[answer])
 
 
 def record(
@@ -39,6 +82,7 @@ def record(
         str, Option(help="Rig: a TOML file, virtual:palm, virtual:tactip or another sensor's.")
     ] = "virtual:palm",
     seed: Annotated[int, Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
+    position: PositionSource = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -54,7 +98,8 @@ def record(
     from palpate.rig import State, plan_of, plan_of_sensor, record as record_plan
     from palpate.rig.rig_file import open_rig
 
-    control, opened = OperatorControl(), open_rig(rig, seed=seed)
+    control = OperatorControl()
+    opened = opened_at(position, lambda source: open_rig(rig, seed=seed, position=source))
     try:
         chosen = plan_of_sensor(opened.design) if plan is None else plan_of(plan, opened.design)
         with progress_bar(quiet) as progress, _signals_ask(control):
@@ -120,7 +165,11 @@ def _is_specimen(words: str) -> bool:
 
 
 @rig_app.command()
-def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], json_: Json = False) -> None:
+def check(
+    rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")],
+    position: PositionSource = None,
+    json_: Json = False,
+) -> None:
     """Check a rig with its probe in free air; the stage moves by 2 mm.
 
     Measures rates, noise, stamps and limits. Prints what was measured, and in brackets what was stated or
@@ -134,7 +183,8 @@ def check(rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], j
     from palpate.rig.rig_file import open_rig
 
     with stopped_by_signals():
-        findings = check_rig(open_rig(rig, supervised=False))
+        opened = opened_at(position, lambda source: open_rig(rig, supervised=False, position=source))
+        findings = check_rig(opened)
     wrong = [one for one in findings if not one.ok]
     lines = [_measured(one) for one in findings if one.ok and one.unit]
     lines += [f"note: {one.name}: {one.message}" for one in findings if one.ok and one.message]

@@ -55,7 +55,8 @@ def error_fields(error: BaseException) -> dict[str, Any]:
             "numbers": error.numbers,
         }
     known = (one.__name__ for one in type(error).__mro__ if hasattr(errors, one.__name__))
-    return {"kind": next(known, type(error).__name__), "error": str(error)}
+    code = error.code if isinstance(error, PalpateError) else ""
+    return {"kind": next(known, type(error).__name__), "error": str(error), "code": code}
 
 
 def error_of(fields: Mapping[str, Any]) -> Exception:
@@ -67,7 +68,7 @@ def error_of(fields: Mapping[str, Any]) -> Exception:
         return Tripped(Reason(str(fields.get("reason"))), text, fields.get("numbers"))
     family = getattr(errors, kind, None)
     if isinstance(family, type) and issubclass(family, PalpateError):
-        return family(text)
+        return family(text, code=str(fields.get("code") or ""))
     return DeviceError(f"the supervisor failed: {kind}: {text}")
 
 

@@ -228,7 +228,7 @@ class GuardSupervisor:
     def _towards(self, order: Mapping[str, Any]) -> bool:
         until_n, step_m = order["until_N"], order["step_m"]
         guard, self._judges = self._guarding(), True
-        until = None if until_n is None else ForceReached(float(until_n))
+        until = None if until_n is None else ForceReached(float(until_n), bool(order["until_any"]))
         with self._attended():
             return guard.towards(three(order["target"]), float(order["speed_m_s"]), until, step_m)
 

@@ -110,10 +110,16 @@ class SupervisedGuard:
         step_m: float | None = None,
     ) -> bool:
         """Move in short guarded steps; True as soon as the normal force is reached, stopped there."""
-        until_n = None if until is None else until.normal_n
-        return bool(
-            self._order("towards", target=target, speed_m_s=speed_m_s, until_N=until_n, step_m=step_m)
+        until_n, any_way = (None, False) if until is None else (until.normal_n, until.any_way)
+        reached = self._order(
+            "towards",
+            target=target,
+            speed_m_s=speed_m_s,
+            until_N=until_n,
+            until_any=any_way,
+            step_m=step_m,
         )
+        return bool(reached)
 
     def away(self, target: Position, speed_m_s: float) -> None:
         """Move away from the skin, or beside it, in one go."""

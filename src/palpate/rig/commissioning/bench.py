@@ -29,12 +29,12 @@ from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
 from palpate.devices.rpc import find, hold, supervisor_name
 from palpate.devices.rpc_client import RpcClient
-from palpate.rig.commissioning.hand_motion import discard
+from palpate.rig.commissioning.hand_motion import discard, touch_off
 from palpate.rig.real.device_hold import DeviceHeldError
 from palpate.rig.rig_file import (
     FollowingPart,
-    GrblPart,
     MarlinPart,
+    PositionFrom,
     RigFile,
     follow_stage,
     is_virtual,
@@ -111,7 +111,7 @@ class Bench(Closing):
             raise InputError(
                 f"the rig {self.name!r} has a Marlin stage, whose homing can drive its tool down to the bed; "
                 "nothing moved. Where its switches lie away from the skin, set home = true under [stage]; "
-                "else lift and place it by hand, and state where it stands as reference"
+                "else give --position touch-off or --position reference"
             )
 
     def need_force(self) -> ForceSensor:
@@ -126,14 +126,14 @@ class Bench(Closing):
 
 
 def open_bench(
-    rig: str, roles: tuple[Role, ...] = ("force", "camera", "stage"), *, place: bool = True
+    rig: str, roles: tuple[Role, ...] = ("force", "camera", "stage"), *, position: PositionFrom = "stored"
 ) -> Bench:
     """Open some of a rig's devices; one that fails is told in `failed`, and the others stay open.
 
     Args:
         rig: a rig's file, or the name of a virtual one.
         roles: which devices.
-        place: take the stage's place from the file's `reference`; off for homing and for stopping.
+        position: Source of the stage's position; "nowhere" for homing and for stopping.
 
     Raises:
         InputError: there is no such rig; or a field that is not one, or out of range.
@@ -163,28 +163,28 @@ def open_bench(
     )
     for role in sorted(roles, key=lambda role: isinstance(getattr(file, role), FollowingPart)):
         try:
-            setattr(bench, role, _open(file, role, bench, place=place))
+            setattr(bench, role, _open(file, role, bench, position))
         except PalpateError as e:
             bench.failed[role] = str(e)
+        except BaseException:
+            bench.close()
+            raise
+    if position == "touch-off":
+        try:
+            touch_off(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.origin_m)
         except BaseException:
             bench.close()
             raise
     return bench
 
 
-def _open(file: RigFile, role: Role, bench: Bench, *, place: bool) -> Any:
+def _open(file: RigFile, role: Role, bench: Bench, position: PositionFrom) -> Any:
     part, clock = getattr(file, role), bench.clock
     if part is None:
         return None
     if isinstance(part, FollowingPart) and role in ("force", "camera") and bench.stage is not None:
         return follow_stage(role, file, bench.stage, clock)
-    return _open_stage_part(part, clock, place=place) if role == "stage" else open_part(role, part, clock)
-
-
-def _open_stage_part(part: Any, clock: Clock, *, place: bool) -> Any:
-    if isinstance(part, GrblPart | MarlinPart):
-        return part.open(clock, place=place)
-    return open_part("stage", part, clock)
+    return open_part(role, part, clock, position)
 
 
 def rig_process(rig: str) -> RigClient | None:
@@ -294,7 +294,7 @@ def _open_stage(rig: str) -> Stage:
     file = read_rig(Path(rig))
     if file.stage is None:
         raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
-    stage: Stage = _open_stage_part(file.stage, MonotonicClock(), place=False)
+    stage: Stage = open_part("stage", file.stage, MonotonicClock(), "nowhere")
     return stage
 
 

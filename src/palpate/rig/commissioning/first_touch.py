@@ -26,6 +26,11 @@ WHERE = (
     'into the skin). A step first, as in "x 5" or "z -0.5" [mm], is asked again; Enter where it hangs right'
 )
 
+HOLD = (
+    "The controller releases the motors at rest, and a stage that was pushed then loses its position. Set "
+    "$1=255 on it, so that they keep their current and stay warm"
+)
+
 Say = Callable[[str], None]
 
 
@@ -40,7 +45,7 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
 
     Returns:
         Fields of the file that the touch gave: ``axes`` of the force sensor, ``origin_mm``, and the stage's
-        ``reference`` where it has no switches.
+        ``reference`` where it has no switches. Besides, ``motors_hold``.
 
     Raises:
         Tripped: a touch or a motion that was not as it has to be; the stage stands.
@@ -54,9 +59,10 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         force = open_part("force", file.force, clock)
         opened.callback(force.close)
         homes = homing and confirm(answers, "home", "Home the stage now, the probe free", True)
-        stage_part = file.stage.model_copy(update={"reference": None}) if homes else file.stage
-        stage = open_part("stage", stage_part, clock)
+        stage = open_part("stage", file.stage, clock, "nowhere" if homes else "reference")
         opened.callback(stage.close)
+        if not getattr(stage, "motors_hold", True) and confirm(answers, "hold_motors", HOLD, False):
+            stage.hold_motors()
         if homes:
             say("homing, on your word that the probe hangs free")
             home_clear(stage, force, Mounting(), clock, lifted=True)
@@ -72,6 +78,7 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         stage.move_to((x, y, max(z - LIFT_M, limits.least_m[2])), limits.fastest_m_s(stage.travel))
         while stage.moving():
             clock.sleep(0.01)
+        found["motors_hold"] = getattr(stage, "motors_hold", True)
         return found if homing else found | {"reference": _mm(stage.position_m())}
 
 

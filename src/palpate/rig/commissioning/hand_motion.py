@@ -44,15 +44,22 @@ MAX_JOG_M = 50e-3
 MAX_JOG_M_S = 10e-3
 MAX_UNGUARDED_M_S = 2e-3
 JOG_N = 1.0  # change of force at which a jog stops
+SEARCH_STEP_M = 0.05e-3  # step of a touch-off; the force is measured after each
+SEARCH_SPEED_M_S = 1e-3
+SEARCH_REACH_M = 10e-3  # greatest distance from the skin at which a touch-off begins
+SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
+TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
 
 
 @runtime_checkable
 class Homing(Protocol):
-    """Stage with switches that it can home on; `retreat` moves it away before its place is known."""
+    """Stage whose place can be lost: `retreat` and `approach` move it along z before its place is known."""
 
     def home(self) -> None: ...
     def unlock(self) -> None: ...
     def retreat(self, distance_m: float, speed_m_s: float) -> None: ...
+    def approach(self, distance_m: float, speed_m_s: float) -> None: ...
+    def reference(self, position_m: Position) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +173,67 @@ def home_clear(
         found = _lift_locked(stage, force, mounting, clock)
     stage.home()
     return found
+
+
+def touch_off(
+    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, surface_m: Position
+) -> AirForce:
+    """Find the skin below the probe by a guarded search, and take the stage's position from it.
+
+    The operator states that the probe hangs above the skin's center, `SEARCH_REACH_M` at most. The probe is
+    lifted until the force is flat, goes down in steps of `SEARCH_STEP_M` until the force changes, and is
+    lifted by `TOUCH_OFF_LIFT_M`, where the force must be that of the air again.
+
+    Args:
+        surface_m: Position of the skin's center at its surface [m].
+
+    Raises:
+        Tripped: no air, no contact, or a force that does not return to that of the air.
+        DeviceError: the stage has no need of it, or fails.
+    """
+    if not isinstance(stage, Homing):
+        raise DeviceError("this stage always knows its position; leave --position touch-off out")
+    lift_clear(stage, force, mounting, clock)
+    air = mean_force(force, Mounting(), clock)
+    lowered_m = 0.0
+    while True:
+        if lowered_m > SEARCH_REACH_M:
+            raise Tripped(
+                Reason.NO_CONTACT,
+                f"no contact within {SEARCH_REACH_M * 1e3:g} mm below the probe; hang it above the skin's "
+                "center, nearer than that, and check the force sensor",
+            )
+        _search_step(stage, force, clock, air)
+        lowered_m += SEARCH_STEP_M
+        at = mean_force(force, Mounting(), clock)
+        if math.dist(at.force_n, air.force_n) > _contact_n(at, air):
+            break
+    _retreat(stage, force, mounting, clock, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
+    left = mean_force(force, Mounting(), clock)
+    if math.dist(left.force_n, air.force_n) > _contact_n(left, air):
+        raise Tripped(
+            Reason.FORCE_DRIFT,
+            f"after a touch-off the force did not return to that of the air, {TOUCH_OFF_LIFT_M * 1e3:g} mm "
+            "above the contact: the sensor drifts, or something else touches; let it warm up, then repeat",
+        )
+    x, y, z = surface_m
+    stage.reference((x, y, z - TOUCH_OFF_LIFT_M))
+    return replace(left, lifted_mm=TOUCH_OFF_LIFT_M * 1e3)
+
+
+def _search_step(stage: Homing, force: ForceSensor, clock: Clock, air: AirForce) -> None:
+    """Go down by one step, stopped on the way by a change of force."""
+
+    def look() -> None:
+        for one in force.drain():
+            if one.fault:
+                raise Tripped(Reason.FORCE_FAULT, f"the force sensor reports: {one.fault}")
+            if math.dist(one.force_n, air.force_n) > SEARCH_N:
+                stage.stop()  # type: ignore[attr-defined]
+
+    discard(force)
+    stage.approach(SEARCH_STEP_M, SEARCH_SPEED_M_S)
+    _await(stage, clock, SEARCH_STEP_M / SEARCH_SPEED_M_S, look)  # type: ignore[arg-type]
 
 
 def zero(

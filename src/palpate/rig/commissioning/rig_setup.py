@@ -38,7 +38,7 @@ from palpate.rig.commissioning.setup_answers import (
 )
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.rig_check import check_rig
-from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, RigFile, open_part, open_rig
+from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, PositionFrom, RigFile, open_part, open_rig
 
 MM = 1e3
 RANGE_SHARE = 0.5  # of the sensor's range, proposed as the limit of force
@@ -104,6 +104,11 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
         made.fields["force"]["axes"] = touched["axes"]
         if not found.homing:
             made.fields["stage"]["reference"] = touched["reference"]
+        if not touched["motors_hold"]:
+            made.unchecked.append(
+                "the stage's position at each opening: its motors are released at rest; home it, or give "
+                "--position touch-off or --position reference"
+            )
     else:
         made.unchecked += [
             "axis and sign of the force",
@@ -116,7 +121,7 @@ def set_up(out: Path, answers: Answers, say: Say) -> SetUp:
         path.write_text(toml_text(made.fields), encoding="utf-8")
     say(f"{out} is written")
     if may_move:
-        _check(out, made, say)
+        _check(out, made, answers, say, known=found.homing and touched["motors_hold"])
     else:
         made.unchecked.append("the rig's check: run palpate rig check once it may move")
     made.unchecked += [
@@ -188,7 +193,6 @@ def _stage(made: SetUp, answers: Answers, say: Say, clock: Clock) -> FoundStage:
                 "Where the stage stands now, without switches",
             )
         )
-        made.unchecked.append("the stage's place: it has no switches, so it is on your word at each opening")
     made.fields["stage"] = part
     return found
 
@@ -406,10 +410,16 @@ def _take_scale(part: dict[str, Any], found: WeighingResult, answers: Answers, s
     part["scale_uncertainty"] = round(found.uncertainty, 5)
 
 
-def _check(out: Path, made: SetUp, say: Say) -> None:
+def _check(out: Path, made: SetUp, answers: Answers, say: Say, *, known: bool) -> None:
+    position: PositionFrom = "stored"
+    if not (known or made.fields["stage"].get("home")):
+        if not confirm(answers, "still_there", "Is the stage where the touch left it, not pushed since"):
+            made.unchecked.append("the rig's check: the stage's position was not confirmed")
+            return
+        position = "reference"
     say("checking the rig; the stage moves by 2 mm")
     try:
-        rig = open_rig(str(out), supervised=False)
+        rig = open_rig(str(out), supervised=False, position=position)
     except PalpateError as e:
         raise DeviceError(
             f"{out} is written, and could not be opened for its check ({e}). Where the board resets as its "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 MAX_LINE = 80
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))?")
 _CODES = {"G0", "G1", "G4", "G17", "G20", "G21", "G53", "G54", "G90", "G91", "G94"}
-_LETTERS = "GXYZFPM"
+_LETTERS = "GXYZFPMS"
 MM_PER_INCH = 25.4
 
 
@@ -28,6 +28,7 @@ class Modes:
     inches: bool = False
     steps: bool = False
     feed_mm_min: float = 0.0
+    spindle: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Words:
 
     def modes_after(self, before: Modes) -> Modes:
         """Modes from this line on."""
-        after = Modes(before.motion, before.inches, before.steps, before.feed_mm_min)
+        after = Modes(before.motion, before.inches, before.steps, before.feed_mm_min, before.spindle)
         for code in self.codes:
             if code in ("G20", "G21"):
                 after.inches = code == "G20"
@@ -49,6 +50,7 @@ class Words:
                 after.motion = code
         if "F" in self.numbers:
             after.feed_mm_min = self.numbers["F"] * (MM_PER_INCH if after.inches else 1.0)
+        after.spindle = self.numbers.get("S", after.spindle)
         return after
 
     def axes_mm(self, inches: bool) -> dict[str, float]:
@@ -81,7 +83,7 @@ def read_words(line: str) -> Words:
                 raise RefusalError(20)
             codes.append(code)
         elif letter != "M":
-            if letter in "FP" and float(number) < 0:
+            if letter in "FPS" and float(number) < 0:
                 raise RefusalError(4)
             numbers[letter] = float(number)
         at = word.end()

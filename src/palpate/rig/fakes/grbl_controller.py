@@ -55,6 +55,9 @@ class GrblController:
       ALARM:6. Observed.
     - After `$SLP` (Sleep) and `$C` (Check) only 0x18 brings it back. Observed. Sleep switches the motors off
       and so comes back locked; Check comes back Idle. Public Grbl 1.1 interface description.
+    - At rest the motors are released after $1 milliseconds, unless $1 is 255; in an alarm and asleep they are
+      released in any case. Public Grbl 1.1 documentation.
+    - `S` is modal: it survives jogs and a jog cancel, and any reset returns it to 0. Observed on both.
     - A `?` is not answered while homing and after ALARM:1 and ALARM:2; grblHAL answers after ALARM:1.
       Observed.
 
@@ -129,6 +132,19 @@ class GrblController:
             jogging = self._stranded or (self._jogging and not self._spoilt)
             return "Idle" if hidden else "Jog" if jogging else "Run"
         return "Idle"
+
+    @property
+    def motors_hold(self) -> bool:
+        """Whether the motors have current."""
+        if self._alarm or self._sleeping:
+            return False
+        return bool(self._axes.blocks) or self.settings[1] == 255
+
+    def push(self, by_mm: Millimetres) -> bool:
+        """Push the carriage by hand; it moves, uncounted, only where the motors are released."""
+        if not self.motors_hold:
+            self._slip_mm = add_mm(self._slip_mm, by_mm)
+        return not self.motors_hold
 
     def power_up(self) -> None:
         """Start as if switched on: counts at zero, locked where homing is asked for."""

@@ -59,7 +59,8 @@ class GrblFirmware(GrblController):
         elif line == "$G":
             unit, how = "G20" if self._modes.inches else "G21", "G91" if self._modes.steps else "G90"
             feed = f"{self._modes.feed_mm_min:.0f}"
-            self._say(f"[GC:{self._modes.motion} G54 G17 {unit} {how} G94 M5 M9 T0 F{feed} S0]")
+            spindle = f"{self._modes.spindle:.0f}" + "." * (self.model.firmware == "grblHAL")
+            self._say(f"[GC:{self._modes.motion} G54 G17 {unit} {how} G94 M5 M9 T0 F{feed} S{spindle}]")
         elif line == "$X":
             if self._hard:
                 raise RefusalError(79)

@@ -49,6 +49,9 @@ class MarlinParameters:
         core_xy: its counts are motors'.
         level_mm: by which bed levelling shifts its Z [mm].
         latency_s: from M410 to its effect [s].
+        idle_s: without a move, until the motors are released; 0 for never. M84 S changes it until the next
+            start [s].
+        extruder: M114 and G92 have an E.
     """
 
     emergency_parser: bool = True
@@ -67,6 +70,8 @@ class MarlinParameters:
     core_xy: bool = False
     level_mm: float = 0.0
     latency_s: float = 0.0
+    idle_s: float = 120.0
+    extruder: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +143,22 @@ class MarlinFirmware:
         """Speed [mm/s]."""
         return 0.0 if self._axes.stuck else self._axes.speed_mm_s
 
+    @property
+    def motors_hold(self) -> bool:
+        """Whether the motors have current."""
+        idle = 0 < self._idle_s <= self._now_s - self._moved_s
+        return bool(self._axes.blocks) or not (self._released or idle)
+
+    def push(self, by_mm: Millimetres) -> bool:
+        """Push the carriage by hand; it moves, uncounted, only where the motors are released."""
+        if not self.motors_hold:
+            self._slip_mm = add_mm(self._slip_mm, by_mm)
+        return not self.motors_hold
+
     def power_up(self) -> None:
-        """Start as if switched on: counts at zero, not homed."""
+        """Start as if switched on: counts at zero, not homed, motors released until the first move."""
+        self._idle_s, self._moved_s, self._released = self.model.idle_s, self._now_s, True
+        self._extruder_mm = 0.0
         self._slip_mm, self.homed = self.place_mm, False
         self._axes.put(NOWHERE)
         self.killed, self._last_line = False, 0
@@ -187,6 +206,8 @@ class MarlinFirmware:
         if self._now_s >= self._stop_s:
             self._stop_dead()
         before = self._axes.place_mm
+        if self._axes.blocks:
+            self._moved_s, self._released = self._now_s, False
         self._axes.advance(step_s)
         self._travelled_mm += math.dist(before, self._axes.place_mm)
         self._break_down()
@@ -303,7 +324,15 @@ class MarlinFirmware:
                 return (f"echo:Soft endstops: ON  Min:  {low}   Max:  {high}",)
             case "M503":
                 return self._settings()
-            case "G21" | "M84" | "M400":
+            case "G92" if self.model.extruder and set(words) == {"G", "E"}:
+                self._extruder_mm = words["E"]
+            case "M84" if "S" in words:
+                self._idle_s = words["S"]
+            case "M84":
+                self._released = True
+            case "M17":
+                self._released, self._moved_s = False, self._now_s
+            case "G21" | "M400":
                 pass
             case _:
                 return (f'echo:Unknown command: "{line}"',)
@@ -361,7 +390,8 @@ class MarlinFirmware:
         a, b, c = (round(at * n) for at, n in zip(place, steps, strict=True))
         letters = "ABZ" if self.model.core_xy else "XYZ"
         counts = " ".join(f"{letter}:{n}" for letter, n in zip(letters, (a, b, c), strict=True))
-        return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count {counts}"
+        extruder = f"E:{self._extruder_mm:.2f} " if self.model.extruder else ""
+        return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} {extruder}Count {counts}"
 
     def _stop_dead(self) -> None:
         """The steps stop at once; from above the jerk, what is driven runs on by its momentum."""

@@ -12,7 +12,7 @@ from palpate.rig.rig_file.opened_rig import (
     sensor_named,
 )
 from palpate.rig.rig_file.sensor_parts import FollowingPart
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, UrArmPart
+from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, PositionFrom, UrArmPart
 
 __all__ = [
     "MAX_LIMITS",
@@ -20,6 +20,7 @@ __all__ = [
     "GrblPart",
     "LimitsPart",
     "MarlinPart",
+    "PositionFrom",
     "RigFile",
     "UrArmPart",
     "follow_stage",

@@ -28,7 +28,7 @@ from palpate.core.parsing import parser
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
-from palpate.rig.commissioning.hand_motion import home_clear
+from palpate.rig.commissioning.hand_motion import home_clear, touch_off
 from palpate.rig.commissioning.scaled_force import ScaledForce
 from palpate.rig.rig import VIRTUAL, Region, Rig
 
@@ -53,7 +53,7 @@ from palpate.rig.rig_file.sensor_parts import (
     SerialScalePart,
     UvcPart,
 )
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, UrArmPart
+from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, PositionFrom, UrArmPart
 
 SUPERVISOR = ("-m", "palpate.rig.supervisor_process")
 
@@ -141,15 +141,16 @@ class RigFile(Part):
         return part
 
 
-def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
+def open_rig(text: str, *, seed: int = 0, supervised: bool = True, position: PositionFrom = "stored") -> Rig:
     """A rig by name, or from a TOML file; the caller closes it.
 
     Args:
         text: "virtual:" and a sensor's name, such as "virtual:palm"; or a file's path.
         seed: of the rig by name; a file has its own.
-        supervised: see `rig_from`.
+        supervised, position: see `rig_from`.
 
     Raises:
+        PositionUnknownError: nothing proves where the stage is; its `code` is the reason.
         InputError: neither; or a field that is not one, or out of range.
         DeviceError: a device is missing, busy or refuses; those opened before are closed.
     """
@@ -160,7 +161,7 @@ def open_rig(text: str, *, seed: int = 0, supervised: bool = True) -> Rig:
     path = Path(text)
     file = read_rig(path)
     try:
-        return rig_from(file, supervised=supervised, name=str(path.resolve()))
+        return rig_from(file, supervised=supervised, name=str(path.resolve()), position=position)
     except InputError as e:
         raise InputError(f"{path}: {e}") from e
 
@@ -205,7 +206,9 @@ def read_rig(path: Path) -> RigFile:
     return file
 
 
-def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
+def rig_from(
+    file: RigFile, *, supervised: bool = True, name: str = "", position: PositionFrom = "stored"
+) -> Rig:
     """Open what a file says.
 
     Args:
@@ -213,6 +216,7 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         supervised: stage and force sensor belong to a process of their own, which guards every motion;
             otherwise they are opened here, as checks need it that talk to each device.
         name: under which that process can be found, to stop it; left out, the rig's own.
+        position: Source of the stage's position, see `PositionFrom`.
     """
     if file.virtual is not None:
         if file.stage or file.force or file.camera or file.label_force:
@@ -232,12 +236,13 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         guarded: tuple[Stage, ForceSensor]
         if supervised:
             supervisor = SupervisorLink(
-                SUPERVISOR, {"rig": file.model_dump(mode="json"), "name": name or file.name}
+                SUPERVISOR,
+                {"rig": file.model_dump(mode="json"), "name": name or file.name, "position": position},
             )
             opened.callback(supervisor.close)
             guarded = supervisor.stage, supervisor.force
         else:
-            guarded = open_guarded(file, clock, opened)
+            guarded = open_guarded(file, clock, opened, position)
         if camera is None:
             camera = follow_stage("camera", file, guarded[0], clock)
         simulated = [f"{role} virtual, not measured" for role in OWN if _follows(getattr(file, role))]
@@ -265,21 +270,34 @@ def rig_from(file: RigFile, *, supervised: bool = True, name: str = "") -> Rig:
         return rig
 
 
-def open_guarded(file: RigFile, clock: Clock, opened: ExitStack) -> tuple[Stage, ForceSensor]:
-    """Open what a guarded motion needs, stage and force sensor; homed where the file asks for that."""
+def open_guarded(
+    file: RigFile, clock: Clock, opened: ExitStack, position: PositionFrom = "stored"
+) -> tuple[Stage, ForceSensor]:
+    """Open what a guarded motion needs, stage and force sensor, and find the stage's position.
+
+    Raises:
+        PositionUnknownError: nothing proves where the stage is; its `code` is the reason.
+    """
     assert file.stage is not None  # as whoever reads the file made sure of
     assert file.force is not None
     if _follows(file.force):
-        stage = _opened("stage", file.stage, clock, opened)
+        stage = _opened_stage(file.stage, clock, opened, position)
         force = follow_stage("force", file, stage, clock)
     else:
         force = _opened("force", file.force, clock, opened)
-        stage = _opened("stage", file.stage, clock, opened)
-    if isinstance(file.stage, GrblPart | MarlinPart) and file.stage.home:
-        mounting = Mounting(file.force.axes)
-        if file.limits is not None:
-            _check_before_motion(_limits(file.limits), stage, force, mounting)
-        home_clear(stage, force, mounting, clock)
+        stage = _opened_stage(file.stage, clock, opened, position)
+    if not isinstance(file.stage, GrblPart | MarlinPart):
+        return stage, force
+    mounting = Mounting(file.force.axes)
+    if position == "touch-off" or (file.stage.home and position != "reference"):
+        limits = None if file.limits is None else _limits(file.limits)
+        if limits is not None:
+            _check_before_motion(limits, stage, force, mounting)
+        if position == "touch-off":
+            touch_off(stage, force, mounting, clock, metres(file.origin_mm))
+        else:
+            home_clear(stage, force, mounting, clock)
+    stage.position_m()  # refused here, where it is not known, and not at the first motion
     return stage, force
 
 
@@ -292,7 +310,7 @@ def _limits(part: LimitsPart) -> Limits:
 
 
 def _check_before_motion(limits: Limits, stage: Stage, force: ForceSensor, mounting: Mounting) -> None:
-    """Refuse limits that the devices cannot keep, before the stage is homed."""
+    """Refuse limits that the devices cannot keep, before the stage is homed or touches off."""
     try:
         limits.check_within(stage.travel)
         limits.check_range(force.range_n[mounting.normal])
@@ -301,8 +319,12 @@ def _check_before_motion(limits: Limits, stage: Stage, force: ForceSensor, mount
     limits.check_sensor(force)
 
 
-def open_part(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock) -> Any:
-    """Open a part's device; a force sensor behind the factor of its `scale`."""
+def open_part(
+    role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, position: PositionFrom = "stored"
+) -> Any:
+    """Open a part's device: a force sensor behind the factor of its `scale`, a stage by `PositionFrom`."""
+    if isinstance(part, GrblPart | MarlinPart):
+        return part.open(clock, position=position)
     if isinstance(part, PluginPart):
         device = open_device(role, part.kind, part.options, clock)
     else:
@@ -328,6 +350,12 @@ def _opened(role: Role, part: StagePart | ForcePart | CameraPart, clock: Clock, 
     device = open_part(role, part, clock)
     opened.callback(device.close)
     return device
+
+
+def _opened_stage(part: StagePart, clock: Clock, opened: ExitStack, position: PositionFrom) -> Stage:
+    stage: Stage = open_part("stage", part, clock, position)
+    opened.callback(stage.close)
+    return stage
 
 
 def _virtual(file: RigFile, part: VirtualPart) -> Rig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -14,6 +15,15 @@ if TYPE_CHECKING:
     from palpate.rig.real.grbl.grbl_stage import GrblStage
     from palpate.rig.real.marlin import MarlinStage
     from palpate.rig.real.ur_arm import UrArmSpec
+
+PositionFrom = Literal["stored", "reference", "touch-off", "nowhere"]
+"""Source of a stage's position when it is opened.
+
+- "stored": The position of the last session, where `position_evidence` accepts it.
+- "reference": The operator confirms that the stage stands at `reference`.
+- "touch-off": A guarded search for the skin, from above its center; `opened_rig` carries it out.
+- "nowhere": None; the stage may then only be stopped, lifted, or homed.
+"""
 
 Baud = Annotated[int, Field(ge=1200, le=4_000_000)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -59,10 +69,9 @@ class GrblPart(Part):
     Attributes:
         baud, dtr: of the port; see `GrblSpec`.
         least_mm, greatest_mm: where it may be sent; needed where the stage has no switches.
-        require_homed: refuse to move unless it was homed by its switches. A stage without any is opened
-            with False, and then needs `reference`.
-        reference: where it stands when the rig is opened, on the file's word: "counts" takes the controller's
-            own, and three numbers are its place [mm]. Left out, its place is unknown until it is homed.
+        require_homed: refuse to move unless it was homed by its switches; False for a stage without any.
+        reference: Position at which the operator may confirm that the stage stands (`--position reference`),
+            never assumed: three numbers [mm], or "counts" for the controller's machine coordinates.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
         top_speed_mm_s, latency_s, boot_s, reply_s, stop_s, home_s: see `GrblSpec`; left out, its own.
     """
@@ -90,26 +99,10 @@ class GrblPart(Part):
         check_above(MIN_STAGE, self)
         if self.home and not self.require_homed:
             raise ValueError("home = true needs switches, and require_homed = false says there are none")
-        if self.dtr and self.reference == "counts":
-            raise ValueError(
-                'reference = "counts" with dtr = true: raising DTR resets many boards, and '
-                "Grbl forgets its place "
-                "at a start; set home = true, or say where it stands"
-            )
-        if not self.require_homed and self.reference is None:
-            raise ValueError(
-                'a stage without switches (require_homed = false) needs reference: "counts", or where it '
-                "stands whenever the rig is opened, as in reference = [0, 0, 0] [mm]"
-            )
         return self
 
-    def open(self, clock: Clock, *, place: bool = True) -> Stage:
-        """Open the stage; it takes its place from `reference` where that is stated, and does not move.
-
-        Args:
-            clock: times the motion.
-            place: take the place; a stage that is to be homed needs none.
-        """
+    def open(self, clock: Clock, *, position: PositionFrom = "stored") -> Stage:
+        """Open the stage, which does not move, and take its position from where it is said to be found."""
         from palpate.rig.real.grbl.grbl_stage import GrblStage
         from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
@@ -124,16 +117,7 @@ class GrblPart(Part):
             **_given(self, "boot_s", "reply_s", "stop_s", "home_s"),
         )
         stage = GrblStage.open(spec, clock)
-        if place and self.reference == "counts" and not self.home and stage.started_anew:
-            stage.close()
-            raise DeviceError(
-                f"the controller at {self.port} started anew as its port was opened, and forgot its place: "
-                "its "
-                "counts are not to be believed; palpate rig home, or set home = true in [stage]"
-            )
-        if place and self.reference is not None and not self.home:
-            _take_place(stage, None if self.reference == "counts" else metres(self.reference))
-        return stage
+        return _placed(stage, self, position)
 
 
 class MarlinPart(Part):
@@ -141,7 +125,8 @@ class MarlinPart(Part):
 
     Attributes:
         least_mm, greatest_mm: where it may be sent; needed where it is not homed.
-        reference: where it stands when the rig is opened, on the file's word [mm].
+        reference: Position at which the operator may confirm that the stage stands (`--position reference`)
+            [mm]. It is never assumed.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
         sudden_mm_s: fastest speed from which it stops dead without losing steps; left out, its jerk (M205).
         top_speed_mm_s, latency_s, queued_s, boot_s, reply_s, stop_s, home_s: see `MarlinSpec`; left out, its
@@ -171,16 +156,11 @@ class MarlinPart(Part):
         check_below(MAX_STAGE, self)
         check_above(MIN_STAGE, self)
         if self.home and self.reference is not None:
-            raise ValueError("home = true and reference both say where it is; leave one out")
+            raise ValueError("home = true and reference are both given; leave one out")
         return self
 
-    def open(self, clock: Clock, *, place: bool = True) -> Stage:
-        """Open the stage; it takes its place from `reference` where that is stated, and does not move.
-
-        Args:
-            clock: times the motion.
-            place: take the place; a stage that is to be homed needs none.
-        """
+    def open(self, clock: Clock, *, position: PositionFrom = "stored") -> Stage:
+        """Open the stage, which does not move, and take its position from where it is said to be found."""
         from palpate.rig.real.marlin import MarlinSpec, MarlinStage
 
         spec = MarlinSpec(
@@ -193,9 +173,7 @@ class MarlinPart(Part):
             **_given(self, "latency_s", "queued_s", "boot_s", "reply_s", "stop_s", "home_s"),
         )
         stage = MarlinStage.open(spec, clock)
-        if place and self.reference is not None:
-            _take_place(stage, metres(self.reference))
-        return stage
+        return _placed(stage, self, position)
 
 
 class UrArmPart(Part):
@@ -276,6 +254,7 @@ def _box(part: GrblPart | MarlinPart) -> dict[str, Any]:
         "least_m": None if part.least_mm is None else metres(part.least_mm),
         "greatest_m": None if part.greatest_mm is None else metres(part.greatest_mm),
         "top_speed_m_s": None if part.top_speed_mm_s is None else part.top_speed_mm_s * MM,
+        "frame": f"{part.reference} {part.least_mm} {part.greatest_mm}",
     }
 
 
@@ -284,10 +263,31 @@ def _given(part: GrblPart | MarlinPart, *names: str) -> dict[str, Any]:
     return {name: value for name in names if (value := getattr(part, name)) is not None}
 
 
-def _take_place(stage: GrblStage | MarlinStage, place_m: Any) -> None:
-    """Take the file's word for where the stage stands; closed where it cannot."""
+def _placed(
+    stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart, position: PositionFrom
+) -> GrblStage | MarlinStage:
+    """Take the stage's position; the stage is closed where that fails.
+
+    A stage whose stored position is not accepted stays open, so that it can be homed; it raises the reason
+    wherever its position is asked for.
+    """
     try:
-        stage.reference(place_m)
+        if position == "reference":
+            stage.reference(_confirmed_m(part))
+        elif position == "stored":
+            with suppress(DeviceError):
+                stage.recall()
     except BaseException:
         stage.close()
         raise
+    return stage
+
+
+def _confirmed_m(part: GrblPart | MarlinPart) -> Any:
+    """Return the position that the operator confirms; None for the controller's own coordinates."""
+    if part.reference is None:
+        raise InputError(
+            "--position reference needs the position in the rig's file; add reference = [x, y, z] [mm] under "
+            "[stage]"
+        )
+    return None if part.reference == "counts" else metres(part.reference)

@@ -14,6 +14,7 @@ from palpate.core import PalpateError
 from palpate.core.failure_log import contained, thread_failures
 from palpate.devices.process_memory import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
+from palpate.rig.rig_file import PositionFrom
 from palpate.rig.service.rig_service import RigServer, RigService
 from palpate.rig.service.served_rig import open_served_rig
 
@@ -28,6 +29,7 @@ def main() -> int:
     parser.add_argument("--runs", type=Path, required=True, help="folder that recordings go into")
     parser.add_argument("--folder", type=Path, help="folder of the address file")
     parser.add_argument("--accelerated", action="store_true", help="a virtual rig as fast as it goes")
+    parser.add_argument("--position", choices=("stored", "reference", "touch-off"), default="stored")
     options = parser.parse_args()
     ended = threading.Event()
 
@@ -41,17 +43,24 @@ def main() -> int:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with contained(f"the process of {options.rig}"):
         try:
-            serve(options.rig, options.runs, options.folder, options.accelerated, ended)
+            serve(options.rig, options.runs, options.folder, options.accelerated, ended, options.position)
         except PalpateError as e:
             print(f"palpate: {e}", file=sys.stderr)
             return 2
     return 0
 
 
-def serve(rig: str, runs: Path, folder: Path | None, accelerated: bool, ended: threading.Event) -> None:
+def serve(
+    rig: str,
+    runs: Path,
+    folder: Path | None,
+    accelerated: bool,
+    ended: threading.Event,
+    position: PositionFrom = "stored",
+) -> None:
     """Hold the rig until the event is set, or a client asks for the end."""
     with hold(rig, folder):
-        service = RigService(open_served_rig(rig, accelerated=accelerated), runs)
+        service = RigService(open_served_rig(rig, accelerated=accelerated, position=position), runs)
         server = RigServer(service)
         keep_loaded()
         path = publish(Address(rig, server.port, server.token, os.getpid()), folder)

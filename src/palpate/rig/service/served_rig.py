@@ -7,7 +7,7 @@ from pathlib import Path
 
 from palpate.core import Clock, ManualClock, MonotonicClock
 from palpate.rig.rig import Rig
-from palpate.rig.rig_file import is_virtual, read_rig, rig_from, sensor_named
+from palpate.rig.rig_file import PositionFrom, is_virtual, read_rig, rig_from, sensor_named
 from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S, virtual_rig
 
 
@@ -24,16 +24,20 @@ class ServedRig:
     real_time: bool = True
 
 
-def open_served_rig(name: str, *, accelerated: bool = False) -> ServedRig:
+def open_served_rig(name: str, *, accelerated: bool = False, position: PositionFrom = "stored") -> ServedRig:
     """Open a rig.
 
     Args:
         name: "virtual:" and a sensor's name, or the path of a rig's file.
         accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
+        position: Source of the stage's position, see `PositionFrom`.
     """
     if not is_virtual(name):
         file = read_rig(Path(name))
-        return ServedRig(rig_from(file, name=rig_name(name)), file.virtual is None or file.virtual.real_time)
+        return ServedRig(
+            rig_from(file, name=rig_name(name), position=position),
+            file.virtual is None or file.virtual.real_time,
+        )
     clock: Clock = ManualClock() if accelerated else MonotonicClock()
     rig = virtual_rig(sensor_named(name), clock=clock, age_s=REAL_TIME_AGE_S)
     return ServedRig(rig, not accelerated)

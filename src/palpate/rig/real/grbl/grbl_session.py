@@ -1,12 +1,14 @@
 """Session of a GRBL stage while its port is open: settings, place, and whether that can be trusted.
 
 The place is lost on opening the port, on a banner that nobody asked for, on any alarm, on a jump and on a
-reset in motion. It comes back by homing or on the caller's word, never by itself.
+reset in motion. It comes back by homing, on the caller's word, or as `position_evidence` accepts it. The
+volatile marker is the spindle speed, the modal word S: jogs keep it, and every reset returns it to 0.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
@@ -31,11 +33,19 @@ from palpate.rig.real.grbl.grbl_supervisor import (
     check_reports,
     read_machine,
 )
+from palpate.rig.real.position_evidence import (
+    PositionEvidence,
+    PositionStore,
+    counted_by,
+    new_marker,
+    unknown,
+)
 from palpate.rig.real.serial_port import SerialPort
 
 _STANDS = {GrblState.IDLE, GrblState.ALARM, GrblState.SLEEP, GrblState.CHECK}
 _SPENT = {GrblState.SLEEP, GrblState.CHECK}  # standing, and brought back by a reset alone
 _HOW = "call home(), or reference() on your own word"
+_SPINDLE = re.compile(r"\bS(\d+)")  # modal word that any reset clears, and no jog changes
 _SLOWING_S = 10.0  # from any speed, until the settings are known
 _AGAIN_S = 0.1  # until a byte that asks for a stop is followed by the next, where it goes on
 _OTHER_S = 0.3  # for a device that is no GRBL controller to say something
@@ -65,12 +75,13 @@ class GrblSession:
         self.move: MoveSupervisor | None = None
         self.homing = self.unlocked = False
         self.stuck = False  # it stands in Jog until its door is closed
-        self.started_anew = False  # as its port was opened
         self.hal = False  # grblHAL, as its banner or $I names it
         self.homed: bool | None = None  # as grblHAL says; None where it does not
         self.lost = "its port was just opened, which may have reset it"
         self._stood_mm: Millimetres | None = None
         self._boots = 0  # banners accounted for
+        self.stored = PositionStore(spec.port)
+        self._marked = False
         self._slowing_s = _SLOWING_S
         self._just_seen: HeardStatus | None = None
         self._left_mm = 0.0  # of a move, at least, when the last stop was asked for
@@ -170,14 +181,50 @@ class GrblSession:
         """Note that it stands here, with no move in flight."""
         self.move, self._stood_mm, self.homing, self.stuck = None, place_mm, False, False
         self.link.restless = False
+        self.stored.stand(place_mm)
 
-    def regain(self, mount: Mount) -> None:
-        """Take its place as known again, in this frame."""
-        self.lost, self.mount = "", mount
+    def regain(self, mount: Mount, place_mm: Millimetres) -> None:
+        """Take its place as known again, in this frame, and store it."""
+        self.lost, self.mount, self._marked = "", mount, False
+        self.stored.establish(new_marker(), self._settings, mount.origin_mm, place_mm)
+        self.keep_marked()
+
+    def recall(self) -> None:
+        """Take its place from the last session.
+
+        Raises:
+            PositionUnknownError: the evidence is not complete.
+        """
+        _, place_mm = self.standing()
+        said = self.link.command("$G")
+        modal = " ".join(one.text for one in said if isinstance(one, GrblMessage) and one.tag == "GC")
+        word = _SPINDLE.search(modal)
+        marker = int(word[1]) if word else 0
+        evidence = PositionEvidence(
+            self.machine.motors_hold, marker, self._settings, place_mm, self.machine.tolerance_mm
+        )
+        stored = self.stored.recall(evidence)
+        self.lost, self.mount, self._marked = "", Mount(self.spec.axes, stored.origin_mm), True
+        self.settle(place_mm)
+
+    def keep_marked(self) -> None:
+        """Set the marker of a known place, unless it is set; the controller must be idle."""
+        if self._marked or self.lost or not self.stored.marker:
+            return
+        try:
+            self.link.command(f"S{self.stored.marker}")
+            self._marked = True
+        except (CutOffError, RefusedError):
+            self.stored.forget()
+
+    @property
+    def _settings(self) -> str:
+        return counted_by(self.spec.axes, self.machine.steps_per_mm, self.spec.frame)
 
     def lose(self, why: str) -> None:
         """Forget its place, and why."""
         self.lost, self._stood_mm = why, None
+        self.stored.forget()
 
     def note_restart(self) -> bool:
         """Take note of a restart that nobody asked for; whether there was one."""
@@ -195,7 +242,7 @@ class GrblSession:
         self.check_alarm()
         self._check_restart()
         if self.lost:
-            raise DeviceError(f"the stage's position is not known: {self.lost}; {_HOW}")
+            raise unknown(self.lost, self.stored.lost)
 
     def need_homed(self) -> None:
         """Refuse to move unhomed where the spec asks for homing."""
@@ -267,6 +314,8 @@ class GrblSession:
         self.settle(place_mm)
         if self.lost and (stood is None or not lost_before):
             raise PositionLostError(f"the stage stands, but its position was lost: {self.lost}; {_HOW}")
+        if status.state is GrblState.IDLE:
+            self.keep_marked()
         if move and not self.lost:
             self._check_short(move, place_mm)
 
@@ -359,7 +408,7 @@ class GrblSession:
                 if self.link.restless
                 else "the stage's controller does not answer a reset; check its cable and its power"
             )
-        self._boots = self.link.banners
+        self._boots, self._marked = self.link.banners, False
 
     def ask_firmware(self) -> str:
         """Firmware and version, asked of the controller (`$I`) where no banner named them; empty if unknown.
@@ -376,7 +425,7 @@ class GrblSession:
 
     def _greet(self) -> GrblMachine:
         """Get into step with a controller that may be booting, moving, held, locked or not there."""
-        self.started_anew = self.link.listen(self.spec.boot_s)
+        self.link.listen(self.spec.boot_s)
         heard = self.link.report(self.spec.reply_s)
         if heard is None:  # still booting, or locked by an alarm that only a reset ends
             self.link.reset()

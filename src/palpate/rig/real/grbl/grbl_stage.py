@@ -14,8 +14,19 @@ from __future__ import annotations
 import math
 import threading
 from contextlib import suppress
+from dataclasses import replace
 
-from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
+from palpate.core import (
+    NS_PER_S,
+    Clock,
+    Closing,
+    DeviceError,
+    MonotonicClock,
+    Position,
+    PositionUnknownError,
+    RangeError,
+    Travel,
+)
 from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SilenceError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
@@ -29,6 +40,7 @@ from palpate.rig.real.grbl.grbl_supervisor import (
     feed_mm_min,
     fixed,
 )
+from palpate.rig.real.position_evidence import MAX_APPROACH_M, WHY, PositionFault
 from palpate.rig.real.serial_port import SerialPort, open_port
 
 
@@ -105,9 +117,23 @@ class GrblStage(Closing):
             RangeError: the distance is not above 0 m, or the speed is none that it can run at.
             DeviceError: it is moving or locked, or the controller refuses.
         """
-        halts, travel = self._link.halts, self.travel
         if not 0.0 < distance_m < math.inf:
             raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
+        self._shift(-distance_m, speed_m_s)
+
+    def approach(self, distance_m: float, speed_m_s: float) -> None:
+        """Start one step of a search for the skin, and return at once, also before its place is known.
+
+        Raises:
+            RangeError: the distance is not above 0 m, or above `MAX_APPROACH_M`.
+            DeviceError: as `retreat`.
+        """
+        if not 0.0 < distance_m <= MAX_APPROACH_M:
+            raise RangeError(f"an approach by {distance_m} m; above 0 m and at most {MAX_APPROACH_M} m")
+        self._shift(distance_m, speed_m_s)
+
+    def _shift(self, by_m: float, speed_m_s: float) -> None:
+        halts, travel = self._link.halts, self.travel
         check_range(travel, travel.least_m, speed_m_s)
         with self._lock:
             session = self._session
@@ -116,7 +142,7 @@ class GrblStage(Closing):
             x, y, z = session.mount.sensor_m(place_mm)
             lost, session.lost = session.lost, ""
             try:
-                self._go((x, y, z - distance_m), speed_m_s, halts, homed=False)
+                self._go((x, y, z + by_m), speed_m_s, halts, homed=False)
             finally:
                 session.lost = session.lost or lost
 
@@ -130,11 +156,6 @@ class GrblStage(Closing):
         return self._session.ask_firmware()
 
     @property
-    def started_anew(self) -> bool:
-        """Whether the controller said its banner as its port was opened: Grbl then counts from zero."""
-        return self._session.started_anew
-
-    @property
     def reported(self) -> str:
         """State and active inputs of its newest report, such as "Door:1, Pn:D"; empty before any."""
         heard = self._link.latest
@@ -144,6 +165,22 @@ class GrblStage(Closing):
     def machine(self) -> GrblMachine:
         """The controller's settings that bear on motion."""
         return self._session.machine
+
+    @property
+    def motors_hold(self) -> bool:
+        """Whether the motors keep their current at rest ($1=255)."""
+        return self._session.machine.motors_hold
+
+    def hold_motors(self) -> None:
+        """Set $1=255 in the controller's memory; the motors keep their current from the next move on.
+
+        Raises:
+            DeviceError: it does not stand idle, or refuses.
+        """
+        with self._lock:
+            self._session.standing()
+            self._link.command("$1=255")
+            self._session.machine = replace(self._session.machine, motors_hold=True)
 
     def _go(self, position_m: Position, speed_m_s: float, halts: int, *, homed: bool = True) -> None:
         with self._lock:
@@ -238,7 +275,24 @@ class GrblStage(Closing):
             mount = self._session.mount
             mount = mount.at_origin() if position_m is None else mount.placed(place_mm, position_m)
             self._session.settle(place_mm)
-            self._session.regain(mount)
+            self._session.regain(mount, place_mm)
+
+    def recall(self) -> None:
+        """Take its place from the last session, where nothing can have moved or reset it since.
+
+        See `palpate.rig.real.position_evidence`.
+
+        Raises:
+            PositionUnknownError: the evidence is not complete; `code` is the reason.
+            DeviceError: it is not standing idle.
+        """
+        with self._lock:
+            self._session.note_restart()
+            try:
+                self._session.recall()
+            except PositionUnknownError as e:
+                self._session.lost = WHY[PositionFault(e.code)]
+                raise
 
     def close(self) -> None:
         """Stop, and let go of the port. Closing again does nothing."""
@@ -265,9 +319,12 @@ class GrblStage(Closing):
         _, place_mm = session.standing(fresh=fresh)
         if homed:
             session.need_homed()
+        session.keep_marked()
+        target_mm = session.mount.machine_mm(position_m)
+        session.stored.move(place_mm, target_mm)
         session.move = MoveSupervisor(
             place_mm,
-            session.mount.machine_mm(position_m),
+            target_mm,
             feed_mm_min(speed_m_s),
             session.machine,
             self._spec.still_s,
@@ -300,7 +357,7 @@ def _home(session: GrblSession, halts: int) -> None:
     session.settle(place_mm)
     session.unlocked = False
     session.homed = True if session.homed is None else session.homed
-    session.regain(session.mount.at_origin())
+    session.regain(session.mount.at_origin(), place_mm)
 
 
 def _clear(session: GrblSession) -> str:

@@ -50,6 +50,7 @@ class GrblSpec:
             the word of who calls `reference`.
         dtr: raise the port's DTR line. Off, an AVR board is kept from being reset where the system allows it;
             some boards with USB of their own talk only with it on.
+        frame: What defines the sensor's frame; a position that was stored with another one is not accepted.
     """
 
     port: str
@@ -69,6 +70,7 @@ class GrblSpec:
     poll_s: float = 0.02
     require_homed: bool = True
     dtr: bool = False
+    frame: str = ""
 
     def __post_init__(self) -> None:
         letters = [axis[1:] for axis in self.axes if _AXIS.fullmatch(axis)]
@@ -192,6 +194,7 @@ class GrblMachine:
         travel_mm: $130 to $132.
         homing: $22.
         reports: $10, what a status report shows.
+        motors_hold: whether the motors keep their current at rest, $1=255.
     """
 
     steps_per_mm: tuple[float, float, float]
@@ -200,6 +203,7 @@ class GrblMachine:
     travel_mm: tuple[float, float, float]
     homing: bool
     reports: int = 511
+    motors_hold: bool = False
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -213,6 +217,7 @@ class GrblMachine:
             travel_mm=_three(settings, 130),
             homing=int(_number(settings, 22)) % 2 == 1,  # grblHAL keeps options in its higher bits
             reports=int(_number(settings, 10)),
+            motors_hold=settings.get(1, "").split()[:1] == ["255"],
         )
 
     @property

@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 _NUMBER = r"[-+]?\d+(?:\.\d+)?"
 _OK = re.compile(r"ok(?:$|[ :])")
 _RESEND = re.compile(r"(?:Resend|rs):? *N?:?(\d{1,10})$")
-_POSITION = re.compile(rf"X: ?({_NUMBER}) Y: ?({_NUMBER}) Z: ?({_NUMBER}) (?:E: ?{_NUMBER} )?Count (.*)")
+_POSITION = re.compile(rf"X: ?({_NUMBER}) Y: ?({_NUMBER}) Z: ?({_NUMBER}) (?:E: ?({_NUMBER}) )?Count (.*)")
 _COUNTS = re.compile(r"X: ?(-?\d+) Y: ?(-?\d+) Z: ?(-?\d+)$")
 _CAPABILITY = re.compile(r"Cap:(\w+):([01])$")
 _SETTING = re.compile(r"(?:echo:)? *(M\d{1,3}) ([A-Z].*)")
@@ -60,10 +60,12 @@ class StepReport:
     Attributes:
         planned_mm: where the last line sends it, not where it is [mm].
         counts: steps of X, Y and Z that were made, now.
+        extruder_mm: logical position of the extruder; None for a build without one [mm].
     """
 
     planned_mm: Triple
     counts: tuple[int, int, int]
+    extruder_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,7 @@ def read_line(raw: bytes) -> Line | None:
 
     Example:
         >>> read_line(b"X:0.00 Y:127.00 Z:145.00 E:0.00 Count X: 0 Y:10160 Z:116000")
-        StepReport(planned_mm=(0.0, 127.0, 145.0), counts=(0, 10160, 116000))
+        StepReport(planned_mm=(0.0, 127.0, 145.0), counts=(0, 10160, 116000), extruder_mm=0.0)
         >>> read_line(b"Resend: 31")
         Resend(number=31)
     """
@@ -114,16 +116,16 @@ def read_line(raw: bytes) -> Line | None:
 
 
 def _place(found: re.Match[str]) -> StepReport | Trouble | None:
-    counts = _COUNTS.match(found[4])
+    counts = _COUNTS.match(found[5])
     if counts is None:
-        if found[4].startswith("A:"):
+        if found[5].startswith("A:"):
             return Trouble(
                 "it counts motors and not axes (CoreXY or the like), which this driver cannot drive"
             )
         return None
     x, y, z = (float(found[i]) for i in (1, 2, 3))
     a, b, c = (int(counts[i]) for i in (1, 2, 3))
-    return StepReport((x, y, z), (a, b, c))
+    return StepReport((x, y, z), (a, b, c), None if found[4] is None else float(found[4]))
 
 
 def _asks_again(text: str) -> bool:

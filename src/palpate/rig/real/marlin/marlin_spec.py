@@ -32,6 +32,7 @@ class MarlinSpec:
         still_s: how long it may stand short of its target before that is a fault [s].
         poll_s: between questions while it waits for the stage [s].
         dtr: raise the port's DTR line, which resets many boards; boards with USB of their own may need it.
+        frame: As in `GrblSpec`.
     """
 
     port: str
@@ -50,6 +51,7 @@ class MarlinSpec:
     still_s: float = 1.0
     poll_s: float = 0.02
     dtr: bool = False
+    frame: str = ""
 
     def __post_init__(self) -> None:
         GrblSpec(self.port, axes=self.axes, least_m=self.least_m, greatest_m=self.greatest_m)  # their checks

@@ -10,7 +10,11 @@ the count is right afterwards only from a speed at which the motors can stand at
 exceeds that, which is the controller's jerk (M205) or what the spec states. Stopping in an emergency needs a
 switch of its own.
 
-Reference: Marlin's public documentation (marlinfw.org/docs/gcode: G28, M84, M114, M211, M410, M503).
+The volatile marker of a known place (`position_evidence`) is the logical position of the extruder, set by G92
+and 0 after every start. M17 and M84 S0 keep the motors' current at a stand until the next start.
+
+Reference: Marlin's public documentation (marlinfw.org/docs/gcode: G28, G92, M17, M84,
+M114, M211, M410, M503).
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from palpate.core import (
     InputError,
     MonotonicClock,
     Position,
+    PositionUnknownError,
     RangeError,
     Travel,
 )
@@ -41,6 +46,16 @@ from palpate.rig.real.grbl.grbl_supervisor import (
 from palpate.rig.real.marlin.marlin_lines import Line, MarlinMachine, Said, StepReport, Triple
 from palpate.rig.real.marlin.marlin_link import MarlinCutError, MarlinLink, MarlinSilenceError
 from palpate.rig.real.marlin.marlin_spec import MarlinSpec
+from palpate.rig.real.position_evidence import (
+    MAX_APPROACH_M,
+    WHY,
+    PositionEvidence,
+    PositionFault,
+    PositionStore,
+    counted_by,
+    new_marker,
+    unknown,
+)
 from palpate.rig.real.serial_port import SerialPort, open_port
 
 _HOW = "call home(), or reference() on your own word"
@@ -81,6 +96,7 @@ class MarlinStage(Closing):
         self._stood_mm: Triple | None = None
         self._lost = "its port was just opened, which may have reset it"
         self._homed = self._closed = self._prompt = False
+        self._stored = PositionStore(spec.port)
         self._unseen = 0
         self._link = MarlinLink(port, spec.reply_s)
         try:
@@ -147,9 +163,23 @@ class MarlinStage(Closing):
             RangeError: the distance is not above 0 m, or the speed is none that it can run at.
             DeviceError: it is moving, or the controller refuses.
         """
-        halts, travel = self._link.halts, self.travel
         if not 0.0 < distance_m < math.inf:
             raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
+        self._shift(-distance_m, speed_m_s)
+
+    def approach(self, distance_m: float, speed_m_s: float) -> None:
+        """Start one step of a search for the skin, and return at once, also before its place is known.
+
+        Raises:
+            RangeError: the distance is not above 0 m, or above `MAX_APPROACH_M`.
+            DeviceError: as `retreat`.
+        """
+        if not 0.0 < distance_m <= MAX_APPROACH_M:
+            raise RangeError(f"an approach by {distance_m} m; above 0 m and at most {MAX_APPROACH_M} m")
+        self._shift(distance_m, speed_m_s)
+
+    def _shift(self, by_m: float, speed_m_s: float) -> None:
+        halts, travel = self._link.halts, self.travel
         check_range(travel, travel.least_m, speed_m_s)
         with self._lock:
             if self._move:
@@ -157,7 +187,7 @@ class MarlinStage(Closing):
             self._note_restart()
             start_mm = self._look()
             x, y, z = self._mount.sensor_m(start_mm)
-            self._go(start_mm, self._mount.machine_mm((x, y, z - distance_m)), speed_m_s, halts)
+            self._go(start_mm, self._mount.machine_mm((x, y, z + by_m)), speed_m_s, halts)
 
     def unlock(self) -> None:
         """Refuse, since a Marlin controller that gave up (M112) only restarts.
@@ -169,6 +199,7 @@ class MarlinStage(Closing):
 
     def _go(self, start_mm: Triple, target_mm: Triple, speed_m_s: float, halts: int) -> None:
         self._link.command("G90", halts=halts)
+        self._stored.move(start_mm, target_mm)
         words = " ".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
         self._move = MarlinMove(start_mm, target_mm, speed_m_s, start_mm, self._clock.now_ns())
         self._send_move(f"G1 {words} F{fixed(feed_mm_min(speed_m_s), 3)}", halts)
@@ -226,8 +257,7 @@ class MarlinStage(Closing):
             place_mm = self._machine.place_mm(place.counts)
             self._check_counts(place, place_mm)
             self._mount, self._homed = self._mount.at_origin(), True
-            self._settle(place_mm)
-            self._lost = ""
+            self._regain(place_mm)
 
     def reference(self, position_m: Position) -> None:
         """Take the caller's word for where it stands, in the sensor's frame [m].
@@ -251,8 +281,36 @@ class MarlinStage(Closing):
             place_mm = self._machine.place_mm(place.counts)
             self._check_counts(place, place_mm)
             self._mount = self._mount.placed(place_mm, position_m)
+            self._regain(place_mm)
+
+    def recall(self) -> None:
+        """Take its place from the last session, where nothing can have moved or reset it since.
+
+        See `palpate.rig.real.position_evidence`.
+
+        Raises:
+            PositionUnknownError: the evidence is not complete; `code` is the reason.
+            DeviceError: it does not stand.
+        """
+        with self._lock:
+            self._note_restart()
+            place = self._ask()
+            place_mm = self._machine.place_mm(place.counts)
+            self._check_counts(place, place_mm)
+            evidence = PositionEvidence(
+                self._motors_hold,
+                round(place.extruder_mm or 0.0),
+                self._settings,
+                place_mm,
+                self._machine.tolerance_mm,
+            )
+            try:
+                stored = self._stored.recall(evidence)
+            except PositionUnknownError as e:
+                self._lost = WHY[PositionFault(e.code)]
+                raise
+            self._lost, self._mount = "", Mount(self._spec.axes, stored.origin_mm)
             self._settle(place_mm)
-            self._lost = ""
 
     def close(self) -> None:
         """Stop, and let go of the port. Closing again does nothing."""
@@ -462,9 +520,22 @@ class MarlinStage(Closing):
     def _settle(self, place_mm: Triple) -> None:
         self._move, self._stood_mm = None, place_mm
         self._link.restless = False
+        self._stored.stand(place_mm)
+
+    def _regain(self, place_mm: Triple) -> None:
+        """Take its place as known, store it, and mark the controller."""
+        self._settle(place_mm)
+        self._lost, marker = "", new_marker()
+        self._stored.establish(marker, self._settings, self._mount.origin_mm, place_mm)
+        self._link.command(f"G92 E{marker}")
+
+    @property
+    def _settings(self) -> str:
+        return counted_by(self._spec.axes, self._machine.steps_per_mm, self._spec.frame)
 
     def _lose(self, why: str) -> None:
         self._lost, self._stood_mm = why, None
+        self._stored.forget()
 
     def _note_restart(self) -> bool:
         """Take note of a restart that nobody asked for, and number lines anew; whether there was one."""
@@ -478,8 +549,10 @@ class MarlinStage(Closing):
         return True
 
     def _set_modes(self) -> None:
-        for line in ("G21", "G90", "M84 S0"):  # millimetres; absolute; motors keep their current at a stand
+        for line in ("G21", "G90"):  # millimetres; absolute
             self._link.command(line)
+        said = [text for line in ("M17", "M84 S0") for text in _texts(self._link.command(line))]
+        self._motors_hold = not any("Unknown command" in text for text in said)
 
     def _check_restart(self) -> None:
         if self._note_restart():
@@ -490,7 +563,7 @@ class MarlinStage(Closing):
             raise DeviceError(self._link.dead)
         self._check_restart()
         if self._lost:
-            raise DeviceError(f"the stage's position is not known: {self._lost}; {_HOW}")
+            raise unknown(self._lost, self._stored.lost)
 
 
 def _texts(said: tuple[Line, ...]) -> list[str]:

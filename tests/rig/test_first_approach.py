@@ -1,0 +1,207 @@
+"""The first approach of a session is a guarded search whatever the stage reports; measured as true depth."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file
+from tests.rig.rigs import IDEAL, plan, rig
+
+from palpate.core import Position, PositionUnknownError, Stage
+from palpate.devices import OperatorCommand, OperatorControl, Reason
+from palpate.rig import State, open_rig, record
+from palpate.rig.fakes.grbl_parameters import GrblParameters
+from palpate.rig.plans import Listed
+from palpate.rig.press_motion import PressMotion
+from palpate.rig.run_progress import Status
+
+MM = 1e-3
+STEP_MM = 0.2  # longest move towards the skin (`Limits.step_m`)
+RUN_ON_MM = 0.1  # largest way after a stop (`Limits.overshoot_m`)
+THRESHOLD_MM = 0.12  # below first touch, where the virtual palm carries the threshold of 0.05 N
+RULE_MM = STEP_MM + RUN_ON_MM + THRESHOLD_MM
+"""Depth that a guarded search may reach, however late the computer is."""
+
+
+class MistakenStage:
+    """A stage that is `error_m` elsewhere than it reports; `deepest_m` is the largest true z."""
+
+    def __init__(self, stage: Stage, error_m: Position) -> None:
+        self._stage, self.error_m, self.deepest_m = stage, error_m, -math.inf
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stage, name)
+
+    def _true(self) -> Position:
+        at = self._stage.position_m()
+        self.deepest_m = max(self.deepest_m, at[2])
+        return at
+
+    def position_m(self) -> Position:
+        x, y, z = (a - e for a, e in zip(self._true(), self.error_m, strict=True))
+        return x, y, z
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        x, y, z = (a + e for a, e in zip(position_m, self.error_m, strict=True))
+        self._stage.move_to((x, y, z), speed_m_s)
+
+    def moving(self) -> bool:
+        self._true()
+        return self._stage.moving()
+
+
+def mistaken(error_mm: float, sideways_mm: float = 0.0):
+    """A virtual rig whose stage is nearer to the skin than it reports, and the stage."""
+    made = rig(variation=IDEAL)
+    stage = MistakenStage(made.stage, (sideways_mm * MM, 0.0, error_mm * MM))
+    return replace(made, stage=stage), stage
+
+
+@pytest.mark.parametrize("error_mm", [0.6, 1.0, 2.65, 3.0, 6.0])
+@pytest.mark.parametrize("sideways_mm", [0.0, -3.0])
+def test_a_stage_nearer_to_the_skin_than_it_reports_touches_it_at_search_speed(
+    tmp_path: Path, error_mm: float, sideways_mm: float
+) -> None:
+    made, stage = mistaken(error_mm, sideways_mm)
+    outcome = record(made, plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY), outcome.message
+    assert 0.0 < stage.deepest_m / MM <= RULE_MM
+    assert stage.position_m()[2] + stage.error_m[2] < 0.0, "lifted at the end"
+
+
+def test_without_the_guarded_search_the_probe_is_driven_into_the_skin(tmp_path: Path, monkeypatch) -> None:
+    """Control: the same measure, of motion as it was."""
+    monkeypatch.setattr(PressMotion, "_search", lambda self, to, step: self._guard.away(to, 20 * MM))
+    made, stage = mistaken(3.0)
+    record(made, plan(), tmp_path / "run")
+    assert stage.deepest_m / MM > 2 * RULE_MM
+
+
+def test_a_stage_that_is_right_records_the_plan(tmp_path: Path) -> None:
+    made, _ = mistaken(0.0)
+    assert record(made, plan(), tmp_path / "run").state is State.DONE
+
+
+def test_a_session_that_begins_in_the_skin_does_not_go_deeper_or_aside(tmp_path: Path) -> None:
+    made, stage = mistaken(0.0)
+    start = stage.position_m()
+    stage.error_m = (0.0, 0.0, 1.0 * MM - start[2])
+    made.stage._stage.move_to((start[0], start[1], 1.0 * MM), 1 * MM)  # type: ignore[attr-defined]
+    while stage.moving():
+        made.clock.sleep(0.01)
+    outcome = record(made, plan(), tmp_path / "run")
+    assert outcome.reason is Reason.TOUCHED_EARLY, outcome.message
+    assert stage.deepest_m / MM == pytest.approx(1.0, abs=0.01)
+    assert stage._stage.position_m()[:2] == pytest.approx(start[:2], abs=1e-6)
+
+
+class PausedOnce(OperatorControl):
+    """Pauses once shots are recorded; the carriage is pushed meanwhile."""
+
+    def __init__(self, stage: MistakenStage, push_m: Position) -> None:
+        super().__init__()
+        self._stage, self._push, self._asked = stage, push_m, False
+
+    def see(self, status: Status) -> None:
+        if status.shots >= 3 and not self._asked:
+            self._asked = True
+            self.ask(OperatorCommand.PAUSE)
+
+    def wait_while_paused(self, seconds: float) -> bool:
+        if self.command is OperatorCommand.PAUSE:
+            self._stage.deepest_m = -math.inf
+            self._stage.error_m = self._push
+            self.resume()
+        return False
+
+
+def test_a_carriage_pushed_during_a_pause_is_met_at_search_speed(tmp_path: Path) -> None:
+    made, stage = mistaken(0.0)
+    control = PausedOnce(stage, (0.0, 0.0, 3.0 * MM))
+    stage_free = stage.position_m()[2]
+    outcome = record(made, plan(clearance_mm=4.0), tmp_path / "run", control=control, watch=control.see)
+    assert control._asked
+    assert stage_free < 0
+    assert outcome.state in (State.FAILED, State.DONE)
+    assert stage.deepest_m / MM <= max(RULE_MM, 1.2 + 3 * RUN_ON_MM), "no deeper than a press of the plan"
+
+
+# The fake GRBL stage with its motors, a spring under the probe, real time.
+
+SPRING_MM = 0.05 / STIFFNESS_N_MM
+RELEASED, HELD = {1: 25}, {1: 255}
+
+
+@pytest.fixture(params=[RELEASED, HELD], ids=["released", "held"])
+def lab(request, tmp_path: Path):
+    settings = {120: 500, 121: 500, 122: 500, 20: 0, 22: 0, **request.param}
+    model = GrblParameters(homed=True, start_mm=(-50.0, -50.0, -20.0), settings=settings)
+    with lab_file(tmp_path, model=model) as lab:
+        lab.fields["stage"] |= {
+            "require_homed": False,
+            "reference": [-50, 50, 20],
+            "least_mm": [-95, 5, 5],
+            "greatest_mm": [-5, 95, 36],
+        }
+        lab.deepest_mm = -math.inf  # type: ignore[attr-defined]
+        spring = lab.force
+
+        def felt(t: float) -> tuple[float, float, float]:
+            lab.deepest_mm = max(lab.deepest_mm, depth_mm(lab))  # type: ignore[attr-defined]
+            return spring(t)
+
+        lab.box.force = felt
+        yield lab
+
+
+def depth_mm(lab: LabFile) -> float:
+    return -lab.stage.place_mm[2] - SURFACE_MM
+
+
+def ended_elsewhere(lab: LabFile, z_mm: float = 26.0) -> None:
+    """A session that begins at the reference and ends nearer to the skin."""
+    with closing(open_rig(lab.write(), supervised=False, position="reference")) as opened:
+        opened.stage.move_to((-50 * MM, 50 * MM, z_mm * MM), 10 * MM)
+        while opened.stage.moving():
+            opened.clock.sleep(0.01)
+    assert depth_mm(lab) == pytest.approx(z_mm - SURFACE_MM, abs=0.05)
+
+
+def held(lab: LabFile) -> bool:
+    return lab.stage.settings[1] == 255
+
+
+def test_a_reopened_rig_knows_where_it_was_left_or_refuses(lab: LabFile) -> None:
+    ended_elsewhere(lab)
+    before = len(lab.stage.received)
+    if held(lab):
+        with closing(open_rig(lab.write(), supervised=False)) as opened:
+            assert opened.stage.position_m()[2] / MM == pytest.approx(26.0, abs=0.02)
+    else:
+        with pytest.raises(PositionUnknownError) as refusal:
+            open_rig(lab.write(), supervised=False)
+        assert refusal.value.code == "motors-released"
+    assert b"$J" not in bytes(lab.stage.received[before:]), "opening moves nothing"
+
+
+def test_a_wrong_confirmation_meets_the_skin_at_search_speed(lab: LabFile, tmp_path: Path) -> None:
+    ended_elsewhere(lab)
+    small = plan(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), cycles=1, clearance_mm=1.0)
+    with closing(open_rig(lab.write(), supervised=False, position="reference")) as opened:
+        outcome = record(opened, small, tmp_path / "run")
+    assert outcome.reason is Reason.TOUCHED_EARLY, outcome.message
+    assert lab.deepest_mm <= STEP_MM + RUN_ON_MM + SPRING_MM  # type: ignore[attr-defined]
+
+
+def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
+    ended_elsewhere(lab, z_mm=28.0)
+    with closing(open_rig(lab.write(), supervised=False, position="touch-off")) as opened:
+        assert lab.deepest_mm <= 0.15  # type: ignore[attr-defined]
+        z_mm = opened.stage.position_m()[2] / MM
+        assert z_mm - SURFACE_MM == pytest.approx(depth_mm(lab), abs=0.1)
+        assert depth_mm(lab) == pytest.approx(-2.0, abs=0.1), "lifted again"
