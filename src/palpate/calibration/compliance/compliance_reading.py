@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -144,9 +145,10 @@ def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressRead
         everywhere = _disagreements(calibration, read)
     for name in FLAT_ONLY:
         reasons[name] += flat
-    return replace(
-        read, **{name: _refused(getattr(read, name), [*reasons[name], *everywhere]) for name in FIELDS}
-    )  # type: ignore[arg-type]
+    checked: dict[str, Any] = {
+        name: _refused(getattr(read, name), [*reasons[name], *everywhere]) for name in FIELDS
+    }
+    return replace(read, **checked)
 
 
 def _curved(read: PressReading) -> bool:

@@ -41,7 +41,7 @@ IR_VERSIONS = range(8, 12)
 OPSETS: Mapping[str, int] = {"": 18, TREES_DOMAIN: 3}
 BYTES_PER_ELEMENT = 8
 BATCHES = (2, 3)  # sizes of batch for which shapes are inferred; what does not scale with them is refused
-TYPES = {
+TYPES: dict[int, np.dtype[Any]] = {
     1: np.dtype("<f4"), 2: np.dtype("u1"), 3: np.dtype("i1"), 6: np.dtype("<i4"), 7: np.dtype("<i8"),
     9: np.dtype("?"), 11: np.dtype("<f8"),
 }  # fmt: skip

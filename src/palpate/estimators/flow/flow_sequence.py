@@ -185,8 +185,10 @@ def _step(
         raise InputError(f"a region of {list(region.shape)} px on images of {list(field.shape[1:])} px")
     inside = slice(None) if region is None else region
     speed, spread = np.hypot(*field)[inside], divergence(field)
-    means = (float(values.mean(dtype=np.float64)) for values in (speed, spread[inside], spread))
-    return Step(*means, field)
+    mean_speed, mean_spread, flux = (
+        float(values.mean(dtype=np.float64)) for values in (speed, spread[inside], spread)
+    )
+    return Step(mean_speed, mean_spread, flux, field)
 
 
 def contact_region(frames: Iterable[Grey], method: str = "horn-schunck") -> Bool[ndarray, "h w"]:

@@ -370,9 +370,10 @@ def _clear(session: GrblSession) -> str:
     heard = link.report(session.spec.reply_s) if alarm is None else None  # after some it answers nothing
     if heard and not stands(heard.status):
         raise DeviceError(f"the stage is in {heard.status.state}, not idle; stop() it first")
-    ready = heard and heard.status.state in (GrblState.IDLE, GrblState.ALARM)
-    if not ready or link.out_of_step:  # some alarms end by a reset alone, and so do sleep, check and hold
-        session.reset(suspended=bool(heard) and heard.status.state is GrblState.IDLE)
+    state = heard.status.state if heard else None
+    # Some alarms end by a reset alone, and so do sleep, check, and hold.
+    if state not in (GrblState.IDLE, GrblState.ALARM) or link.out_of_step:
+        session.reset(suspended=state is GrblState.IDLE)
     link.alarm = None
     return "" if alarm is None else alarm_name(alarm)
 
