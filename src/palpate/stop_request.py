@@ -24,7 +24,7 @@ else:
         from _socket import AF_INET, SOCK_STREAM, socket
 
         class _Scan:
-            """What `json.JSONDecoder` gives its scanner."""
+            """What json.JSONDecoder gives its scanner."""
 
             strict, memo = True, {}
             object_hook = object_pairs_hook = None

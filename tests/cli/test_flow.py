@@ -83,7 +83,7 @@ def test_a_region_outside_the_images_is_refused(press, tmp_path, region) -> None
 
 
 def test_fields_are_kept_on_request(press, tmp_path) -> None:
-    palpate("flow", press, "--out", tmp_path / "out", "--fields")
+    palpate("flow", press, "--out", tmp_path / "out", "--fields", "--region", "0,0,128,96")
     fields = np.load(tmp_path / "out/fields.npy")
     assert fields.shape == (11, 2, 96, 128)
     assert fields.dtype == np.float32

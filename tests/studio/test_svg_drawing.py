@@ -1,7 +1,6 @@
 """What the pages draw and say, without a browser."""
 
 import re
-from argparse import Namespace
 from xml.etree import ElementTree
 
 import pytest
@@ -127,8 +126,8 @@ def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     pytest.importorskip("fastapi", reason="NiceGUI is not installed")
     from palpate.studio import page_security, page_server
 
-    listener = Namespace(port=8081, token="x")
-    assert f'"path": "{page_security.ESTOP_PATH}"' in page_server.estop_html(listener)
-    assert f'"{page_server.HEADER}": "estop"' in page_server.estop_html(listener)
+    html = page_server.estop_html(8081, "x")
+    assert f'"path": "{page_security.ESTOP_PATH}"' in html
+    assert f'"{page_server.HEADER}": "estop"' in html
     for what in re.findall(r'(?:stop|ask)\("([a-z-]+)"\)', page_style.text_of("estop.html")):
         assert what in page_server.STOP_REQUESTS

@@ -22,7 +22,7 @@ from palpate.core.shared_history import SharedHistory
 INTERNAL = "internal"
 INTERNAL_STATUS = 70  # EX_SOFTWARE of sysexits.h
 FILE = "errors.log"
-MAX_BYTES = 1_000_000  # after which the log is renamed to `errors.log.1` and begun anew
+MAX_BYTES = 1_000_000  # after which the log is renamed to "errors.log.1" and begun anew
 MAX_TEXT = 300
 
 

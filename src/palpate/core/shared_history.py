@@ -13,7 +13,7 @@ T = TypeVar("T")
 class SharedHistory(Generic[T]):
     """First-in, first-out history with a lock; readers receive copies and never iterate the container.
 
-    A `collections.deque` that one thread changes while another iterates raises `RuntimeError`.
+    A collections.deque that one thread changes while another iterates raises RuntimeError.
 
     Args:
         max_length: Greatest number of items; the oldest are discarded. None for no limit.

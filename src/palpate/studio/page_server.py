@@ -166,7 +166,8 @@ def make_app(
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     add_route(app, parts, listener)
-    ui.add_body_html(estop_html(listener), shared=True)  # before all else, also for the Tab key
+    # Before all else, also for the Tab key.
+    ui.add_body_html(estop_html(listener.port, listener.token), shared=True)
     add_library_routes(app, parts.workspace, parts.jobs)
 
     @app.get("/picture")
@@ -191,9 +192,9 @@ def make_app(
     return PageSecurity(TokenGate(inner, token, port), names_of_server(host), listener.port)
 
 
-def estop_html(listener: StopListener) -> str:
-    """The emergency stop as a page has it, with the address and the token of its listener."""
-    about = json.dumps({"port": listener.port, "token": listener.token, "path": ESTOP_PATH})
+def estop_html(port: int, token: str) -> str:
+    """Return the emergency stop of a page, with the port and the token of its listener."""
+    about = json.dumps({"port": port, "token": token, "path": ESTOP_PATH})
     return text_of("estop.html").replace('"LISTENER"', about)
 
 

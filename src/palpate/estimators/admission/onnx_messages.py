@@ -57,7 +57,7 @@ MESSAGES: dict[str, tuple[tuple[str, int, str], ...]] = {
     "Dimension": (("dim_value", 1, "int"), ("dim_param", 2, "string")),
     "Opaque": (),
 }  # fmt: skip
-"""Name, number, and type of each field; ``*`` marks a repeated one. `Opaque` stands for what is refused."""
+"""Name, number, and type of each field; * marks a repeated one. Opaque stands for what is refused."""
 
 
 def parse_model(model: bytes) -> Any:
