@@ -325,4 +325,4 @@ OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Transpose"): _operator(_transpose, 1, 1, "perm"),
     (TREES_DOMAIN, "TreeEnsembleRegressor"): _operator(_trees, 1, 1, _TREES),
 }
-"""Operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for own models."""
+"""Operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for users."""
