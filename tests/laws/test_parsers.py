@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from tests import parser_feeds as feeds
 
 from palpate.core import InputError, PalpateError, StorageError
@@ -212,3 +213,8 @@ def test_an_archive_that_unpacks_to_more_is_refused(tmp_path) -> None:
     with pytest.raises(InputError) as refused:
         read_arrays(tmp_path / "a.npz", max_bytes=4000)
     assert refused.value.code == "file-size"
+
+
+def test_a_violated_annotation_is_not_reported_as_damage() -> None:
+    with pytest.raises(TypeCheckError), damage_refused(next(iter(PARSERS.values())), "file"):
+        raise TypeCheckError("a shape")
