@@ -165,6 +165,23 @@ def own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def checked_types_pass_parsers() -> Iterator[None]:
+    """Let a violated annotation within a parser fail a test, not become damage of a file."""
+    from palpate.core import parsing
+
+    damaged = parsing._damaged
+
+    def damaged_file(entry, source, cause):
+        if isinstance(cause, jaxtyping.TypeCheckError):
+            raise cause
+        return damaged(entry, source, cause)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parsing, "_damaged", damaged_file)
+        yield
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """The same random numbers at every run."""

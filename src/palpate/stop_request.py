@@ -23,14 +23,14 @@ else:
         from _json import make_scanner
         from _socket import AF_INET, SOCK_STREAM, socket
 
-        class _Scan:
+        class _ScannerSettings:
             """What json.JSONDecoder gives its scanner."""
 
             strict, memo = True, {}
             object_hook = object_pairs_hook = None
             parse_int, parse_float, parse_constant = int, float, float
 
-        def decode(text, scan=make_scanner(_Scan())):  # noqa: B008 - one scanner for all texts
+        def decode(text, scan=make_scanner(_ScannerSettings())):  # noqa: B008 - one scanner for all texts
             """Return the value of a JSON text."""
             try:
                 return scan(text.lstrip(), 0)[0]

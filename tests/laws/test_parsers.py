@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from tests import parser_feeds as feeds
 
 from palpate.core import InputError, PalpateError, StorageError
@@ -36,6 +37,7 @@ OTHERS = {
     "calibration/robustness/adapted_guard.py": "a model that the estimator has admitted",
     "calibration/robustness/perturbations.py": "images that it has just encoded",
     "calibration/shear/shear_calibration.py": "a field of a calibration record",
+    "cli/stop_command.py": "a rig's file, for its port; the command tree reports damage",
     "cli/verb_support.py": "words of the command line",
     "devices/rpc.py": "messages between processes, refused by `decode_message`",
     "estimators/networks/camera_variation.py": "images that it has just encoded",
@@ -49,12 +51,15 @@ OTHERS = {
     "recordings/exchange/press_export.py": "events of a run, whose reader has checked them",
     "recordings/segments/message_schema.py": "messages of a run, read by `read_chunk`",
     "reports/sections/evidence_sections.py": "files of a calibration whose hashes are checked",
+    "rig/real/position_evidence.py": "its own record; a damaged one counts as none",
     "rig/real/uvc_camera.py": "a camera",
     "rig/run_progress.py": "events of a run, whose reader has checked them",
     "sensing/live_service.py": "words of its own starter",
     "studio/library/background_jobs.py": "lines of its own process",
     "studio/live/start_desk.py": "lines of its own process",
     "studio/live/start_process.py": "lines of its own process",
+    "studio/stop_listener.py": "answers of its own process",
+    "studio/stop_process.py": "requests and address files; it imports only the standard library",
     "version.py": "text that has been refused already",
     "workflows/start_session.py": "text that it has just made",
 }
@@ -208,3 +213,8 @@ def test_an_archive_that_unpacks_to_more_is_refused(tmp_path) -> None:
     with pytest.raises(InputError) as refused:
         read_arrays(tmp_path / "a.npz", max_bytes=4000)
     assert refused.value.code == "file-size"
+
+
+def test_a_violated_annotation_is_not_reported_as_damage() -> None:
+    with pytest.raises(TypeCheckError), damage_refused(next(iter(PARSERS.values())), "file"):
+        raise TypeCheckError("a shape")

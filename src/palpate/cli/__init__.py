@@ -2,8 +2,6 @@
 
 import sys
 
-from palpate.cli.stop_command import run_stop
-
 TYPE_CHECKING = False  # as in `typing`, which is not imported here: a stop would wait for it
 
 if TYPE_CHECKING:
@@ -30,6 +28,8 @@ def main() -> None:
 
         print(f"palpate {__version__}")
         return
+    from palpate.cli.stop_command import run_stop
+
     status = run_stop(words)
     if status is not None:
         sys.exit(status)

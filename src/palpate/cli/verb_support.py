@@ -106,6 +106,20 @@ class Group(TyperGroup):
 
 
 @contextmanager
+def signals_held() -> Iterator[None]:
+    """Hold back what ends the process while files are made, so that none is left half made."""
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda number, frame: held.append(number)) for number in ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in held:
+            signal.raise_signal(number)
+
+
+@contextmanager
 def stopped_by_signals(numbers: tuple[signal.Signals, ...] = ENDING) -> Iterator[None]:
     """End by Ctrl-C's own way also where the process is told to end, or its terminal is closed.
 

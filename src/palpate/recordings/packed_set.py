@@ -89,6 +89,7 @@ class PackedSet:
         with storage_errors(folder):
             try:
                 name = INDEX_NAME if INDEX_NAME in card["sha256"] else FORMER_INDEX_NAME
+                (folder / name).stat()  # raises FileNotFoundError, which a parser converts
                 index = read_table(folder / name)
                 packed = cls(folder, card, index, _check_frames(folder / FRAMES_NAME, len(index), card))
             except (ValueError, KeyError, TypeError, AttributeError, FileNotFoundError) as e:

@@ -317,7 +317,7 @@ class Inquiry:
 class Visitor:
     """HTTP connection of a page: one request at a time, each small, complete in time, and with the token."""
 
-    def __init__(self, connection: socket.socket, listener: StopListener) -> None:
+    def __init__(self, connection: socket.socket, listener: StopLoop) -> None:
         self.socket, self._listener = connection, listener
         self._buffer = bytearray()
         self._origin = ""
@@ -400,7 +400,7 @@ class Visitor:
             self._serve()
 
 
-class StopListener:
+class StopLoop:
     """Event loop of the listener.
 
     Args:
@@ -543,7 +543,7 @@ def main() -> None:
     line = bytearray()
     while not line.endswith(b"\n"):
         line += os.read(0, 1) or b"\n"
-    listener = StopListener(json.loads(line))
+    listener = StopLoop(json.loads(line))
     print(json.dumps({"port": listener.port}), flush=True)
     sys.stdout.close()
     listener.run()

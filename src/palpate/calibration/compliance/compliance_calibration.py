@@ -17,7 +17,7 @@ import numpy as np
 
 from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
-from palpate.calibration.compliance.reference_check import check_references
+from palpate.calibration.compliance.reference_stiffness import check_references
 from palpate.calibration.compliance.shape_calibration import errors_between, fit_shapes
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (

@@ -19,7 +19,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
-from palpate.calibration.compliance.reading_reasons import SEPARATOR, Reason, ReasonCode, joined
+from palpate.calibration.compliance.reading_reasons import SEPARATOR, ReadingReason, ReasonCode, joined
 from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
@@ -138,7 +138,7 @@ def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressRead
     if curved:
         assert read.radius is not None
         text = CURVED.format(*(1e3 * x for x in (read.radius.value, read.radius.low, read.radius.high)))
-        flat = [Reason(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
+        flat = [ReadingReason(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
         everywhere = []
     else:
         flat = _reasons_of(read.radius) if calibration.shape is not None else []
@@ -155,13 +155,13 @@ def _curved(read: PressReading) -> bool:
     return read.radius is not None and bool(np.isfinite(read.radius.high))
 
 
-def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[Reason]:
+def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[ReadingReason]:
     """Return why an interval is not inside what was calibrated."""
     if one is None or name == "radius":
         return []
     if name == "modulus" and calibration.shape is not None:
         too_stiff = np.isinf(one.high) or one.low > EDGE * moduli_pa(calibration.shape)[1]
-        return [Reason(ReasonCode.TOO_STIFF, TOO_STIFF.format(1e-6 * one.low))] if too_stiff else []
+        return [ReadingReason(ReasonCode.TOO_STIFF, TOO_STIFF.format(1e-6 * one.low))] if too_stiff else []
     unit, scale = UNITS[one.unit]
     low, high = one.calibrated_range
     reasons = []
@@ -170,14 +170,14 @@ def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading |
         least, most = float(known.min()), float(known[np.isfinite(known)].max())
         if one.low > most * EDGE or one.high < least / EDGE:
             text = OUTSIDE.format(scale * one.value, unit, scale * least, scale * most, unit)
-            reasons.append(Reason(ReasonCode.OUTSIDE_RANGE, text))
+            reasons.append(ReadingReason(ReasonCode.OUTSIDE_RANGE, text))
     if one.low < low or one.high > high or np.isinf(one.high):
         ends = scale * one.low, scale * one.high, unit, scale * low, scale * high, unit
-        reasons.append(Reason(ReasonCode.INTERVAL_OUTSIDE_RANGE, REACHES.format(*ends)))
+        reasons.append(ReadingReason(ReasonCode.INTERVAL_OUTSIDE_RANGE, REACHES.format(*ends)))
     return reasons
 
 
-def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Reason]:
+def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[ReadingReason]:
     """Return the first quantity whose interval contains nothing that the stiffness allows.
 
     The stiffness is that by both cues, or by touch where there is no position. What it allows of the other
@@ -195,7 +195,7 @@ def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> li
             one.quantity, scale * one.low, scale * one.high, unit, 1e-3 * base.low, 1e-3 * base.high,
             scale * allowed.min(), scale * allowed.max(), unit,
         )  # fmt: skip
-        return [Reason(ReasonCode.CUES_DISAGREE, text)]
+        return [ReadingReason(ReasonCode.CUES_DISAGREE, text)]
     return []
 
 
@@ -215,15 +215,15 @@ def _on_flat(
     return np.asarray(np.exp(np.polyval(np.polyfit(known, np.log(fit.means), len(known) - 1), asked)))
 
 
-def _reasons_of(reading: Reading | None) -> list[Reason]:
+def _reasons_of(reading: Reading | None) -> list[ReadingReason]:
     """Return the reasons that a reading carries."""
     if reading is None or reading.valid:
         return []
     texts, codes = reading.why.split(SEPARATOR), reading.code.split(SEPARATOR)
-    return [Reason(ReasonCode(codes[min(i, len(codes) - 1)]), text) for i, text in enumerate(texts)]
+    return [ReadingReason(ReasonCode(codes[min(i, len(codes) - 1)]), text) for i, text in enumerate(texts)]
 
 
-def _refused(reading: Reading | None, reasons: Sequence[Reason]) -> Reading | None:
+def _refused(reading: Reading | None, reasons: Sequence[ReadingReason]) -> Reading | None:
     """Return a reading with further reasons why it is not valid."""
     if reading is None or not reasons:
         return reading
@@ -339,7 +339,7 @@ class _Verdict:
 
     calibration: ComplianceCalibration
     drift: Drift
-    reasons: Sequence[Reason]
+    reasons: Sequence[ReadingReason]
     name: str
 
 
@@ -353,7 +353,7 @@ class _PressReader:
 
     def reading(
         self, quantity: str, value: tuple[float, float, float], unit: str, range_: tuple[float, float],
-        why: Sequence[Reason] = (), coverage: float = COVERAGE,
+        why: Sequence[ReadingReason] = (), coverage: float = COVERAGE,
     ) -> Reading:  # fmt: skip
         return Reading(
             quantity=quantity, value=value[0], low=value[1], high=value[2], unit=unit, coverage=coverage,
@@ -407,9 +407,9 @@ class _PressReader:
         range_ = _known(self.calibration.rate) or (0.0, float((high - low) / (levels[-1] - levels[0])))
         return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
 
-    def _between(self, error: float) -> list[Reason]:
+    def _between(self, error: float) -> list[ReadingReason]:
         """Return why two references are not enough."""
-        return [] if np.isfinite(error) else [Reason(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
+        return [] if np.isfinite(error) else [ReadingReason(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
 
     def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:
         levels = self.calibration.levels_n
@@ -431,11 +431,11 @@ class _PressReader:
             for good in [one.force_n >= self.calibration.levels_n[0]]
         ]
         contact = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
-        why = [Reason(ReasonCode.TOO_STIFF, contact.why)] if contact.why else []
+        why = [ReadingReason(ReasonCode.TOO_STIFF, contact.why)] if contact.why else []
         why += self._between(self._fit.spread)
         if self.calibration.tilt_rad > HEAD_ON_RAD:
-            why.append(Reason(ReasonCode.INCLINED, INCLINED))
-        no_hertz = Reason(ReasonCode.NOT_HERTZ, NO_HERTZ.format(finger.misfit, MISFIT))
+            why.append(ReadingReason(ReasonCode.INCLINED, INCLINED))
+        no_hertz = ReadingReason(ReasonCode.NOT_HERTZ, NO_HERTZ.format(finger.misfit, MISFIT))
         round_ = [no_hertz] if finger.misfit > MISFIT else []
         beyond = (0.0, float("inf"))
         return (

@@ -65,7 +65,7 @@ class CueMisfit:
 
 
 @dataclass(frozen=True)
-class _Model:
+class _CueModel:
     """m(p) in the small space of the references, its alternatives, and its minimizer."""
 
     space: SmallSpace
@@ -103,7 +103,7 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
     return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
 
 
-def _model(calibration: ComplianceCalibration, placed: bool) -> _Model:
+def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
     if not placed:
         return _curve_model(calibration.touch)
     if calibration.shape is not None:
@@ -112,7 +112,7 @@ def _model(calibration: ComplianceCalibration, placed: bool) -> _Model:
     return _curve_model(calibration.both)
 
 
-def _curve_model(curve: SoftnessCurve) -> _Model:
+def _curve_model(curve: SoftnessCurve) -> _CueModel:
     def others(p: Point) -> Places:
         bent = [curve.at(p, bend * curve.turning_n_m) for bend in BENDS]
         return np.concatenate(bent) - curve.at(p)
@@ -123,10 +123,10 @@ def _curve_model(curve: SoftnessCurve) -> _Model:
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)])
         return float(minimize_scalar(lambda s: misfit(np.array([s])), bounds=bounds, method="bounded").fun)
 
-    return _Model(curve.space, lambda p: curve.at(p)[0], others, least)
+    return _CueModel(curve.space, lambda p: curve.at(p)[0], others, least)
 
 
-def _surface_model(surface: ShapeSurface) -> _Model:
+def _surface_model(surface: ShapeSurface) -> _CueModel:
     def others(p: Point) -> Places:
         return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
 
@@ -135,11 +135,11 @@ def _surface_model(surface: ShapeSurface) -> _Model:
         tolerance = {"xatol": 1e-4, "fatol": 0.01}
         return float(minimize(misfit, begun, method="Nelder-Mead", options=tolerance).fun)
 
-    return _Model(surface.space, surface.at, others, least)
+    return _CueModel(surface.space, surface.at, others, least)
 
 
 def _misfit(
-    model: _Model, y: Vector, changes: Vectors, approach: Bool[ndarray, " d"], known: Bool[ndarray, " d"]
+    model: _CueModel, y: Vector, changes: Vectors, approach: Bool[ndarray, " d"], known: Bool[ndarray, " d"]
 ) -> float:
     """Minimum over p, from the known values, in the directions that the model has."""
     space = model.space

@@ -21,7 +21,7 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, MAX_PINS, CueMisfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
-from palpate.calibration.compliance.reading_reasons import Reason, ReasonCode
+from palpate.calibration.compliance.reading_reasons import ReadingReason, ReasonCode
 from palpate.core import Drift
 from palpate.estimators.compliance.contact_seat import sideways_px
 from palpate.estimators.compliance.pin_press import PinPress
@@ -78,7 +78,7 @@ def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) ->
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
 
-def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Reason]:
+def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[ReadingReason]:
     """Why no quantity of these presses is valid; empty where they are as the references' were.
 
     Raises:
@@ -86,21 +86,21 @@ def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress
         RangeError: one that does not reach the calibrated forces.
     """
     flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
-    reasons = [Reason(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
+    reasons = [ReadingReason(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
-        reasons.append(Reason(ReasonCode.DRIFTED, DRIFTED))
+        reasons.append(ReadingReason(ReasonCode.DRIFTED, DRIFTED))
     rows = [touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses]
     for code, ask in ASKED.items():
         answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
-        reasons += [Reason(code, why) for why in answers if why][:1]
+        reasons += [ReadingReason(code, why) for why in answers if why][:1]
     return reasons + misfit_reasons(worst_misfit(calibration, presses))
 
 
-def misfit_reasons(misfit: CueMisfit) -> list[Reason]:
+def misfit_reasons(misfit: CueMisfit) -> list[ReadingReason]:
     """Return why the cues of a press do not belong to one object; empty where they do."""
     found = ((PINS_APART, misfit.pins, MAX_PINS), (APPROACH_APART, misfit.approach, MAX_APPROACH))
     return [
-        Reason(ReasonCode.CUES_DISAGREE, text.format(value, most))
+        ReadingReason(ReasonCode.CUES_DISAGREE, text.format(value, most))
         for text, value, most in found
         if not value <= most  # NaN does not agree
     ]

@@ -31,7 +31,7 @@ SEPARATOR = "; "  # between the reasons of one reading
 
 
 @dataclass(frozen=True)
-class Reason:
+class ReadingReason:
     """Why a reading is not valid.
 
     Attributes:
@@ -43,7 +43,7 @@ class Reason:
     text: str
 
 
-def joined(reasons: Iterable[Reason]) -> dict[str, str | bool]:
+def joined(reasons: Iterable[ReadingReason]) -> dict[str, str | bool]:
     """Return the fields `valid`, `why`, and `code` of a reading; each text and each code occurs once."""
     listed = list(reasons)
     return {

@@ -199,7 +199,7 @@ def check(
 def stiffness(
     run: Annotated[Path, Argument(help="A run whose force was right.")], json_: Json = False
 ) -> None:
-    """Print the range of stiffness that a run's presses met, for the rig's file.
+    """Print a run's range of stiffness, for the rig's file.
 
     The guard then checks the first press of every run against it. Weigh the force sensor before the run.
 

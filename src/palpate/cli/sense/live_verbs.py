@@ -15,7 +15,7 @@ from typer import Argument, Exit, Option
 
 from palpate.cli.sense.live_outputs import LiveOutputs
 from palpate.cli.sense.reading_words import reading_words
-from palpate.cli.verb_support import Json, Quiet, numbers_of, say, stopped_by_signals
+from palpate.cli.verb_support import Json, Quiet, numbers_of, say, signals_held, stopped_by_signals
 from palpate.devices.process_memory import loaded_kept
 
 if TYPE_CHECKING:
@@ -123,8 +123,9 @@ def live(
                 if compliance is not None:
                     stack.enter_context(_presses(one, compliance, json_))
             shown = stack.enter_context(_shown(json_, quiet))
-            stack.enter_context(outputs.made(sensors))
             with suppress(KeyboardInterrupt):
+                with signals_held():
+                    stack.enter_context(outputs.made(sensors))
                 for sensor, reading in _readings(sensors, seconds):
                     if sensor.takes(reading):
                         outputs.log(reading)

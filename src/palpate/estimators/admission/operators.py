@@ -1,4 +1,4 @@
-"""Operators that palpate's own exporters emit, and the shape of what each one makes.
+"""Operators that a model may contain, and the shape of what each one makes.
 
 Every shape follows from the shapes of the inputs, the attributes, and constants. An operator whose output
 size depends on data is not in the table. An attribute that is not in the table is refused.
@@ -177,13 +177,13 @@ def _slice(call: Call) -> Inferred:
     return [tuple(shape)], size_of(shape)
 
 
-def _reduce_sum(call: Call) -> Inferred:
-    shape, axes = list(call.shapes[0]), call.whole(1)
-    if not axes or not all(-len(shape) <= axis < len(shape) for axis in axes):
-        raise refuse("shape", f"ReduceSum of {shape} over {list(axes)}")
-    for axis in axes:
-        shape[axis] = 1
-    return [tuple(shape)], size_of(call.shapes[0])
+def _reduce(call: Call) -> Inferred:
+    shape, axes, kept = call.shapes[0], call.whole(1), call.attributes.get("keepdims", 1)
+    if not axes or not all(-len(shape) <= axis < len(shape) for axis in axes) or kept not in (0, 1):
+        raise refuse("shape", f"{call.kind} of {list(shape)} over {list(axes)}, keepdims {kept!s:.20}")
+    reduced = {axis % len(shape) for axis in axes}
+    made = [1 if axis in reduced else size for axis, size in enumerate(shape) if kept or axis not in reduced]
+    return [tuple(made)], size_of(shape)
 
 
 def _top_k(call: Call) -> Inferred:
@@ -313,7 +313,8 @@ OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Mul"): _operator(_elementwise, 2, 2),
     ("", "Neg"): _operator(_elementwise, 1, 1),
     ("", "QuantizeLinear"): _operator(_first, 3, 3, "axis"),
-    ("", "ReduceSum"): _operator(_reduce_sum, 2, 2),
+    ("", "ReduceMean"): _operator(_reduce, 2, 2, "keepdims"),
+    ("", "ReduceSum"): _operator(_reduce, 2, 2, "keepdims"),
     ("", "Relu"): _operator(_elementwise, 1, 1),
     ("", "Reshape"): _operator(_reshape, 2, 2, "allowzero"),
     ("", "Slice"): _operator(_slice, 4, 4),
@@ -324,4 +325,4 @@ OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Transpose"): _operator(_transpose, 1, 1, "perm"),
     (TREES_DOMAIN, "TreeEnsembleRegressor"): _operator(_trees, 1, 1, _TREES),
 }
-"""Operators by (domain, name): exactly those that models, corrections, and int8 copies have."""
+"""Operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for users."""

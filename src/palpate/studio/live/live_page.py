@@ -28,7 +28,7 @@ from palpate.studio.live.live_desk import (
     check_name,
     edge_readings,
 )
-from palpate.studio.live.live_sources import VIRTUAL, Cameras, plugged_in, source_options
+from palpate.studio.live.page_sources import VIRTUAL, Cameras, plugged_in, source_options
 from palpate.studio.live.reading_rows import Told, named, softness_html, unread, values_html
 from palpate.studio.page_shell import PageBeat, page_shell, page_title
 from palpate.studio.shown_ages import Ages, age_note

@@ -27,7 +27,7 @@ from palpate.studio.html_parts import (
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk
 from palpate.studio.live.live_page import TYPED, live_address, live_name
-from palpate.studio.live.live_sources import VIRTUAL, Cameras, check_devices, plugged_in, source_options
+from palpate.studio.live.page_sources import VIRTUAL, Cameras, check_devices, plugged_in, source_options
 from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
 from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration, number

@@ -7,7 +7,7 @@ import pytest
 from tests.virtual_presses import KAPPA_N_M, references
 
 from palpate.calibration.compliance.compliance_calibration import calibrate_compliance
-from palpate.calibration.compliance.reference_check import ReferenceStiffnessError
+from palpate.calibration.compliance.reference_stiffness import ReferenceStiffnessError
 from palpate.core.errors import InputError
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import specimens_at

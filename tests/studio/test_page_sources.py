@@ -10,7 +10,7 @@ from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError
 from palpate.studio.library.workspace import OutsideError, Workspace
-from palpate.studio.live.live_sources import check_devices, is_device, source_options
+from palpate.studio.live.page_sources import check_devices, is_device, source_options
 
 SERIAL = "9A3F21"
 
