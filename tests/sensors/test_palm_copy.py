@@ -12,12 +12,24 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.core import Drift, ExistsError, ImageError, InputError, ManualClock, Pose, RangeError
+from palpate.core import (
+    Drift,
+    ExistsError,
+    ImageError,
+    InputError,
+    ManualClock,
+    Pose,
+    RangeError,
+    silent,
+)
+from palpate.core.errors import MisfitError
 from palpate.estimators.known_terms import GRAVITY_M_S2
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
-from palpate.sensors.palm.copies import palm_weight
+from palpate.sensors.palm.copies import palm_copy_fit, palm_weight
+from palpate.sensors.palm.copies.copy_estimate import CopyState
 from palpate.sensors.palm.copies.palm_copy import (
+    LOCAL,
     TERMS,
     CopyFit,
     PalmCopy,
@@ -27,12 +39,21 @@ from palpate.sensors.palm.copies.palm_copy import (
     designed_copy,
     measured_copy,
 )
-from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, pictured, read_press, refuse_far
+from palpate.sensors.palm.copies.palm_copy_fit import (
+    _estimate_at,
+    fit_copy,
+    pictured,
+    read_press,
+    refuse_far,
+    refuse_misfit,
+)
 from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
 from palpate.sensors.palm.copies.palm_weight import check_weight
+from palpate.sensors.palm.copies.press_picture import seen_press
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down
+from palpate.sensors.palm.probe_shapes import parse_probe
 
 DESIGN = scaled_down(palm(), 20, "tiny")
 E, C = DESIGN.youngs_modulus_pa, DESIGN.stress_optic.coefficient_per_pa
@@ -242,6 +263,56 @@ def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
         designed_copy(DESIGN, modulus_share=0.0)
 
 
+@pytest.mark.parametrize(("off", "fits"), [(0.0110, True), (0.0118, True), (0.0120, False), (0.0127, False)])
+def test_a_reading_is_refused_above_the_stated_multiple_of_a_pixel_s_error(
+    monkeypatch, off: float, fits: bool
+) -> None:
+    """Presses of the palm's ball reach 0.0110 of white; probes that were read wrongly begin at 0.0127."""
+    found, picture = (
+        PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.1, off),
+        np.zeros((2, 2, 3), np.uint8),
+    )
+    known = designed_copy(DESIGN)
+    monkeypatch.setattr(palm_copy_fit, "fit_copy", lambda *_: CopyFit(known, (found,), ()))
+    if fits:
+        assert read_press(known, picture, picture) is found
+    else:
+        with pytest.raises(MisfitError):
+            read_press(known, picture, picture)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("probe", "depth_m", "start_m", "fits"),
+    [
+        (None, 1.2e-3, 1.2e-3, True),
+        (None, 2.5e-3, 2.5e-3, True),
+        ("sphere:5", 1.2e-3, 0.9e-3, False),  # read as 0.91 +- 0.04 mm before
+        ("punch:6", 1.2e-3, 1.75e-3, False),  # read as 1.75 +- 0.08 mm before
+    ],
+)
+def test_a_picture_of_another_probe_misfits_and_one_of_the_palm_s_ball_does_not(
+    probe: str | None, depth_m: float, start_m: float, fits: bool
+) -> None:
+    """The estimate begins where the whole search ends, so that the test stays short."""
+    place = 2e-3, 1e-3
+    shape, rng = None if probe is None else parse_probe(probe), np.random.default_rng(1)
+    contacts = (press(DESIGN, Pose(*place, one), shape) for one in (depth_m, -1e-3))
+    shown = PicturedPress(*(render(one, DESIGN, rng, exact=True).image for one in contacts))
+    known = designed_copy(DESIGN, modulus_share=0.01, coefficient_share=0.01)
+    local = np.zeros((1, len(LOCAL)))
+    local[0, :3] = *place, math.log(start_m)
+    state, seen = CopyState(known.terms, local), [seen_press(DESIGN, shown)]
+    estimate = _estimate_at(known, seen, state)
+    (found,) = estimate.fit(estimate.settled(state, silent, 3)).presses
+    if fits:
+        refuse_misfit(found)
+        assert found.misfit < 1.0
+    else:
+        with pytest.raises(MisfitError):
+            refuse_misfit(found)
+
+
 @pytest.mark.parametrize("unit", [1e3, 1 / 9.80665, 1 / 4.44822, 101.97])  # mN, kgf, lbf, gf
 def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: float) -> None:
     known = designed_copy(DESIGN)
@@ -261,7 +332,7 @@ def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_count
     monkeypatch, tmp_path: Path, capsys
 ) -> None:
     from palpate.cli.sense import palm_verbs
-    from palpate.sensors.palm.copies import palm_copy_fit, palm_copy_store
+    from palpate.sensors.palm.copies import palm_copy_store
 
     found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
     monkeypatch.setattr(palm_copy_fit, "read_press", lambda *_: found)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, Progress, ndarray, silent
-from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, PIXEL_SD
+from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M
 from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
-from palpate.sensors.palm.copies.palm_copy import LOCAL, TERMS, PalmCopy
+from palpate.sensors.palm.copies.palm_copy import LOCAL, PIXEL_SD, TERMS, PalmCopy
 from palpate.sensors.palm.copies.press_picture import BLOCK_PX, away_from_edges
 
 ALLOWED = {"modulus": 0.05, "coefficient": 0.03}  # half of a 90 % interval, as a share, from which it is said

@@ -26,6 +26,7 @@ from palpate.sensors.palm.copies.held_out import KnownRow, standardised, widenin
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
     LOCAL,
+    PIXEL_SD,
     RESIDUAL_MODES,
     TERMS,
     CopyFit,
@@ -36,8 +37,6 @@ from palpate.sensors.palm.copies.palm_copy import (
 )
 from palpate.sensors.palm.copies.press_picture import BLOCK_PX, Backdrop, Kept, Pixels, SeenPress, shown
 
-PIXEL_SD = 0.007  # of a pixel, of white: a little more than what is left of it
-CHANGED = 3.0  # of its error: what a press has changed of a pixel
 STIFFEST = 20.0  # damping from which no step is tried: what is left is the roughness of sampled pixels
 ROBUST = 3.0  # standard deviations of a pixel from which it begins to weigh less
 ROUNDS, SETTLED = 25, 0.02  # of the cost, in which 1 is a standard deviation
@@ -52,16 +51,6 @@ class CopyState(NamedTuple):
 
     terms: Terms
     local: Float[ndarray, "p 8"]
-
-
-def _misfit(seen: SeenPress, residual: Pixels) -> tuple[float, int]:
-    """Root mean square of what is left of pixels that a press has changed, over a pixel's stated error, and
-    the number of blocks that these lie in.
-    """
-    changed = (np.abs(seen.change) > CHANGED * PIXEL_SD) & (residual != 0.0)
-    if not changed.any():
-        return 0.0, 1
-    return math.sqrt(float((residual[changed] ** 2).mean())) / PIXEL_SD, len(np.unique(seen.block[changed]))
 
 
 class CopyEstimate:
@@ -106,9 +95,8 @@ class CopyEstimate:
     def fit(self, state: CopyState) -> CopyFit:
         """The copy and presses of a settled state, with their covariances."""
         H, meat = np.zeros((self._size, self._size)), np.zeros((self._size, self._size))
-        off, misfits = [], []
-        for seen, (at, J, residual, weight, block) in zip(self._seen, self._pixel_rows(state), strict=True):
-            misfits.append(_misfit(seen, residual))
+        off = []
+        for at, J, residual, weight, block in self._pixel_rows(state):
             H[np.ix_(at, at)] += (J.T * weight) @ J / self._weight
             scores = [np.bincount(block, J[:, k] * weight * residual) for k in range(len(at))]
             summed = np.stack(scores) / self._weight
@@ -126,10 +114,7 @@ class CopyEstimate:
         held = {one.press for one in rows if one.is_force}
         widening = widening_of(errors, len(held)) if held else self._known.widening
         copy = replace(self._known, terms=state.terms, covariance=covariance[:n, :n], widening=widening)
-        presses = tuple(
-            self._found(state, i, covariance, off[i])._replace(misfit=misfit, blocks=blocks)
-            for i, (misfit, blocks) in enumerate(misfits)
-        )
+        presses = tuple(self._found(state, i, covariance, off[i]) for i in range(len(self._seen)))
         untold = untold_terms(TERMS, self._known.covariance, copy.covariance)
         maps = {one for names in RESIDUAL_MODES.values() for one in names}  # many, each of little account
         return CopyFit(copy, presses, tuple(one for one in untold if one not in maps))

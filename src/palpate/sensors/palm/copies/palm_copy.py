@@ -27,6 +27,7 @@ from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.uneven_membrane import SIDE_MODES, ResidualMap
 
+PIXEL_SD = 0.007  # of a pixel, of white: a little more than what is left of it
 PARTS = ("along", "aside")
 MODES = 8  # of the residual birefringence: those of the side view that no third order is in
 
@@ -314,8 +315,6 @@ class PressFound(NamedTuple):
         x_sd_m, y_sd_m, depth_sd_m: standard deviations.
         force_share: standard deviation of the force's logarithm.
         off: root mean square of what the picture differs from the copy's, over white, away from edges.
-        misfit: the same of the pixels that the press has changed, over the stated error of a pixel.
-        blocks: number of blocks of pixels that err independently among these.
     """
 
     x_m: float
@@ -327,8 +326,11 @@ class PressFound(NamedTuple):
     depth_sd_m: float
     force_share: float
     off: float
-    misfit: float = 0.0
-    blocks: int = 1
+
+    @property
+    def misfit(self) -> float:
+        """Difference from the copy's picture over the stated error of a pixel."""
+        return self.off / PIXEL_SD
 
     @property
     def pose(self) -> Pose:

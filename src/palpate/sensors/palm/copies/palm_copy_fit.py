@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from palpate.core import (
     Drift,
@@ -30,7 +29,6 @@ from palpate.core import (
 from palpate.core.errors import MisfitError
 from palpate.sensors.palm.copies.copy_estimate import (
     MIN_DEPTH_M,
-    PIXEL_SD,
     CopyEstimate,
     CopyState,
 )
@@ -38,6 +36,7 @@ from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
     LOCAL,
+    PIXEL_SD,
     TERMS,
     CopyFit,
     PalmCopy,
@@ -70,7 +69,7 @@ DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
 LAMP_SD = 0.02  # logarithm of the lamp's light, by which it may differ from day to day
 DRIFTED = 3.0  # standard deviations
-FALSE_ALARM = 1e-4  # probability that noise alone refuses a reading
+MOST_MISFIT = 1.7  # of a reading: difference from the copy's own picture over the stated error of a pixel
 MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
 FARTHEST = 5.0  # standard deviations of what was known of E and C beforehand: more is no copy of the design
 SEEN = 0.03  # of white, by which the mirror's picture has to change
@@ -147,17 +146,28 @@ def read_press(
     """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`.
 
     Raises:
-        MisfitError: the model with the palm's own ball does not fit the picture within the stated error of
-            its pixels, by a chi-square test: another probe, or another palm.
+        MisfitError: the picture differs from the copy's own by more than `MOST_MISFIT` times the stated
+            error of a pixel (root mean square): another probe, or another palm.
     """
     found = fit_copy(known, [PicturedPress(image, reference)]).presses[0]
-    limit = math.sqrt(float(chi2.isf(FALSE_ALARM, found.blocks)) / found.blocks)
-    if found.misfit > limit:
-        raise MisfitError(
-            f"the picture is {found.misfit:.1f} standard errors of a pixel off the palm's own ball, and "
-            f"{limit:.1f} are allowed; read presses of that ball on this palm"
-        )
+    refuse_misfit(found)
     return found
+
+
+def refuse_misfit(found: PressFound) -> None:
+    """Refuse a reading whose picture differs more from the copy's own than presses of the palm's ball do.
+
+    The limit lies between the greatest difference of such presses, up to 3 mm deep on drawn palms with
+    every fault (1.6), and the least of probes whose readings were off by 2.5 half-widths or more (1.8).
+
+    Raises:
+        MisfitError: the difference is above `MOST_MISFIT`.
+    """
+    if found.misfit > MOST_MISFIT:
+        raise MisfitError(
+            f"the picture differs from this palm's own by {found.off:.1%} of white, and "
+            f"{MOST_MISFIT * PIXEL_SD:.1%} is allowed; read presses of the palm's own ball with its own copy"
+        )
 
 
 def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
