@@ -128,13 +128,15 @@ class PressMotion:
         """Lift a little, slowly, to see that the force stays the same; then take the zero.
 
         Raises:
-            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact.
+            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact; `FORCE_NOISE`, where
+                contact cannot be told from the noise.
         """
         before, noise_n = self._mean_raw()
+        self._check_noise(noise_n)
         lifted_mm = self._rise(CHECK_LIFT_MM)
         after, _ = self._mean_raw()
         changed = math.dist(before, after)
-        if changed > max(self._plan.threshold_N, SIGMAS * noise_n):
+        if changed > self._plan.threshold_N:
             self._rise(HIGHER_MM)
             raise Tripped(
                 Reason.TOUCHED_EARLY,
@@ -180,11 +182,15 @@ class PressMotion:
                 f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
                 "the probe touch something?",
             )
-        if threshold < SIGMAS * self._bias.noise_n:
+        self._check_noise(self._bias.noise_n)
+
+    def _check_noise(self, noise_n: float) -> None:
+        least_n = SIGMAS * noise_n
+        if self._plan.threshold_N < least_n:
             raise Tripped(
                 Reason.FORCE_NOISE,
-                f"a contact threshold of {threshold:g} N under a noise of {self._bias.noise_n:.4f} N; give "
-                f"{SIGMAS * self._bias.noise_n:.3f} N or more",
+                f"the contact threshold of {self._plan.threshold_N:g} N lies within {SIGMAS:g} times the "
+                f"noise of {noise_n:.4f} N; set it to {least_n:.3f} N or more, or reduce the noise",
             )
 
     def check_zero(self) -> float:
