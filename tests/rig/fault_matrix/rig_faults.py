@@ -139,7 +139,10 @@ FAULTS = (
             "idle": Otherwise(("done",), "not seen: a known weight tells", OPEN),
             **dict.fromkeys(
                 ("pause", "resume"),
-                Otherwise(("force-scaled", "force-dead"), "the air check finds a tenth of the noise first"),
+                Otherwise(
+                    ("force-scaled", "force-dead", "force-noise"),
+                    "the air check finds equal samples, or the change within it, first",
+                ),
             ),
         },
     ),
