@@ -132,18 +132,18 @@ class PressMotion:
                 contact cannot be told from the noise.
         """
         before, noise_n = self._mean_raw()
-        self._check_noise(noise_n)
         lifted_mm = self._rise(CHECK_LIFT_MM)
         after, _ = self._mean_raw()
         changed = math.dist(before, after)
-        if changed > self._plan.threshold_N:
+        if changed > max(self._plan.threshold_N, SIGMAS * noise_n):
             self._rise(HIGHER_MM)
             raise Tripped(
                 Reason.TOUCHED_EARLY,
                 f"the force changed by {changed:.2f} N on a lift of {lifted_mm:.2f} mm before the "
                 "first approach: the probe was in contact. Lift it, and check the stage's position",
             )
-        self._guard.tare(self._rig.force.rate_hz)
+        self._guard.tare(self._rig.force.rate_hz)  # first, as it names a fault more precisely
+        self._check_noise(noise_n)
 
     def _rise(self, by_mm: float) -> float:
         """Lift slowly from where the probe is, within the limits; by how much [mm]."""
