@@ -75,7 +75,7 @@ FAULTS = (
         listed=("F14",),
         elsewhere={
             "idle": Otherwise(("force-noise",), "it falls into the air check of the first approach"),
-            "travel": Otherwise(("force-limit", "touched-early"), "through the air any rise by 1 N is a touch"),
+            "travel": Otherwise(("force-limit", "touched-early"), "in the air any rise by 1 N is a touch"),
             "pause": Otherwise(("done",), NOT_JUDGED),
             "resume": Otherwise(("force-noise", "force-limit"), "it falls into the zero"),
         },
@@ -139,10 +139,7 @@ FAULTS = (
             "idle": Otherwise(("done",), "not seen: a known weight tells", OPEN),
             **dict.fromkeys(
                 ("pause", "resume"),
-                Otherwise(
-                    ("force-scaled", "force-dead", "force-noise"),
-                    "the air check finds equal samples, or the change within it, first",
-                ),
+                Otherwise(("force-scaled", "force-dead"), "the air check finds equal samples first"),
             ),
         },
     ),
