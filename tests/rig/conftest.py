@@ -105,6 +105,12 @@ class GrblBench:
         self.wait(lambda: self.speed_mm_s >= full and math.dist(self.place_mm, start) >= after_mm, 0.01)
 
 
+@pytest.fixture(autouse=True)
+def no_stored_position(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give each test a state folder of its own: terminals have the names of those of earlier tests."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+
+
 @pytest.fixture
 def grbl_bench():
     """Make a bench: model and faults of the fake, and words of the driver's spec."""

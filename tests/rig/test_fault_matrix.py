@@ -145,7 +145,7 @@ class TestControls:
 
     def test_a_probe_that_is_not_lifted_is_noticed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("palpate.rig.engine.Engine._lift_if_possible", lambda self: "")
-        assert "the probe stays" in self.broken("camera", "does not answer", "hold")
+        assert "the probe stays" in self.broken("force", "saturates, or any fault bit", "hold")
 
     def test_a_stage_twice_as_late_as_it_states_is_beyond_its_bound(
         self, monkeypatch: pytest.MonkeyPatch

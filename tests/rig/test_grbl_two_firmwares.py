@@ -183,7 +183,7 @@ def test_sleep_and_check_are_cleared_by_a_stop(where, stage, line, state):
     if line == "$SLP" and where[1] == "grblHAL":
         with pytest.raises(RefusedError) as caught:
             stage._link.command(line)
-        assert caught.value.code == 3
+        assert caught.value.code == "grbl-error-3"
         return
     stage._link.command(line)
     while stage._link.report(PATIENCE_S).status.state != state:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from palpate.core import NS_PER_S, DeviceError, ManualClock, Wrench
+from palpate.core import NS_PER_S, DeviceError, ManualClock, Position, Wrench
 from palpate.core.errors import InputError, RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
@@ -67,6 +67,12 @@ class Switched:
         if self.locked or z - distance_m < self.top_m:
             raise DeviceError("refused")
         self._stage.move_to((x, y, z - distance_m), speed_m_s)
+
+    def approach(self, distance_m: float, speed_m_s: float) -> None:
+        self.retreat(-distance_m, speed_m_s)
+
+    def reference(self, position_m: Position) -> None:
+        raise AssertionError("a position was stated that homing finds")
 
     def unlock(self) -> None:
         self.locked = False

@@ -288,7 +288,10 @@ class MotionGuard:
 
     def look(self, asks: tuple[OperatorCommand, ...] = AT_ONCE, *, judged: bool = True) -> list[Wrench]:
         """Take in and publish what the sensor measured since, and raise on what must stop a motion."""
-        return self._look(self._within if judged else _unchecked, asks)
+        samples = self._look(self._within if judged else _unchecked, asks)
+        if not judged:
+            self.monitor.restart()
+        return samples
 
     def _look(self, check: Check, asks: tuple[OperatorCommand, ...]) -> list[Wrench]:
         """On the way away from the skin a sensor that is gone stops nothing: there it is safer to move on."""

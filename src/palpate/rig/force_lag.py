@@ -21,6 +21,8 @@ from palpate.devices import Guard
 LAGS_S = np.arange(-0.05, 0.3001, 0.005)
 KNOTS_M = np.array([0.8, 0.6, 0.45, 0.3, 0.2, 0.1]) * 1e-3  # above the deepest position
 SIGMAS = 5.0  # half width of the interval, in standard deviations: noise alone must not show a lag
+GAP_S = 0.1  # longest interval between two positions in which a motion is interpolated
+MOVED_M = 1e-6
 MAX_SAMPLES = 1000  # more are averaged in blocks
 
 Series = Float[ndarray, " n"]
@@ -33,7 +35,8 @@ class ForceLag:
 
     Attributes:
         lag_s: the most likely [s].
-        least_s, greatest_s: interval of five standard deviations [s].
+        least_s, greatest_s: interval of five standard deviations; wider by the longest interval without a
+            position in which the stage moved, if it exceeds `GAP_S` [s].
     """
 
     lag_s: float
@@ -70,7 +73,9 @@ def lag_of(force_s: Series, force_n: Series, position_s: Positions, depth_m: Pos
     residual = np.array([_residual(np.interp(t - lag, position_s, depth_m), F, knots) for lag in LAGS_S])
     variance = residual.min() / (len(t) - columns)
     likely = LAGS_S[residual <= residual.min() + SIGMAS**2 * variance]
-    return ForceLag(float(LAGS_S[residual.argmin()]), float(likely[0]), float(likely[-1]))
+    gaps_s = np.diff(position_s)[np.abs(np.diff(depth_m)) > MOVED_M]
+    gap_s = max((one for one in gaps_s.tolist() if one > GAP_S), default=0.0)
+    return ForceLag(float(LAGS_S[residual.argmin()]), float(likely[0]) - gap_s, float(likely[-1]) + gap_s)
 
 
 def _residual(depth_m: Series, force_n: Series, knots_m: Float[ndarray, " k"]) -> float:

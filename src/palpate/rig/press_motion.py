@@ -128,7 +128,8 @@ class PressMotion:
         """Lift a little, slowly, to see that the force stays the same; then take the zero.
 
         Raises:
-            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact.
+            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact; `FORCE_NOISE`, where
+                contact cannot be told from the noise.
         """
         before, noise_n = self._mean_raw()
         lifted_mm = self._rise(CHECK_LIFT_MM)
@@ -141,7 +142,8 @@ class PressMotion:
                 f"the force changed by {changed:.2f} N on a lift of {lifted_mm:.2f} mm before the "
                 "first approach: the probe was in contact. Lift it, and check the stage's position",
             )
-        self._guard.tare(self._rig.force.rate_hz)
+        self._guard.tare(self._rig.force.rate_hz)  # first, as it names a fault more precisely
+        self._check_noise(noise_n)
 
     def _rise(self, by_mm: float) -> float:
         """Lift slowly from where the probe is, within the limits; by how much [mm]."""
@@ -180,11 +182,15 @@ class PressMotion:
                 f"in the air the force stands {moved:.2f} N from where it stood before the last press: does "
                 "the probe touch something?",
             )
-        if threshold < SIGMAS * self._bias.noise_n:
+        self._check_noise(self._bias.noise_n)
+
+    def _check_noise(self, noise_n: float) -> None:
+        least_n = SIGMAS * noise_n
+        if self._plan.threshold_N < least_n:
             raise Tripped(
                 Reason.FORCE_NOISE,
-                f"a contact threshold of {threshold:g} N under a noise of {self._bias.noise_n:.4f} N; give "
-                f"{SIGMAS * self._bias.noise_n:.3f} N or more",
+                f"the contact threshold of {self._plan.threshold_N:g} N lies within {SIGMAS:g} times the "
+                f"noise of {noise_n:.4f} N; set it to {least_n:.3f} N or more, or reduce the noise",
             )
 
     def check_zero(self) -> float:

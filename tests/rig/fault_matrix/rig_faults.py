@@ -74,10 +74,8 @@ FAULTS = (
         ("force-limit",),
         listed=("F14",),
         elsewhere={
-            **dict.fromkeys(
-                ("idle", "travel"),
-                Otherwise(("force-limit", "touched-early"), "through the air any rise by 1 N is a touch"),
-            ),
+            "idle": Otherwise(("force-noise",), "it falls into the air check of the first approach"),
+            "travel": Otherwise(("force-limit", "touched-early"), "in the air any rise by 1 N is a touch"),
             "pause": Otherwise(("done",), NOT_JUDGED),
             "resume": Otherwise(("force-noise", "force-limit"), "it falls into the zero"),
         },
@@ -137,7 +135,13 @@ FAULTS = (
         within=TRUST,
         shows="force",
         listed=("F7",),
-        elsewhere={"idle": Otherwise(("done",), "not seen: a known weight tells", OPEN)},
+        elsewhere={
+            "idle": Otherwise(("done",), "not seen: a known weight tells", OPEN),
+            **dict.fromkeys(
+                ("pause", "resume"),
+                Otherwise(("force-scaled", "force-dead"), "the air check finds equal samples first"),
+            ),
+        },
     ),
     RigFault(
         "bursts of 80 ms",

@@ -124,7 +124,7 @@ class ForceMonitor:
         self._ended_before_ns: int | None = 0
         self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
         self._climb, self._behind_n = ForceClimb(), 0.0
-        self._restart()
+        self.restart()
 
     def new_tool(self, stated: StiffnessRange | None = None) -> None:
         """Another tool or skin: what was learnt of stiffness is forgotten, and a stated range counts."""
@@ -149,7 +149,7 @@ class ForceMonitor:
         self.air = air
         self._noise_n = self._normal_noise(air)
         self._run_limit = air.run_limit(list(self._airs)[:-1])
-        self._restart()
+        self.restart()
         for one in samples:
             self._dating.late_s(self._count, one.time_ns)
             self._count += 1
@@ -162,8 +162,8 @@ class ForceMonitor:
     def _normal_noise(self, air: AirNoise) -> float:
         return air.noise_n[self._bias.mounting.normal]
 
-    def _restart(self) -> None:
-        """Forget the samples before: they belong to another time, or another zero."""
+    def restart(self) -> None:
+        """Forget the samples before: they belong to another time or zero, or were not judged."""
         period_s = self.air.period_s if self.air else 1.0
         self._dating, self._count = SampleDating(1.0 / period_s, heard_s=0.0), 0
         self._six: Six | None = None
@@ -181,7 +181,7 @@ class ForceMonitor:
     def begin(self, phase: Phase, speed_m_s: float, length_m: float, asked_ns: int, sent_ns: int) -> None:
         """A move has begun: how fast and how far [m/s, m], and between which times [ns]."""
         if phase is Phase.LIFT:
-            self._restart()
+            self.restart()
         if self._phase is not phase:
             self._turned_ns = sent_ns + round(TURN_S * NS_PER_S)
         if phase in (Phase.UP, Phase.LIFT) and self._phase is not phase:
@@ -461,11 +461,9 @@ class ForceMonitor:
 
         The stage may have begun to move `early_s` before that was known [s].
         """
-        period_s = self.air.period_s if self.air else 0.0
         v, travel = self._speed, self._travel
-        slack_m = (
-            SLACK_M + v * (travel.latency_s + period_s + early_s) + v**2 / (2 * travel.acceleration_m_s2)
-        )
+        late_s = max(self.air.period_s if self.air else 0.0, self._limits.force_latency_s)
+        slack_m = SLACK_M + v * (travel.latency_s + late_s + early_s) + v**2 / (2 * travel.acceleration_m_s2)
         return noises * self._noise_n + stiffness_n_m * slack_m + SLACK_SHARE * self._level_n
 
     def _quietened(self, six: Six) -> Doubt | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -11,7 +12,7 @@ from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import DeviceHold, hold_device, port_named
 
 READ_S = 0.05  # how long one read waits, and so how soon its thread sees that it must end
-WRITE_S = 1.0
+WRITE_S = 1.0  # longest time in which a port takes no byte
 
 
 @runtime_checkable
@@ -30,7 +31,28 @@ class HeldPort:
 
     def __init__(self, port: SerialPort, held: DeviceHold) -> None:
         self._port, self._held = port, held
-        self.read, self.write = port.read, port.write
+        self.read = port.read
+
+    def write(self, data: bytes) -> int | None:
+        """Write all of some bytes, and return how many were taken.
+
+        A write counts as late only if the port takes nothing for `WRITE_S`. pyserial also raises where this
+        computer stood still for as long, although all bytes have gone.
+
+        Raises:
+            OSError: the port takes no byte, or failed.
+        """
+        handle = getattr(self._port, "fd", None)
+        if os.name != "posix" or handle is None:
+            return self._port.write(data)
+        left = memoryview(data)
+        while left:
+            try:
+                left = left[os.write(handle, left) :]
+            except BlockingIOError:
+                if not select.select([], [handle], [], WRITE_S)[1]:
+                    raise TimeoutError(f"no byte was taken for {WRITE_S:g} s") from None
+        return len(data)
 
     @property
     def in_waiting(self) -> int:
