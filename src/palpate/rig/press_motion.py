@@ -154,6 +154,7 @@ class PressMotion:
 
     def _mean_raw(self) -> tuple[Force, float]:
         """Mean force at a stand, without the zero, and its standard deviation along the normal [N]."""
+        self._guard.look(judged=False)  # older samples belong to another position
         samples = self._guard.wait(max(AIR_S, AIR_SAMPLES / self._rig.force.rate_hz), judged=False)
         bias = ForceBias(self._rig.mounting)
         bias.measure(samples)
