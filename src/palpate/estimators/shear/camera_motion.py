@@ -3,14 +3,15 @@
 Touch moves the marks near the contact. A camera or lens that moves also moves the marks far from it, by an
 affine motion. The root mean square of that motion over the far marks is the test statistic.
 
-The detection limit is the noise of one mark's shift plus a fraction of the motion that touch makes: layers
-carry some of it to the far marks. The statistic averages some 75 marks, so noise alone reaches a fifth of the
-limit. Motion below the limit is part of the interval of gamma.
+The detection limit is the noise of one mark's shift, at least the scatter of the far marks, plus a fraction of
+the motion that touch makes: layers carry some of it to the far marks. The statistic averages some 75 marks, so
+noise alone reaches a fifth of the limit. Motion below the limit is part of the interval of gamma.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,17 +26,22 @@ OF_TRACTION = 0.05  # the same where the recovered traction is subtracted
 CODE = "camera_moved"
 
 
-def motion_limit(fields: StrainFields, pitch: float, traction_known: bool) -> float:
+def motion_limit(fields: StrainFields, pitch: float, places: TouchPlaces | None = None) -> float:
     """Greatest camera motion that is not reported, root mean square over the far marks [unit of the marks].
+
+    The noise of one mark is at least the scatter of the far marks about the affine motion: where tiles are
+    missing, the recovered traction does not explain their motion.
 
     Args:
         fields: of the frame.
         pitch: distance of marks [unit].
-        traction_known: whether the motion by touch is subtracted first.
+        places: contacts, where they are known; their traction is subtracted.
     """
-    noise = math.sqrt(float(fields.variances.sum(axis=0).mean()))
-    _, beside = _far_motion(fields, fields.moved, pitch)
-    return noise + (OF_TRACTION if traction_known else OF_TOUCH) * beside
+    stated = math.sqrt(float(fields.variances.sum(axis=0).mean()))
+    by_touch = _far_motion(fields, fields.moved, pitch).mean_rest
+    if (left := _unexplained(places)) is None:
+        return stated + OF_TOUCH * by_touch
+    return max(stated, _far_motion(fields, left, pitch).scatter) + OF_TRACTION * by_touch
 
 
 def camera_motion(
@@ -49,10 +55,9 @@ def camera_motion(
         px_per_unit: scale of the frame.
         places: contacts, where they are known; their traction is subtracted.
     """
-    traction = None if places is None else places.traction
-    left = fields.moved if traction is None else traction.unexplained_m
-    motion, _ = _far_motion(fields, left, pitch)
-    limit = motion_limit(fields, pitch, traction is not None)
+    left = _unexplained(places)
+    motion = _far_motion(fields, fields.moved if left is None else left, pitch).affine
+    limit = motion_limit(fields, pitch, places)
     if motion <= limit:
         return NONE
     return Refusal(
@@ -62,8 +67,27 @@ def camera_motion(
     )
 
 
-def _far_motion(fields: StrainFields, moved: Float[ndarray, "n 2"], pitch: float) -> tuple[float, float]:
-    """Root mean square of the affine motion of far marks, and mean shift of all marks beside it [unit]."""
+def _unexplained(places: TouchPlaces | None) -> Float[ndarray, "n 2"] | None:
+    """Motion that the recovered traction does not explain; None where there is no traction."""
+    traction = None if places is None else places.traction
+    return None if traction is None else traction.unexplained_m
+
+
+class FarMotion(NamedTuple):
+    """Affine motion of the marks far from contact.
+
+    Attributes:
+        affine: root mean square of the affine motion over the far marks [unit].
+        scatter: root mean square of their motion about it [unit].
+        mean_rest: mean shift of all marks relative to it [unit].
+    """
+
+    affine: float
+    scatter: float
+    mean_rest: float
+
+
+def _far_motion(fields: StrainFields, moved: Float[ndarray, "n 2"], pitch: float) -> FarMotion:
     at, peaks = fields.rest, contact_peaks(fields, pitch)
     far = np.ones(len(at), bool)
     if peaks:
@@ -71,5 +95,9 @@ def _far_motion(fields: StrainFields, moved: Float[ndarray, "n 2"], pitch: float
         far = away >= np.percentile(away, FAR)
     basis = np.column_stack([np.ones(len(at)), at / max(float(np.abs(at).max()), 1e-12)])
     affine = basis @ np.linalg.lstsq(basis[far], moved[far], rcond=None)[0]
-    motion = math.sqrt(float((affine[far] ** 2).sum(axis=1).mean()))
-    return motion, float(np.hypot(*(moved - affine).T).mean())
+    rest = np.hypot(*(moved - affine).T)
+    return FarMotion(
+        math.sqrt(float((affine[far] ** 2).sum(axis=1).mean())),
+        math.sqrt(float((rest[far] ** 2).mean())),
+        float(rest.mean()),
+    )

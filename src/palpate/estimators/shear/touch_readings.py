@@ -147,7 +147,7 @@ class _Maker:
             alpha = PUBLISHED_ALPHA * self._marks.px_per_unit * (1 - 1e-12)
             value = shear_measure(fields, alpha).mean_form
             per_axis = math.sqrt(float(fields.variances.sum(axis=0).mean()))
-            camera = motion_limit(fields, self._marks.pitch, places.traction is not None)
+            camera = motion_limit(fields, self._marks.pitch, places)
             floor = alpha * fields.basis.count * (math.sqrt(math.pi / 2) * per_axis + camera)
         low = max(value - floor, 0.0) if math.isfinite(value) else NAN
         return Reading(
