@@ -3,9 +3,9 @@
 Touch moves the marks near the contact. A camera or lens that moves also moves the marks far from it, by an
 affine motion. The root mean square of that motion over the far marks is the test statistic.
 
-The detection limit is the noise of one mark's shift, at least the scatter of the far marks, plus a fraction of
-the motion that touch makes: layers carry some of it to the far marks. The statistic averages some 75 marks, so
-noise alone reaches a fifth of the limit. Motion below the limit is part of the interval of gamma.
+The detection limit is the noise of one mark's shift, at least the scatter of the far marks, plus a fraction
+of the motion that touch makes: layers carry some of it to the far marks. The statistic averages some 75
+marks, so noise alone reaches a fifth of the limit. Motion below the limit is part of the interval of gamma.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class GrblController:
         self._work: Work | None = None
         self._delayed: list[tuple[float, int]] = []
         self._alarm = self._booting = self._sleeping = self._hung = self._homing = False
-        self._critical = self._cancelling = False
+        self._critical = self._cancelling = self._suspended = self._stranded = False
         self._forget()
         self.power_up()
         if model.homed:
@@ -360,9 +360,9 @@ class GrblController:
         self._holding = self._jogging = self._cancelling = self._homing = self._critical = self._hard = False
         self._sleeping = self._checking = self._door = False
         self._spoilt = False  # a hold has met a jog on grblHAL
-        self._suspended: bool = False  # a jog cancel has met the end of its jog on grblHAL
+        self._suspended = False  # a jog cancel has met the end of its jog on grblHAL
         self._hold_pending = False
-        self._stranded: bool = False  # the door was opened in a jog on grblHAL
+        self._stranded = False  # the door was opened in a jog on grblHAL
         self._reports, self._began_s = 0, -math.inf
 
     def _lock(self, code: int) -> None:
