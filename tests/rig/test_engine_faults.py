@@ -23,8 +23,6 @@ from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.virtual_bench import TRAVEL
 
-TARED_S = 0.5  # on the rig's clock, when the first zero is being measured
-
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
@@ -58,9 +56,6 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     small = plan(frames=7, cycles=1, depth_mm=0.8, places=Listed(kind="listed", at_mm=((0.0, 0.0),)))
     faulty = rig(Fault(fault, after_s))  # type: ignore[arg-type]
     outcome = record(faulty, small, out)
-    if fault == "force-scaled" and after_s < TARED_S:
-        assert outcome.state is State.DONE, "a scale that was wrong from the start cannot be seen"
-        return
     assert outcome.state is State.FAILED
     noisy = {Reason.FORCE_NOISE, Reason.TOUCHED_EARLY, Reason.FORCE_RATE, Reason.FORCE_LIMIT}
     assert (
@@ -69,8 +64,10 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
         or (fault == "layer-gone" and outcome.reason is Reason.FORCE_DEAD)
         or (fault == "force-noisy" and outcome.reason in noisy)
         or (fault == "stage-stuck" and outcome.reason is Reason.STAGE_LATE)
-        # On the way down through the air any rise by 1 N is a touch.
-        or (fault == "force-spike" and after_s < TARED_S and outcome.reason is Reason.TOUCHED_EARLY)
+        # One large sample, or a changed scale of the bias, is noise to the air check of the first approach.
+        or (fault in ("force-spike", "force-scaled") and outcome.reason is Reason.FORCE_NOISE)
+        # It needs 20 samples, and a slow sensor gives fewer.
+        or (fault == "force-slow" and outcome.reason is Reason.FORCE_STALE)
     ), outcome
     assert outcome.message
     run = Run.open(out)
@@ -127,7 +124,6 @@ def test_a_plan_that_leaves_the_limits_is_refused_before_anything_moves(
 def test_a_threshold_under_the_noise_is_refused(tmp_path: Path) -> None:
     outcome = record(rig(variation=Variation(force_noise_n=0.02)), plan(), tmp_path / "run")
     assert outcome.reason is Reason.FORCE_NOISE
-    assert "give" in outcome.message
 
 
 def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ DEPTHS = 11  # at which a press is looked for
 PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
 LAMP_SD = 0.02  # logarithm of the lamp's light, by which it may differ from day to day
 DRIFTED = 3.0  # standard deviations
-MOST_MISFIT = 1.7  # of a reading: difference from the copy's own picture over the stated error of a pixel
+MAX_MISFIT = 1.7  # of a reading: difference from the copy's own picture over the stated error of a pixel
 MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
 FARTHEST = 5.0  # standard deviations of what was known of E and C beforehand: more is no copy of the design
 SEEN = 0.03  # of white, by which the mirror's picture has to change
@@ -146,7 +146,7 @@ def read_press(
     """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`.
 
     Raises:
-        MisfitError: the picture differs from the copy's own by more than `MOST_MISFIT` times the stated
+        MisfitError: the picture differs from the copy's own by more than `MAX_MISFIT` times the stated
             error of a pixel (root mean square): another probe, or another palm.
     """
     found = fit_copy(known, [PicturedPress(image, reference)]).presses[0]
@@ -161,12 +161,12 @@ def refuse_misfit(found: PressFound) -> None:
     every fault (1.6), and the least of probes whose readings were off by 2.5 half-widths or more (1.8).
 
     Raises:
-        MisfitError: the difference is above `MOST_MISFIT`.
+        MisfitError: the difference is above `MAX_MISFIT`.
     """
-    if found.misfit > MOST_MISFIT:
+    if found.misfit > MAX_MISFIT:
         raise MisfitError(
             f"the picture differs from this palm's own by {found.off:.1%} of white, and "
-            f"{MOST_MISFIT * PIXEL_SD:.1%} is allowed; read presses of the palm's own ball with its own copy"
+            f"{MAX_MISFIT * PIXEL_SD:.1%} is allowed; read presses of the palm's own ball with its own copy"
         )
 
 
