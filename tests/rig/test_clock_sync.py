@@ -143,14 +143,15 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
         ("camera-gone", Reason.CAMERA),
         ("camera-frozen", Reason.CLOCKS),
         ("force-stalls", Reason.FORCE_STALE),
-        ("layer-gone", Reason.FORCE_DEAD),  # what was felt is gone, and nothing has moved away
+        ("layer-gone", Reason.NO_CONTACT),
     ],
 )
 def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(
     tmp_path: Path, kind: str, reason: Reason
 ) -> None:
     small, out = plan(taps=2, **SMALL), tmp_path / "run"
-    outcome = record(rig(Fault(kind, 0.9)), small, out)  # type: ignore[arg-type]
+    tapping_s = 5.5  # after the first approach and the touch
+    outcome = record(rig(Fault(kind, tapping_s)), small, out)  # type: ignore[arg-type]
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, reason, 0)
     assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
 

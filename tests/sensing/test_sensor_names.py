@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -78,7 +80,7 @@ def test_live_names_both_sensors_and_refuses_those_of_another_kind(
     kinds = {"spots": "palm", "other": "tactip"}
     monkeypatch.setattr(sensor_names, "sensor_family", kinds.get)
     done = CliRunner().invoke(app, words)
-    assert (done.exit_code, done.stdout) == (2, "")
+    assert (done.exit_code, json.loads(done.stdout)["error"]["code"]) == (2, "input")
     assert "gives frames of other and the calibration is of spots: give a calibration of other" in done.stderr
     with pytest.raises(InputError, match="the calibration is of spots"):
         palpate.live(cal, camera=run)
