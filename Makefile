@@ -3,6 +3,8 @@
 PYTHONS := python3.11 python3.12 python3.13 python3
 # One more than two cores: many tests wait for a process or a clock. Each takes up to 4 GB.
 TEST_PROCESSES ?= 3
+# Order of the tests: make test ORDER= runs them in random order and prints the seed.
+ORDER ?= -p no:randomly
 
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
@@ -31,7 +33,7 @@ demo: .venv/sense.stamp ## render a recording, calibrate, evaluate, sense, repor
 # One thread a process: processes with two threads each would fight over two cores. Bytecode is kept
 # whatever the environment says: some hundred tests start a process, and each would compile palpate anew.
 test: .venv/work.stamp ## run the tests that take seconds
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(TEST_PROCESSES) --dist loadscope
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(TEST_PROCESSES) --dist loadscope $(ORDER)
 
 slow: .venv/work.stamp ## run the tests that take minutes
 	$(BIN)/python -m pytest -m slow --timeout=3600
