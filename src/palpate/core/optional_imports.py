@@ -40,12 +40,12 @@ def optional_imports(user: str) -> Iterator[None]:
         MissingExtraError: An optional package is not installed, or does not load.
 
     Example:
-        >>> with optional_imports("A serial port"):
-        ...     raise ModuleNotFoundError("No module named 'serial'", name="serial")
-        Traceback (most recent call last):
-        ...
-        palpate.core.errors.MissingExtraError: A serial port needs pyserial. Install it with
-        `pip install 'palpate[rig]'`.
+        >>> try:
+        ...     with optional_imports("A serial port"):
+        ...         raise ModuleNotFoundError("No module named 'serial'", name="serial")
+        ... except MissingExtraError as e:
+        ...     print("palpate[rig]" in str(e))
+        True
     """
     try:
         yield

@@ -60,6 +60,7 @@ def parser(
         Decorator. Of the function's arguments the first path, or text, is the file.
 
     Example:
+        >>> from palpate.core import InputError
         >>> @parser("example file", InputError)
         ... def read_example(path: Path) -> float:
         ...     return float(path.read_text()["value"])
