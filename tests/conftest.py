@@ -103,6 +103,14 @@ def begins_checked(function):
     return call
 
 
+@pytest.fixture(autouse=True, scope="session")
+def priority_kept():
+    """Keep the priority of the process: a stop raises it, which the later tests would inherit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "setpriority", lambda *_: None, raising=False)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def shapes_checked_anew() -> None:
     """Count calls anew, so that each test checks shapes and types."""

@@ -67,7 +67,7 @@ def plausible(words: tuple[str, ...], command: Any) -> list[str]:
     """Required arguments and options, with values of their kinds."""
     needed = [one for one in command.params if one.required]
     names = ([] if one.param_type_name == "argument" else [one.opts[0]] for one in needed)
-    values = (VALUES.get(getattr(one, "bare_type", str), "absent") for one in needed)
+    values = (VALUES.get(one.type_descriptor.annotation, "absent") for one in needed)
     return [word for name, value in zip(names, values, strict=True) for word in (*name, value)]
 
 

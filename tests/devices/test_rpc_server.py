@@ -103,6 +103,11 @@ def silent_sockets(port: int, count: int) -> Iterator[list[socket.socket]]:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+def first_line(connection: socket.socket) -> bytes:
+    with connection.makefile("rb") as lines:
+        return lines.readline()
+
+
 def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None:
     server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
     publish(Address("one", server.port, server.token, os.getpid()), tmp_path)
@@ -118,7 +123,7 @@ def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None
 
 
 def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) -> None:
-    """Each of 50 clients, which send the token in two parts, between 100 new silent sockets each."""
+    """50 clients, between silent sockets of which one is opened after the other."""
     server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
     token = encode_message({"token": server.token, "id": 0})
     ended = threading.Event()
@@ -137,9 +142,11 @@ def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) 
         flooding.start()
         try:
             for _ in range(50):
-                with socket.create_connection(("127.0.0.1", server.port), 5.0) as one:
+                with (
+                    socket.create_connection(("127.0.0.1", server.port), 5.0) as one,
+                    one.makefile("rb") as lines,
+                ):
                     one.sendall(token + encode_message({"id": 1, "do": "stop"}))
-                    lines = one.makefile("rb")
                     assert decode_message(lines.readline())["ok"]
                     answers = (decode_message(line) for line in lines)
                     assert next(a for a in answers if "push" not in a)["result"] == "stopped"
@@ -172,7 +179,7 @@ def test_a_first_line_without_the_token_is_refused_by_code(line: bytes, code: st
     server = RpcServer("one", status, lambda after: None, {}, {})
     with closing(server), socket.create_connection(("127.0.0.1", server.port), 5.0) as stranger:
         stranger.sendall(line)
-        answer = decode_message(stranger.makefile("rb").readline())
+        answer = decode_message(first_line(stranger))
         assert (answer["ok"], answer["code"]) == (False, code)
 
 
@@ -185,7 +192,7 @@ def test_an_authenticated_client_beyond_the_limit_is_refused_by_code_and_the_oth
             answers = []
             for one in clients:
                 one.sendall(token)
-                answers.append(decode_message(one.makefile("rb").readline()))
+                answers.append(decode_message(first_line(one)))
             assert all(answer["ok"] for answer in answers[:MAX_CLIENTS])
             assert (answers[-1]["ok"], answers[-1]["code"]) == (False, "rpc-clients")
         finally:

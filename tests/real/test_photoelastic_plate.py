@@ -39,8 +39,8 @@ def plate(real_data):
 def test_light_alone_allows_a_second_slope_and_this_is_said(plate, region) -> None:
     found = fit_stress_optic(plate, plate / "labels.csv", PLATE, SODIUM, region)
     assert found.ambiguous
-    twice = found.rivals[0].coefficient_per_pa / found.coefficient_per_pa
-    assert twice == pytest.approx(2.0, abs=0.15)
+    times = [one.coefficient_per_pa / found.coefficient_per_pa for one in found.rivals]
+    assert min(abs(one - 2) for one in times) < 0.15
 
 
 @pytest.mark.parametrize("region", [FAR_BELOW, FAR_ABOVE], ids=["below", "above"])

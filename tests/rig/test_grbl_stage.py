@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -472,10 +473,7 @@ class TestPorts:
             serial_port.find_port("5583")
 
     def test_without_pyserial_the_extra_is_named(self, monkeypatch):
-        def absent(name, *_):
-            raise ImportError(name)
-
-        monkeypatch.setattr(serial_port.importlib, "import_module", absent)
+        monkeypatch.setitem(sys.modules, "serial", None)
         with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
             GrblStage.open(GrblSpec("/dev/null"))
 

@@ -223,12 +223,12 @@ def test_a_small_plan_on_the_lab_is_done_and_one_through_which_the_computer_slep
         monkeypatch.setitem(LABS, "lab", lab)
         kind = "tests.rig.test_rig_setup:LabForce"  # on a busy machine the box's thread sends late
         lab.fields["force"] = {"kind": kind, "lab": "lab", "axes": ["x", "y", "-z"]}
-        with closing(open_rig(lab.write())) as rig:
+        with closing(open_rig(lab.write(), supervised=False)) as rig:
             outcome = record(rig, small(), tmp_path / "run")
         assert outcome.state is State.DONE, outcome
         slept = iter([0.0] * 400 + [30.0] * 100_000)
         monkeypatch.setattr("palpate.rig.engine.SleepWatch", lambda: SleepWatch(lambda: next(slept)))
-        with closing(open_rig(lab.write())) as rig:
+        with closing(open_rig(lab.write(), supervised=False)) as rig:
             outcome = record(rig, small(), tmp_path / "second")
         assert outcome.state is State.FAILED
         assert outcome.reason is Reason.CLOCKS

@@ -49,7 +49,8 @@ def test_what_is_sensed_is_strict_json_of_a_fixed_form(estimator, record_spots) 
     for sensed in sense(estimator, open_source(run.path)):
         found = json.loads(json.dumps(sensed.to_dict(), allow_nan=False))
         assert set(found) == {"frame", "time_s", "readings", "drift", "calibration"}
-        assert set(found["readings"]["x_mm"]) == {"value", "unit", "low", "high", "range", "valid", "why"}
+        fields = {"value", "unit", "low", "high", "range", "valid", "code", "why", "drift"}
+        assert set(found["readings"]["x_mm"]) == fields
         assert found["readings"]["x_mm"]["unit"] == "mm"
         assert set(found["drift"]) == {"statistic", "limit", "drifted"}
 

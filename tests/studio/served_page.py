@@ -3,7 +3,8 @@
 What is written to its standard input, a line of JSON, is told by the made-up process from then on; `null` is
 a process that cannot be reached. Each emergency stop is a line of its standard output.
 
-Variables: WORKSPACE and OBJECTS, folders; ADDRESSES, of address files; TOKEN; RIG=none for no process.
+Variables: WORKSPACE and OBJECTS, folders; ADDRESSES, of address files; TOKEN; RIG=none for no process;
+REQUEST_S, time within which a request is complete.
 """
 
 import base64
@@ -21,6 +22,7 @@ from palpate.devices.rpc import Address, path_of, publish
 from palpate.devices.rpc_server import RpcServer
 from palpate.rig.plans import PLANS, size_of
 from palpate.softness.process import read_bench
+from palpate.studio import page_limits
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.page_server import StudioParts, serve_pages
 from palpate.studio.rendering_desk import RenderingDesk
@@ -118,6 +120,7 @@ class MadeUpClient:
 
 
 if __name__ == "__main__":
+    page_limits.REQUEST_S = float(os.environ.get("REQUEST_S", page_limits.REQUEST_S))
     folder = Path(os.environ.get("WORKSPACE", "."))
     desk = RenderingDesk(Path(os.environ.get("OBJECTS", ".")), read_bench(None))
     addresses = Path(os.environ["ADDRESSES"])

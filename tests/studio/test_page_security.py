@@ -38,7 +38,7 @@ SOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
 class Served:
     """The server, in a process of its own, before a made-up rig."""
 
-    def __init__(self):
+    def __init__(self, **environment):
         with socket.create_server(("127.0.0.1", 0)) as probe:
             self.port = probe.getsockname()[1]
         self.process = subprocess.Popen(
@@ -46,7 +46,7 @@ class Served:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=self._environment(),
+            env=self._environment() | environment,
         )
         end_s = time.monotonic() + MAX_S
         while time.monotonic() < end_s and self.process.poll() is None:

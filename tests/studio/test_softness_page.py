@@ -77,7 +77,7 @@ class MadeUpSession:
 def desk(tmp_path: Path) -> RenderingDesk:
     for name in ("one", "two"):
         (tmp_path / f"{name}.toml").write_text(LINE.format(name=f"object {name}"))
-    (tmp_path / "three.toml").write_text("x = 1")
+    (tmp_path / "three.toml").write_text(LINE.format(name="three") + "x = 1")
     return RenderingDesk(tmp_path, read_bench(None), MadeUpSession)
 
 

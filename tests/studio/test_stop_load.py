@@ -17,13 +17,14 @@ from tests.studio.test_page_security import Served
 from palpate.studio import page_limits
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by POSIX signals")
+REQUEST_S = 1.0
 STOP_MS = 50.0
 """Time of a stop at the 99th percentile, on a machine that does nothing else [ms]."""
 
 
 @pytest.fixture(scope="module")
 def served():
-    served = Served()
+    served = Served(REQUEST_S=str(REQUEST_S))
     yield served
     served.close()
 
@@ -77,9 +78,9 @@ def connected(served):
 def test_a_request_that_is_never_complete_is_closed_in_time(served, part):
     with connected(served) as one:
         one.sendall(part)
-        took_s = closed_after_s(one, 3 * page_limits.REQUEST_S)
+        took_s = closed_after_s(one, 3 * REQUEST_S)
         assert took_s is not None
-        assert took_s > 0.5 * page_limits.REQUEST_S
+        assert took_s > 0.5 * REQUEST_S
 
 
 def test_a_second_request_that_is_never_complete_is_closed_in_time(served):
@@ -87,7 +88,7 @@ def test_a_second_request_that_is_never_complete_is_closed_in_time(served):
         one.sendall(b"GET /picture HTTP/1.1\r\nHost: localhost\r\n\r\n")
         assert one.recv(65536).startswith(b"HTTP/1.1 401")
         one.sendall(b"GET /picture HT")
-        assert closed_after_s(one, 3 * page_limits.REQUEST_S) is not None
+        assert closed_after_s(one, 3 * REQUEST_S) is not None
 
 
 def test_more_connections_than_are_kept_close_the_oldest_that_waits(served):
@@ -117,7 +118,9 @@ def test_pages_beyond_those_in_the_making_are_refused_for_now(served):
             one.settimeout(60.0)
             status.append(one.recv(65536)[9:12])
     assert set(status) == {b"200", b"503"}
-    assert served.ask("GET", "/rig")[0] == 200
+    end_s = time.monotonic() + 60.0
+    while served.ask("GET", "/rig")[0] != 200:  # until the last of those pages is made
+        assert time.monotonic() < end_s
 
 
 def test_the_page_server_forwards_what_a_page_cannot_ask_the_listener(served):

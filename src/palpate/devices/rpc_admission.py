@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 AUTH_S = 2.0  # time within which a connection sends the token
-MAX_UNAUTHENTICATED = 64  # connections that wait for their token
+MAX_UNAUTHENTICATED = 256  # connections that wait for their token
 MAX_TOKEN_BYTES = 4096  # length of the first line
 SCARCE_S = 0.01  # pause when the process has no file descriptor or buffer left
 _SCARCE = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
@@ -53,28 +53,36 @@ class Admission:
         self, listener: socket.socket, admit: Admit, refuse: Callable[[socket.socket], None]
     ) -> None:
         self._listener, self._admit, self._refuse = listener, admit, refuse
+        self._ended, self._end = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._waiting: dict[int, _Arrival] = {}  # by file descriptor, the oldest first
 
     def run(self) -> None:
-        """Accept connections until the listening socket is closed."""
+        """Accept connections until `close`; then close the listening socket and all silent connections."""
         self._listener.setblocking(False)
         try:
+            self._selector.register(self._ended, selectors.EVENT_READ)
             self._selector.register(self._listener, selectors.EVENT_READ)
             while self._serve():
                 pass
-        except (OSError, ValueError):
-            pass  # the listening socket was closed
         finally:
-            for arrival in self._waiting.values():
-                arrival.connection.close()
+            for one in (*(arrival.connection for arrival in self._waiting.values()), self._listener):
+                one.close()
             self._selector.close()
+            self._ended.close()
+            self._end.close()
+
+    def close(self) -> None:
+        """Request the end of `run`, from another thread."""
+        with contextlib.suppress(OSError):  # it has ended
+            self._end.send(b"x")
 
     def _serve(self) -> bool:
         """Handle what has arrived; False after the end of listening."""
-        for key, _ in self._selector.select(self._patience_s()):
-            if key.fileobj is not self._listener:
-                self._read(self._waiting[key.fd])
+        ready = [key for key, _ in self._selector.select(self._patience_s())]
+        if any(key.fileobj is self._ended for key in ready):
+            return False
+        self._read_all(ready)
         self._expire()
         return self._accept()
 
@@ -111,11 +119,14 @@ class Admission:
 
     def _evict(self) -> None:
         """Read what has arrived; where all stay silent, close the oldest."""
-        for key, _ in self._selector.select(0):
-            if key.fileobj is not self._listener:
-                self._read(self._waiting[key.fd])
+        self._read_all([key for key, _ in self._selector.select(0)])
         if len(self._waiting) > MAX_UNAUTHENTICATED:
             self._drop(next(iter(self._waiting.values())))
+
+    def _read_all(self, ready: list[selectors.SelectorKey]) -> None:
+        for key in ready:
+            if key.fd in self._waiting:
+                self._read(self._waiting[key.fd])
 
     def _read(self, arrival: _Arrival) -> None:
         try:

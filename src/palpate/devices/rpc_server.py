@@ -121,24 +121,27 @@ class RpcServer:
         self.name, self.quick, self.slow = name, quick, slow
         self._status, self._picture = status, picture
         self.token = secrets.token_urlsafe(32)
-        self._socket = socket.create_server((HOST, 0))
-        self.port: int = self._socket.getsockname()[1]
+        listener = socket.create_server((HOST, 0))
+        self.port: int = listener.getsockname()[1]
         self._closing = threading.Event()
         self._news = threading.Event()
         self._lock = threading.Lock()
         self._clients: set[_Connection] = set()
         self.serial = 0
-        admission = Admission(self._socket, self._admit, self._too_long)
-        for name, work in (("admission", admission.run), ("tell", self._tell)):
-            threading.Thread(target=work, name=f"palpate-rpc-{name}", daemon=True).start()
+        self._admission = Admission(listener, self._admit, self._too_long)
+        self._threads = [
+            threading.Thread(target=work, name=f"palpate-rpc-{name}", daemon=True)
+            for name, work in (("admission", self._admission.run), ("tell", self._tell))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def close(self) -> None:
         """Let go of every client, after what it asked last has been answered; the service goes on."""
         self._closing.set()
         self._news.set()
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
+        self._admission.close()
+        self._threads[0].join(ANSWERED_S)  # no client is admitted after this
         clients, late_s = self._all(), time.monotonic() + ANSWERED_S
         for client in clients:
             client.hear_no_more()

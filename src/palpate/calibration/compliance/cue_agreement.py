@@ -35,10 +35,11 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.core import Bool, Float, ndarray
 from palpate.estimators.compliance.pin_press import PinPress
-from palpate.estimators.compliance.shape_surface import BENDS as SURFACE_BENDS, ShapeSurface
+from palpate.estimators.compliance.shape_surface import BENDS as SURFACE_BENDS, GRID as SHAPES, ShapeSurface
 from palpate.estimators.compliance.stiffness_curve import BENDS, SOFTEST, SmallSpace, SoftnessCurve, Vector
 
-MAX_PINS = 26.0  # misfit of the pins
+MAX_PINS = 26.0  # misfit of the pins, by softness alone
+MAX_SHAPE_PINS = 110.0  # by modulus and radius; the largest of 168 sound virtual presses was 108
 MAX_APPROACH = 20.3  # increase by the approach: 99.5 % quantile of chi-squared with 7 degrees of freedom
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
 APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
@@ -58,10 +59,12 @@ class CueMisfit:
     Attributes:
         pins: of the pins alone.
         approach: increase by the approach; 0 for a press without position.
+        max_pins: largest misfit of the pins of a sound press, by the kind of calibration.
     """
 
     pins: float
     approach: float
+    max_pins: float = MAX_PINS
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
     if placed:
         approach[-(len(calibration.levels_n) - 1) :] = True
     pins = _misfit(model, y, changes, approach, known & ~approach)
-    return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+    both = _misfit(model, y, changes, approach, known) if placed else pins
+    by_shape = placed and calibration.shape is not None
+    return CueMisfit(pins, both - pins, MAX_SHAPE_PINS if by_shape else MAX_PINS)
 
 
 def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
@@ -131,9 +136,9 @@ def _surface_model(surface: ShapeSurface) -> _CueModel:
         return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
 
     def least(misfit: Callable[[Point], float], start: Place) -> float:
-        begun = surface.nearest(start)
         tolerance = {"xatol": 1e-4, "fatol": 0.01}
-        return float(minimize(misfit, begun, method="Nelder-Mead", options=tolerance).fun)
+        begun = (surface.nearest(start), min(SHAPES, key=misfit))
+        return float(min(minimize(misfit, at, method="Nelder-Mead", options=tolerance).fun for at in begun))
 
     return _CueModel(surface.space, surface.at, others, least)
 
@@ -163,4 +168,5 @@ def _misfit(
 def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
     """Return the greatest misfit over presses, of either kind."""
     found = [cue_misfit(calibration, press) for press in presses]
-    return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))
+    worst = [max(getattr(one, name) for one in found) for name in ("pins", "approach")]
+    return CueMisfit(*worst, found[0].max_pins)

@@ -19,7 +19,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     touch_row,
     wobble_px,
 )
-from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, MAX_PINS, CueMisfit, worst_misfit
+from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, CueMisfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.calibration.compliance.reading_reasons import ReadingReason, ReasonCode
 from palpate.core import Drift
@@ -98,7 +98,7 @@ def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress
 
 def misfit_reasons(misfit: CueMisfit) -> list[ReadingReason]:
     """Return why the cues of a press do not belong to one object; empty where they do."""
-    found = ((PINS_APART, misfit.pins, MAX_PINS), (APPROACH_APART, misfit.approach, MAX_APPROACH))
+    found = ((PINS_APART, misfit.pins, misfit.max_pins), (APPROACH_APART, misfit.approach, MAX_APPROACH))
     return [
         ReadingReason(ReasonCode.CUES_DISAGREE, text.format(value, most))
         for text, value, most in found
