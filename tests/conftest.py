@@ -103,6 +103,21 @@ def begins_checked(function):
     return call
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the cases of a test beyond those it asks for as slow."""
+    tests = {}
+    for item in items:
+        if item.get_closest_marker("cases") and not item.get_closest_marker("slow"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for cases in tests.values():
+        (count,) = cases[0].get_closest_marker("cases").args
+        kept = set(np.linspace(0, len(cases) - 1, count).round().astype(int)) if count > 1 else {0}
+        for i, item in enumerate(cases):
+            if i not in kept:
+                item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def priority_kept():
     """Keep the priority of the process: a stop raises it, which the later tests would inherit."""

@@ -490,6 +490,7 @@ def test_a_dozen_rows_are_audited_without_alarm(tmp_path, rng) -> None:
 
 # The seeds of the slow test, so that each kind of confound stands here once, on a base that is drawn.
 @pytest.mark.parametrize("seed", mostly_slow(range(len(CONFOUNDS)), lambda i: i % 4 == 0))
+@pytest.mark.cases(1)
 def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
     case = confounded_case(seed, (pins, spread), 120)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))

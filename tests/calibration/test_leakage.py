@@ -57,6 +57,7 @@ def audited(packed: PackedSet, spec: str, **options: Any) -> LeakageAudit:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0, 5.0])
+@pytest.mark.cases(1)
 def test_a_still_scene_recorded_often_leaks_under_a_random_split_and_not_by_press(tmp_path, rng, noise):
     packed = pressed(tmp_path, rng, noise)
     random, by_press = audited(packed, "random"), audited(packed, "group:press")

@@ -402,6 +402,7 @@ def test_an_empty_address_is_not_the_folder_in_which_one_stands(spots) -> None:
 
 
 @pytest.mark.parametrize("words", [(), ("--json",)])
+@pytest.mark.cases(1)
 def test_a_reader_that_goes_as_head_does_ends_it_without_a_word(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:

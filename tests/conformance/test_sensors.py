@@ -32,6 +32,7 @@ def test_every_registered_sensor_keeps_every_law(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SENSORS.names())
+@pytest.mark.cases(1)
 def test_a_sensor_at_the_size_of_a_rig_keeps_every_law(name: str) -> None:
     assert [one for one in check_sensor(for_rig(sensor(name))) if not one.ok] == []
 
@@ -134,6 +135,7 @@ def test_a_broken_sensor_is_known_for_every_law() -> None:
 
 
 @pytest.mark.parametrize("law", WRONG)
+@pytest.mark.cases(8)
 def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
     findings = {one.name: one for one in check_sensor(Broken(SOUND, **WRONG[law]))}
     assert not findings[law].ok

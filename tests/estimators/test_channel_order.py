@@ -78,6 +78,7 @@ def test_exchanged_channels_are_seen_and_right_ones_are_not(scene, seen: float) 
 @pytest.mark.parametrize(
     "tint", [(1.15, 1.0, 0.85), (0.85, 1.0, 1.15), (1.4, 1.0, 0.6), (0.6, 1.0, 1.4), (1.1, 1.1, 1.1)]
 )
+@pytest.mark.cases(4)
 def test_light_of_another_colour_is_no_exchange(scene, tint: tuple[float, float, float]) -> None:
     guard = guard_of(scene)
     changed = np.clip(frames(scene, 2, 40) * np.float64(tint), 0, 255).astype(np.uint8)
@@ -87,6 +88,7 @@ def test_light_of_another_colour_is_no_exchange(scene, tint: tuple[float, float,
 
 
 @pytest.mark.parametrize("scene", [lamps, fringes])
+@pytest.mark.cases(1)
 def test_touches_where_none_was_calibrated_are_no_exchange(scene) -> None:
     """The picture that the calibration's frames make of them shows another place."""
     guard = guard_of(scene, where=LEFT)

@@ -45,6 +45,7 @@ def pins(stretch=0.0, rng=None) -> np.ndarray:
 
 
 @pytest.mark.parametrize("between", [horn_schunck, flow, coarse_to_fine, dis, farneback])
+@pytest.mark.cases(2)
 def test_no_motion_is_no_flow(between) -> None:
     image = pins()
     assert abs(between(image, image)).max() < 1e-3

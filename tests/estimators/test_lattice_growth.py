@@ -33,6 +33,7 @@ def random_view(rng: np.random.Generator, hexagonal: bool) -> View:
 
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3, 0.4])
+@pytest.mark.cases(1)
 def test_no_mark_has_a_wrong_cell_whatever_is_missing(kind, share) -> None:
     rng = np.random.default_rng(int(10 * share) + 10 * (kind == "square"))
     reached = []

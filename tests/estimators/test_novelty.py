@@ -245,6 +245,7 @@ def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 6])
+@pytest.mark.cases(1)
 def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count: int) -> None:
     """r frames of independent noise wander by sigma sqrt((r + 1) / r) about the mean of r others.
 

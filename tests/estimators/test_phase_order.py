@@ -112,6 +112,7 @@ def test_a_polarisation_camera_tells_orders_below_a_quarter_and_says_nothing_bey
 
 @pytest.mark.parametrize("side", [120, 300])
 @pytest.mark.parametrize("noise", [0.005, 0.04])
+@pytest.mark.cases(1)
 def test_no_path_leads_past_a_quarter_order_however_steep_the_fringes_beside_a_load(side, noise):
     share, axis, inside = disc(side, steepest=20.0)
     for at_centre in (0.1, 0.3, 0.8):

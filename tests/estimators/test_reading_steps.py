@@ -100,6 +100,7 @@ def words_say_the_numbers(estimator: Estimator) -> None:
     assert estimator.card.steps == reading_steps(estimator.card)
 
 
+@pytest.mark.cases(1)
 def test_the_page_s_reader_reads_what_palpate_reads(compared) -> None:
     names, estimator, frames = compared
     targets = estimator.card.targets
@@ -187,6 +188,7 @@ def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(
 
 
 @pytest.mark.parametrize("poor", [{"mae": 1.0, "mean_mae": 1.0}, {"half_width": 1e3}])
+@pytest.mark.cases(1)
 def test_the_page_s_reader_gives_no_valid_reading_of_what_is_not_read(
     poor, record_spots, tmp_path, monkeypatch
 ) -> None:

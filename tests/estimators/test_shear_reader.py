@@ -121,6 +121,7 @@ def poor(change):
     ],
     ids=["dark", "saturated", "blurred", "moved", "black", "white", "half", "shifted", "noise"],
 )
+@pytest.mark.cases(4)
 def test_a_poor_frame_has_no_valid_reading_and_says_why(change):
     readings = poor(change)
     for name, reading in readings.items():

@@ -23,6 +23,7 @@ def at(request, tmp_path) -> Callable:
     return lambda *names: request.param(str(tmp_path.joinpath(*names)))
 
 
+@pytest.mark.cases(1)
 def test_a_calibration_is_made_opened_and_reported_on(at, record_spots) -> None:
     run = record_spots("run", 10)
     palpate.certify(run, PLAN, at("certified"))

@@ -85,6 +85,7 @@ HISTORIES = {
 
 @pytest.mark.parametrize("law", [viscoelastic.ting, viscoelastic.press])
 @pytest.mark.parametrize("name", HISTORIES)
+@pytest.mark.cases(5)
 def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
     t, d = (np.array(values, dtype=float) for values in HISTORIES[name])
     every = np.unique(np.concatenate([np.linspace(*ends, 2001) for ends in pairwise(t)]))

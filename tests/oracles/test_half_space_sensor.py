@@ -20,6 +20,7 @@ def rng(seed=0):
 
 @pytest.mark.parametrize("polariser", [np.pi / 4, 0.3])
 @pytest.mark.parametrize("depth", [0.1e-3, 1.2e-3])
+@pytest.mark.cases(1)
 def test_the_table_shows_what_the_plain_march_shows(polariser, depth):
     spec = replace(debug(), polariser_rad=polariser)
     contact = press(spec, Pose(0.3e-3, 0.0, depth))

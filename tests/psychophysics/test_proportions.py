@@ -67,6 +67,7 @@ def held_in(share: float, answers: int, sd: float, studies: int, seed: int) -> t
 
 
 @pytest.mark.parametrize(("share", "answers", "sd"), [(0.69, 12, 1.5), (0.9, 40, 1.5), (0.95, 3, 0.5)])
+@pytest.mark.cases(1)
 def test_answers_of_ten_people_are_not_independent_and_the_interval_over_people_covers(
     share: float, answers: int, sd: float
 ) -> None:

@@ -49,6 +49,7 @@ def test_pins_are_found_and_reflections_are_not(real_data) -> None:
 
 
 @pytest.mark.parametrize("session", ["first", "second"])
+@pytest.mark.cases(1)
 def test_pins_of_two_pixels_are_found_and_specks_beyond_them_are_not(session, real_data) -> None:
     frames, _ = frames_of(real_data, f"edge-two-sessions/{session}", 3, seed=1)
     for frame in frames:

@@ -71,6 +71,7 @@ needs_room_held = pytest.mark.skipif(
 
 @needs_room_held
 @pytest.mark.parametrize("limit", [400_000, 1_000_000, 1_000_001, 2_345_678])
+@pytest.mark.cases(1)
 def test_a_full_disk_reaches_the_caller_and_the_end_of_the_run_is_written(tmp_path: Path, limit: int) -> None:
     run = ended_in_full(tmp_path / "run", limit)
     files = [path.stat().st_size for path in run.path.glob("*.mcap")]

@@ -122,6 +122,7 @@ def test_signals_cut_at_any_byte_yield_all_before_the_cut(run: Path, step: int) 
 @pytest.mark.parametrize("name", ["0000-frames.mcap", "0000-signals.mcap"])
 @pytest.mark.parametrize("closed", [True, False])
 @EVERY_BYTE
+@pytest.mark.cases(2)
 def test_no_flipped_byte_passes_unseen_or_alters_anything(
     run: Path, name: str, closed: bool, step: int
 ) -> None:

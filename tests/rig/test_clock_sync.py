@@ -146,6 +146,7 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
         ("layer-gone", Reason.NO_CONTACT),
     ],
 )
+@pytest.mark.cases(1)
 def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(
     tmp_path: Path, kind: str, reason: Reason
 ) -> None:

@@ -101,6 +101,7 @@ def test_the_stage_never_goes_deeper_than_the_plan(whole: Run) -> None:
 
 @pytest.mark.parametrize("after_shots", mostly_slow([0, 1, 3, 4], lambda i: i == 2))
 @pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
+@pytest.mark.cases(1)
 def test_what_was_ended_goes_on_at_the_first_missing_shot(
     tmp_path: Path, after_shots: int, wish: OperatorCommand
 ) -> None:

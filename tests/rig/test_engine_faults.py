@@ -48,6 +48,7 @@ from palpate.rig.virtual.virtual_bench import TRAVEL
     ],
 )
 @pytest.mark.parametrize("after_s", [0.1, pytest.param(1.2, marks=pytest.mark.slow)])
+@pytest.mark.cases(6)
 def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     tmp_path: Path, fault: str, reason: Reason, after_s: float
 ) -> None:
@@ -168,6 +169,7 @@ def refused_room(patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("full", [refused_writes, refused_room])
+@pytest.mark.cases(1)
 def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: Callable[[pytest.MonkeyPatch], None]
 ) -> None:
@@ -225,6 +227,7 @@ class Odd:
         ("camera", "grab", RuntimeError("usb"), Reason.CAMERA),
     ],
 )
+@pytest.mark.cases(1)
 def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s(
     tmp_path: Path, device: str, call: str, result: object, reason: Reason
 ) -> None:

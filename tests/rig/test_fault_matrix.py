@@ -74,6 +74,7 @@ def state_of(name: str, states=STATES):
     mostly_slow(ORDINARY, lambda i: i % EVERY == 0),
     ids=[f"{f.part}: {f.name} / {s.name}" for f, s in ORDINARY],
 )
+@pytest.mark.cases(6)
 def test_a_fault_is_stopped_named_and_lifted(fault: RigFault, state) -> None:
     assert faults_of(run_cell(fault, state, goes_on=False), fault) == []
 
@@ -81,6 +82,7 @@ def test_a_fault_is_stopped_named_and_lifted(fault: RigFault, state) -> None:
 @pytest.mark.parametrize(
     ("fault", "state"), GOES_ON, ids=[f"{f.part}: {f.name} / {s.name}" for f, s in GOES_ON]
 )
+@pytest.mark.cases(1)
 def test_after_a_fault_the_same_command_goes_on_to_the_plan_s_frames(fault: RigFault, state) -> None:
     assert run_cell(fault, state).went_on == ""
 
@@ -90,6 +92,7 @@ def test_after_a_fault_the_same_command_goes_on_to_the_plan_s_frames(fault: RigF
     ORDINARY_GRBL,
     ids=[f"{f.part}: {f.name} / {s.name}, {w}" for f, s, w in ORDINARY_GRBL],
 )
+@pytest.mark.cases(1)
 def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(
     fault: RigFault, state, firmware
 ) -> None:
@@ -99,6 +102,7 @@ def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(
 @pytest.mark.parametrize(
     ("fault", "state"), RECOVERED, ids=[f"{f.part}: {f.name} / {s.name}" for f, s in RECOVERED]
 )
+@pytest.mark.cases(1)
 def test_a_fault_is_overcome_by_a_repeated_press_or_shown_by_the_first(fault: RigFault, state) -> None:
     assert faults_of(run_cell(fault, state), fault) == []
 

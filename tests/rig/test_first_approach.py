@@ -64,6 +64,7 @@ def mistaken(error_mm: float, sideways_mm: float = 0.0):
 
 @pytest.mark.parametrize("error_mm", [0.6, 1.0, 2.65, 3.0, 6.0])
 @pytest.mark.parametrize("sideways_mm", [0.0, -3.0])
+@pytest.mark.cases(2)
 def test_a_stage_nearer_to_the_skin_than_it_reports_touches_it_at_search_speed(
     tmp_path: Path, error_mm: float, sideways_mm: float
 ) -> None:
@@ -189,6 +190,7 @@ def test_a_reopened_rig_knows_where_it_was_left_or_refuses(lab: LabFile) -> None
     assert b"$J" not in bytes(lab.stage.received[before:]), "opening moves nothing"
 
 
+@pytest.mark.cases(1)
 def test_a_wrong_confirmation_meets_the_skin_at_search_speed(lab: LabFile, tmp_path: Path) -> None:
     ended_elsewhere(lab)
     small = plan(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), cycles=1, clearance_mm=1.0)

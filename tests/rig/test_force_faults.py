@@ -102,6 +102,7 @@ def tip_until(bench: PressBench, phase: str) -> Go:
     ("kind", "phase"),
     mostly_slow([(kind, phase) for kind in NAMES for phase in PHASES], lambda i: i % 3 == 0),
 )
+@pytest.mark.cases(3)
 def test_on_the_palm_each_fault_stops_within_its_way_and_has_its_name(kind: str, phase: str) -> None:
     bench = palm(seed=3)
     stop = stop_of(bench, kind, palm_until(bench, phase))
@@ -210,6 +211,7 @@ def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is
 
 @pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S[:2])
 @pytest.mark.parametrize("relaxation", [(), ((0.06, 0.2), (0.05, 5.0)), ((0.6, 0.1), (0.4, 2.0))])
+@pytest.mark.cases(1)
 def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(
     before_s: float, after_s: float, relaxation: tuple[tuple[float, float], ...]
 ) -> None:

@@ -31,6 +31,7 @@ def model(request):
 
 
 @pytest.mark.parametrize("spoilt", mostly_slow(list(SPOILT.values()), lambda i: i == 2), ids=SPOILT)
+@pytest.mark.cases(1)
 def test_a_descent_in_steps_arrives_whatever_is_lost_on_the_wire(grbl_bench, model, spoilt):
     bench = grbl_bench(model, spoilt)
     stage = bench.open()

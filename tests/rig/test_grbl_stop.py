@@ -213,6 +213,7 @@ STANDING = {
 
 class TestStates:
     @pytest.mark.parametrize("state", STANDING)
+    @pytest.mark.cases(10)
     def test_from_every_state_in_which_it_stands_a_stop_ends_idle_or_locked(self, grbl_bench, model, state):
         if state == "Sleep" and model.firmware == "grblHAL":
             pytest.skip("a default build of grblHAL has no $SLP")

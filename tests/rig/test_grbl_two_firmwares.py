@@ -85,6 +85,7 @@ def test_it_jogs_to_its_targets(stage):
 
 
 @pytest.mark.parametrize("target", [(0.045, 0.0, 0.0), (0.040, 0.020, -0.010)])
+@pytest.mark.cases(3)
 def test_a_stop_ends_within_its_bound_short_of_its_target(stage, target):
     run_up(stage, target)
     before = counted_mm(stage)
@@ -122,6 +123,7 @@ def test_stops_of_short_jogs_at_random_lose_no_position(stage):
         assert stage.position_m()[0] == pytest.approx(counted_mm(stage)[0] / 1e3, abs=1e-6)
 
 
+@pytest.mark.cases(1)
 def test_a_door_command_in_a_jog_keeps_the_position(where):
     """grblHAL stays in Jog, standing, until its own stop command."""
     with GrblStage.open(spec(where[0], still_s=3.0)) as stage:

@@ -232,6 +232,7 @@ def test_a_lift_that_leads_into_the_skin_is_stopped() -> None:
         ("z", "x", "-y"),
     ],
 )
+@pytest.mark.cases(1)
 def test_a_touch_finds_the_axis_and_sign_of_any_mounting(axes: tuple[str, str, str]) -> None:
     rig = virtual_rig()
     turned = Turned(rig, Mounting(axes))

@@ -287,6 +287,7 @@ def test_a_build_that_tells_its_place_only_at_the_end_is_refused(bench) -> None:
         "noise",
     ],
 )
+@pytest.mark.cases(2)
 def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(bench, faults) -> None:
     one = bench(reply_s=0.15)
     stage = one.open()

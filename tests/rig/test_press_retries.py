@@ -116,6 +116,7 @@ def recorded(
         ("silent", 0.5, {Reason.FORCE_SENSOR}),
     ],
 )
+@pytest.mark.cases(1)
 def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
     tmp_path: Path, how: str, seconds: float, reasons: set[Reason]
 ) -> None:
@@ -154,6 +155,7 @@ def test_without_retries_one_late_sample_ends_the_run_and_the_next_command_compl
     [(RetryLimits(2, 20, 0.1), 3), (RetryLimits(5, 1, 0.1), 2)],
     ids=["per press", "per session"],
 )
+@pytest.mark.cases(1)
 def test_retries_end_at_their_limits_with_the_fault_s_code(
     tmp_path: Path, limits: RetryLimits, attempts: int
 ) -> None:

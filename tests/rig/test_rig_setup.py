@@ -180,7 +180,8 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
     assert any("firmware" in line for line in made.unchecked)
 
 
-@pytest.mark.parametrize("answer", [{"hold_motors": True}, {"still_there": True}, {"still_there": False}])
+@pytest.mark.parametrize("answer", [{"still_there": False}, {"still_there": True}, {"hold_motors": True}])
+@pytest.mark.cases(1)
 def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(
     tmp_path: Path, answer: dict[str, Any]
 ) -> None:

@@ -59,6 +59,7 @@ def swept(out: Path, gain: float, *, stated: bool = True, seed: int = 1) -> tupl
 
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
+@pytest.mark.cases(1)
 def test_the_first_press_under_another_gain_is_stopped_before_its_nominal_depth(
     tmp_path: Path, gain: float
 ) -> None:
@@ -68,6 +69,7 @@ def test_the_first_press_under_another_gain_is_stopped_before_its_nominal_depth(
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.cases(1)
 def test_a_press_within_the_stated_range_is_recorded(tmp_path: Path, seed: int) -> None:
     outcome, beyond_mm = swept(tmp_path / "run", 1.0, seed=seed)
     assert outcome.state is State.DONE

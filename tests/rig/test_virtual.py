@@ -147,6 +147,7 @@ def test_a_press_leaves_a_dent_that_fades_and_is_nowhere_else() -> None:
 
 
 @pytest.mark.parametrize(("aside_m", "wait_s"), [(0.0, 0.0), (0.0, 3.0), (12e-3, 0.0)])
+@pytest.mark.cases(1)
 def test_a_place_that_was_pressed_is_touched_deeper_soon_afterwards(aside_m: float, wait_s: float) -> None:
     share, fades_s, depth_m = 0.1, 3.0, 4e-3
     bench = rig(variation=replace(IDEAL, relaxation=((share, fades_s),)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,7 +92,8 @@ def test_each_fifth_press_brings_a_frame_of_no_force_to_learn_from(run: Path) ->
     assert len(presses_in(Run.open(run))) == 5
 
 
-def test_run_goes_on_and_nothing_is_overwritten(run: Path) -> None:
+def test_run_goes_on_and_nothing_is_overwritten(run: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(run, tmp_path / "run"))
     before = Run.open(run)
     images = [before.frame(i).image.copy() for i in (0, len(before) - 1)]
     count = len(before)

@@ -39,6 +39,7 @@ def _shown_px(sensor: NuSense, depth_mm: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("depth_mm", DEPTHS_MM)
+@pytest.mark.cases(3)
 def test_live_pictures_are_those_of_presses_solved_anew(depth_mm: float) -> None:
     off = np.abs(_shown_px(LIVE, depth_mm) - _shown_px(SLOW, depth_mm)).max()
     assert off < 0.004
@@ -85,6 +86,7 @@ def test_what_is_pulled_aside_is_solved_anew_live_too(history: dict[str, object]
         pytest.param("nusense-torn", "round", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.cases(1)
 def test_other_indenters_and_torn_pads_are_solved_anew_live_too(name: str, words: str) -> None:
     slow, pose = palpate.sensor(name), Pose(2 * MM, 1 * MM, 0.5 * MM)
     live = for_live(slow)

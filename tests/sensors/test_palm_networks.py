@@ -73,6 +73,7 @@ def test_each_learns_presses_it_has_not_seen(name: str, rng) -> None:
 
 
 @pytest.mark.parametrize("name", PALM)
+@pytest.mark.cases(1)
 def test_the_exported_model_is_the_trained_one(name: str, rng) -> None:
     turned = MODELS[name].targets[1:] + MODELS[name].targets[:1]
     data = presses(24, rng, turned, MODELS[name].channels)
@@ -87,6 +88,7 @@ def test_the_exported_model_is_the_trained_one(name: str, rng) -> None:
 
 
 @pytest.mark.parametrize("name", TORCH)
+@pytest.mark.cases(1)
 def test_the_order_asked_for_orders_the_answers_and_nothing_else(name: str, rng) -> None:
     targets, rows = MODELS[name].targets, np.arange(12)
     turned = targets[2:] + targets[:2]
@@ -99,6 +101,7 @@ def test_the_order_asked_for_orders_the_answers_and_nothing_else(name: str, rng)
 
 
 @pytest.mark.parametrize("name", ["palm-mlp-delta", "palm-force-conditioned"])
+@pytest.mark.cases(1)
 def test_the_same_seed_gives_the_same_model(name: str, rng) -> None:
     data, rows = presses(12, rng, MODELS[name].targets), np.arange(12)
     first, again, other = (

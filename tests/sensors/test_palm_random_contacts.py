@@ -46,6 +46,7 @@ def test_all_is_inside_the_rim(every, kind):
 
 
 @pytest.mark.parametrize("kind", ["lateral", "grasp"])
+@pytest.mark.cases(1)
 def test_one_seed_draws_one_set(every, kind):
     again = drawn(kind)
     np.testing.assert_array_equal(again.images, every[kind].images)

@@ -157,6 +157,7 @@ def test_a_refusal_names_no_probe_that_this_membrane_has_no_table_of() -> None:
 
 
 @pytest.mark.parametrize(("words", "depth"), [(PROBES[0], 0.1e-3), (PROBES[-1], 0.3e-3)])
+@pytest.mark.cases(1)
 def test_stress_joins_where_the_table_takes_over(words, depth):
     below, above = (
         stress_beneath(SPEC, pressed(f"{words}:30", depth + off)).far.stress_pa for off in (-1e-9, 1e-9)
@@ -202,6 +203,7 @@ def test_the_greatest_pressure_told_of_an_uneven_membrane_is_that_of_its_place(m
 
 @pytest.mark.parametrize("words", PROBES)
 @pytest.mark.parametrize("depth", [0.05e-3, 0.2e-3, 1.5e-3])
+@pytest.mark.cases(3)
 def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(words, depth):
     """Linear layers under the same probe have another force, by up to 6 %, and 40 % under a sharp wedge."""
     at = f"{words}:30"

@@ -141,6 +141,7 @@ def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_
         (1.0, 1.3, ("stiffness", "ratio")),
     ],
 )
+@pytest.mark.cases(1)
 def test_a_known_weight_sees_what_has_changed(tip, fitted, skin: float, gel: float, drifted) -> None:
     before, now = tip_between(math.log(RATIO)), tip_between(math.log(RATIO * skin / gel))
     changed = replace(tip, tip=now, force_ratio=tip.force_ratio * gel * before.gel_pa / now.gel_pa)

@@ -136,6 +136,7 @@ def test_two_renderings_do_not_hold_one_bench(own) -> None:
     [('fault = "its wire is off"', "its wire is off"), ("hangs_s = 1.0", "no period has ended")],
     ids=["fault", "hangs"],
 )
+@pytest.mark.cases(1)
 def test_a_fault_ends_it_and_is_named(own, options: str, why: str) -> None:
     bench = own("FailingDisplay", options)
     for _ in range(3):  # a computer that is busy ends it first, by a late period
