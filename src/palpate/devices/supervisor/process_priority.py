@@ -33,11 +33,11 @@ def request_priority(system: Any = os, user: Callable[[], str] | None = None) ->
         empty where the system has no such scheduling.
     """
     if not hasattr(system, "sched_setscheduler"):
-        return {"scheduling": _niced(system), "remedy": ""}
+        return {"scheduling": raise_priority(system), "remedy": ""}
     try:
         system.sched_setscheduler(0, system.SCHED_FIFO, system.sched_param(REALTIME_PRIORITY))
     except OSError:
-        return {"scheduling": _niced(system), "remedy": REMEDY.format(user=(user or _user)())}
+        return {"scheduling": raise_priority(system), "remedy": REMEDY.format(user=(user or _user)())}
     return {"scheduling": FIFO, "remedy": ""}
 
 
@@ -55,7 +55,8 @@ def probe_realtime(system: Any = os, user: Callable[[], str] | None = None) -> F
     return found
 
 
-def _niced(system: Any) -> str:
+def raise_priority(system: Any = os) -> str:
+    """Request a higher priority for this process without real-time scheduling: "nice" if granted, or "normal"."""
     if hasattr(system, "setpriority"):
         with suppress(OSError):
             system.setpriority(system.PRIO_PROCESS, 0, NICENESS)

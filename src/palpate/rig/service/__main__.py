@@ -14,6 +14,7 @@ from palpate.core import PalpateError
 from palpate.core.failure_log import contained, thread_failures
 from palpate.devices.process_memory import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
+from palpate.devices.supervisor.process_priority import raise_priority
 from palpate.rig.rig_file import PositionFrom
 from palpate.rig.service.rig_service import RigServer, RigService
 from palpate.rig.service.served_rig import open_served_rig
@@ -37,6 +38,7 @@ def main() -> int:
         ended.set()
 
     sys.setswitchinterval(SWITCH_S)
+    raise_priority()  # an emergency stop arrives here while other processes compute
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
     if hasattr(signal, "SIGHUP"):
