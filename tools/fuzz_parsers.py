@@ -16,7 +16,6 @@ import json
 import logging
 import os
 import random
-import resource
 import signal
 import sys
 import tempfile
@@ -81,8 +80,15 @@ def fuzz(name: str, seconds: float, count: int, seed: int) -> dict[str, object]:
             if feed.target.startswith("cal/"):
                 for path, content in beside.items():
                     path.write_bytes(content)
-    memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"parser": name, **counts, "memory_MB": round(memory / 1e6), "examples": outside}
+    return {"parser": name, **counts, "memory_MB": round(peak_bytes() / 1e6), "examples": outside}
+
+
+def peak_bytes() -> int:
+    """Peak memory of this process; `ru_maxrss` would include that of the process it was forked from."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return 1024 * int(line.split()[1])
+    return 0
 
 
 def in_a_process(name: str, words: argparse.Namespace) -> dict[str, object]:

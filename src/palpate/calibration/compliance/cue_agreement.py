@@ -168,5 +168,5 @@ def _misfit(
 def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
     """Return the greatest misfit over presses, of either kind."""
     found = [cue_misfit(calibration, press) for press in presses]
-    worst = [max(getattr(one, name) for one in found) for name in ("pins", "approach")]
-    return CueMisfit(*worst, found[0].max_pins)
+    pins, approach = (max(getattr(one, name) for one in found) for name in ("pins", "approach"))
+    return CueMisfit(pins, approach, found[0].max_pins)

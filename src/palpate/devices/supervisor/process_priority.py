@@ -56,7 +56,7 @@ def probe_realtime(system: Any = os, user: Callable[[], str] | None = None) -> F
 
 
 def raise_priority(system: Any = os) -> str:
-    """Request a higher priority for this process without real-time scheduling: "nice" if granted, or "normal"."""
+    """Request a higher priority, not real-time scheduling, and return "nice" if granted, or else "normal"."""
     if hasattr(system, "setpriority"):
         with suppress(OSError):
             system.setpriority(system.PRIO_PROCESS, 0, NICENESS)
