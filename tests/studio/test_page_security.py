@@ -63,7 +63,7 @@ class Served:
         if "RUNTIME" not in given:
             given["XDG_RUNTIME_DIR"] = self._own.name
         self.addresses = Path(given["XDG_RUNTIME_DIR"]) / "palpate"
-        given.setdefault("WORKSPACE", str(Path(self._own.name) / "workspace"))
+        self.workspace = Path(given.setdefault("WORKSPACE", str(Path(self._own.name) / "workspace")))
         self.token = given.setdefault("TOKEN", TOKEN)
         return given | {"ADDRESSES": str(self.addresses)}
 

@@ -3,6 +3,7 @@
 import json
 import os
 import socket
+import struct
 import sys
 import time
 
@@ -106,6 +107,18 @@ def test_a_client_that_pipelines_and_never_reads_is_closed(served):
         one.sendall(100 * request_of(served, "/picture"))
         assert closed_after_s(one, 10.0) is not None
     assert served.ask("GET", "/picture")[0] == 200
+
+
+def test_a_client_that_pipelines_and_goes_is_no_internal_error(served):
+    for _ in range(3):
+        one = connected(served)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closes by a reset
+        one.sendall(4 * request_of(served, "/rig"))
+        time.sleep(0.05)
+        one.close()
+    while served.ask("GET", "/rig")[0] != 200:
+        time.sleep(0.1)
+    assert not (served.workspace / ".palpate" / "errors.log").exists()
 
 
 def test_pages_beyond_those_in_the_making_are_refused_for_now(served):

@@ -43,6 +43,7 @@ class LimitedHttp(Http):
     def connection_made(self, transport: Any) -> None:
         """Accept a connection, in place of the oldest that waits for a request if there are too many."""
         super().connection_made(transport)
+        self._cycles: list[Any] = []  # requests without a complete answer
         self._late: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
         while len(self.connections) > MAX_CONNECTIONS:
@@ -55,6 +56,7 @@ class LimitedHttp(Http):
         """Forget the connection."""
         self._end_waiting()
         self._end_writing()
+        self._disconnect()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -78,6 +80,7 @@ class LimitedHttp(Http):
         if self.transport.is_closing():
             return
         super().on_headers_complete()
+        self._cycles = [one for one in (*self._cycles, self.cycle) if not one.response_complete]
         if len(getattr(self, "pipeline", ())) > MAX_PIPELINED:
             self.abort()
 
@@ -94,10 +97,15 @@ class LimitedHttp(Http):
     def abort(self) -> None:
         """Close the connection at once; what is being answered is told that the client has gone."""
         self._end_waiting()
-        if self.cycle is not None:
-            self.cycle.disconnected = True
+        self._disconnect()
         super().resume_writing()
         self.transport.abort()
+
+    def _disconnect(self) -> None:
+        """Let all requests know that the client has gone; uvicorn tells only the last of a pipeline."""
+        for one in self._cycles:
+            one.disconnected = True
+            one.message_event.set()
 
     def _note_waiting(self) -> None:
         if self._late is None and not self.transport.is_closing():
