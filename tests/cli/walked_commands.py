@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from palpate.core.optional_imports import EXTRAS
 
 VALUES: dict[object, str] = {int: "3", float: "1", str: "virtual:palm"}
-TOO_LONG = {"demo", "reproduce palm", "reproduce tactip", "reproduce nusense", "reproduce softness"}
+TOO_LONG = {"demo", "record", "reproduce palm", "reproduce tactip", "reproduce nusense", "reproduce softness"}
 """Commands that compute for minutes; with plausible arguments they are tried elsewhere."""
 
 GRBL = 'name = "a"\n[stage]\nkind = "grbl"\nport = "/dev/null"\n'
