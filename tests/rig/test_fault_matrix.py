@@ -28,7 +28,7 @@ from tests.rig.fault_matrix.matrix_page import (
     page,
 )
 from tests.rig.fault_matrix.observed_rig import ObservedRig
-from tests.rig.fault_matrix.rig_faults import FAULTS, RECOVERY_FAULTS
+from tests.rig.fault_matrix.rig_faults import EVERY_FAULT, FAULTS, RECOVERY_FAULTS
 from tests.slow_params import mostly_slow
 
 from palpate.devices import MotionGuard
@@ -38,7 +38,7 @@ from palpate.rig.virtual.virtual_stage import VirtualStage
 
 STRIDE = 3  # states from one fault's to the next: it comes to all ten
 EVERY = 3  # one fault in so many runs in the ordinary suite
-NAMED = {(fault.part, fault.name): fault for fault in FAULTS}
+NAMED = {(fault.part, fault.name): fault for fault in EVERY_FAULT}
 FRAMES = {"camera": 7}  # so that one that repeats itself is found out; one where no camera fails
 WHOLE = ("programme", "skin")  # what they do depends on how well the skin's stiffness is known
 

@@ -367,7 +367,7 @@ FAULTS = (
         },
     ),
 )
-"""All of them, in the order of the table's rows."""
+"""Faults that end a recording, in the order of the table's rows."""
 
 RECOVERY_FAULTS = (
     RigFault("samples 45 ms late, once", "force", withheld_once(0.045), ("done",), within=OPEN),
@@ -377,12 +377,12 @@ RECOVERY_FAULTS = (
         "100 ms late, with current timestamps",
         "force",
         altered(delay_s=0.1),
-        ("force-lag",),
+        ("force-lag", "force-dead"),
         within=OPEN,
         elsewhere=dict.fromkeys(
             ("travel", "pause", "resume"),
             Otherwise(
-                ("done", "force-dead", "force-lag"),
+                ("done", "force-dead", "force-lag", "force-noise"),
                 "it begins between two presses, and looks as a force that follows too little",
             ),
         ),
@@ -394,7 +394,13 @@ RECOVERY_FAULTS = (
         ("force-scaled",),
         within=TRUST,
         shows="force",
-        elsewhere={"idle": Otherwise(("stiffness",), "nothing but the skin shows it", OPEN)},
+        elsewhere={
+            "idle": Otherwise(("stiffness",), "nothing but the skin shows it", OPEN),
+            **dict.fromkeys(
+                ("taps", "pause", "resume"),
+                Otherwise(("force-scaled", "force-dead"), "it begins within a touch, whose force then jumps"),
+            ),
+        },
     ),
     RigFault(
         "half the gain, stiffness stated",
@@ -407,3 +413,6 @@ RECOVERY_FAULTS = (
     ),
 )
 """Faults that a repeated press overcomes, or that the first touch or press has to show."""
+
+EVERY_FAULT = (*FAULTS, *RECOVERY_FAULTS)
+"""All of the virtual rig, as the tables list them."""
