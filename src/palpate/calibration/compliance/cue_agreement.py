@@ -24,6 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import minimize, minimize_scalar
 
 from palpate.calibration.compliance.compliance_calibration import (
@@ -36,10 +37,18 @@ from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.core import Bool, Float, ndarray
 from palpate.estimators.compliance.pin_press import PinPress
 from palpate.estimators.compliance.shape_surface import BENDS as SURFACE_BENDS, ShapeSurface
-from palpate.estimators.compliance.stiffness_curve import BENDS, SOFTEST, SmallSpace, SoftnessCurve, Vector
+from palpate.estimators.compliance.stiffness_curve import (
+    BENDS,
+    SOFTEST,
+    SmallSpace,
+    SoftnessCurve,
+    Vector,
+    scatter_directions,
+)
 
-MAX_PINS = 26.0  # misfit of the pins
-MAX_APPROACH = 20.3  # increase by the approach: 99.5 % quantile of chi-squared with 7 degrees of freedom
+MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
+MAX_APPROACH = 13.0  # increase by the approach, likewise
+SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
 APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
 GRID = 24  # softness values at which the minimum is bracketed
@@ -101,6 +110,20 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
         approach[-(len(calibration.levels_n) - 1) :] = True
     pins = _misfit(model, y, changes, approach, known & ~approach)
     return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+
+
+def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
+    """Return the limits, which are wider for a scatter that few trials show.
+
+    With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
+    squared in place of chi-squared.
+    """
+    freedom = calibration.touch.freedom
+    count = scatter_directions(freedom)
+    left = freedom - count + 1
+    distance = count * freedom / left * stats.f.ppf(SURE, count, left)
+    more = float(distance / stats.chi2.ppf(SURE, count))
+    return CueMisfit(MAX_PINS * more, MAX_APPROACH * more)
 
 
 def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
