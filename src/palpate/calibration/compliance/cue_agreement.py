@@ -118,7 +118,7 @@ def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
     With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
     squared in place of chi-squared.
     """
-    freedom = calibration.touch.freedom
+    freedom = (calibration.shape or calibration.touch).space.freedom
     count = scatter_directions(freedom)
     left = freedom - count + 1
     distance = count * freedom / left * stats.f.ppf(SURE, count, left)
