@@ -9,7 +9,12 @@ from tests.virtual_presses import KAPPA_N_M, ideal, references
 
 from palpate.calibration.compliance.compliance_calibration import calibrate_compliance
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, MAX_PINS, cue_misfit
+from palpate.calibration.compliance.cue_agreement import (
+    MAX_APPROACH,
+    MAX_PINS,
+    cue_misfit,
+    greatest_misfit,
+)
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.calibration.compliance.reading_reasons import ReasonCode
 from palpate.sensors.tactip import tactip
@@ -53,7 +58,7 @@ def test_a_sound_press_is_valid_in_every_quantity(calibration, sound) -> None:
 @pytest.mark.parametrize("scale", [0.9, 1.1])
 def test_positions_of_another_scale_invalidate_every_quantity(calibration, sound, scale) -> None:
     scaled = replace(sound, position_m=sound.position_m * scale)
-    assert cue_misfit(calibration, scaled).approach > MAX_APPROACH
+    assert cue_misfit(calibration, scaled).approach > greatest_misfit(calibration).approach
     read = read_touch(calibration, [scaled])
     assert not any(one.valid for one in read.readings)
     assert all(ReasonCode.CUES_DISAGREE in one for one in codes(read))
@@ -61,22 +66,46 @@ def test_positions_of_another_scale_invalidate_every_quantity(calibration, sound
 
 @pytest.mark.parametrize("body", LAYERS)
 @pytest.mark.parametrize("placed", [True, False])
-def test_a_layer_on_a_hard_base_has_no_valid_quantity(spec, calibration, body, placed) -> None:
-    """Area and spread rate too, and also by pins and force alone."""
+def test_a_layer_on_a_hard_base_has_no_valid_area_that_is_wrong(spec, calibration, body, placed) -> None:
+    """With positions no valid quantity at all; by pins and force of four trials none off by 3 half-widths."""
     press = press_on(spec, body, 82)
     read = read_touch(calibration, [press if placed else replace(press, position_m=None)])
+    words = specimens_at(spec, {"one": body})["one"]
+    true = float(record_press(spec, words, 82).sensor.on(words).area_m2(np.array([4.0]))[0])
     assert read.area is not None
-    assert not any(one.valid for one in read.readings)
-    assert all(ReasonCode.CUES_DISAGREE in one for one in codes(read))
+    assert not read.area.valid or abs(read.area.value - true) < 1.5 * (read.area.high - read.area.low)
+    if placed:
+        assert not any(one.valid for one in read.readings)
+        assert all(ReasonCode.CUES_DISAGREE in one for one in codes(read))
+
+
+def test_limits_are_wider_for_a_scatter_of_few_trials(calibration) -> None:
+    limits = [
+        greatest_misfit(replace(calibration, touch=replace(calibration.touch, freedom=freedom)))
+        for freedom in (3, 12, 16, 36, 10_000)
+    ]
+    for one in ([limit.pins for limit in limits], [limit.approach for limit in limits]):
+        assert (np.diff(one) < 0).all()
+    assert limits[-1].pins == pytest.approx(MAX_PINS, rel=0.01)
+    assert limits[-1].approach == pytest.approx(MAX_APPROACH, rel=0.01)
+
+
+@pytest.mark.slow
+def test_few_sound_presses_are_refused(calibration, spec) -> None:
+    """At most 3 % of 60, of specimens between the references."""
+    kappas = np.exp(np.random.default_rng(5).uniform(np.log(1.15e3), np.log(7.4e3), 60))
+    reads = [read_touch(calibration, [press_on(spec, float(k), 40_000 + i)]) for i, k in enumerate(kappas)]
+    for name in ("stiffness", "stiffness_both", "area", "spread_rate"):
+        assert sum(not getattr(read, name).valid for read in reads) <= 0.03 * len(reads), name
 
 
 def test_the_misfit_of_a_sound_press_is_small_and_grows_with_the_scale(calibration, sound) -> None:
     misfits = [
         cue_misfit(calibration, replace(sound, position_m=sound.position_m * f)) for f in (1, 1.05, 1.1)
     ]
-    assert misfits[0].pins == misfits[2].pins < MAX_PINS
+    assert misfits[0].pins == misfits[2].pins < greatest_misfit(calibration).pins
     approach = [one.approach for one in misfits]
-    assert 0 <= approach[0] < MAX_APPROACH
+    assert 0 <= approach[0] < greatest_misfit(calibration).approach
     assert (np.diff(approach) > 0).all()
 
 
@@ -87,8 +116,8 @@ def test_the_range_of_an_area_is_that_of_areas_at_its_own_force(calibration, spe
         float(record_press(spec, words, 1).sensor.on(words).area_m2(np.array([4.0]))[0])
         for words in specimens_at(spec, {"rigid": math.inf, "S3": 1.1e3}).values()
     )
-    assert 0.97 * least < low < least
-    assert most < high < 1.03 * most
+    assert 0.9 * least < low < least
+    assert most < high < 1.1 * most
 
 
 @pytest.mark.parametrize(("kappa", "inside"), [(0.95e3, False), (4.2e3, True), (9e4, False)])

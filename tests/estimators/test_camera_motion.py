@@ -11,8 +11,11 @@ import pytest
 
 import palpate
 from palpate.core import Frame, Pose
+from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader
+from palpate.estimators.shear.camera_motion import camera_motion
 from palpate.estimators.shear.contact_reach import area_of
+from palpate.estimators.surface_strain import StrainMeter
 
 SENSOR = palpate.sensor("nusense")
 SKIN = SENSOR.shear_skin()
@@ -142,3 +145,16 @@ def test_each_invalid_reading_has_a_code() -> None:
         for one in readings.values():
             assert bool(one.code) != one.valid
             assert bool(one.why) != one.valid
+
+
+def test_single_marks_that_jump_are_no_motion_of_the_camera() -> None:
+    """As where tiles are missing: the limit has the scatter of the marks, also without a known traction."""
+    columns, rows = np.meshgrid(np.arange(20), np.arange(15))
+    cells = np.column_stack([columns.ravel(), rows.ravel()])
+    rest, sigma = cells * 2e-3, np.full(len(cells), 2e-6)
+    meter = StrainMeter(ControlPoints(cells, rest, sigma, "m"))
+    jumped = rest + 2e-6 * np.random.default_rng(4).standard_normal(rest.shape)
+    jumped[(cells[:, 0] >= 16) & (cells[:, 1] % 3 == 0), 0] += 5e-5
+    assert not camera_motion(meter.fields(ControlPoints(cells, jumped, sigma, "m")), 2e-3, 1e4)
+    shifted = meter.fields(ControlPoints(cells, jumped + 2e-4, sigma, "m"))
+    assert camera_motion(shifted, 2e-3, 1e4).code == "camera_moved"

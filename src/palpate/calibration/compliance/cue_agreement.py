@@ -24,6 +24,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import minimize, minimize_scalar
 
 from palpate.calibration.compliance.compliance_calibration import (
@@ -36,11 +37,18 @@ from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.core import Bool, Float, ndarray
 from palpate.estimators.compliance.pin_press import PinPress
 from palpate.estimators.compliance.shape_surface import BENDS as SURFACE_BENDS, GRID as SHAPES, ShapeSurface
-from palpate.estimators.compliance.stiffness_curve import BENDS, SOFTEST, SmallSpace, SoftnessCurve, Vector
+from palpate.estimators.compliance.stiffness_curve import (
+    BENDS,
+    SOFTEST,
+    SmallSpace,
+    SoftnessCurve,
+    Vector,
+    scatter_directions,
+)
 
-MAX_PINS = 26.0  # misfit of the pins, by softness alone
-MAX_SHAPE_PINS = 110.0  # by modulus and radius; the largest of 168 sound virtual presses was 108
-MAX_APPROACH = 20.3  # increase by the approach: 99.5 % quantile of chi-squared with 7 degrees of freedom
+MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
+MAX_APPROACH = 13.0  # increase by the approach, likewise
+SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
 APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
 GRID = 24  # softness values at which the minimum is bracketed
@@ -59,12 +67,10 @@ class CueMisfit:
     Attributes:
         pins: of the pins alone.
         approach: increase by the approach; 0 for a press without position.
-        max_pins: largest misfit of the pins of a sound press, by the kind of calibration.
     """
 
     pins: float
     approach: float
-    max_pins: float = MAX_PINS
 
 
 @dataclass(frozen=True)
@@ -103,9 +109,21 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
     if placed:
         approach[-(len(calibration.levels_n) - 1) :] = True
     pins = _misfit(model, y, changes, approach, known & ~approach)
-    both = _misfit(model, y, changes, approach, known) if placed else pins
-    by_shape = placed and calibration.shape is not None
-    return CueMisfit(pins, both - pins, MAX_SHAPE_PINS if by_shape else MAX_PINS)
+    return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+
+
+def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
+    """Return the limits, which are wider for a scatter that few trials show.
+
+    With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
+    squared in place of chi-squared.
+    """
+    freedom = (calibration.shape or calibration.touch).space.freedom
+    count = scatter_directions(freedom)
+    left = freedom - count + 1
+    distance = count * freedom / left * stats.f.ppf(SURE, count, left)
+    more = float(distance / stats.chi2.ppf(SURE, count))
+    return CueMisfit(MAX_PINS * more, MAX_APPROACH * more)
 
 
 def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
@@ -168,5 +186,4 @@ def _misfit(
 def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
     """Return the greatest misfit over presses, of either kind."""
     found = [cue_misfit(calibration, press) for press in presses]
-    pins, approach = (max(getattr(one, name) for one in found) for name in ("pins", "approach"))
-    return CueMisfit(pins, approach, found[0].max_pins)
+    return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))

@@ -19,7 +19,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     touch_row,
     wobble_px,
 )
-from palpate.calibration.compliance.cue_agreement import MAX_APPROACH, CueMisfit, worst_misfit
+from palpate.calibration.compliance.cue_agreement import CueMisfit, greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.calibration.compliance.reading_reasons import ReadingReason, ReasonCode
 from palpate.core import Drift
@@ -63,12 +63,12 @@ CAUSES = {
 SHOWN = {"late_s": 1e3}  # of the unit in which a cause is told
 PROBE = Nuisances(frame_yield_m_n=0.0)
 PINS_APART = (
-    "the pins fit no single object of the references' kind at all forces (misfit {:.3g}, {:g} is allowed); "
+    "the pins fit no single object of the references' kind at all forces (misfit {:.3g}, {:.3g} is allowed); "
     "calibrate on that kind of object, such as a layer on a hard base"
 )
 APPROACH_APART = (
-    "pins and approach fit no single object of the references' kind (misfit {:.3g}, {:g} is allowed); check "
-    "the scale of the position, or calibrate on that kind of object"
+    "pins and approach fit no single object of the references' kind (misfit {:.3g}, {:.3g} is allowed); "
+    "check the scale of the position, or calibrate on that kind of object"
 )
 
 
@@ -93,12 +93,12 @@ def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress
     for code, ask in ASKED.items():
         answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
         reasons += [ReadingReason(code, why) for why in answers if why][:1]
-    return reasons + misfit_reasons(worst_misfit(calibration, presses))
+    return reasons + misfit_reasons(worst_misfit(calibration, presses), greatest_misfit(calibration))
 
 
-def misfit_reasons(misfit: CueMisfit) -> list[ReadingReason]:
+def misfit_reasons(misfit: CueMisfit, limit: CueMisfit) -> list[ReadingReason]:
     """Return why the cues of a press do not belong to one object; empty where they do."""
-    found = ((PINS_APART, misfit.pins, misfit.max_pins), (APPROACH_APART, misfit.approach, MAX_APPROACH))
+    found = ((PINS_APART, misfit.pins, limit.pins), (APPROACH_APART, misfit.approach, limit.approach))
     return [
         ReadingReason(ReasonCode.CUES_DISAGREE, text.format(value, most))
         for text, value, most in found

@@ -24,7 +24,7 @@ from palpate.estimators.compliance.stiffness_curve import student_quantile
 MAX_DEGREE = 2
 MAX_GROWTH = 1.5  # e-folds of the spread for each standard deviation of the references' rates
 MAX_Z = 2.0  # standard deviations from the references' middle: farther the spread grows no more
-MARGIN = 0.05  # of the logarithmic span of the references, by which an interval may reach beyond them
+MARGIN = 0.25  # of the logarithmic span of the references, by which an interval may reach beyond them
 RECTANGULAR = np.sqrt(3.0)  # of a bound over the standard deviation of what lies anywhere within it
 
 Values = Float[ndarray, " _"]

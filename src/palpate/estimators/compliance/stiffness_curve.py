@@ -32,7 +32,7 @@ TURNINGS = 13  # of kappa_0 that are tried
 BENDS = (0.5, 2.0)  # of kappa_0: how else the curve might run between the references
 MIN_TRIALS = 2
 STEP = 1e-3  # of s, for slopes
-MARGIN = 0.05  # of the references' span in s, by which an interval may reach beyond them
+MARGIN = 0.1  # of the references' span in s, by which an interval may reach beyond them
 
 Vectors = Float[ndarray, "t d"]
 Vector = Float[ndarray, " d"]
@@ -231,6 +231,11 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
     return _turned(SoftnessCurve(kappa, float(kappa[np.isfinite(kappa)].min()), *known))
 
 
+def scatter_directions(freedom: int) -> int:
+    """Return the number of directions of scatter that so many trials, less references, show."""
+    return min(SCATTER, max(1, freedom // 3))
+
+
 def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
     """The space of references.
 
@@ -250,7 +255,7 @@ def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
     means = np.stack([trial.mean(axis=0) for trial in trials])
     about = np.concatenate([trial - mean for trial, mean in zip(trials, means, strict=True)])
     freedom = len(about) - len(trials)
-    wide = np.linalg.svd(about, full_matrices=False)[2][: min(SCATTER, max(1, freedom // 3))]
+    wide = np.linalg.svd(about, full_matrices=False)[2][: scatter_directions(freedom)]
     basis = _orthonormal(np.concatenate([means - middle, wide]))
     residual = about - about @ basis.T @ basis
     inside = about @ basis.T

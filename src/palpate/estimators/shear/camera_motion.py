@@ -30,7 +30,7 @@ def motion_limit(fields: StrainFields, pitch: float, places: TouchPlaces | None 
     """Greatest camera motion that is not reported, root mean square over the far marks [unit of the marks].
 
     The noise of one mark is at least the scatter of the far marks about the affine motion: where tiles are
-    missing, the recovered traction does not explain their motion.
+    missing, single marks jump, and the recovered traction does not explain the motion of others.
 
     Args:
         fields: of the frame.
@@ -38,10 +38,10 @@ def motion_limit(fields: StrainFields, pitch: float, places: TouchPlaces | None 
         places: contacts, where they are known; their traction is subtracted.
     """
     stated = math.sqrt(float(fields.variances.sum(axis=0).mean()))
+    scatter = _far_motion(fields, _unexplained(fields, places), pitch).scatter
     by_touch = _far_motion(fields, fields.moved, pitch).mean_rest
-    if (left := _unexplained(places)) is None:
-        return stated + OF_TOUCH * by_touch
-    return max(stated, _far_motion(fields, left, pitch).scatter) + OF_TRACTION * by_touch
+    known = places is not None and places.traction is not None
+    return max(stated, scatter) + (OF_TRACTION if known else OF_TOUCH) * by_touch
 
 
 def camera_motion(
@@ -55,8 +55,7 @@ def camera_motion(
         px_per_unit: scale of the frame.
         places: contacts, where they are known; their traction is subtracted.
     """
-    left = _unexplained(places)
-    motion = _far_motion(fields, fields.moved if left is None else left, pitch).affine
+    motion = _far_motion(fields, _unexplained(fields, places), pitch).affine
     limit = motion_limit(fields, pitch, places)
     if motion <= limit:
         return NONE
@@ -67,10 +66,10 @@ def camera_motion(
     )
 
 
-def _unexplained(places: TouchPlaces | None) -> Float[ndarray, "n 2"] | None:
-    """Motion that the recovered traction does not explain; None where there is no traction."""
+def _unexplained(fields: StrainFields, places: TouchPlaces | None) -> Float[ndarray, "n 2"]:
+    """Motion that the recovered traction does not explain; all of it where there is no traction."""
     traction = None if places is None else places.traction
-    return None if traction is None else traction.unexplained_m
+    return fields.moved if traction is None else traction.unexplained_m
 
 
 class FarMotion(NamedTuple):
