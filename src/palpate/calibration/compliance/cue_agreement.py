@@ -47,6 +47,7 @@ from palpate.estimators.compliance.stiffness_curve import (
 )
 
 MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
+MAX_SHAPE_PINS = 60.0  # of pins that also tell a radius, whose surface passes by the references
 MAX_APPROACH = 13.0  # increase by the approach, likewise
 SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
@@ -123,7 +124,8 @@ def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
     left = freedom - count + 1
     distance = count * freedom / left * stats.f.ppf(SURE, count, left)
     more = float(distance / stats.chi2.ppf(SURE, count))
-    return CueMisfit(MAX_PINS * more, MAX_APPROACH * more)
+    pins = MAX_PINS if calibration.shape is None else MAX_SHAPE_PINS
+    return CueMisfit(pins * more, MAX_APPROACH * more)
 
 
 def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
