@@ -76,7 +76,7 @@ def test_a_new_specimens_stiffness_is_found(read) -> None:
         assert one.low <= KAPPA_N_M["new"] <= one.high
         assert one.unit == "N_per_m"
         low, high = one.calibrated_range
-        assert 1e3 < low < 1.1e3  # 5 % of the references' span in softness beyond the softest
+        assert 0.95e3 < low < 1.05e3  # 10 % of the references' span in softness beyond the softest
         assert high == np.inf  # a rigid plate is among the references
 
 
