@@ -14,6 +14,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from palpate.core import DeviceError
@@ -52,6 +53,15 @@ def test_a_request_that_ends_the_process_is_answered_before_its_line_is_cut(tmp_
         assert ends.wait(5.0)
         server.close()
         assert answer() == "ended"
+
+
+def test_numpy_numbers_of_a_plug_in_are_sent_as_plain_ones_and_nothing_else_is() -> None:
+    force_n = np.float32(0.5)
+    line = encode_message({"force_n": force_n, "reached": force_n > 0.1, "count": np.int64(3)})
+    assert decode_message(line.strip()) == {"force_n": 0.5, "reached": True, "count": 3}
+    for value in (np.float32("nan"), object()):
+        with pytest.raises((ValueError, TypeError)):
+            encode_message({"value": value})
 
 
 def test_a_client_that_reads_nothing_holds_up_no_end(tmp_path) -> None:

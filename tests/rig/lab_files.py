@@ -95,7 +95,7 @@ def remember(stage: GrblFirmware, terminal: FakeTerminal) -> None:
         stage._modes.spindle = marker
         steps = " ".join(f"{stage.settings[number]:g}" for number in (100, 101, 102))
         at = stage._axes.place_mm
-    settings = f"+X -Y -Z {steps} counts None None"
+    settings = f"+X -Y -Z {steps} 0 counts None None"
     PositionStore(terminal.path).establish(marker, settings, (0.0, 0.0, 0.0), at)
 
 

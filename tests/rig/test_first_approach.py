@@ -12,7 +12,7 @@ import pytest
 from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file
 from tests.rig.rigs import IDEAL, plan, rig
 
-from palpate.core import Position, PositionUnknownError, Stage
+from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownError, Stage, Wrench
 from palpate.devices import OperatorCommand, OperatorControl, Reason
 from palpate.rig import State, open_rig, record
 from palpate.rig.fakes.grbl_parameters import GrblParameters
@@ -73,6 +73,40 @@ def test_a_stage_nearer_to_the_skin_than_it_reports_touches_it_at_search_speed(
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY), outcome.message
     assert 0.0 < stage.deepest_m / MM <= RULE_MM
     assert stage.position_m()[2] + stage.error_m[2] < 0.0, "lifted at the end"
+
+
+LATE_M = 0.15 * MM
+
+
+class FailsAtContact:
+    """A force sensor that is late and fails once, as the probe meets the skin."""
+
+    def __init__(self, force: ForceSensor, stage: MistakenStage) -> None:
+        self._force, self._stage, self._failed = force, stage, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._force, name)
+
+    def drain(self) -> list[Wrench]:
+        samples = self._force.drain()
+        if self._failed or self._stage.deepest_m <= 0:
+            return samples
+        if self._stage.deepest_m > LATE_M:
+            self._failed = True
+            raise DeviceError("a gap")
+        return []
+
+
+@pytest.mark.parametrize("error_mm", [2.65, 4.0])
+def test_a_retry_after_contact_in_the_first_approach_accepts_no_wrong_position(
+    tmp_path: Path, error_mm: float
+) -> None:
+    made, stage = mistaken(error_mm)
+    force = FailsAtContact(made.force, stage)
+    outcome = record(replace(made, force=force), plan(threshold_N=0.04), tmp_path / "run")
+    assert force._failed
+    assert outcome.reason is Reason.TOUCHED_EARLY, outcome.message
+    assert stage.deepest_m / MM <= RULE_MM
 
 
 def test_without_the_guarded_search_the_probe_is_driven_into_the_skin(tmp_path: Path, monkeypatch) -> None:

@@ -13,7 +13,7 @@ from palpate.core.errors import InputError, RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import G_M_S2, touch_twice, weigh
-from palpate.rig.commissioning.hand_motion import home_clear, jog, lift_clear, zero
+from palpate.rig.commissioning.hand_motion import home_clear, jog, lift_clear, touch_off, zero
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
 
@@ -180,7 +180,8 @@ class Numb:
         def noise() -> tuple[float, float, float]:
             return self._noise.gauss(0, 0.005), self._noise.gauss(0, 0.005), self._noise.gauss(0, 0.005)
 
-        return [replace(one, force_n=noise(), torque_nm=noise()) for one in self._sensor.drain()]
+        samples = self._sensor.drain()
+        return [replace(one, force_n=noise(), torque_nm=noise(), fault="") for one in samples]
 
 
 def test_homing_with_a_numb_sensor_still_starts_above_the_skin() -> None:
@@ -190,6 +191,17 @@ def test_homing_with_a_numb_sensor_still_starts_above_the_skin() -> None:
     assert found is not None
     assert found.lifted_mm == pytest.approx(8.0)
     assert stage.homed_from_m == pytest.approx(3e-3 - 8e-3, abs=0.1e-3)
+
+
+def test_a_touch_off_with_a_numb_sensor_does_not_leave_the_probe_in_the_skin() -> None:
+    rig = virtual_rig()
+    rig.stage.move_to((0.0, 0.0, -1e-3), 5e-3)
+    while rig.stage.moving():
+        rig.clock.sleep(0.01)
+    with pytest.raises(Tripped, match="lifted again") as refusal:
+        touch_off(Switched(rig), Numb(rig), rig.mounting, rig.clock, (0.0, 0.0, 0.0))
+    assert refusal.value.reason is Reason.NO_CONTACT
+    assert rig.stage.position_m()[2] < -1e-3
 
 
 @pytest.mark.parametrize("guarded", [False, True])

@@ -185,11 +185,32 @@ def test_other_axes_or_another_frame_are_refused(grbl, spec) -> None:
     assert refused(bench.open(known=False)) == "settings-differ"
 
 
-def test_other_steps_per_millimeter_are_refused(grbl) -> None:
+@pytest.mark.parametrize("setting", [b"$102=125\n", b"$3=4\n"], ids=["steps", "direction"])
+def test_other_steps_per_millimeter_or_directions_are_refused(grbl, setting: bytes) -> None:
     bench = grbl()
     left(bench)
-    bench.say(b"$102=125\n")
+    bench.say(setting)
     assert refused(bench.open(known=False)) == "settings-differ"
+
+
+def test_motors_that_hold_only_afterwards_prove_nothing(grbl) -> None:
+    bench = grbl({1: 25})
+    left(bench)
+    assert bench.firmware.push((0.0, 0.0, -3.0)), "the motors are released"
+    bench.say(b"$1=255\n")
+    assert refused(bench.open(known=False)) == "no-record"
+
+
+def test_motors_set_to_hold_in_a_session_keep_its_position(grbl) -> None:
+    bench = grbl({1: 25})
+    stage = bench.open()
+    stage.hold_motors()
+    stage.move_to(TARGET, 0.01)
+    bench.arrive(stage)
+    stage.close()
+    again = bench.open(known=False)
+    again.recall()
+    assert again.position_m() == pytest.approx(TARGET, abs=TOLERANCE_M)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"marker": 1e999}', "[" * 100_000])

@@ -166,7 +166,14 @@ def encode_message(message: Mapping[str, Any]) -> bytes:
     Raises:
         ValueError: a number in it is not finite.
     """
-    return json.dumps(message, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+    return json.dumps(message, allow_nan=False, separators=(",", ":"), default=_plain).encode() + b"\n"
+
+
+def _plain(value: Any) -> Any:
+    """Return a NumPy number, as plug-ins measure and comparisons of it return, as Python's own."""
+    if hasattr(value, "item"):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be sent")
 
 
 def decode_message(line: bytes) -> dict[str, Any]:

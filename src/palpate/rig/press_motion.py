@@ -48,10 +48,8 @@ class PressMotion:
         self._recorder = recorder
         self.contact_m: float | None = None
         self.approach = 0
-        self._higher_m = 0.0
         self._zero_samples = 0
-        self._position_proven = False
-        guard.clearance = Clearance(self._clearance_m, plan.travel_mm_s * MM)
+        self.distrust_position()
 
     def begin(self, press: PlannedPress) -> None:
         """A new approach: whatever was known of the contact is forgotten."""
@@ -78,9 +76,12 @@ class PressMotion:
             force_n = self._guard.force_n[2] if known else 0.0
             touches = touches or abs(force_n) > FREE * self._plan.threshold_N
         if touches:
-            self._higher_m = HIGHER_MM * MM
-            self._guard.clearance = Clearance(self._clearance_m, self._plan.travel_mm_s * MM)
+            self._set_clearance(HIGHER_MM)
             self.lift()
+
+    def _set_clearance(self, higher_mm: float) -> None:
+        self._higher_m = higher_mm * MM
+        self._guard.clearance = Clearance(self._clearance_m, self._plan.travel_mm_s * MM)
 
     @property
     def _clearance_m(self) -> float:
@@ -109,8 +110,12 @@ class PressMotion:
             self._search((x, y, self._clearance_m), None)
 
     def distrust_position(self) -> None:
-        """Make the next approach a first one: the stage may have been pushed, or its tool changed."""
+        """Make the next approach a first one, down to the clearance of the plan, however high it was lifted.
+
+        The stage may have been pushed, its tool changed, or an attempt may have ended in contact.
+        """
         self._position_proven = False
+        self._set_clearance(0.0)
 
     def _search(self, target: Position, step_m: float | None) -> None:
         """Move at the speed of the search for contact, and end on any contact."""

@@ -197,11 +197,12 @@ def touch_off(
     air = mean_force(force, Mounting(), clock)
     lowered_m = 0.0
     while True:
-        if lowered_m > SEARCH_REACH_M:
+        if lowered_m > SEARCH_REACH_M:  # perhaps deep in a skin that the sensor does not feel
+            _retreat(stage, force, mounting, clock, lowered_m, LIFT_SPEED_M_S)
             raise Tripped(
                 Reason.NO_CONTACT,
-                f"no contact within {SEARCH_REACH_M * 1e3:g} mm below the probe; hang it above the skin's "
-                "center, nearer than that, and check the force sensor",
+                f"no contact within {SEARCH_REACH_M * 1e3:g} mm below the probe, which was lifted again; "
+                "hang it above the skin's center, nearer than that, and press the force sensor by hand",
             )
         _search_step(stage, force, clock, air)
         lowered_m += SEARCH_STEP_M

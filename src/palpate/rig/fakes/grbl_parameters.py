@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from palpate.rig.fakes.grbl_motion import NOWHERE, Millimetres
 
-SETTINGS: dict[int, float] = {1: 25, 10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 27: 1} | {
+SETTINGS: dict[int, float] = {1: 25, 3: 0, 10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 27: 1} | {
     first + axis: value
     for first, value in ((100, 250.0), (110, 1200.0), (120, 50.0), (130, 100.0))
     for axis in range(3)

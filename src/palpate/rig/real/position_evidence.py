@@ -3,7 +3,7 @@
 A controller's counts prove nothing by themselves: motors that are released at rest can be pushed without
 being counted, and 0, 0, 0 after a reset equals a stored 0, 0, 0. A stored position is accepted only if
 
-1. the motors keep their current at rest,
+1. the motors keep their current at rest, and did when the position was stored,
 2. a volatile marker, set after homing or touch-off and cleared by every reset, is still in the controller,
 3. the steps per millimeter, the axes, and the frame are the same, and
 4. the counts lie where the stage was left, or on the way of the last move.
@@ -50,11 +50,13 @@ class PositionFault(StrEnum):
 
 
 WHY = {
-    PositionFault.NO_RECORD: "no position was stored after homing, touch-off, or confirmation",
+    PositionFault.NO_RECORD: "no position was stored after homing, touch-off, or confirmation with "
+    "motors that hold",
     PositionFault.MOTORS_RELEASED: "its controller releases the motors at rest, so that it can be pushed "
     "without being counted (set $1=255 on GRBL)",
     PositionFault.MARKER_LOST: "its controller was reset or switched off since the position was stored",
-    PositionFault.SETTINGS_DIFFER: "its axes, steps per millimeter, limits, or reference have changed",
+    PositionFault.SETTINGS_DIFFER: "its axes or their directions, steps per millimeter, limits, or reference "
+    "have changed",
     PositionFault.COUNTS_DIFFER: "it is not where it was left",
     PositionFault.POSITION_LOST: "it was lost",
 }
@@ -110,10 +112,10 @@ def position_fault(stored: StoredPosition | None, found: PositionEvidence) -> Po
         >>> position_fault(stored, replace(found, marker=0)).value
         'marker-lost'
     """
-    if stored is None:
-        return PositionFault.NO_RECORD
     if not found.motors_hold:
         return PositionFault.MOTORS_RELEASED
+    if stored is None:
+        return PositionFault.NO_RECORD
     if stored.marker != found.marker or not found.marker:
         return PositionFault.MARKER_LOST
     if stored.settings != found.settings:

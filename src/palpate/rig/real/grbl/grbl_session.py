@@ -35,6 +35,7 @@ from palpate.rig.real.grbl.grbl_supervisor import (
 )
 from palpate.rig.real.position_evidence import (
     PositionEvidence,
+    PositionFault,
     PositionStore,
     counted_by,
     new_marker,
@@ -184,8 +185,14 @@ class GrblSession:
         self.stored.stand(place_mm)
 
     def regain(self, mount: Mount, place_mm: Millimetres) -> None:
-        """Take its place as known again, in this frame, and store it."""
+        """Take its place as known again, in this frame; store it, unless it can be pushed at rest.
+
+        A place stored with released motors would pass for evidence once $1=255 is set afterwards.
+        """
         self.lost, self.mount, self._marked = "", mount, False
+        if not self.machine.motors_hold:
+            self.stored.forget(PositionFault.MOTORS_RELEASED)
+            return
         self.stored.establish(new_marker(), self._settings, mount.origin_mm, place_mm)
         self.keep_marked()
 
@@ -219,7 +226,8 @@ class GrblSession:
 
     @property
     def _settings(self) -> str:
-        return counted_by(self.spec.axes, self.machine.steps_per_mm, self.spec.frame)
+        machine = self.machine
+        return counted_by(self.spec.axes, machine.steps_per_mm, f"{machine.reversed_axes} {self.spec.frame}")
 
     def lose(self, why: str) -> None:
         """Forget its place, and why."""

@@ -178,9 +178,12 @@ class GrblStage(Closing):
             DeviceError: it does not stand idle, or refuses.
         """
         with self._lock:
-            self._session.standing()
+            session = self._session
+            _, place_mm = session.standing()
             self._link.command("$1=255")
-            self._session.machine = replace(self._session.machine, motors_hold=True)
+            session.machine = replace(session.machine, motors_hold=True)
+            if not session.lost:
+                session.regain(session.mount, place_mm)
 
     def _go(self, position_m: Position, speed_m_s: float, halts: int, *, homed: bool = True) -> None:
         with self._lock:

@@ -195,6 +195,7 @@ class GrblMachine:
         homing: $22.
         reports: $10, what a status report shows.
         motors_hold: whether the motors keep their current at rest, $1=255.
+        reversed_axes: $3, a bit for each axis that runs the other way.
     """
 
     steps_per_mm: tuple[float, float, float]
@@ -204,6 +205,7 @@ class GrblMachine:
     homing: bool
     reports: int = 511
     motors_hold: bool = False
+    reversed_axes: int = 0
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -218,6 +220,7 @@ class GrblMachine:
             homing=int(_number(settings, 22)) % 2 == 1,  # grblHAL keeps options in its higher bits
             reports=int(_number(settings, 10)),
             motors_hold=settings.get(1, "").split()[:1] == ["255"],
+            reversed_axes=int(_number(settings, 3)),
         )
 
     @property
