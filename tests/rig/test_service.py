@@ -242,7 +242,7 @@ def test_who_does_not_say_the_token_moves_nothing_and_is_told_nothing(quick):
 
 def test_it_listens_to_this_machine_alone_and_its_token_is_the_users_alone(quick, folder):
     _, server, _ = quick
-    assert server._socket.getsockname()[0] == "127.0.0.1"
+    assert server._admission._listener.getsockname()[0] == "127.0.0.1"
     path = next((folder / "at").glob("*.json"))
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700

@@ -80,7 +80,8 @@ class LimitedHttp(Http):
         if self.transport.is_closing():
             return
         super().on_headers_complete()
-        self._cycles = [one for one in (*self._cycles, self.cycle) if not one.response_complete]
+        asked = (*self._cycles, self.cycle)  # none for an upgrade to a socket
+        self._cycles = [one for one in asked if one is not None and not one.response_complete]
         if len(getattr(self, "pipeline", ())) > MAX_PIPELINED:
             self.abort()
 

@@ -204,9 +204,9 @@ def test_a_wrong_weight_is_carried_into_every_force(calibrated, unseen):
 
 
 def test_a_pad_of_half_the_modulus_is_within_three_half_widths_until_a_weight_is_laid(calibrated):
-    """No frame shows the stiffness: the interval holds the stated 10 %, and a weight the pad's own."""
+    """No frame shows the stiffness: the interval holds the stated 12 %, and a weight the pad's own."""
     calibration, soft = calibrated["any-tip"], VirtualPad("soft")
-    assert "stiffness within 10 %" in calibration.assumes
+    assert "stiffness within 12 %" in calibration.assumes
     weight = soft.contact("round", 0.0, 0.0, 1.2e-3)
     meter, rng = soft.meter(), np.random.default_rng(1)
     weighed = calibration.weighed(
