@@ -47,7 +47,7 @@ from palpate.estimators.compliance.stiffness_curve import (
 )
 
 MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
-MAX_SHAPE_PINS = 60.0  # of pins that also tell a radius, whose surface passes by the references
+MAX_SHAPE_PINS = 60.0  # misfit of the pins where they also determine a radius; set from 168 virtual presses
 MAX_APPROACH = 13.0  # increase by the approach, likewise
 SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
