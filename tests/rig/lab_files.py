@@ -6,16 +6,20 @@ import os
 import random
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from tests.rig.serial_terminal import FakeTerminal, SerialDevice
 
-from palpate.core import Clock, MonotonicClock
+from palpate.core import Clock, ForceSensor, MonotonicClock
 from palpate.core.clock import NS_PER_S
+from palpate.rig.commissioning import first_touch, hand_motion
+from palpate.rig.commissioning.hand_motion import await_push
 from palpate.rig.commissioning.toml_text import toml_text
 from palpate.rig.fakes.grbl_firmware import GrblFirmware
 from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
@@ -67,6 +71,7 @@ class LabFile:
     terminal: FakeTerminal
     box: FakeNetFT
     fields: dict[str, Any] = field(default_factory=dict)
+    hand_n: float = 0.0  # force of a hand on the force sensor
 
     def write(self, **tables: dict[str, Any]) -> str:
         """Write the file with these tables changed, or left out where None; its path."""
@@ -85,7 +90,29 @@ class LabFile:
         """Noise, and the skin under the probe."""
         depth_mm = max(-self.stage.place_mm[2] - SURFACE_MM, 0.0)
         x, y, z = (random.gauss(0.0, 0.002) for _ in "xyz")
-        return x, y, z - STIFFNESS_N_MM * depth_mm
+        return x + self.hand_n, y, z - STIFFNESS_N_MM * depth_mm
+
+
+@contextmanager
+def pushed(lab: Any) -> Iterator[None]:
+    """Push the force sensor of a lab by hand whenever palpate waits for it; `lab.hand_n` is the force."""
+
+    def push(force: ForceSensor, clock: Clock) -> None:
+        timers = [threading.Timer(at_s, setattr, (lab, "hand_n", n)) for at_s, n in ((0.5, 2.0), (1.2, 0.0))]
+        for timer in timers:
+            timer.start()
+        try:
+            await_push(force, clock)
+        finally:
+            for timer in timers:
+                timer.cancel()
+            lab.hand_n = 0.0
+
+    with (
+        mock.patch.object(hand_motion, "await_push", push),
+        mock.patch.object(first_touch, "await_push", push),
+    ):
+        yield
 
 
 def remember(stage: GrblFirmware, terminal: FakeTerminal) -> None:

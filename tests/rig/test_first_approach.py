@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file
+from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file, pushed
 from tests.rig.rigs import IDEAL, plan, rig
 
 from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownError, Stage, Wrench
@@ -236,7 +236,7 @@ def test_a_wrong_confirmation_meets_the_skin_at_search_speed(lab: LabFile, tmp_p
 
 def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
     ended_elsewhere(lab, z_mm=28.0)
-    with closing(open_rig(lab.write(), supervised=False, position="touch-off")) as opened:
+    with pushed(lab), closing(open_rig(lab.write(), supervised=False, position="touch-off")) as opened:
         assert lab.deepest_mm <= 0.15  # type: ignore[attr-defined]
         z_mm = opened.stage.position_m()[2] / MM
         assert z_mm - SURFACE_MM == pytest.approx(depth_mm(lab), abs=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,7 @@ from palpate.core.errors import InputError, RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import G_M_S2, touch_twice, weigh
-from palpate.rig.commissioning.hand_motion import home_clear, jog, lift_clear, touch_off, zero
+from palpate.rig.commissioning.hand_motion import await_push, home_clear, jog, lift_clear, touch_off, zero
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
 
@@ -79,6 +80,13 @@ class Switched:
 
     def home(self) -> None:
         self.homed_from_m = self._stage.position_m()[2]
+
+
+class Referenced(Switched):
+    """A stage whose position a touch-off states."""
+
+    def reference(self, position_m: Position) -> None:
+        self.stated_m = position_m
 
 
 def in_contact(depth_m: float = 1.5e-3) -> Rig:
@@ -199,9 +207,71 @@ def test_a_touch_off_with_a_numb_sensor_does_not_leave_the_probe_in_the_skin() -
     while rig.stage.moving():
         rig.clock.sleep(0.01)
     with pytest.raises(Tripped, match="lifted again") as refusal:
-        touch_off(Switched(rig), Numb(rig), rig.mounting, rig.clock, (0.0, 0.0, 0.0))
+        touch_off(Switched(rig), Numb(rig), rig.mounting, rig.clock, (0.0, 0.0, 0.0), pushed=False)
     assert refusal.value.reason is Reason.NO_CONTACT
     assert rig.stage.position_m()[2] < -1e-3
+
+
+class Pushed:
+    """A force sensor that a hand pushes for a while, along its x."""
+
+    def __init__(self, rig: Rig, push_n: float, begin_s: float, end_s: float) -> None:
+        self._sensor, self._push_n = rig.force, push_n
+        start_ns = rig.clock.now_ns()
+        self._begin_ns, self._end_ns = (start_ns + round(s * NS_PER_S) for s in (begin_s, end_s))
+        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
+
+    def drain(self) -> list[Wrench]:
+        return [self._felt(one) for one in self._sensor.drain()]
+
+    def latest(self) -> Wrench:
+        return self._felt(self._sensor.latest())
+
+    def close(self) -> None:
+        self._sensor.close()
+
+    def _felt(self, one: Wrench) -> Wrench:
+        x, y, z = one.force_n
+        push_n = self._push_n if self._begin_ns <= one.time_ns < self._end_ns else 0.0
+        return replace(one, force_n=(x + push_n, y, z))
+
+
+@pytest.mark.parametrize(("push_n", "end_s"), [(0.7, 4.0), (-5.0, 2.5), (20.0, 50.0)])
+def test_a_push_by_hand_shows_that_the_sensor_responds_once_it_is_over(push_n: float, end_s: float) -> None:
+    rig = virtual_rig()
+    start_ns = rig.clock.now_ns()
+    await_push(Pushed(rig, push_n, 2.0, end_s), rig.clock)  # type: ignore[arg-type]
+    assert 2.0 < (rig.clock.now_ns() - start_ns) / NS_PER_S < end_s + 2.0
+    stage = Referenced(rig)
+    touch_off(stage, Pushed(rig, push_n, 2.0, end_s), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    assert stage.stated_m == pytest.approx((0.0, 0.0, -2e-3))
+    assert rig.stage.position_m()[2] == pytest.approx(-2e-3, abs=0.2e-3)
+
+
+@pytest.mark.parametrize("push_n", [0.0, 0.3])
+def test_nothing_moves_before_the_force_sensor_has_responded_to_a_push(push_n: float) -> None:
+    rig = virtual_rig()
+    start = rig.stage.position_m()
+    sensor = Numb(rig) if push_n == 0 else Pushed(rig, push_n, 2.0, 50.0)
+    with pytest.raises(Tripped) as refusal:
+        touch_off(Switched(rig), sensor, rig.mounting, rig.clock, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    assert refusal.value.reason is Reason.FORCE_DEAD
+    assert rig.stage.position_m() == start
+
+
+def test_nothing_moves_while_a_hand_still_pushes() -> None:
+    rig = virtual_rig()
+    start = rig.stage.position_m()
+
+    class Wavering(Pushed):
+        def _felt(self, one: Wrench) -> Wrench:
+            self._push_n = 1.0 + 0.5 * math.sin(one.time_ns / NS_PER_S * 5.0)
+            return super()._felt(one)
+
+    with pytest.raises(Tripped) as refusal:
+        touch_off(Switched(rig), Wavering(rig, 1.0, 2.0, 1e4), rig.mounting, rig.clock, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    assert refusal.value.reason is Reason.FORCE_NOISE
+    assert rig.stage.position_m() == start
 
 
 @pytest.mark.parametrize("guarded", [False, True])

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from tests.rig.conftest import GrblBench
+from tests.rig.lab_files import pushed
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -96,6 +97,7 @@ class Lab:
     sign: float = -1.0  # of a press, along the box's own z
     dead: bool = False
     deepest_mm: float = 0.0
+    hand_n: float = 0.0  # force of a hand on the force sensor
 
     def force(self, t: float) -> tuple[float, float, float]:
         noise = [random.gauss(0.0, 0.002) for _ in "xyz"]
@@ -103,7 +105,7 @@ class Lab:
         self.deepest_mm = max(self.deepest_mm, depth_mm)
         press_n = 0.0 if self.dead else STIFFNESS_N_MM * max(depth_mm, 0.0)
         press_n += WEIGHT_G * 1e-3 * G * self.weight_lies
-        true = (0.0, 0.02 * press_n, self.sign * press_n)
+        true = (self.hand_n * (not self.dead), 0.02 * press_n, self.sign * press_n)
         x, y, z = (o + self.scale * f + n for o, f, n in zip(OFFSET_N, true, noise, strict=True))
         return x, y, z
 
@@ -133,6 +135,7 @@ def lab(no_banner: bool = False, hold: int = 255, **kwargs: Any) -> Iterator[Lab
         made = Lab(bench, box, **kwargs)
         box.force = made.force
         LABS["bench 2"] = made
+        stack.enter_context(pushed(made))
         yield made
 
 

@@ -31,7 +31,7 @@ PositionSource = Annotated[
     Option(
         help="Source of the stage's position: stored (only with complete evidence), reference (your word "
         "that it stands at the file's reference), or touch-off (a guarded search for the skin, from at most "
-        "10 mm above its center)."
+        "10 mm above its center, after a push by hand)."
     ),
 ]
 Opened = TypeVar("Opened")
@@ -46,6 +46,7 @@ def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> 
         PositionUnknownError: The position is unknown, and nobody is at a terminal or confirms it.
     """
     from palpate.core import InputError, PositionUnknownError
+    from palpate.rig.commissioning.hand_motion import PUSH
 
     sources: dict[str, PositionFrom] = {
         "stored": "stored",
@@ -54,8 +55,14 @@ def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> 
     }
     if position is not None and position not in sources:
         raise InputError(f"--position {position!r} is unknown; give one of {', '.join(sources)}")
+
+    def opened(source: PositionFrom) -> Opened:
+        if source == "touch-off":
+            typer.echo(f"palpate: {PUSH}", err=True)
+        return opens(source)
+
     try:
-        return opens(sources[position or "stored"])
+        return opened(sources[position or "stored"])
     except PositionUnknownError as e:
         if position is not None or not (sys.stdin.isatty() and sys.stderr.isatty()):
             raise
@@ -67,7 +74,7 @@ def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> 
         )
         if answer not in ("reference", "touch-off"):
             raise
-    return opens(sources[answer])
+    return opened(sources[answer])
 
 
 def record(

@@ -171,7 +171,14 @@ def open_bench(
             raise
     if position == "touch-off":
         try:
-            touch_off(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.origin_m)
+            touch_off(
+                bench.need_stage(),
+                bench.need_force(),
+                bench.mounting,
+                bench.clock,
+                bench.origin_m,
+                pushed=not isinstance(file.force, FollowingPart),
+            )
         except BaseException:
             bench.close()
             raise

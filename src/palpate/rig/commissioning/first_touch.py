@@ -14,7 +14,15 @@ from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Tripped
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, touch_twice
-from palpate.rig.commissioning.hand_motion import JOG_N, MAX_JOG_M, MAX_JOG_M_S, home_clear, mean_force
+from palpate.rig.commissioning.hand_motion import (
+    JOG_N,
+    MAX_JOG_M,
+    MAX_JOG_M_S,
+    PUSH,
+    await_push,
+    home_clear,
+    mean_force,
+)
 from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, three_of, until_good
 from palpate.rig.rig_file import RigFile, open_part
 
@@ -58,6 +66,8 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
     with ExitStack() as opened:
         force = open_part("force", file.force, clock)
         opened.callback(force.close)
+        say(PUSH)
+        await_push(force, clock)
         homes = homing and confirm(answers, "home", "Home the stage now, the probe free", True)
         stage = open_part("stage", file.stage, clock, "nowhere" if homes else "reference")
         opened.callback(stage.close)

@@ -65,6 +65,7 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, c
             stage.close()
         box = Mount(axes).box_m(machine.travel_mm)
         fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": dtr, "boot_s": boot_s}
+        fields["steps_per_mm"] = list(stage.steps_per_mm)
         return FoundStage("grbl", says, machine.homing, box, fields)
     assert first is not None
     raise first
@@ -89,6 +90,7 @@ def find_marlin(port: str, axes: tuple[str, str, str], boot_s: float, baud: int,
     finally:
         stage.close()
     fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": spec.dtr, "boot_s": boot_s}
+    fields["steps_per_mm"] = list(stage.steps_per_mm)
     return FoundStage("marlin", says, False, None, fields, tells_jerk)
 
 

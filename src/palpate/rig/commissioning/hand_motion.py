@@ -49,6 +49,13 @@ SEARCH_SPEED_M_S = 1e-3
 SEARCH_REACH_M = 10e-3  # greatest distance from the skin at which a touch-off begins
 SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
 TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
+PUSH_N = 0.5  # change of force by a hand that shows that the sensor measures force
+PUSH_WAIT_S = 60.0  # longest wait for a push, and for its end
+RELEASED_S = 1.0  # time without a change of force, which no hand holds
+PUSH = (
+    f"Push the probe, or what carries the force sensor, by hand with more than {PUSH_N:g} N, and let go: the "
+    "stage moves only once the force sensor has responded"
+)
 
 
 @runtime_checkable
@@ -114,6 +121,46 @@ def discard(force: ForceSensor) -> None:
         force.drain()
 
 
+def await_push(force: ForceSensor, clock: Clock) -> None:
+    """Wait until the force sensor responds to a push by hand, and until the hand is gone.
+
+    Noise alone does not show that a sensor measures force: one with a broken bridge has noise too, and a
+    search for the skin that it guards ends deep in the skin. `PUSH` is what to tell the operator.
+
+    Raises:
+        Tripped: No response within `PUSH_WAIT_S` (`FORCE_DEAD`), or the force does not come to rest
+            (`FORCE_NOISE`).
+    """
+    end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
+    rest = mean_force(force, Mounting(), clock)
+    while math.dist((now := mean_force(force, Mounting(), clock)).force_n, rest.force_n) < max(
+        PUSH_N, _contact_n(now, rest)
+    ):
+        if clock.now_ns() > end_ns:
+            raise Tripped(
+                Reason.FORCE_DEAD,
+                f"the force sensor did not respond to a push by hand of more than {PUSH_N:g} N within "
+                f"{PUSH_WAIT_S:g} s, so nothing moved; check its cable and its load path, then repeat",
+            )
+    _await_rest(force, clock, now)
+
+
+def _await_rest(force: ForceSensor, clock: Clock, since: AirForce) -> None:
+    """Wait until the force has not changed for `RELEASED_S`."""
+    end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
+    since_ns = clock.now_ns()
+    while clock.now_ns() - since_ns < RELEASED_S * NS_PER_S:
+        now = mean_force(force, Mounting(), clock)
+        if math.dist(now.force_n, since.force_n) > _contact_n(now, since):
+            since, since_ns = now, clock.now_ns()
+        if clock.now_ns() > end_ns:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"the force did not come to rest within {PUSH_WAIT_S:g} s after a push by hand, so nothing "
+                "moved; let go of the probe, or let the sensor warm up, then repeat",
+            )
+
+
 def lift_clear(
     stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, limits: Limits | None = None
 ) -> AirForce:
@@ -176,23 +223,34 @@ def home_clear(
 
 
 def touch_off(
-    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, surface_m: Position
+    stage: Stage,
+    force: ForceSensor,
+    mounting: Mounting,
+    clock: Clock,
+    surface_m: Position,
+    *,
+    pushed: bool = True,
 ) -> AirForce:
     """Find the skin below the probe by a guarded search, and take the stage's position from it.
 
-    The operator states that the probe hangs above the skin's center, `SEARCH_REACH_M` at most. The probe is
-    lifted until the force is flat, goes down in steps of `SEARCH_STEP_M` until the force changes, and is
-    lifted by `TOUCH_OFF_LIFT_M`, where the force must be that of the air again.
+    The operator states that the probe hangs above the skin's center, `SEARCH_REACH_M` at most, and shows by
+    a push that the force sensor responds (`await_push`). The probe is lifted until the force is flat, goes
+    down in steps of `SEARCH_STEP_M` until the force changes, and is lifted by `TOUCH_OFF_LIFT_M`, where the
+    force must be that of the air again.
 
     Args:
         surface_m: Position of the skin's center at its surface [m].
+        pushed: Whether a push is required. A virtual force sensor cannot be pushed.
 
     Raises:
-        Tripped: no air, no contact, or a force that does not return to that of the air.
+        Tripped: no response to a push, no air, no contact, or a force that does not return to that of the
+            air.
         DeviceError: the stage has no need of it, or fails.
     """
     if not isinstance(stage, Homing):
         raise DeviceError("this stage always knows its position; leave --position touch-off out")
+    if pushed:
+        await_push(force, clock)
     lift_clear(stage, force, mounting, clock)
     air = mean_force(force, Mounting(), clock)
     lowered_m = 0.0

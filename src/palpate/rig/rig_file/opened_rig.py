@@ -294,7 +294,8 @@ def open_guarded(
         if limits is not None:
             _check_before_motion(limits, stage, force, mounting)
         if position == "touch-off":
-            touch_off(stage, force, mounting, clock, metres(file.origin_mm))
+            surface_m = metres(file.origin_mm)
+            touch_off(stage, force, mounting, clock, surface_m, pushed=not _follows(file.force))
         else:
             home_clear(stage, force, mounting, clock)
     stage.position_m()  # refused here, where it is not known, and not at the first motion

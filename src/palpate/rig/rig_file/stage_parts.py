@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -25,6 +26,7 @@ PositionFrom = Literal["stored", "reference", "touch-off", "nowhere"]
 - "nowhere": None; the stage may then only be stopped, lifted, or homed.
 """
 
+SAME_SCALE = 1e-3  # relative difference of steps per millimeter that is a rounding
 Baud = Annotated[int, Field(ge=1200, le=4_000_000)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -73,6 +75,7 @@ class GrblPart(Part):
         reference: Position at which the operator may confirm that the stage stands (`--position reference`),
             never assumed: three numbers [mm], or "counts" for the controller's machine coordinates.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
+        steps_per_mm: $100 to $102, as the controller must count; another scale is refused.
         top_speed_mm_s, latency_s, boot_s, reply_s, stop_s, home_s: see `GrblSpec`; left out, its own.
     """
 
@@ -87,6 +90,7 @@ class GrblPart(Part):
     greatest_mm: Three | None = None
     require_homed: bool = True
     reference: Literal["counts"] | Three | None = None
+    steps_per_mm: Three | None = None
     top_speed_mm_s: Positive | None = None
     boot_s: NotNegative | None = None
     reply_s: Positive | None = None
@@ -128,6 +132,7 @@ class MarlinPart(Part):
         reference: Position at which the operator may confirm that the stage stands (`--position reference`)
             [mm]. It is never assumed.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
+        steps_per_mm: M92 X, Y, Z, as the controller must count; another scale is refused.
         sudden_mm_s: fastest speed from which it stops dead without losing steps; left out, its jerk (M205).
         top_speed_mm_s, latency_s, queued_s, boot_s, reply_s, stop_s, home_s: see `MarlinSpec`; left out, its
             own.
@@ -141,6 +146,7 @@ class MarlinPart(Part):
     greatest_mm: Three | None = None
     reference: Three | None = None
     home: bool = False
+    steps_per_mm: Three | None = None
     sudden_mm_s: Positive | None = None
     top_speed_mm_s: Positive | None = None
     latency_s: Positive | None = None
@@ -272,6 +278,8 @@ def _placed(
     wherever its position is asked for.
     """
     try:
+        if position != "nowhere":
+            _check_scale(stage, part)
         if position == "reference":
             stage.reference(_confirmed_m(part))
         elif position == "stored":
@@ -281,6 +289,21 @@ def _placed(
         stage.close()
         raise
     return stage
+
+
+def _check_scale(stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart) -> None:
+    """Refuse a controller that counts other steps per millimeter than the rig's file states."""
+    found, stated = stage.steps_per_mm, part.steps_per_mm
+    if stated is None or all(
+        math.isclose(a, b, rel_tol=SAME_SCALE) for a, b in zip(found, stated, strict=True)
+    ):
+        return
+    found_text, stated_text = (", ".join(f"{steps:g}" for steps in three) for three in (found, stated))
+    raise DeviceError(
+        f"the controller counts {found_text} steps per mm along its X, Y, and Z, and the rig's file states "
+        f"{stated_text}: distances and speeds would be wrong by as much. Correct the controller ($100 to "
+        "$102, or M92), or steps_per_mm under [stage] where the machine was changed"
+    )
 
 
 def _confirmed_m(part: GrblPart | MarlinPart) -> Any:

@@ -15,6 +15,7 @@ from palpate.core.failure_log import contained, thread_failures
 from palpate.devices.process_memory import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.supervisor.process_priority import raise_priority
+from palpate.rig.commissioning.hand_motion import PUSH
 from palpate.rig.rig_file import PositionFrom
 from palpate.rig.service.rig_service import RigServer, RigService
 from palpate.rig.service.served_rig import open_served_rig
@@ -62,6 +63,8 @@ def serve(
 ) -> None:
     """Hold the rig until the event is set, or a client asks for the end."""
     with hold(rig, folder):
+        if position == "touch-off":
+            print(f"palpate: {PUSH}", file=sys.stderr, flush=True)
         service = RigService(open_served_rig(rig, accelerated=accelerated, position=position), runs)
         server = RigServer(service)
         keep_loaded()

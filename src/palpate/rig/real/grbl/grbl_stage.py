@@ -85,6 +85,11 @@ class GrblStage(Closing):
             latency_s=spec.latency_s,
         )
 
+    @property
+    def steps_per_mm(self) -> tuple[float, float, float]:
+        """Steps per millimeter of the machine's X, Y, and Z."""
+        return self._session.machine.steps_per_mm
+
     def position_m(self) -> Position:
         """Place now [m]; of a move between two reports, by calculation. See `palpate.core.Stage`."""
         with self._lock:

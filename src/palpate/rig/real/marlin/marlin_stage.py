@@ -134,6 +134,11 @@ class MarlinStage(Closing):
             latency_s=spec.latency_s + (0.0 if machine.emergency_parser else spec.queued_s),
         )
 
+    @property
+    def steps_per_mm(self) -> tuple[float, float, float]:
+        """Steps per millimeter of the machine's X, Y, and Z."""
+        return self._machine.steps_per_mm
+
     def position_m(self) -> Position:
         """Place now [m]. See `palpate.core.Stage`."""
         with self._lock:
