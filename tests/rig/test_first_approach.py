@@ -18,6 +18,7 @@ from palpate.rig import State, open_rig, record
 from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.plans import Listed
 from palpate.rig.press_motion import PressMotion
+from palpate.rig.rig_file import PositionFrom
 from palpate.rig.run_progress import Status
 
 MM = 1e-3
@@ -241,3 +242,17 @@ def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
         z_mm = opened.stage.position_m()[2] / MM
         assert z_mm - SURFACE_MM == pytest.approx(depth_mm(lab), abs=0.1)
         assert depth_mm(lab) == pytest.approx(-2.0, abs=0.1), "lifted again"
+
+
+@pytest.mark.parametrize("position", ["stored", "reference", "touch-off"])
+def test_a_controller_that_counts_another_scale_than_the_rig_file_states_is_refused(
+    lab: LabFile, position: PositionFrom
+) -> None:
+    steps = [lab.stage.settings[number] for number in (100, 101, 102)]
+    path = lab.write(stage={"steps_per_mm": steps})
+    with closing(open_rig(path, supervised=False, position="reference")) as opened:
+        assert opened.stage.steps_per_mm == pytest.approx(steps)  # type: ignore[attr-defined]
+    lab.stage.settings[102] *= 2
+    with pytest.raises(DeviceError, match="steps_per_mm"):
+        open_rig(path, supervised=False, position=position)
+    assert not lab.jogged

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import types
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -38,6 +39,7 @@ from palpate.sensing.live_sources import (
     is_simulated,
     open_live_source,
 )
+from palpate.sensing.streaming import replayed_frames
 from palpate.sensing.streaming.replayed_frames import PipedFrames
 
 
@@ -136,6 +138,16 @@ def test_a_folder_is_waited_for_from_when_it_is_first_looked_at(tmp_path) -> Non
     time.sleep(0.4)
     (tmp_path / "a.png").write_bytes(b"no image")
     assert [bool(frame.why) for frame in all_of(source)] == [True]
+
+
+def test_a_damaged_image_is_reported_however_long_its_reading_takes(tmp_path, monkeypatch) -> None:
+    def slow(path: Path) -> None:
+        time.sleep(0.2)
+        raise ImageError("no image")
+
+    monkeypatch.setattr(replayed_frames, "read_image", slow)
+    (tmp_path / "a.png").write_bytes(b"no image")
+    assert [bool(frame.why) for frame in all_of(open_live_source(tmp_path, idle_s=0.05))] == [True]
 
 
 def test_an_image_that_stays_damaged_says_why_and_the_rest_follow(tmp_path) -> None:

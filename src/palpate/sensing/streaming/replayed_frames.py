@@ -122,7 +122,7 @@ class GrowingFrames(Closing):
                 frame = live_frame(item, self._number)
                 self._number, self._news_s = self._number + 1, now_s
                 return frame
-            if now_s - self._news_s >= self._idle_s or ended:
+            if ended or (now_s - self._news_s >= self._idle_s and not self._is_pending()):
                 return None
             if now_s >= end_s:
                 raise NoFrameYetError(f"nothing new lies in {self.name} since {timeout_s:g} s")
@@ -136,6 +136,10 @@ class GrowingFrames(Closing):
         raise NotImplementedError
 
     def _ended(self) -> bool:
+        return False
+
+    def _is_pending(self) -> bool:
+        """Whether something was found that has not been read yet."""
         return False
 
 
@@ -169,6 +173,9 @@ class FillingFolder(GrowingFrames):
         self._unread.popleft()
         self._size = -1
         return item
+
+    def _is_pending(self) -> bool:
+        return bool(self._unread)
 
     def _is_written(self, path: Path) -> bool:
         """Whether a file that cannot be read has changed of late, and so may be read later."""
