@@ -35,10 +35,13 @@ from palpate.devices.device_proxies import StageProxy
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 
 STOPS = (b"\x85", b"!", b"\x18")
 SPEED_M_S, TRAVEL_M, STEP_M = 5e-3, 30e-3, 20e-3

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import pytest
+from tests.fakes.fake_force_dimension import FakeForceDimension
 
 from palpate.check import check_arm
 from palpate.core import ArmRange, ArmSample, DeviceError, ManualClock, RangeError
-from palpate.softness.fakes.fake_force_dimension import FakeForceDimension
 from palpate.softness.real.force_dimension_arm import ForceDimensionArm, ForceDimensionSpec
 
 RANGE = ArmRange(least_m=-0.05, greatest_m=0.05, force_n=5.0, watchdog_s=0.02)

@@ -6,6 +6,10 @@ import random
 import sys
 
 import pytest
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.netft_box import FakeNetFT
+from tests.fakes.video_capture import FakeVideoCapture
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import MonotonicClock
@@ -13,10 +17,6 @@ from palpate.devices.check.camera_check import check_camera
 from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
 from palpate.devices.check.stage_check import check_stage
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
-from palpate.rig.fakes.netft_box import FakeNetFT
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings

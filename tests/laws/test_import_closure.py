@@ -54,7 +54,6 @@ def test_a_virtual_rig_loads_no_driver_check_network_or_other_sensor(loaded) -> 
         "palpate.devices.check",
         "palpate.estimators",
         "palpate.recordings.exchange.press",
-        "palpate.rig.fakes",
         "palpate.rig.real",
         "palpate.rig.service",
         "palpate.sensors.tactip",

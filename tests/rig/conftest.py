@@ -7,11 +7,11 @@ import time
 from contextlib import ExitStack
 
 import pytest
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core.clock import NS_PER_S, ManualClock
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 

@@ -17,11 +17,11 @@ import tty
 from contextlib import contextmanager
 
 import pytest
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core.clock import NS_PER_S, MonotonicClock
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 
 serial = pytest.importorskip("serial", reason="the stage's driver needs pyserial")
 SIMULATORS = {"1.1h": "PALPATE_GRBL_SIM", "grblHAL": "PALPATE_GRBLHAL_SIM"}

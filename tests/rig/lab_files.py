@@ -14,6 +14,10 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.netft_box import FakeNetFT, FakePage
+from tests.fakes.video_capture import FakeVideoCapture
 from tests.rig.serial_terminal import FakeTerminal, SerialDevice
 
 from palpate.core import Clock, ForceSensor, MonotonicClock
@@ -21,10 +25,6 @@ from palpate.core.clock import NS_PER_S
 from palpate.rig.commissioning import first_touch, hand_motion
 from palpate.rig.commissioning.hand_motion import await_push
 from palpate.rig.commissioning.toml_text import toml_text
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
-from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.position_evidence import PositionStore
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 

@@ -10,6 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.fakes.netft_box import FakeNetFT, FakePage
+from tests.fakes.ur_controller import PROTECTIVE, UrController, ur_modules
+from tests.fakes.video_capture import FakeVideoCapture
 from tests.rig.lab_files import CAMERA, SOURCES
 from typer.testing import CliRunner
 
@@ -18,9 +21,6 @@ from palpate.core import DeviceError, InputError, MonotonicClock
 from palpate.rig.commissioning.bench import bench_status, open_bench
 from palpate.rig.commissioning.hand_motion import home_clear, jog
 from palpate.rig.commissioning.toml_text import toml_text
-from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
-from palpate.rig.fakes.ur_controller import PROTECTIVE, UrController, ur_modules
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.rig_file import UrArmPart, open_rig, read_rig
 
 HOST = "127.{}.{}.1".format(*divmod(os.getpid() % 60_000, 250))  # an arm has one holder
@@ -163,7 +163,7 @@ def test_an_arm_has_no_homing_and_is_jogged_by_its_limits(lab) -> None:
 LIBRARY = """
 import math
 from palpate.core import MonotonicClock
-from palpate.rig.fakes.ur_controller import UrController, ur_modules
+from tests.fakes.ur_controller import UrController, ur_modules
 ARM = UrController({pose}, MonotonicClock())
 MODULES = ur_modules(ARM)
 """

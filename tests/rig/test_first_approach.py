@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.grbl_parameters import GrblParameters
 from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file, pushed
 from tests.rig.rigs import IDEAL, plan, rig
 
 from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownError, Stage, Wrench
 from palpate.devices import OperatorCommand, OperatorControl, Reason
 from palpate.rig import State, open_rig, record
-from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.plans import Listed
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.rig_file import PositionFrom

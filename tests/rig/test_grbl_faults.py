@@ -11,10 +11,10 @@ import threading
 import time
 
 import pytest
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 
 START = (-0.050, 0.050, 0.050)

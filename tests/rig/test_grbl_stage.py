@@ -10,12 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.fakes.grbl_controller import CANCEL
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, PositionUnknownError, RangeError
-from palpate.rig.fakes.grbl_controller import CANCEL
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real import serial_port
 from palpate.rig.real.grbl import grbl_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage

@@ -7,11 +7,11 @@ import time
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.slow_params import mostly_slow
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_link import GrblLink
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec

@@ -10,11 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
+from tests.fakes.grbl_controller import CANCEL, DOOR, HOLD, RESET
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError
-from palpate.rig.fakes.grbl_controller import CANCEL, DOOR, HOLD, RESET
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.real.grbl.grbl_session import PositionLostError
 
 START = (-0.050, 0.050, 0.050)

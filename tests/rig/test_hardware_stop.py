@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.grbl_parameters import GrblParameters
 from tests.rig.lab_files import lab_file, palpate
 from tests.rig.test_preflight import small
 from tests.rig.test_rig_setup import LABS
@@ -22,7 +23,6 @@ from palpate.devices.motion_limits import Reason, Tripped
 from palpate.recordings import Run
 from palpate.rig.commissioning.bench import Bench, bench_status
 from palpate.rig.engine import record
-from palpate.rig.fakes.grbl_parameters import GrblParameters
 from palpate.rig.rig_file import open_rig
 from palpate.rig.run_progress import State
 

@@ -9,11 +9,11 @@ from contextlib import ExitStack
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.fakes.hex_box import HexBox, HexFaults
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import DeviceError, MonotonicClock, RangeError
 from palpate.devices.check import check_force_sensor
-from palpate.rig.fakes.hex_box import HexBox, HexFaults
 from palpate.rig.real.resense import HexSensor, HexSpec
 from palpate.rig.real.resense.hex_frames import SAMPLE_BYTES, TRIED, HexFrames
 from palpate.rig.rig_file import RigFile

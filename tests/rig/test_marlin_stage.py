@@ -10,6 +10,7 @@ from contextlib import ExitStack
 
 import pytest
 from hypothesis import given, strategies as st
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.rig.conftest import PATIENCE_S, FastClock
 from tests.rig.serial_terminal import FakeTerminal
 
@@ -23,7 +24,6 @@ from palpate.core import (
     Stage,
 )
 from palpate.devices.check import check_stage
-from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
 from palpate.rig.real.marlin.marlin_lines import MarlinMachine, StepReport, numbered, read_line
 from palpate.rig.rig_file import RigFile

@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
+from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 
 from palpate.core import ForceSensor, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.netft_stream import RdtStream
 

@@ -6,11 +6,11 @@ import struct
 
 import numpy as np
 import pytest
+from tests.fakes.netft_box import FakePage
 
 from palpate.core import NS_PER_S, Wrench
 from palpate.devices import ForceBias, Limits, Reason, Tripped
 from palpate.devices.force_trust import ForceMonitor
-from palpate.rig.fakes.netft_box import FakePage
 from palpate.rig.real.netft.netft_calibration import calibration
 from palpate.rig.real.netft.netft_sensor import Samples
 from palpate.rig.virtual.virtual_bench import TRAVEL

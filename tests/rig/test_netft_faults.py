@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
+from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 
 from palpate.core.errors import DeviceError, ProtocolError
-from palpate.rig.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from palpate.rig.real.netft.netft_calibration import MAX_PAGE_BYTES
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.netft_stream import RdtCommand, request

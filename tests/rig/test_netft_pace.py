@@ -9,11 +9,11 @@ from __future__ import annotations
 import time
 
 import pytest
+from tests.fakes.netft_box import FakeNetFT, FakePage
 
 from palpate.core import Wrench
 from palpate.devices import ForceBias, Limits, Reason, Tripped
 from palpate.devices.force_trust import ForceMonitor, Phase, name_fault
-from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.virtual.virtual_bench import TRAVEL
 

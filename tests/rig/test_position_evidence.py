@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinParameters
 from tests.rig.conftest import GrblBench
 from tests.rig.grbl_talk import Talk, fake, simulator
 from tests.rig.test_marlin_stage import MarlinBench
 
 from palpate.core import DeviceError, ManualClock, PositionUnknownError
 from palpate.devices.supervisor.guard_messages import error_fields, error_of
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
-from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinParameters
 from palpate.rig.real.position_evidence import (
     PositionEvidence,
     PositionFault,

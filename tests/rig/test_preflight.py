@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from tests.fakes.netft_box import FakePage
 from tests.rig.lab_files import SOURCES, LabFile, lab_file, palpate
 from tests.rig.test_rig_setup import LABS
 from tests.slow_params import mostly_slow
@@ -18,7 +19,6 @@ from palpate.core.errors import PalpateError, RangeError
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.suspension import SleepWatch
 from palpate.rig.engine import record
-from palpate.rig.fakes.netft_box import FakePage
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.preflight import check_ready
 from palpate.rig.rig_file import open_rig

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.grbl_parameters import GrblParameters
+from tests.fakes.netft_box import FakeNetFT
 from tests.rig.rigs import plan
 
 from palpate.core import MonotonicClock
@@ -20,8 +22,6 @@ from palpate.devices.rpc import path_of
 from palpate.devices.supervisor.guard_messages import encode_message
 from palpate.rig import State, open_rig, record
 from palpate.rig.engine import manifest_of
-from palpate.rig.fakes.grbl_parameters import GrblParameters
-from palpate.rig.fakes.netft_box import FakeNetFT
 from palpate.rig.rig_file import GrblPart, opened_rig, read_rig
 from palpate.rig.rig_file.motion_parts import LimitsPart
 from palpate.rig.service import rig_name, served_rig

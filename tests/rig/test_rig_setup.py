@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.netft_box import FakeNetFT, FakePage
+from tests.fakes.video_capture import FakeVideoCapture
 from tests.rig.conftest import GrblBench
 from tests.rig.lab_files import pushed
 from typer.testing import CliRunner
@@ -29,9 +32,6 @@ from palpate.rig.commissioning.setup_answers import (
     text,
     until_good,
 )
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
-from palpate.rig.fakes.netft_box import FakeNetFT, FakePage
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.real.grbl import GrblSpec, GrblStage
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings

@@ -10,11 +10,11 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import given, strategies as st
 from pydantic import ValidationError
+from tests.fakes.printing_scale import PrintingScale, ScaleFaults
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import DeviceError, ForceSensor, InputError, MonotonicClock, ProtocolError, RangeError
 from palpate.devices.check import check_force_sensor
-from palpate.rig.fakes.printing_scale import PrintingScale, ScaleFaults
 from palpate.rig.real.scale import ScaleSpec, SerialScale
 from palpate.rig.real.scale.serial_scale import MAX_GARBLED, STUCK_LINES, WeightStream
 from palpate.rig.real.scale.weight_line import G0, MAX_LINE, NEWTONS, read_weight

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from tests.fakes.printing_scale import PrintingScale
 from tests.rig.lab_files import lab_file, palpate, served
 from tests.rig.test_rig_setup import G, LabAnswers, answers_of, lab
 
@@ -18,8 +20,6 @@ from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError, InputError, PositionUnknownError
 from palpate.rig.commissioning.rig_setup import set_up
 from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
-from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
-from palpate.rig.fakes.printing_scale import PrintingScale
 from palpate.rig.rig_file import open_rig, read_rig
 
 pytest.importorskip("serial", reason="a stage's port needs pyserial")

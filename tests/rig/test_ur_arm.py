@@ -15,6 +15,16 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
+from tests.fakes.ur_controller import (
+    EMERGENCY,
+    POWER_OFF,
+    PROTECTIVE,
+    ROBOT_EMERGENCY,
+    SAFEGUARD,
+    UrController,
+    UrFaults,
+    ur_modules,
+)
 
 from palpate.core import (
     DeviceError,
@@ -31,16 +41,6 @@ from palpate.devices import Limits, OperatorControl, Reason, Tripped
 from palpate.devices.check import check_stage
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import ForceReached, MotionGuard
-from palpate.rig.fakes.ur_controller import (
-    EMERGENCY,
-    POWER_OFF,
-    PROTECTIVE,
-    ROBOT_EMERGENCY,
-    SAFEGUARD,
-    UrController,
-    UrFaults,
-    ur_modules,
-)
 from palpate.rig.real.ur_arm import MAX_SPEED_M_S, ArmFrame, UrArmSpec, UrArmStage
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import virtual_rig

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from tests.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
 
 from palpate.core import Camera
 from palpate.core.device_protocols import FrameSource
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
 from palpate.rig.real.uvc_camera import FrameWatch, UvcCamera, UvcSettings, device
 
 PATIENCE_S = 30.0  # only a test that fails waits so long

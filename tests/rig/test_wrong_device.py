@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from tests.fakes.printing_scale import PrintingScale, ScaleFaults
 from tests.rig.lab_files import EchoModem, lab_file, palpate, served
 from tests.rig.serial_terminal import SerialDevice
 from tests.slow_params import mostly_slow
 
 from palpate.core import NS_PER_S, DeviceError, MonotonicClock
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
-from palpate.rig.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
-from palpate.rig.fakes.printing_scale import PrintingScale, ScaleFaults
 from palpate.rig.real.heard_lines import describe_heard
 from palpate.rig.rig_file import open_rig
 

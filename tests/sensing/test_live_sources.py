@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image as PillowImage
+from tests.fakes.video_capture import FakeVideoCapture
 
 from palpate.core import (
     DeviceError,
@@ -28,7 +29,6 @@ from palpate.core import (
 from palpate.recordings import Manifest, RunWriter
 from palpate.recordings.exchange.image_files import encode
 from palpate.recordings.exchange.image_stream import ImageCutter
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 from palpate.sensing.frame_sources import open_source
 from palpate.sensing.live_sources import (

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fakes.video_capture import FakeVideoCapture
 
 from palpate.core import ExistsError, InputError, RangeError
-from palpate.rig.fakes.video_capture import FakeVideoCapture
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings, device
 from palpate.sensing.untouched_view import UntouchedView
 from palpate.sensors.owned import (

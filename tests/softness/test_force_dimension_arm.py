@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.fakes.fake_force_dimension import VELOCITY, ArmFaults, FakeForceDimension, _Dhd, _Expert
 
 from palpate.core import DeviceError, HapticArm, ManualClock, MissingExtraError, Position, RangeError
-from palpate.softness.fakes.fake_force_dimension import VELOCITY, ArmFaults, FakeForceDimension, _Dhd, _Expert
 from palpate.softness.real.force_dimension_arm import (
     BY_ITSELF,
     FROZEN,

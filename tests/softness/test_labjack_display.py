@@ -12,9 +12,9 @@ from dataclasses import replace
 from threading import Thread
 
 import pytest
+from tests.fakes.labjack_board import FakeLabJack
 
 from palpate.core import DeviceError, RangeError, SoftnessDevice
-from palpate.softness.fakes import FakeLabJack
 from palpate.softness.real import HallTable, LabJackDisplay, LabJackSettings, ModbusTcp, PressureScale
 
 PATIENCE_S = 20.0  # only a test that fails waits so long

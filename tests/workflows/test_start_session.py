@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from tests.fakes.printing_scale import PrintingScale
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.calibration.certificate import read_predictions
@@ -19,7 +20,6 @@ from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.core import DeviceError, InputError, RecordingError
 from palpate.estimators.certified import Estimator, read_card
 from palpate.recordings import Run
-from palpate.rig.fakes.printing_scale import PrintingScale
 from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.sensing.collection.press_collector import REST

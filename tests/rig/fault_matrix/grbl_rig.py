@@ -17,13 +17,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from tests.fakes.grbl_controller import CANCEL, DOOR, HOLD
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.rig.fault_matrix.observed_rig import LEVEL_M, NEAR_M, ObservedRig, Stopped
 
 from palpate.core import NS_PER_S, Frame, Position
 from palpate.devices import Limits
-from palpate.rig.fakes.grbl_controller import CANCEL, DOOR, HOLD
-from palpate.rig.fakes.grbl_firmware import GrblFirmware
-from palpate.rig.fakes.grbl_parameters import GrblFaults, GrblParameters
 from palpate.rig.plans import StepHold
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount

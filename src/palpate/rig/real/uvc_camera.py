@@ -256,12 +256,11 @@ class UvcCamera(Closing):
     Use it in a ``with`` block, or close it.
 
     Example:
-        >>> from palpate.rig.fakes.video_capture import FakeVideoCapture
-        >>> settings = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3)
-        >>> with UvcCamera("/dev/video0", settings, opener=lambda where: FakeVideoCapture()) as camera:
+        >>> settings = UvcSettings(size_px=(640, 480), rate_hz=30.0, exposure_s=5e-3)
+        >>> with UvcCamera("/dev/video0", settings) as camera:  # doctest: +SKIP
         ...     time_ns, frame = camera.grab(timeout_s=10.0)
-        >>> frame.image.shape, frame.exposure_s
-        ((48, 64, 3), 0.005)
+        ...     frame.image.shape, frame.exposure_s
+        ((480, 640, 3), 0.005)
     """
 
     def __init__(

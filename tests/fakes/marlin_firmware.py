@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from functools import reduce
 from operator import xor
 
-from palpate.rig.fakes.grbl_motion import NOWHERE, Axes, Millimetres, PlannedBlock, add_mm
+from tests.fakes.grbl_motion import NOWHERE, Axes, Millimetres, PlannedBlock, add_mm
 
 Work = Generator[None, None, tuple[str, ...]]
 _TICK_S = 0.002

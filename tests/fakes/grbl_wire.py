@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from palpate.rig.fakes.grbl_parameters import GrblFaults
+from tests.fakes.grbl_parameters import GrblFaults
 
 
 class OutgoingLines:

@@ -261,35 +261,35 @@ class FakeReceive:
             raise RuntimeError("Could not connect")
         self._arm, self._open, self.frequency = controller, True, frequency
 
-    def isConnected(self) -> bool:  # noqa: N802 - the library's names
+    def isConnected(self) -> bool:
         """[api]: for checking for lost connection."""
         return self._open and not self._arm.cut
 
-    def getTimestamp(self) -> float:  # noqa: N802
+    def getTimestamp(self) -> float:
         """[api]: time elapsed since the controller was started [s]."""
         return self._arm.told()[0]
 
-    def getActualTCPPose(self) -> list[float]:  # noqa: N802
+    def getActualTCPPose(self) -> list[float]:
         """[api]: x, y, z and a rotation vector of the tool."""
         return list(self._arm.told()[1])
 
-    def getActualTCPSpeed(self) -> list[float]:  # noqa: N802
+    def getActualTCPSpeed(self) -> list[float]:
         """[api]: speed of the tool in Cartesian coordinates."""
         return [0.0, 0.0, self._arm.told()[2], 0.0, 0.0, 0.0]
 
-    def getRobotMode(self) -> int:  # noqa: N802
+    def getRobotMode(self) -> int:
         """[api]: 7 is running, 3 power off."""
         return self._arm.told()[3]
 
-    def getSafetyStatusBits(self) -> int:  # noqa: N802
+    def getSafetyStatusBits(self) -> int:
         """[api]: bit 0 normal, 2 protective, 4 safeguard, 5 to 7 emergency, 10 stopped due to safety."""
         return self._arm.told()[4]
 
-    def isProtectiveStopped(self) -> bool:  # noqa: N802
+    def isProtectiveStopped(self) -> bool:
         """[api]: whether it is in a protective stop."""
         return bool(self.getSafetyStatusBits() >> PROTECTIVE & 1)
 
-    def isEmergencyStopped(self) -> bool:  # noqa: N802
+    def isEmergencyStopped(self) -> bool:
         """[api]: whether it is in an emergency stop."""
         return bool(self.getSafetyStatusBits() >> EMERGENCY & 1)
 
@@ -309,15 +309,15 @@ class FakeControl:
         controller.programme = True
         controller.uploads += 1
 
-    def isConnected(self) -> bool:  # noqa: N802
+    def isConnected(self) -> bool:
         """[api]: for checking for lost connection."""
         return self._open and not self._arm.cut
 
-    def isProgramRunning(self) -> bool:  # noqa: N802
+    def isProgramRunning(self) -> bool:
         """[api]: whether a programme runs on the controller."""
         return self._arm.programme
 
-    def moveL(  # noqa: N802
+    def moveL(
         self, pose: list[float], speed: float = 0.25, acceleration: float = 1.2, asynchronous: bool = False
     ) -> bool:
         """[api]: straight in the tool's space; returns at the end, or at once where asynchronous.
@@ -337,7 +337,7 @@ class FakeControl:
                 arm.clock.sleep(TAKEN_S)
             return not arm.faults.refuse_late
 
-    def stopL(self, a: float = 10.0, asynchronous: bool = False) -> None:  # noqa: N802
+    def stopL(self, a: float = 10.0, asynchronous: bool = False) -> None:
         """[api]: slows the tool down to zero at a [m/s^2]; may block the caller until it stands."""
         arm = self._arm
         with arm.call():
@@ -347,7 +347,7 @@ class FakeControl:
             while not asynchronous and arm.true_speed(arm.now_s):
                 arm.clock.sleep(TAKEN_S)
 
-    def stopScript(self) -> None:  # noqa: N802
+    def stopScript(self) -> None:
         """[api]: terminates its programme on the controller; [ur]: a programme that ends stops the arm."""
         with self._arm.call():
             if self.isConnected() and not self._arm.faults.deaf:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
-from palpate.rig.fakes.gcode_words import Modes, RefusalError
-from palpate.rig.fakes.grbl_motion import NOWHERE, Axes, Millimetres, add_mm, in_words
-from palpate.rig.fakes.grbl_parameters import SETTINGS, GrblFaults, GrblParameters
-from palpate.rig.fakes.grbl_wire import OutgoingLines
+from tests.fakes.gcode_words import Modes, RefusalError
+from tests.fakes.grbl_motion import NOWHERE, Axes, Millimetres, add_mm, in_words
+from tests.fakes.grbl_parameters import SETTINGS, GrblFaults, GrblParameters
+from tests.fakes.grbl_wire import OutgoingLines
 
 PLANNER, RX_BYTES = 15, 128
 Work = Generator[None, None, str]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from palpate.rig.fakes.gcode_words import MAX_LINE, Modes, RefusalError, Words, read_words
-from palpate.rig.fakes.grbl_controller import PLANNER, RX_BYTES, GrblController, Work
-from palpate.rig.fakes.grbl_motion import NOWHERE, Millimetres, PlannedBlock
+from tests.fakes.gcode_words import MAX_LINE, Modes, RefusalError, Words, read_words
+from tests.fakes.grbl_controller import PLANNER, RX_BYTES, GrblController, Work
+from tests.fakes.grbl_motion import NOWHERE, Millimetres, PlannedBlock
 
 _NO_SWITCH_S = 20.0  # of searching before homing gives up
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from palpate.rig.fakes.grbl_motion import NOWHERE, Millimetres
+from tests.fakes.grbl_motion import NOWHERE, Millimetres
 
 SETTINGS: dict[int, float] = {1: 25, 3: 0, 10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 27: 1} | {
     first + axis: value

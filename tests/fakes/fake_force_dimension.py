@@ -232,7 +232,7 @@ class _Dhd:
     def open(self) -> int:
         return self._found(self._arm.begins("open"))
 
-    def openSerial(self, serial: int) -> int:  # noqa: N802
+    def openSerial(self, serial: int) -> int:
         return self._found(self._arm.begins("openSerial", serial))
 
     def _found(self, ok: bool) -> int:
@@ -253,7 +253,7 @@ class _Dhd:
         self._arm.turn_off(SOFTWARE)
         return 0
 
-    def enableForce(self, enable: bool, ID: int = -1) -> int:  # noqa: N802
+    def enableForce(self, enable: bool, ID: int = -1) -> int:
         if not self._arm.begins("enableForce", enable):
             return -1
         if not enable:
@@ -263,7 +263,7 @@ class _Dhd:
             self._arm._forced_s = self._arm._time_s
         return 0
 
-    def getStatus(self, out: DhdStatus, ID: int = -1) -> int:  # noqa: N802
+    def getStatus(self, out: DhdStatus, ID: int = -1) -> int:
         arm = self._arm
         if not arm.begins("getStatus"):
             return -1
@@ -277,41 +277,41 @@ class _Dhd:
         out.gravity, out.forceoffcause = int(arm.gravity), arm.cause
         return 0
 
-    def setMaxForce(self, limit: float, ID: int = -1) -> int:  # noqa: N802
+    def setMaxForce(self, limit: float, ID: int = -1) -> int:
         if not self._arm.begins("setMaxForce", limit):
             return -1
         if not self._arm.faults.deaf:
             self._arm.max_force_n = limit
         return 0
 
-    def getMaxForce(self, ID: int = -1) -> float:  # noqa: N802
+    def getMaxForce(self, ID: int = -1) -> float:
         """Limit [N], -1 where there is none."""
         return self._arm.max_force_n if self._arm.begins("getMaxForce") else -1.0
 
-    def setEffectorMass(self, mass: float, ID: int = -1) -> int:  # noqa: N802
+    def setEffectorMass(self, mass: float, ID: int = -1) -> int:
         if not self._arm.begins("setEffectorMass", mass):
             return -1
         self._arm.effector_kg = mass
         return 0
 
-    def getEffectorMass(self, ID: int = -1) -> float:  # noqa: N802
+    def getEffectorMass(self, ID: int = -1) -> float:
         """Mass [kg], -1 where it fails."""
         return self._arm.effector_kg if self._arm.begins("getEffectorMass") else -1.0
 
-    def setGravityCompensation(self, enable: bool, ID: int = -1) -> int:  # noqa: N802
+    def setGravityCompensation(self, enable: bool, ID: int = -1) -> int:
         if not self._arm.begins("setGravityCompensation", enable):
             return -1
         self._arm.gravity = enable
         return 0
 
-    def getPosition(self, out: MutableSequence[float], ID: int = -1) -> int:  # noqa: N802
+    def getPosition(self, out: MutableSequence[float], ID: int = -1) -> int:
         """Fill `out` with x, y, z [m]; 1 where the place is one that was read just before."""
         if not self._arm.begins("getPosition"):
             return -1
         out[0], out[1], out[2] = self._arm.look()
         return 0
 
-    def getLinearVelocity(self, out: MutableSequence[float], ID: int = -1) -> int:  # noqa: N802
+    def getLinearVelocity(self, out: MutableSequence[float], ID: int = -1) -> int:
         """Fill `out` with x, y, z [m/s]; fails where places are too few."""
         if not self._arm.begins("getLinearVelocity"):
             return -1
@@ -321,16 +321,16 @@ class _Dhd:
         out[0], out[1], out[2] = speed
         return 0
 
-    def setForce(self, f: Sequence[float], ID: int = -1) -> int:  # noqa: N802
+    def setForce(self, f: Sequence[float], ID: int = -1) -> int:
         """Take x, y, z [N]; 2 where the motors do not reach it."""
         if not self._arm.begins("setForce", tuple(f)):
             return -1
         return self._arm.take_force(f)
 
-    def errorGetLast(self) -> ErrorNum:  # noqa: N802
+    def errorGetLast(self) -> ErrorNum:
         return self._arm.error
 
-    def errorGetLastStr(self) -> str:  # noqa: N802
+    def errorGetLastStr(self) -> str:
         return self._arm.error.name.lower().replace("_", " ")
 
 
@@ -340,10 +340,10 @@ class _Expert:
     def __init__(self, arm: FakeForceDimension) -> None:
         self._arm = arm
 
-    def enableExpertMode(self) -> int:  # noqa: N802
+    def enableExpertMode(self) -> int:
         return self._switch("enableExpertMode", True)
 
-    def disableExpertMode(self) -> int:  # noqa: N802
+    def disableExpertMode(self) -> int:
         return self._switch("disableExpertMode", False)
 
     def _switch(self, name: str, on: bool) -> int:
@@ -352,7 +352,7 @@ class _Expert:
         self._arm.expert_mode = on
         return 0
 
-    def setWatchdog(self, duration: int, ID: int = -1) -> int:  # noqa: N802
+    def setWatchdog(self, duration: int, ID: int = -1) -> int:
         """Take multiples of 125 us; 0 is off. The library hands over a byte, in which 256 is 0."""
         if not self._arm.begins("setWatchdog", duration):
             return -1
@@ -361,6 +361,6 @@ class _Expert:
         self._arm.ticks = duration & 0xFF
         return 0
 
-    def getWatchdog(self, ID: int = -1) -> int:  # noqa: N802
+    def getWatchdog(self, ID: int = -1) -> int:
         """Multiples of 125 us, -1 where it fails."""
         return self._arm.ticks if self._arm.begins("getWatchdog") else -1

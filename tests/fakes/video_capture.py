@@ -72,7 +72,7 @@ class FakeVideoCapture:
         """Set the clock of the driver's stamps back [s]."""
         self._stamp_ms -= 1e3 * seconds
 
-    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+    def isOpened(self) -> bool:
         return self.opens
 
     def set(self, control: int, value: float, /) -> bool:
