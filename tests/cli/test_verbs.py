@@ -19,7 +19,6 @@ VERBS = (
     ["export"],
     ["calibrate"],
     ["adapt"],
-    ["quantise"],
     ["reproduce", "palm"],
     ["evaluate"],
     ["sense"],

@@ -12,7 +12,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.cli import ALIASES, HEADINGS, app
+from palpate.cli import HEADINGS, app
 from palpate.cli.verb_support import phases
 from palpate.estimators.model_card import ScoreCard
 from palpate.reports import scores_table
@@ -96,15 +96,6 @@ def test_verbs_stand_under_headings() -> None:
         *HEADINGS,
     ]
     assert "--install-completion" in shown
-
-
-def test_an_alias_is_the_same_verb_and_is_shown_once() -> None:
-    root = get_command(app)
-    for alias, name in ALIASES.items():
-        same, verb = root.commands[alias], root.commands[name]
-        assert same.hidden
-        assert [p.name for p in same.params] == [p.name for p in verb.params]
-        assert same.help == verb.help
 
 
 def test_the_table_of_scores_fits_80_columns() -> None:

@@ -33,7 +33,6 @@ RAW = {
 OTHERS = {
     "calibration/fitting.py": "its own checkpoints, in a folder that it made",
     "calibration/lens/boards.py": "OpenCV gives None for damage, which is refused",
-    "calibration/quantisation.py": "models that it has just written",
     "calibration/robustness/adapted_guard.py": "a model that the estimator has admitted",
     "calibration/robustness/perturbations.py": "images that it has just encoded",
     "calibration/shear/shear_calibration.py": "a field of a calibration record",

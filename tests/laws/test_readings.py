@@ -17,9 +17,6 @@ from palpate.core.reading import (
     AlignedBox,
     CircularReading,
     Ellipsoid,
-    FieldReading,
-    GridAxis,
-    SetReading,
     VectorReading,
     wrapped,
 )
@@ -79,33 +76,7 @@ def force(region: Ellipsoid | AlignedBox, value: np.ndarray | None = None) -> Ve
     )
 
 
-def field() -> FieldReading:
-    value = np.arange(6.0).reshape(2, 3)
-    value[0, 0] = np.nan
-    axes = (GridAxis("y", "mm", np.array([0.0, 1.0])), GridAxis("x", "mm", np.array([0.0, 1.0, 2.0])))
-    return FieldReading(
-        quantity="shear",
-        unit="m",
-        axes=axes,
-        value=value,
-        low=value - 0.5,
-        high=value + 0.5,
-        calibrated_range=(0.0, 6.0),
-        **OTHER,
-    )
-
-
-def candidates() -> SetReading:
-    return SetReading(
-        quantity="force",
-        unit="N",
-        candidates=((2.0, 1.8, 2.2), (5.0, 4.7, 5.3)),
-        calibrated_range=(0.0, 20.0),
-        **OTHER,
-    )
-
-
-ALL = (scalar(), angle(10.0, 2.0), force(Ellipsoid(np.eye(3), 2.5)), field(), candidates())
+ALL = (scalar(), angle(10.0, 2.0), force(Ellipsoid(np.eye(3), 2.5)))
 
 
 def test_the_way_round_past_180_degrees_is_short() -> None:
@@ -227,24 +198,7 @@ def test_a_vector_s_range_has_a_least_and_a_greatest_of_each_component(shape: tu
 def test_an_interval_that_runs_downwards_is_refused() -> None:
     with pytest.raises(InputError, match="downwards"):
         replace(scalar(), low=2.0, high=1.0)
-    one = field()
-    with pytest.raises(InputError, match="of 5 nodes run downwards"):
-        replace(one, low=one.high, high=one.low)
     assert math.isnan(replace(scalar(), value=math.nan, low=math.nan, high=math.nan).low)
-
-
-def test_a_field_s_nodes_hold_one_by_one_and_none_where_there_is_no_value() -> None:
-    held = field().contains(np.array([[0.0, 1.4, 2.6], [3.0, 4.0, 5.0]]))
-    assert held.tolist() == [[False, True, False], [True, True, True]]
-
-
-def test_a_set_holds_what_any_candidate_holds() -> None:
-    assert [candidates().contains(force_N) for force_N in (1.9, 3.5, 5.2)] == [True, False, True]
-
-
-def test_a_set_without_candidates_says_why() -> None:
-    with pytest.raises(InputError, match="say why"):
-        SetReading(quantity="force", unit="N", candidates=(), calibrated_range=(0.0, 1.0), **OTHER)
 
 
 @pytest.mark.parametrize(
@@ -253,10 +207,8 @@ def test_a_set_without_candidates_says_why() -> None:
         (ALL[0], "mm", 1e3),
         (ALL[1], "rad", np.pi / 180),
         (ALL[2], "mN", 1e3),
-        (ALL[3], "mm", 1e3),
-        (ALL[4], "mN", 1e3),
     ],
-    ids=["scalar", "circular", "vector", "field", "set"],
+    ids=["scalar", "circular", "vector"],
 )
 def test_all_that_has_the_unit_is_converted_and_what_is_held_stays_held(reading, symbol, factor) -> None:
     other = reading.in_unit(symbol)
@@ -282,13 +234,13 @@ def flat(told, name: str = "") -> dict[str, float]:
     return {name: told} if isinstance(told, float) else {}
 
 
-@pytest.mark.parametrize("reading", ALL, ids=["scalar", "circular", "vector", "field", "set"])
+@pytest.mark.parametrize("reading", ALL, ids=["scalar", "circular", "vector"])
 def test_a_unit_of_another_quantity_is_refused(reading) -> None:
     with pytest.raises(UnitError, match="cannot be shown in kPa"):
         reading.in_unit("kPa")
 
 
-@pytest.mark.parametrize("reading", ALL, ids=["scalar", "circular", "vector", "field", "set"])
+@pytest.mark.parametrize("reading", ALL, ids=["scalar", "circular", "vector"])
 def test_every_kind_is_strict_json_and_a_short_line(reading) -> None:
     json.dumps(reading.to_dict(), allow_nan=False)
     assert reading.quantity in repr(reading)

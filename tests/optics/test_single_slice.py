@@ -1,16 +1,14 @@
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
+from oracles.single_slice import best_path, single_slice, single_slice_error
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics import secondary_stress
 from palpate.optics import (
-    best_path,
     dark_field,
     fringe_order,
     graded_slices,
-    single_slice,
-    single_slice_error,
     stress_axis,
 )
 from palpate.optics.march import march_even

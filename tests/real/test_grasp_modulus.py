@@ -18,10 +18,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from tests.real.gel_curvature import ImprintRegion, Lamps, bulge
 from tests.real.trial_assignment import assign, nearest
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.gel_curvature import ImprintRegion, Lamps, bulge
 from palpate.estimators.compliance.press_force import Loading, fresh, loading, loading_slope
 from palpate.recordings.exchange.frame_sequences import VideoFrames
 from palpate.recordings.exchange.press_table import read_press_table

@@ -12,11 +12,8 @@ import pytest
 from palpate.core import CircularReading, ClassReading, Drift, Readings
 from palpate.core.reading import (
     AlignedBox,
-    FieldReading,
-    GridAxis,
     MeasurementResult,
     Reading,
-    SetReading,
     VectorReading,
 )
 from palpate.estimators.lattice import ControlPoints
@@ -43,11 +40,6 @@ KINDS = [
         quantity="force", components=("x", "y"), value=GRID, region=AlignedBox(GRID),
         calibrated_range=np.ones((2, 2)), **COMMON,
     ),
-    FieldReading(
-        quantity="pressure", axes=(GridAxis("x", "m", np.arange(2.0)),), value=GRID, low=GRID, high=GRID,
-        calibrated_range=(0.0, 2.0), **COMMON,
-    ),
-    SetReading(quantity="order", candidates=((1.0, 0.5, 1.5),), calibrated_range=(0.0, 2.0), **COMMON),
     ClassReading(quantity="object", value="a", members=("a",), classes=("a", "b"), **COMMON | {"unit": ""}),
 ]  # fmt: skip
 READINGS = Readings({"force_N": FORCE})

@@ -14,6 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 from oracles import table
 from oracles.light import even_slices, three_wavelengths
 from oracles.palm import GRID_MM, SMALL, inside
+from oracles.single_slice import best_path, single_slice, single_slice_error
 from oracles.tables import STUDY
 from palpate.core import Pose
 from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
@@ -24,13 +25,10 @@ from palpate.optics import (
     Rays,
     StressOpticLaw,
     assumed_camera,
-    best_path,
     graded_slices,
     march_axisymmetric,
     march_colour,
     plane_amplitude,
-    single_slice,
-    single_slice_error,
 )
 from palpate.optics.polariscope import with_leak
 from palpate.sensors import palm

@@ -5,9 +5,9 @@ import sys
 TYPE_CHECKING = False  # as in `typing`, which is not imported here: a stop would wait for it
 
 if TYPE_CHECKING:
-    from palpate.cli.command_tree import ALIASES, HEADINGS, Root, Verbs, app
+    from palpate.cli.command_tree import HEADINGS, Root, Verbs, app
 
-__all__ = ["ALIASES", "HEADINGS", "Root", "Verbs", "app", "main"]
+__all__ = ["HEADINGS", "Root", "Verbs", "app", "main"]
 
 if not TYPE_CHECKING:
 

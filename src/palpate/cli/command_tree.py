@@ -12,7 +12,7 @@ from typer.main import get_command
 from palpate.cli.verb_support import Group
 from palpate.version import __version__
 
-__all__ = ["ALIASES", "HEADINGS", "Root", "Verbs", "app", "start"]
+__all__ = ["HEADINGS", "Root", "Verbs", "app", "start"]
 
 HEADINGS: dict[str, dict[str, str]] = {
     "Record": {
@@ -33,7 +33,6 @@ HEADINGS: dict[str, dict[str, str]] = {
         "report": "calibrate.calibrate_verbs:report",
         "compare": "calibrate.calibrate_verbs:compare",
         "adapt": "calibrate.calibrate_verbs:adapt",
-        "quantise": "calibrate.calibrate_verbs:quantise",
         "lens": "calibrate.lens_verbs:app",
         "force": "calibrate.shear_calibration_verbs:app",
     },
@@ -65,8 +64,6 @@ HEADINGS: dict[str, dict[str, str]] = {
 }
 """Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""
 
-ALIASES = {"quantize": "quantise"}
-
 
 class Verbs(UserDict[str, Any]):
     """Commands by name, each imported and built when it is first asked for: one verb loads no other."""
@@ -75,7 +72,6 @@ class Verbs(UserDict[str, Any]):
         super().__init__()
         for heading, verbs in HEADINGS.items():
             self.data |= {verb: (heading, place) for verb, place in verbs.items()}
-        self.data |= {alias: self.data[verb] for alias, verb in ALIASES.items()}
 
     def __getitem__(self, name: str) -> Any:
         if isinstance(self.data[name], tuple):
@@ -90,7 +86,7 @@ class Verbs(UserDict[str, Any]):
             alone.command(name)(verb)
             verb = alone
         command: Any = get_command(verb)
-        command.name, command.hidden = name, name in ALIASES
+        command.name = name
         command.rich_help_panel = heading
         return command
 

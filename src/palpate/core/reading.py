@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from palpate.core.errors import ColumnError, InputError, UnitError
-from palpate.core.shapes import Bool, Float
+from palpate.core.shapes import Float
 from palpate.core.units import half_width_text, has_unit, interval_text, rounded, split_column, unit
 
 Same = TypeVar("Same", bound="MeasurementResult")
@@ -420,111 +420,6 @@ class VectorReading(MeasurementResult):
         each = zip(self.components, self.value, self.region.half_widths, strict=True)
         shown = ", ".join(f"{name} {rounded(v, half)} ± {half_width_text(half)}" for name, v, half in each)
         return f"{self.quantity} ({shown}) {self.unit} together, {self.verdict}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GridAxis:
-    """One axis of a field's grid.
-
-    Attributes:
-        name: such as ``x``.
-        unit: of its nodes.
-        nodes: places along it, ascending ``[n]``, in `unit`.
-    """
-
-    name: str
-    unit: str
-    nodes: Float[np.ndarray, " n"]
-
-    def __post_init__(self) -> None:
-        unit(self.unit)
-        if not len(self.nodes) or not (np.diff(self.nodes) > 0).all():
-            raise InputError(f"axis {self.name}: nodes ascend, and there is one or more")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
-class FieldReading(MeasurementResult):
-    """An array on a grid; the coverage is that of each node by itself, not of all at once.
-
-    Attributes:
-        axes: of the grid, in the order of the array's axes.
-        value: the estimates, in `unit`; NaN where there is none.
-        low, high: each node's interval, in `unit`.
-        calibrated_range: least and greatest value the calibration saw, in `unit`.
-    """
-
-    _WITH_UNIT = ("value", "low", "high", "calibrated_range")
-
-    axes: tuple[GridAxis, ...]
-    value: Float[np.ndarray, ...]
-    low: Float[np.ndarray, ...]
-    high: Float[np.ndarray, ...]
-    calibrated_range: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        grid = tuple(len(axis.nodes) for axis in self.axes)
-        if not self.value.shape == self.low.shape == self.high.shape == grid:
-            raise InputError(
-                f"{self.quantity}: values {self.value.shape}, intervals {self.low.shape} and "
-                f"{self.high.shape}; all lie on the axes' grid {grid}"
-            )
-        if (downwards := self.low > self.high).any():
-            raise InputError(
-                f"{self.quantity}: the intervals of {downwards.sum()} nodes run downwards, from low to high"
-            )
-
-    def contains(self, truth: Float[np.ndarray, ...]) -> Bool[np.ndarray, ...]:
-        """Truth at each node of a field, in `unit`, lying in the interval; False where there is none."""
-        return np.asarray((self.low <= truth) & (truth <= self.high))
-
-    def _numbers(self) -> dict[str, Any]:
-        axes = [{"name": a.name, "unit": a.unit, "nodes": _plain(a.nodes)} for a in self.axes]
-        arrays = {name: _plain(getattr(self, name)) for name in ("value", "low", "high")}
-        return {**arrays, "unit": self.unit, "axes": axes, "range": _plain(self.calibrated_range)}
-
-    def __str__(self) -> str:
-        grid = " × ".join(f"{len(axis.nodes)} {axis.name}" for axis in self.axes)
-        finite = self.value[np.isfinite(self.value)]
-        span = f"{finite.min():.3g} to {finite.max():.3g} {self.unit}" if finite.size else "no value"
-        return f"{self.quantity} {span} on {grid}, {self.verdict}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class SetReading(MeasurementResult):
-    """Several candidates, as where a fringe's order is open; one interval or another holds the truth.
-
-    Attributes:
-        candidates: (value, low, high) of each, in `unit`, the likeliest first.
-        calibrated_range: least and greatest value the calibration saw, in `unit`.
-    """
-
-    _WITH_UNIT = ("candidates", "calibrated_range")
-
-    candidates: tuple[tuple[float, float, float], ...]
-    calibrated_range: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        for value, low, high in self.candidates:
-            if low > value or value > high:
-                raise InputError(
-                    f"{self.quantity}: {value} {self.unit} lies outside its interval {low} to {high}"
-                )
-        if not self.candidates and self.valid:
-            raise InputError(f"{self.quantity}: no candidate, and yet valid; say why there is none")
-
-    def contains(self, truth: float) -> bool:
-        """True where a value, in `unit`, lies in any candidate's interval."""
-        return any(bool(low <= truth <= high) for _, low, high in self.candidates)
-
-    def _numbers(self) -> dict[str, Any]:
-        names = ("value", "low", "high")
-        candidates = [dict(zip(names, map(plain_number, one), strict=True)) for one in self.candidates]
-        return {"candidates": candidates, "unit": self.unit, "range": _plain(self.calibrated_range)}
-
-    def __str__(self) -> str:
-        halves = [(value, (high - low) / 2) for value, low, high in self.candidates]
-        shown = " or ".join(f"{rounded(value, half)} ± {half_width_text(half)}" for value, half in halves)
-        return f"{self.quantity} {shown or 'without a candidate'} {self.unit}, {self.verdict}"
 
 
 def _positive_definite(matrix: np.ndarray) -> bool:

@@ -28,7 +28,6 @@ from palpate.optics.polariscope import (
     through,
     with_leak,
 )
-from palpate.optics.single_slice import SingleSliceError, best_path, single_slice, single_slice_error
 from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
 from palpate.optics.wall_refraction import ColumnRays, round_rim
 
@@ -45,7 +44,6 @@ __all__ = [
     "StressOpticLaw",
     "assumed_camera",
     "backlight",
-    "best_path",
     "circular_amplitude",
     "circular_dark_field",
     "dark_field",
@@ -65,8 +63,6 @@ __all__ = [
     "raw_codes",
     "round_rim",
     "single_retarder",
-    "single_slice",
-    "single_slice_error",
     "spectral_to_linear",
     "stress_axis",
     "strip_light",

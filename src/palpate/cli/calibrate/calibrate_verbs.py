@@ -1,4 +1,4 @@
-"""Verbs on calibrations: calibrate, evaluate, sense, report, compare, adapt, quantise."""
+"""Verbs on calibrations: calibrate, evaluate, sense, report, compare, adapt."""
 
 from __future__ import annotations
 
@@ -627,56 +627,3 @@ def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
         f"±{half_width_text(score.half_width)}",
         f"{percent(score.coverage_90, score.coverage_90_low, score.coverage_90_high)} %",
     )
-
-
-def quantise(
-    calibration: Annotated[Path, Argument(help="Calibration folder; left as it is.")],
-    run: Annotated[Path, Argument(help="The run that it was calibrated on.")],
-    out: NewCalibration,
-    json_: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Make a calibration's network int8, and say what that costs.
-
-    Also spelt quantize. The calibration is written anew; both networks are scored on the rows that it
-    held out.
-
-    Example: palpate quantise cal run --out cal-int8
-    """
-    from palpate.calibration.quantisation import cost, quantise as written
-    from palpate.workflows.certification import REPORT_FILE
-
-    with progress_bar(quiet) as progress:
-        card = written(calibration, palpate.Run.open(run), out, progress)
-    palpate.write_report(out, out / REPORT_FILE)
-    price = cost(calibration, out)
-    table = {
-        target.column: {
-            "unit": target.unit,
-            "fp32_mae": price.mae[target.column][0],
-            "int8_mae": price.mae[target.column][1],
-            "int8_half_width": target.score.half_width,
-        }
-        for target in card.targets
-    }
-    ms = {name: 1e3 * seconds for name, seconds in zip(("fp32", "int8"), price.seconds, strict=True)}
-    about = {"calibration": card.id, "quantised_from": card.options["quantised_from"]}
-    print_found(about | {"targets": table, "network_ms": ms}, _quantised_text(card.id, out, table, ms), json_)
-
-
-def _quantised_text(name: str, out: Path, table: dict[str, dict[str, Any]], ms: dict[str, float]) -> str:
-    lines = [
-        f"calibration {name}: {out}",
-        f"{'target':20}{'unit':6}{'MAE fp32':>10}{'int8':>10}{'change':>9}",
-    ]
-    for column, row in table.items():
-        before, now = row["fp32_mae"], row["int8_mae"]
-        change = f"{100 * (now / before - 1):+.1f} %" if before > 0 else ""
-        lines.append(f"{column:20}{row['unit']:6}{before:10.3g}{now:10.3g}{change:>9}")
-    lines.append(
-        f"network alone, this machine: fp32 {ms['fp32']:.2f} ms, int8 {ms['int8']:.2f} ms an image, "
-        f"{ms['fp32'] / ms['int8']:.2f} times as fast"
-    )
-    if ms["int8"] > 0.9 * ms["fp32"]:
-        lines.append("int8 gains nothing on this machine: keep the calibration as it is")
-    return "\n".join(lines)

@@ -246,31 +246,6 @@ def layer(run: Annotated[Path, Argument(help="A run of the plan layer.")], json_
     print_found(asdict(place), text, json_)
 
 
-@rig_app.command()
-def documents(
-    run: Annotated[Path, Argument(help="A run that was recorded by a plan.")],
-    out: Annotated[Path, Option(help="JSON-lines file to make; must not exist.")],
-    json_: Json = False,
-) -> None:
-    """Write what the engine did as event-model documents.
-
-    One document a line, as Bluesky's tools take them in.
-
-    Example: palpate rig documents run --out run.jsonl
-    """
-    import json
-
-    from palpate.core.files import new_file
-    from palpate.rig.event_model import documents as documents_of
-
-    count = 0
-    with new_file(out) as path, path.open("w", encoding="utf-8") as file:
-        for name, fields in documents_of(palpate.Run.open(run)):
-            file.write(json.dumps([name, fields], allow_nan=False) + "\n")
-            count += 1
-    print_found({"documents": count, "file": str(out)}, f"{out}: {count} documents", json_)
-
-
 @plan_app.command()
 def preview(
     plan: Annotated[str, Argument(help="A TOML file, or a name such as palm.")],

@@ -7,7 +7,8 @@ How long a frame takes, on this machine, all models in turns so that they share 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -15,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.quantisation import times_in_turn
 from palpate.core import Frame
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.model_card import Card
@@ -31,6 +31,29 @@ from palpate.reproductions.palm.palm_setup import (
 
 MAX_POINTS = 400  # of a figure
 NEW_PLACES_SEED = 1000  # added to the seed for the places off the grid
+WARM = 3  # calls at the start of a round that are not timed
+
+
+def times_in_turn(
+    calls: Sequence[Callable[[], object]],
+    rounds: int,
+    each: int,
+    progress: Callable[[int, int], None],
+) -> list[list[float]]:
+    """Times of each call [s], so many in each round, so that all see the machine's other work.
+
+    The first calls of a round are not timed.
+    """
+    seconds: list[list[float]] = [[] for _ in calls]
+    for done in range(rounds):
+        for call, times in zip(calls, seconds, strict=True):
+            for i in range(-WARM, each):
+                started = time.perf_counter()
+                call()
+                if i >= 0:
+                    times.append(time.perf_counter() - started)
+        progress(done + 1, rounds)
+    return seconds
 
 
 def record_both(study: StudyFolder) -> dict[str, Any]:
