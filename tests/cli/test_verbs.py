@@ -173,7 +173,7 @@ def test_sensing_prints_one_object_a_line(calibration, taps) -> None:
 def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(calibration, run, taps, tmp_path) -> None:
     """A measured calibration on a simulated run, the other way round, and both measured: nothing is said."""
     labels = ("--labels", "labels.csv", "--image-column", "image_file")
-    virtual = ("--origin", "a virtual sensor; virtual, not measured")
+    virtual = ("--provenance", "simulated")
     palpate("import", "images", taps, tmp_path / "made", *labels, *virtual)
     learns = ("--targets", "x_mm", "--split", "group:tap", "--size", "24x24", "--model", "mean")
     palpate("calibrate", tmp_path / "made", *learns, "--out", tmp_path / "virtual")

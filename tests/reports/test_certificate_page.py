@@ -12,6 +12,7 @@ from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.evaluation import score
 from palpate.cli import app
 from palpate.core import CertificateError
+from palpate.core.provenance import Provenance
 from palpate.estimators import read_card
 from palpate.reports import render_report, scores_table, verdict, write_report
 from palpate.reports.sections import MIN_TOLD, outer_ranges
@@ -39,11 +40,17 @@ def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("origin", "simulated"), [("", False), ("a bench", False), ("a virtual rig; virtual, not measured", True)]
+    ("update", "simulated"),
+    [
+        ({"provenance": Provenance.MEASURED, "origin": "shear was not measured"}, False),
+        ({"provenance": Provenance.SIMULATED, "origin": "rendered by our simulator"}, True),
+        ({"provenance": None, "origin": "a bench"}, False),
+        ({"provenance": None, "origin": "a virtual rig; virtual, not measured"}, True),
+    ],
 )
-def test_the_head_of_the_page_says_where_the_recording_was_simulated(calibration, origin, simulated) -> None:
+def test_the_head_of_the_page_says_where_the_recording_was_simulated(calibration, update, simulated) -> None:
     card = read_card(calibration)
-    told = card.model_copy(update={"run": card.run.model_copy(update={"origin": origin})})
+    told = card.model_copy(update={"run": card.run.model_copy(update=update)})
     head = render_report(calibration, told).split("<section")[0]
     assert ("simulated, not measured" in head) == simulated
 

@@ -13,6 +13,7 @@ from palpate.calibration import evaluate
 from palpate.calibration.sessions import keep_evaluation
 from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError
+from palpate.core.provenance import Provenance
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.finding_cards import ConfoundFindingCard
 from palpate.estimators.model_card import sealed
@@ -229,9 +230,10 @@ def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) ->
 
 def test_each_calibration_that_was_learnt_from_a_virtual_sensor_is_marked(calibrated, tmp_path) -> None:
     found = compare_calibrations(calibrated("one"), calibrated("two", seed=5))
-    of_virtual = "a virtual rig; virtual, not measured"
     card = found.cards[1]
-    virtual = card.model_copy(update={"run": card.run.model_copy(update={"origin": of_virtual})})
+    virtual = card.model_copy(
+        update={"run": card.run.model_copy(update={"provenance": Provenance.SIMULATED})}
+    )
     for k, cards in enumerate([found.cards, (found.cards[0], virtual), (virtual, virtual)]):
         told = replace(found, cards=cards)
         page = write_comparison(told, tmp_path / f"{k}.html").read_text(encoding="utf-8")

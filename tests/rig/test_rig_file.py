@@ -17,6 +17,7 @@ from tests.rig.rigs import plan
 
 from palpate.core import MonotonicClock
 from palpate.core.errors import DeviceError, InputError
+from palpate.core.provenance import Provenance
 from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
 from palpate.devices.supervisor.guard_messages import encode_message
@@ -125,19 +126,14 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "origin", "simulated"),
-    [
-        ("virtual:palm", None, True),
-        ("bench", "a bench; camera virtual, not measured", True),
-        ("bench", "a bench", False),
-        ("bench", "", False),
-    ],
+    ("provenance", "simulated"),
+    [(None, True), (Provenance.SIMULATED, True), (Provenance.MEASURED, False), (Provenance.DERIVED, False)],
 )
 def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(
-    name: str, origin: str | None, simulated: bool
+    provenance: Provenance | None, simulated: bool
 ) -> None:
     made = virtual_rig()
-    rig = replace(made, name=name, origin=made.origin if origin is None else origin)
+    rig = replace(made, origin="shear was not measured", provenance=provenance or made.provenance)
     assert rig.is_simulated == simulated
     assert manifest_of(rig, plan()).is_simulated == simulated
     rig.close()

@@ -26,6 +26,7 @@ from palpate.core import (
     MissingExtraError,
     StorageError,
 )
+from palpate.core.provenance import Provenance
 from palpate.recordings import Manifest, RunWriter
 from palpate.recordings.exchange.image_files import encode
 from palpate.recordings.exchange.image_stream import ImageCutter
@@ -188,11 +189,12 @@ def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(
         assert frame.frame.name == stored.name
 
 
-@pytest.mark.parametrize(("origin", "expected"), [("of a hand; virtual, not measured", True), ("", False)])
+@pytest.mark.parametrize("provenance", [Provenance.SIMULATED, Provenance.MEASURED])
 def test_frames_of_a_virtual_sensor_are_called_simulated_however_they_come(
-    origin: str, expected: bool, tmp_path
+    provenance: Provenance, tmp_path
 ) -> None:
-    manifest = Manifest.new(sensor="spots", labels={}, origin=origin)
+    expected = provenance is Provenance.SIMULATED
+    manifest = Manifest.new(sensor="spots", labels={}, provenance=provenance)
     with RunWriter.create(tmp_path / "run", manifest) as writer:
         writer.frame(images(1)[0])
         writer.sync()

@@ -3,14 +3,15 @@
 import numpy as np
 
 from palpate.core import ManualClock
+from palpate.core.provenance import Provenance
 from palpate.recordings import Manifest, RunWriter
 
 
-def write_small_run(path, frames=30, sensor="made up", step_s=0.1, origin=""):
+def write_small_run(path, frames=30, sensor="made up", step_s=0.1, provenance=Provenance.MEASURED):
     """A run of three presses whose pictures grow brighter with the frame's number."""
     clock = ManualClock()
     labels = {"force_N": "number", "press": "text", "reference": "flag"}
-    manifest = Manifest.new(sensor=sensor, labels=labels, targets=("force_N",), origin=origin)
+    manifest = Manifest.new(sensor=sensor, labels=labels, targets=("force_N",), provenance=provenance)
     path.parent.mkdir(parents=True, exist_ok=True)
     with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
         for i in range(frames):

@@ -13,6 +13,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 from tests.studio.page_driving import opened, serving, weak_texts, wider_than
 from tests.studio.small_run import write_small_run
 
+from palpate.core.provenance import Provenance
 from palpate.recordings.run_notes import read_notes
 
 pytestmark = pytest.mark.slow
@@ -30,8 +31,8 @@ PAGES = {
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory):
     folder = tmp_path_factory.mktemp("workspace")
-    for name, origin in (("one", "a virtual hand; virtual, not measured"), ("two", "pressed by hand")):
-        write_small_run(folder / "runs" / name, origin=origin)
+    for name, provenance in (("one", Provenance.SIMULATED), ("two", Provenance.MEASURED)):
+        write_small_run(folder / "runs" / name, provenance=provenance)
     calibrate = ("calibrate", "runs/one", "--split", "group:press", "--folds", "3", "--quiet")
     for words in (
         (*calibrate, "--model", "pca-ridge", "--out", "cal-one"),

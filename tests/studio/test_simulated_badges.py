@@ -12,6 +12,7 @@ from tests.studio.small_run import write_small_run
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.certificate import read_predictions
 from palpate.core import ManualClock
+from palpate.core.provenance import Provenance
 from palpate.estimators import read_card
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.studio.library.calibrations_page import heading_html
@@ -21,13 +22,12 @@ from palpate.studio.rig_page import title_html
 from palpate.workflows.certificate_sentence import honest_sentence
 
 BADGE = "simulated, not measured"
-VIRTUAL_HAND = "pressed by a virtual hand; virtual, not measured"
 
 
 @pytest.fixture
 def two_runs(tmp_path):
-    write_small_run(tmp_path / "pressed-by-hand", frames=3, origin="pressed by hand")
-    write_small_run(tmp_path / "virtual-palm", frames=3, origin=VIRTUAL_HAND)
+    write_small_run(tmp_path / "pressed-by-hand", frames=3)
+    write_small_run(tmp_path / "virtual-palm", frames=3, provenance=Provenance.SIMULATED)
     return Workspace(tmp_path)
 
 
@@ -61,7 +61,10 @@ def calibrated(tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("calibrated"), np.random.default_rng(0)
     plan = CalibrationPlan(targets=("force_N",), split="group:press", model="pca-ridge", size_px=(12, 16))
     manifest = Manifest.new(
-        sensor="s", labels={"force_N": "number", "press": "text"}, targets=("force_N",), origin=VIRTUAL_HAND
+        sensor="s",
+        labels={"force_N": "number", "press": "text"},
+        targets=("force_N",),
+        provenance=Provenance.SIMULATED,
     )
     for name, shown in (("told", 20.0), ("untold", 0.0)):
         clock = ManualClock()
@@ -79,7 +82,7 @@ def test_a_calibration_learnt_from_a_virtual_sensor_is_called_simulated_and_a_me
 ) -> None:
     card = calibrated.card("told")
     assert BADGE in heading_html("told", card, False)
-    measured = card.run.model_copy(update={"origin": "pressed by hand"})
+    measured = card.run.model_copy(update={"provenance": Provenance.MEASURED})
     by_hand = card.model_copy(update={"run": measured})
     assert BADGE not in heading_html("told", by_hand, False)
     mixed = card.sessions.model_copy(update={"runs": (measured, card.run)})

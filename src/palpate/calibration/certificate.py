@@ -289,6 +289,7 @@ def run_card(result: CalibrationResult) -> RunCard:
         frames=len(result.run),
         origin=manifest.origin,
         licence=manifest.licence,
+        provenance=manifest.provenance,
     )
 
 

@@ -13,11 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from palpate.core.provenance import Provenance
 
 Json = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
 Quiet = Annotated[bool, Option("--quiet", help="Show no progress bar.")]
@@ -25,6 +28,10 @@ NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
 Licence = Annotated[str, Option(help="Licence of the data.")]
 Origin = Annotated[str, Option(help="Where the data come from.")]
+ProvenanceName = Annotated[
+    str | None,
+    Option("--provenance", help="measured (default), simulated, or derived from other data."),
+]
 ForceTable = Annotated[Path, Option(help="CSV or Parquet: samples of force and the frame each is of.")]
 ForceColumn = Annotated[str | None, Option(help="Its column of force, if not a usual name.")]
 PositionColumn = Annotated[str | None, Option(help="Its column of position, if not a usual name.")]
@@ -196,6 +203,13 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
 def names_of(text: str) -> tuple[str, ...]:
     """Names from a comma-separated list."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def given_provenance(text: str | None) -> Provenance | None:
+    """Provenance that a command's option names; None where it is left out."""
+    from palpate.core.provenance import provenance_of
+
+    return None if text is None else provenance_of(text)
 
 
 def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | None:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serial
 
 from palpate.core import CertificateError
 from palpate.core.parsing import parser
-from palpate.recordings.manifest import NOT_MEASURED
+from palpate.core.provenance import Provenance, earlier_provenance
 from palpate.version import needed_version
 
 
@@ -40,18 +40,20 @@ class FileCard(CardPart):
 
 
 class RunCard(CardPart):
-    """Recording that was learnt from."""
+    """Recording that was learnt from; cards from before `provenance` existed have none."""
 
     run_id: str
     hash: str
     frames: int
     origin: str
     licence: str
+    provenance: Provenance | None = None
+    added = ("provenance",)
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a virtual sensor gave it, see `recordings.Manifest.is_simulated`."""
-        return NOT_MEASURED in self.origin
+        """Whether a simulated sensor gave it, see `recordings.Manifest.is_simulated`."""
+        return (self.provenance or earlier_provenance(self.origin)) is Provenance.SIMULATED
 
 
 def card_id(content: Mapping[str, Any]) -> str:

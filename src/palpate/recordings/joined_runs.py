@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import InputError, LabelError, SplitError
+from palpate.core.provenance import joint_provenance
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import LabelKind, Manifest, StoredManifest
 from palpate.recordings.reference_instruments import ReferenceInstrument, refuse_strangers
@@ -185,6 +186,7 @@ def _manifest(runs: Sequence[Run], shared: Sequence[str]) -> Manifest:
             "rig": _listed(one.rig for one in about),
             "licence": _listed(one.licence for one in about),
             "origin": _listed(one.origin for one in about),
+            "provenance": joint_provenance(one.provenance for one in about),
             "seed": None,
             "units": {name: unit for name, unit in first.units.items() if name in shared and name != SESSION},
             "labels": labels,

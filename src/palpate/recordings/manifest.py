@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -24,13 +24,12 @@ from palpate.core import (
     unit,
 )
 from palpate.core.parsing import parser
+from palpate.core.provenance import Provenance, earlier_provenance
 from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.version import __version__, needed_version
 
 MANIFEST = "manifest.json"
 FORMAT = "palpate-run/1"
-NOT_MEASURED = "not measured"
-"""In the origin of every run that a virtual sensor gave."""
 MAX_MANIFEST_BYTES = 1 << 20  # ten thousand label columns fit; more is no manifest
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -56,6 +55,7 @@ class Manifest(BaseModel):
         instruments: what label columns were measured with, see `ReferenceInstrument`.
         order: ``recorded`` where rows lie in the order in which they were taken, ``names`` where they lie in
             that of the images' names, which says nothing of when they were.
+        provenance: measured, simulated, or derived from other data.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -76,6 +76,19 @@ class Manifest(BaseModel):
     regions: dict[str, tuple[int, int, int, int]] = Field(default_factory=dict)
     instruments: dict[str, ReferenceInstrument] = Field(default_factory=dict)
     order: Literal["recorded", "names"] = "recorded"
+    provenance: Provenance = Provenance.MEASURED
+
+    @model_validator(mode="before")
+    @classmethod
+    def _earlier(cls, fields: Any) -> Any:
+        """Complete the manifest of a run from before manifests stated a provenance."""
+        if (
+            not isinstance(fields, dict)
+            or "provenance" in fields
+            or not isinstance(fields.get("origin"), str)
+        ):
+            return fields
+        return {**fields, "provenance": earlier_provenance(fields["origin"])}
 
     @model_validator(mode="after")
     def _check(self) -> Manifest:
@@ -111,6 +124,7 @@ class Manifest(BaseModel):
         seed: int | None = None,
         clock: Literal["measured", "ordinal"] = "measured",
         order: Literal["recorded", "names"] = "recorded",
+        provenance: Provenance = Provenance.MEASURED,
     ) -> Manifest:
         """The manifest of a run that begins now; units come from the columns' names.
 
@@ -142,6 +156,7 @@ class Manifest(BaseModel):
                 regions=dict(regions or {}),
                 instruments=dict(instruments or {}),
                 order=order,
+                provenance=provenance,
             )
         except ValidationError as e:
             raise InputError(f"these do not make a manifest: {_first(e)}") from e
@@ -166,8 +181,8 @@ class Manifest(BaseModel):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a virtual sensor gave the run, or a part of it, as its origin says."""
-        return NOT_MEASURED in self.origin
+        """Whether a simulated sensor gave the run, or a part of it."""
+        return self.provenance is Provenance.SIMULATED
 
 
 @dataclass(frozen=True, slots=True)

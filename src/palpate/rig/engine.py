@@ -558,6 +558,7 @@ def manifest_of(rig: Rig, plan: RecordingPlan) -> Manifest:
         rig=f"{rig.name}, plan {plan.name}",
         licence=rig.licence,
         origin=rig.origin,
+        provenance=rig.provenance,
         labels={**LABELS, **truths},  # type: ignore[dict-item]
         targets=plan_targets(plan),
         regions=dict(rig.regions),

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from palpate.core import Clock, ForceSensor, FrameSource, Position, Sensor, Stage
 from palpate.core.plugins import ERROR, plugin_calls
+from palpate.core.provenance import Provenance
 from palpate.devices import Limits, Mounting, SupervisorLink
 from palpate.devices.force_trust import StiffnessRange
-from palpate.recordings.manifest import NOT_MEASURED
 from palpate.rig.press_retries import RetryLimits
 
 VIRTUAL = "virtual:"
@@ -58,7 +58,7 @@ class Rig:
         clock: that all devices stamp on.
         mounting: of the force sensor.
         regions: of the picture.
-        licence, origin: of what is recorded.
+        licence, origin, provenance: of what is recorded.
         seed: of a virtual rig.
         truth: a virtual rig's own labels at a time, each with its unit in the name.
         truths: the names of those labels.
@@ -90,6 +90,7 @@ class Rig:
     regions: tuple[Region, ...] = ()
     licence: str = ""
     origin: str = ""
+    provenance: Provenance = Provenance.MEASURED
     seed: int | None = None
     truth: Callable[[int], dict[str, float]] = no_truth
     truths: tuple[str, ...] = ()
@@ -107,7 +108,7 @@ class Rig:
     @property
     def is_simulated(self) -> bool:
         """Whether it is virtual, or one of its devices is, so that what it records is not all measured."""
-        return self.name.startswith(VIRTUAL) or NOT_MEASURED in self.origin
+        return self.provenance is Provenance.SIMULATED
 
     @property
     def scheduling(self) -> dict[str, str]:

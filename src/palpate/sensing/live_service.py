@@ -33,6 +33,7 @@ from palpate.core import (
     plain_name,
 )
 from palpate.core.failure_log import Failure, contained, report_to_stderr, thread_failures
+from palpate.core.provenance import Provenance
 from palpate.devices.device_status import Log, jpeg_of
 from palpate.devices.process_memory import give_back_memory, keep_loaded
 from palpate.devices.rpc import Address, hold, publish
@@ -390,7 +391,7 @@ class LiveService:
         if isinstance(source, HandFrames):
             truths = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
             options |= {"truth": source.hand.truth, "truths": truths, "licence": "CC0-1.0"}
-            options |= {"origin": "pressed by a virtual hand; virtual, not measured"}
+            options |= {"origin": "pressed by a virtual hand", "provenance": Provenance.SIMULATED}
         name = source.name.replace("virtual:", "virtual ")
         if kind in ("beside", "typed"):
             scale = Weighing.by(source.force) if kind == "beside" and source.force is not None else None

@@ -20,6 +20,7 @@ import numpy as np
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.evaluation import evaluate
 from palpate.core import Frame, ManualClock, PathText, Pose, Progress, new_file, new_folder, silent
+from palpate.core.provenance import Provenance
 from palpate.estimators.certified import Estimator
 from palpate.estimators.model_card import ScoreCard
 from palpate.recordings import Manifest, Run, RunWriter
@@ -160,7 +161,8 @@ def record_demo(
         sensor=f"virtual {spec.name}",
         rig="virtual: a ball on an ideal stage",
         licence="CC0-1.0",
-        origin="rendered by palpate's demo; virtual, not measured",
+        origin="rendered by palpate's demo",
+        provenance=Provenance.SIMULATED,
         labels=LABELS,
         seed=seed,
     )

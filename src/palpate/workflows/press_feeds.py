@@ -17,6 +17,7 @@ from palpate.core import (
     MonotonicClock,
     RangeError,
 )
+from palpate.core.provenance import Provenance
 from palpate.core.sensor import dark_field_of
 from palpate.rig.real.scale.weight_line import NEWTONS
 from palpate.sensing.collection import Weighing
@@ -55,6 +56,7 @@ class PressFeed(Protocol):
     truth: Callable[[int], dict[str, float]] | None
     truths: tuple[str, ...]
     origin: str
+    provenance: Provenance
 
     def grab(self) -> FedFrame:
         """The next frame.
@@ -82,7 +84,8 @@ class VirtualFeed(Closing):
     """
 
     truths: tuple[str, ...] = TRUTH_LABELS
-    origin = "pressed by palpate's virtual hand; virtual, not measured"
+    origin = "pressed by palpate's virtual hand"
+    provenance = Provenance.SIMULATED
     frame_late_s = TRANSPORT_S
 
     def __init__(
@@ -167,6 +170,7 @@ class CameraFeed(Closing):
     truth: Callable[[int], dict[str, float]] | None = None
     truths: tuple[str, ...] = ()
     origin = "pressed by hand"
+    provenance = Provenance.MEASURED
     frame_late_s = 0.0
     region: Box | None = None
     force_range_n: tuple[float, float] | None = None

@@ -282,6 +282,7 @@ class StartSession(StoredSession):
             truth=feed.truth,
             truths=feed.truths,
             origin=feed.origin,
+            provenance=feed.provenance,
             regions=feed.regions,
             dark_field=getattr(feed, "dark_field", None),
             clock=feed.clock,

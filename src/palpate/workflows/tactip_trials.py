@@ -41,6 +41,7 @@ from palpate.core import (
     new_folder,
     silent,
 )
+from palpate.core.provenance import Provenance
 from palpate.recordings.exchange.press_folder import (
     UNKNOWN_BODY,
     PressFolder,
@@ -78,7 +79,7 @@ POLL_S = 0.1
 MAX_HOLD_S = 60.0
 TRUTH = "virtual.json"
 LICENCE = "CC0-1.0"
-ORIGIN = "rendered by palpate; virtual, not measured"
+ORIGIN = "rendered by palpate"
 
 
 @dataclass(frozen=True)
@@ -479,7 +480,15 @@ def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
     tiff, table = write_press(folder, number, press.frames(), rows)
     if runs:
         name = press.sensor.spec.name
-        import_press(tiff, folder / number, force=table, sensor=name, licence=LICENCE, origin=ORIGIN)
+        import_press(
+            tiff,
+            folder / number,
+            force=table,
+            sensor=name,
+            licence=LICENCE,
+            origin=ORIGIN,
+            provenance=Provenance.SIMULATED,
+        )
 
 
 def _truth(press: VirtualPress) -> dict[str, Any]:

@@ -529,7 +529,12 @@ def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCo
     return IntervalResetCard(
         calibration=former.id,
         run=RunCard(
-            run_id=about.run_id, hash=run.hash, frames=len(run), origin=about.origin, licence=about.licence
+            run_id=about.run_id,
+            hash=run.hash,
+            frames=len(run),
+            origin=about.origin,
+            licence=about.licence,
+            provenance=about.provenance,
         ),
         session=rows.session,
         rows=len(rows.rows),

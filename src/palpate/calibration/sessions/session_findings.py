@@ -284,7 +284,12 @@ def sessions_card(
 def _run_card(run: Run) -> RunCard:
     about = run.manifest
     return RunCard(
-        run_id=about.run_id, hash=run.hash, frames=len(run), origin=about.origin, licence=about.licence
+        run_id=about.run_id,
+        hash=run.hash,
+        frames=len(run),
+        origin=about.origin,
+        licence=about.licence,
+        provenance=about.provenance,
     )
 
 

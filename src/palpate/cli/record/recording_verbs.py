@@ -19,7 +19,9 @@ from palpate.cli.verb_support import (
     NewRun,
     Origin,
     PositionColumn,
+    ProvenanceName,
     Quiet,
+    given_provenance,
     group,
     names_of,
     pairs_of,
@@ -38,6 +40,7 @@ def palm(
     sensor: Annotated[str, Option(help="What was recorded.")] = "palm",
     licence: Licence = "",
     origin: Origin = "",
+    provenance: ProvenanceName = None,
     allow_unlabelled: Annotated[bool, Option(help="Skip photographs that no table names.")] = False,
     json_: Json = False,
     quiet: Quiet = False,
@@ -55,6 +58,7 @@ def palm(
             sensor=sensor,
             licence=licence,
             origin=origin,
+            provenance=given_provenance(provenance),
             allow_unlabelled=allow_unlabelled,
             progress=partial(progress, "importing"),
         )
@@ -84,6 +88,7 @@ def press(
     sensor: Sensor = "",
     licence: Licence = "",
     origin: Origin = "",
+    provenance: ProvenanceName = None,
     json_: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -101,6 +106,7 @@ def press(
             sensor=sensor,
             licence=licence,
             origin=origin,
+            provenance=given_provenance(provenance),
             progress=partial(progress, "importing"),
         )
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
@@ -141,6 +147,7 @@ def import_images(
     sensor: Annotated[str, Option(help="What the images are of.")] = "",
     licence: Licence = "",
     origin: Origin = "",
+    provenance: ProvenanceName = None,
     rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence.")] = None,
     order_by: Annotated[
         str | None, Option(help="Column of numbers that says in which order the images were taken.")
@@ -174,6 +181,7 @@ def import_images(
             sensor=sensor,
             licence=licence,
             origin=origin,
+            provenance=given_provenance(provenance),
             rate_hz=rate_hz,
             order_by=order_by,
             allow_unlabelled=allow_unlabelled,
@@ -193,6 +201,7 @@ def import_images(
             "--sensor": sensor,
             "--licence": licence,
             "--origin": origin,
+            "--provenance": provenance,
             "--rate-hz": rate_hz,
             "--order-by": order_by,
             "--allow-unlabelled": allow_unlabelled,

@@ -73,6 +73,7 @@ def collect(
                 out, sensor or feed.sensor, feed.weighing, asked=presses, session=session, region=feed.region,
                 force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
                 frame_late_s=feed.frame_late_s, truth=feed.truth, truths=feed.truths, origin=feed.origin,
+                provenance=feed.provenance,
                 regions=feed.regions, dark_field=getattr(feed, "dark_field", None), clock=feed.clock,
             ) as collector:  # fmt: skip
                 if (have := len(collector.presses)) >= presses:

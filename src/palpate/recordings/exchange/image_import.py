@@ -26,6 +26,7 @@ from palpate.core import (
     refuse_existing,
     split_column,
 )
+from palpate.core.provenance import Provenance
 from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
 from palpate.recordings.exchange.image_files import read_image
 from palpate.recordings.exchange.label_order import shift_doubt, small_picture
@@ -85,6 +86,7 @@ def import_images(
     sensor: str = "",
     licence: str = "",
     origin: str = "",
+    provenance: Provenance | None = None,
     rig: str = "",
     rate_hz: float | None = None,
     time_column: str | None = None,
@@ -116,6 +118,7 @@ def import_images(
         sensor: which sensor the images are of.
         licence: of the data.
         origin: who recorded it, and where it was had from.
+        provenance: measured, simulated, or derived; left out, that of an exported run, else measured.
         rig: what the sensor stood on.
         rate_hz: frames a second, where the images are a sequence at a steady rate [Hz]; without it and
             without `time_column` the run's times are ordinal: frame ``i`` is at ``i`` seconds.
@@ -171,7 +174,7 @@ def import_images(
         _tell(progress, done, 2 * len(found.paths))
     about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
     by_name = name_pattern is not None and not timed and order_by is None
-    with whole_run(run, _manifest(about, exported, kept, timed, by_name)) as writer:
+    with whole_run(run, _manifest(about, provenance, exported, kept, timed, by_name)) as writer:
         for i, image in enumerate(_same_kind(found.paths)):
             writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
             _tell(progress, len(found.paths) + i + 1, 2 * len(found.paths))
@@ -237,7 +240,12 @@ def _shift(pictures: Sequence[np.ndarray], kept: pd.DataFrame) -> list[str]:
 
 
 def _manifest(
-    about: dict[str, str], exported: Manifest | None, kept: pd.DataFrame, timed: bool, by_name: bool
+    about: dict[str, str],
+    provenance: Provenance | None,
+    exported: Manifest | None,
+    kept: pd.DataFrame,
+    timed: bool,
+    by_name: bool,
 ) -> Manifest:
     """Manifest by what the caller says, else by what an exported folder says of itself."""
     texts = {name: text or (getattr(exported, name) if exported else "") for name, text in about.items()}
@@ -246,6 +254,7 @@ def _manifest(
         rig=texts["rig"],
         licence=texts["licence"],
         origin=texts["origin"],
+        provenance=provenance or (exported.provenance if exported else Provenance.MEASURED),
         targets=tuple(one for one in exported.targets if one in kept) if exported else (),
         seed=exported.seed if exported else None,
         labels=label_kinds(kept),

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import NS_PER_S, ProgressCount, refuse_existing
+from palpate.core.provenance import Provenance
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.image_import import ImportReport, whole_run
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
@@ -30,6 +31,7 @@ def import_press(
     sensor: str = "",
     licence: str = "",
     origin: str = "",
+    provenance: Provenance | None = None,
     progress: ProgressCount | None = None,
 ) -> ImportReport:
     """Turn one press into a run, which appears whole or not at all.
@@ -40,7 +42,7 @@ def import_press(
         force: the table; see `read_press_table` for it and its columns.
         force_column, position_column, rate_hz: as there.
         sensor: which sensor was recorded.
-        licence, origin: of the data.
+        licence, origin, provenance: of the data.
         progress: told how many frames are done of how many.
 
     Raises:
@@ -55,7 +57,11 @@ def import_press(
         )
         names = _label_names(table)
         manifest = Manifest.new(
-            sensor=sensor, licence=licence, origin=origin, labels=dict.fromkeys(names, "number")
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            provenance=provenance or Provenance.MEASURED,
+            labels=dict.fromkeys(names, "number"),
         )
         with whole_run(run, manifest) as writer:
             _samples(writer, table)

@@ -32,6 +32,7 @@ from palpate.calibration.adaptation import adapt
 from palpate.calibration.coverage.grouped_rates import coverage_interval
 from palpate.calibration.evaluation import zeros_of
 from palpate.core import ManualClock
+from palpate.core.provenance import Provenance
 from palpate.estimators.certified import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.label_tables import own_column
@@ -297,7 +298,8 @@ def _write(study: StudyFolder, path: Path, kind: str, parts: list[Loads]) -> Non
         sensor=f"virtual {study.spec.name}",
         rig=f"drawn: {kind}",
         licence="CC0-1.0",
-        origin="rendered by palpate; virtual, not measured",
+        origin="rendered by palpate",
+        provenance=Provenance.SIMULATED,
         labels=labels,
         regions={"fringes": study.spec.fringes.box_px, "mirror": study.spec.mirror.box_px},
         seed=study.seed,

@@ -25,6 +25,7 @@ from palpate.core import (
     Stage,
 )
 from palpate.core.parsing import parser
+from palpate.core.provenance import Provenance
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
@@ -245,7 +246,7 @@ def rig_from(
             guarded = open_guarded(file, clock, opened, position)
         if camera is None:
             camera = follow_stage("camera", file, guarded[0], clock)
-        simulated = [f"{role} virtual, not measured" for role in OWN if _follows(getattr(file, role))]
+        simulated = [f"{role} simulated" for role in OWN if _follows(getattr(file, role))]
         rig = Rig(
             name=file.name,
             sensor=f"virtual {file.design}" if _follows(file.camera) else file.sensor,
@@ -259,6 +260,7 @@ def rig_from(
             regions=regions,
             licence=file.licence,
             origin="; ".join([*filter(None, [file.origin]), *simulated]),
+            provenance=Provenance.SIMULATED if simulated else Provenance.MEASURED,
             design=design,
             label_force=second,
             label_mounting=Mounting() if file.label_force is None else Mounting(file.label_force.axes),

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from palpate.core import DEFAULT_SENSOR, Clock, InputError, ManualClock, Position, Sensor, Travel
+from palpate.core.provenance import Provenance
 from palpate.core.sensor import for_rig, frame_faults, sensor as sensor_of, variation_of
 from palpate.devices.motion_limits import Limits
 from palpate.rig.rig import VIRTUAL, Region, Rig
@@ -85,7 +86,8 @@ def virtual_rig(
         clock=clock,
         regions=tuple(Region(*one) for one in design.regions().items()),
         licence="CC0-1.0",
-        origin="recorded on palpate's virtual rig; virtual, not measured",
+        origin="recorded on palpate's virtual rig",
+        provenance=Provenance.SIMULATED,
         seed=seed,
         truth=lambda time_ns: truth_at(world, truths, time_ns)[1],
         truths=truths,

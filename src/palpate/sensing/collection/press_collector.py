@@ -29,6 +29,7 @@ from palpate.core import (
     Readings,
     Wrench,
 )
+from palpate.core.provenance import Provenance
 from palpate.recordings.label_tables import Label
 from palpate.recordings.manifest import MANIFEST, LabelKind, Manifest
 from palpate.recordings.run_reader import Run
@@ -106,7 +107,7 @@ class PressCollector:
         frame_late_s: from the end of an exposure until its frame is here [s].
         truth: labels known beside, of a virtual sensor, at a time on the host's clock [ns].
         truths: their names.
-        origin, licence, regions: of a new run's manifest.
+        origin, provenance, licence, regions: of a new run's manifest.
         dark_field: part of the image that nothing but stress in the skin lights; there alone it is seen
             whether a typed weight lies still [px].
         clock: the host's.
@@ -131,6 +132,7 @@ class PressCollector:
         truth: Truth | None = None,
         truths: Sequence[str] = (),
         origin: str = "pressed by hand",
+        provenance: Provenance = Provenance.MEASURED,
         licence: str = "",
         regions: dict[str, Box] | None = None,
         dark_field: Box | None = None,
@@ -157,7 +159,7 @@ class PressCollector:
         self.refused: deque[Refused] = deque(maxlen=MAX_REFUSED)
         self._refusals = 0
         labels = PRESS_LABELS | dict.fromkeys(truths, "number")
-        self._writer = self._opened(sensor, labels, origin, licence, regions or {})
+        self._writer = self._opened(sensor, labels, origin, provenance, licence, regions or {})
         self._opened_ns = self._clock.now_ns()
 
     def on_frame(self, frame: ArrivedFrame, readings: Readings | None = None) -> None:
@@ -298,6 +300,7 @@ class PressCollector:
         sensor: str,
         labels: dict[str, LabelKind],
         origin: str,
+        provenance: Provenance,
         licence: str,
         regions: dict[str, Box],
     ) -> RunWriter:
@@ -307,6 +310,7 @@ class PressCollector:
                 rig="by hand",
                 licence=licence,
                 origin=origin,
+                provenance=provenance,
                 labels=labels,
                 targets=("force_N",),
                 regions=regions,

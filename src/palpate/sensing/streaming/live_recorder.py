@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from palpate.core import NS_PER_S, Clock, Closing, MonotonicClock, Readings, Wrench
+from palpate.core.provenance import Provenance
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_writer import Overflow, RunWriter
 from palpate.recordings.segments import KINDS, file_name
@@ -45,7 +46,8 @@ class LiveRecorder(Closing):
             sensor=sensor or source.name.replace("virtual:", "virtual "),
             rig="palpate live",
             labels={NAME: "text"} if source.waits else {},
-            origin="a virtual sensor; virtual, not measured" if virtual else "recorded live by palpate",
+            origin="a virtual sensor" if virtual else "recorded live by palpate",
+            provenance=Provenance.SIMULATED if virtual else Provenance.MEASURED,
         )
         overflow: Overflow = "wait" if source.waits else "drop"
         self._writer = RunWriter.create(path, manifest, clock=self._clock, overflow=overflow)

@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.core import InputError, LabelError, ProgressCount, is_hidden, refuse_existing, storage_errors
+from palpate.core.provenance import Provenance
 from palpate.recordings import ImportReport, import_images, read_labels
 from palpate.recordings.label_tables import FIRST_ROW, label_kinds
 
@@ -290,6 +291,7 @@ def import_palm(
     sensor: str = "palm",
     licence: str = "",
     origin: str = "",
+    provenance: Provenance | None = None,
     allow_unlabelled: bool = False,
     progress: ProgressCount | None = None,
 ) -> ImportReport:
@@ -307,7 +309,7 @@ def import_palm(
     Args:
         folder: where the tables are, the photographs beside them or in a folder ``images``.
         run: the run to make; must not exist.
-        sensor, licence, origin, progress: see `import_images`.
+        sensor, licence, origin, provenance, progress: see `import_images`.
         allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
 
     Raises:
@@ -337,6 +339,7 @@ def import_palm(
             sensor=sensor,
             licence=licence,
             origin=origin,
+            provenance=provenance,
             rig="imported from the palm's own tables",
             allow_unlabelled=True,
             progress=progress,
