@@ -35,6 +35,7 @@ from palpate.devices.force_bias import ForceBias
 from palpate.devices.force_trust.air_noise import (
     AirNoise,
     Six,
+    check_fineness,
     check_pace,
     check_same_air,
     constant_air,
@@ -147,6 +148,7 @@ class ForceMonitor:
             check_same_air(self.air, air)
         if air.is_constant:
             raise constant_air(air, self.air is not None)
+        check_fineness(air, self._bias.mounting.normal)
         self.learn_press()
         self._airs.append(air)
         self.air = air
@@ -183,7 +185,7 @@ class ForceMonitor:
         self._dating, self._count = SampleDating(1.0 / period_s, heard_s=0.0), 0
         self._six: Six | None = None
         self._six_before: Six | None = None
-        self._row, self._row_way_m = 1, 0.0
+        self._row, self._row_way_m, self._row_moved = 1, 0.0, 0
         self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
         self._touched, self._moved = False, 0
         self._deficit = self._excess = self._held = 0.0
@@ -365,18 +367,30 @@ class ForceMonitor:
 
     def _repeats(self, six: Six, step_m: float) -> Doubt | None:
         if six != self._six:
-            self._row, self._row_way_m = 1, 0.0
+            self._row, self._row_way_m, self._row_moved = 1, 0.0, 0
             return None
         self._row += 1
         self._row_way_m += step_m
-        limit = self._run_limit
+        self._row_moved += step_m > 0
         if self._is_coarse and self._level_n > CONTACT * self._noise_n:
-            # Pressed, the mean lies elsewhere between two steps than in the air, and may repeat more often.
-            due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
-            limit = max(MIN_TURN, limit // 2) if due_n > self.air.quantum_n else 3 * limit  # type: ignore[union-attr]
-        if self._row < limit:
+            row, limit = self._row_moved, self._pressed_limit()
+        else:
+            row, limit = self._row, self._run_limit
+        if row < limit:
             return None
         return self._doubt("repeats", f"{self._row} samples in a row are the same on all six axes")
+
+    def _pressed_limit(self) -> int:
+        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed.
+
+        Its mean lies elsewhere between two steps than in the air: at a stand it may repeat one sample for as
+        long as it stands, which harms nobody. A stage that moves may begin `LAG_S` late.
+        """
+        due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
+        air = self.air
+        if air is None or due_n <= air.quantum_n:
+            return 3 * self._run_limit
+        return max(MIN_TURN, self._run_limit // 2, math.ceil(LAG_S / air.period_s))
 
     @property
     def _is_coarse(self) -> bool:
