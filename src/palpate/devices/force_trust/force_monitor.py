@@ -231,7 +231,7 @@ class ForceMonitor:
         measured on.
         """
         self._stood_m = way_m
-        if way_m < self._way_m - SLACK_M or self._took_longer:
+        if way_m < self._way_m - SLACK_M:
             self._felt = None  # it began late or paused: where it was at a sample is not known by time
 
     def arrived(self) -> Doubt | None:
@@ -239,6 +239,8 @@ class ForceMonitor:
 
         Where the call that sent the stage was blocked, no sample of the move had a way of its own.
         """
+        if self._took_longer:
+            self._felt = None  # as in `stood`
         if self.air is None or self._climb.from_n is None:
             return None
         if self._phase is Phase.UP:
