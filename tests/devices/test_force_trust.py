@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -156,6 +157,15 @@ def taught(slope: float, presses: int = 3, noise: float = 0.005) -> StiffnessCor
     return made
 
 
+def spring(stiffness_n_m: float) -> StiffnessCorridor:
+    """A corridor of a skin that is as stiff at any force."""
+    made = StiffnessCorridor()
+    for force in np.geomspace(0.05, 2.0, 200):
+        made.feel(float(force), 1e-2 * force, 1e-2 * force / stiffness_n_m)
+    made.learn(0.005)
+    return made
+
+
 def test_the_corridor_lies_about_what_was_felt_and_goes_on_beyond_it() -> None:
     made = taught(1000.0)
     for force in (0.1, 0.7, 1.5):
@@ -199,6 +209,100 @@ def test_a_skin_that_relaxes_at_a_stand_is_no_doubt_however_late_its_samples_are
     assert any(doubts) == doubted
     if doubted:
         assert next(filter(None, doubts)).kind == "flat"
+
+
+def test_force_that_rises_while_the_stage_runs_on_after_a_stop_is_learnt_with_its_way(rng) -> None:
+    """A touch on 4 N/mm, after which the stage runs on by 60 ms; all of that is taken in after the stop.
+
+    Without the way of it, the skin would seem to be many times as stiff.
+    """
+    made, speed, stiff = monitor(air(rng)), 2e-3, 4000.0
+
+    def press(begin_s: float, until_s: float, stop_s: float) -> None:
+        for one in np.arange(begin_s, until_s, 1 / HZ):
+            gone_m = max(min(one, stop_s) - 1.0, 0.0) * speed
+            x, y, z = BIAS + (0, 0, stiff * gone_m) + 0.005 * rng.standard_normal(3)
+            assert made.take(Wrench(round(one * NS_PER_S), (x, y, z))) is None
+
+    made.begin(Phase.DOWN, speed, 1e-3, round(1.0 * NS_PER_S), round(1.0 * NS_PER_S))
+    press(0.3, 1.04, stop_s=1.1)
+    made.end(round(1.13 * NS_PER_S))
+    made.stood(0.2 * speed)
+    press(1.04, 1.3, stop_s=1.1)
+    made.learn_press()
+    assert made.corridor.is_learnt
+    for force_n in (0.1, 0.2, 0.4):
+        assert made.corridor.least_n_m(force_n) * WIDE_LOW == pytest.approx(stiff, rel=0.5)
+
+
+def test_a_move_in_which_the_stage_paused_teaches_as_a_whole(rng) -> None:
+    """From 1 to 1.8 N in 0.2 mm, with a pause of 100 ms in the middle: by time the second half has no way."""
+    made, speed = monitor(air(rng)), 2e-3
+    made.corridor = spring(4000.0)
+    begin_s, end_s = 1.0, 1.21
+    made.begin(Phase.DOWN, 0.5e-3, 0.25e-3, round(0.3 * NS_PER_S), round(0.3 * NS_PER_S))
+    for one in np.arange(0.3, begin_s, 1 / HZ):
+        force = BIAS + (0, 0, 4000.0 * min(0.5 * (one - 0.3), 0.25) * 1e-3) + 0.005 * rng.standard_normal(3)
+        made.take(Wrench(round(one * NS_PER_S), tuple(force)))
+    made.end(round(begin_s * NS_PER_S))
+    made.forget_press()
+    made.begin(Phase.DOWN, speed, 0.2e-3, round(begin_s * NS_PER_S), round(begin_s * NS_PER_S))
+    for one in np.arange(begin_s, end_s, 1 / HZ):
+        gone_s = min(one - begin_s, 0.05) + max(one - begin_s - 0.15, 0.0)
+        force = BIAS + (0, 0, 1.0 + 4000.0 * min(gone_s * speed, 0.2e-3)) + 0.005 * rng.standard_normal(3)
+        assert made.take(Wrench(round(one * NS_PER_S), tuple(force))) is None
+    made.end(round(end_s * NS_PER_S))
+    made.stood(0.2e-3)
+    assert made.arrived() is None
+    made.learn_press()
+    assert made.corridor.least_n_m(1.2) * WIDE_LOW == pytest.approx(4000.0, rel=0.3)
+    assert made.corridor.greatest_n_m(1.0) / WIDE_HIGH == pytest.approx(4000.0, rel=0.3)
+
+
+def test_a_whole_move_is_held_against_the_least_stiffness_between_its_forces() -> None:
+    corridor = StiffnessCorridor()
+    for force, stiff in ((0.2, 12000.0), (0.4, 4000.0), (0.8, 20000.0)):
+        corridor.feel(force, 0.5 * force, 0.5 * force / stiff)
+    corridor.learn(0.001)
+    assert corridor.least_n_m(0.2) > 2 * corridor.least_between_n_m(0.2, 0.9)
+    assert corridor.least_between_n_m(0.2, 0.9) == pytest.approx(corridor.least_n_m(0.25))
+    assert corridor.least_between_n_m(0.8, 0.8) == corridor.least_n_m(0.8)
+
+
+def test_a_sensor_far_coarser_than_its_noise_is_refused_in_the_air(rng) -> None:
+    """Its normal axis reads one value as long as nothing touches it, which is what a stuck sensor does."""
+    samples = air(rng, 150, noise=0.1e-3)
+    flickers = [
+        replace(one, force_n=(BIAS[0] + 0.003 * (i % 2), *one.force_n[1:])) for i, one in enumerate(samples)
+    ]
+    with pytest.raises(Tripped, match="far below its resolution") as refused:
+        monitor(flickers)
+    assert refused.value.reason is Reason.FORCE_STUCK
+
+
+def test_a_coarse_sensor_that_repeats_itself_while_it_is_pressed_at_a_stand_is_not_stuck(rng) -> None:
+    """And on the move it is, soon: here it follows for the first move, and never again."""
+    made, speed = monitor(air(rng, 150, noise=1e-3, quantum=4e-3)), 2e-3
+    assert made.air is not None
+    assert not all(made.air.fine)
+    made.corridor = spring(4000.0)
+    x, y, z = (np.round((BIAS + np.array((0, 0, 1.0))) / 4e-3) * 4e-3).tolist()
+
+    def doubt(begin_s: float, end_s: float) -> float | None:
+        for one in np.arange(begin_s, end_s, 1 / HZ):
+            if made.take(Wrench(round(one * NS_PER_S), (x, y, z))) is not None:
+                return float(one)
+        return None
+
+    made.begin(Phase.DOWN, speed, 0.2e-3, round(0.75 * NS_PER_S), round(0.75 * NS_PER_S))
+    for one in np.arange(0.75, 1.0, 1 / HZ):
+        made.take(Wrench(round(one * NS_PER_S), (x, y, z - (1.0 - one) * 4.0)))
+    made.end(round(1.0 * NS_PER_S))
+    assert doubt(1.0, 10.0) is None
+    made.begin(Phase.DOWN, speed, 0.2e-3, round(10.0 * NS_PER_S), round(10.0 * NS_PER_S))
+    stuck_s = doubt(10.0, 10.2)
+    assert stuck_s is not None
+    assert stuck_s < 10.07
 
 
 @pytest.mark.parametrize(

@@ -185,7 +185,7 @@ class MotionGuard:
             samples += self.wait(LONGER_S, judged=False)
         if len(_good(samples)) >= FEW:
             if self._disbelieved:
-                self.monitor.corridor.forget()
+                self.monitor.forget_press()
             self.monitor.learn_air(_good(samples), stated_hz)
         self._bias.measure(samples)
         self._disbelieved = False  # it measures in the air as it has to
@@ -359,11 +359,13 @@ class MotionGuard:
         asks: tuple[OperatorCommand, ...],
     ) -> bool:
         try:
+            start = self.position_m()
             reached = self._follow(target, speed_m_s, until, check, asks)
             if reached:
                 self.halt()
             self.monitor.end(self._clock.now_ns())
             if reached:
+                self.monitor.stood(math.dist(start, self.position_m()))
                 return True
         except HardwareStopError as e:
             self._end()
@@ -376,6 +378,7 @@ class MotionGuard:
             raise
         self._control.check(asks)  # a stop from outside leaves it short of its target
         self._check_arrived(target)
+        self.monitor.stood(math.dist(start, target))
         if not self._disbelieved and (doubt := self.monitor.arrived()) is not None:
             raise self._named(doubt)
         return False

@@ -24,6 +24,7 @@ MAX_RUN = 400  # of a sensor so coarse that its noise hardly shows
 FINE = (
     0.6  # noise over quantum, above which the noise does not depend on where between two steps the mean lies
 )
+TELLING = 50  # samples from which an axis that reads one value is too coarse
 DOUBT = 5.0  # standard errors, since pieces shift stamps together
 NEAR = 0.005  # relative
 TOGETHER = 0.25  # of a period between two samples
@@ -51,6 +52,7 @@ class AirNoise:
         mean: of all six axes, as the device gives them [N, Nm].
         noise_n: along the device's x, y, z: standard deviation, at least what a step of the quantum makes
         [N]. fine: for each of x, y, z, whether the noise is wider than the quantum.
+        spans_n: greatest less least value, along x, y, z [N].
         quantum_n: least difference between two values; 0 where there is none [N].
         repeats, count: samples equal to the one before in all six axes, of so many.
         longest: equal samples in a row, 1 where none is repeated.
@@ -60,6 +62,7 @@ class AirNoise:
     mean: Six
     noise_n: tuple[float, float, float]
     fine: tuple[bool, bool, bool]
+    spans_n: tuple[float, float, float]
     quantum_n: float
     repeats: int
     count: int
@@ -83,10 +86,12 @@ class AirNoise:
         mx, my, mz, tx, ty, tz = six.mean(axis=0).tolist()
         nx, ny, nz = np.maximum(spread, least).tolist()
         fx, fy, fz = (spread > FINE * quantum).tolist()
+        sx, sy, sz = np.ptp(force, axis=0).tolist()
         return cls(
             mean=(mx, my, mz, tx, ty, tz),
             noise_n=(nx, ny, nz),
             fine=(fx, fy, fz),
+            spans_n=(sx, sy, sz),
             quantum_n=quantum,
             repeats=int(equal.sum()),
             count=len(equal),
@@ -197,6 +202,29 @@ def check_same_air(before: AirNoise, air: AirNoise) -> None:
             )
 
 
+def check_fineness(air: AirNoise, normal: int) -> None:
+    """Refuse a sensor that is too coarse to guard by: its noise hardly ever moves it to the next step.
+
+    It may repeat one sample for as long as nothing touches it, and so does one that is stuck.
+
+    Args:
+        air: what it reads in the air.
+        normal: its axis along the skin's normal; 0, 1, 2 for x, y, z.
+
+    Raises:
+        Tripped: it reads one value along the normal.
+    """
+    if air.spans_n[normal] > 0 or air.count < TELLING:
+        return
+    raise Tripped(
+        Reason.FORCE_STUCK,
+        f"all {air.count + 1} samples in the air are the same along the sensor's {'xyz'[normal]}: its noise "
+        "is far below its resolution"
+        + (f" of {air.quantum_n:.3g} N" if air.quantum_n else "")
+        + ", so that one that is stuck cannot be told; set a finer resolution, or a weaker filter",
+    )
+
+
 def constant_air(air: AirNoise, was_alive: bool) -> Tripped:
     """Name of a sensor that reads but one value in the air: dead, or stuck where it was alive before."""
     zero = not any(air.mean)
@@ -215,6 +243,7 @@ def _pooled(airs: Sequence[AirNoise]) -> AirNoise:
         last.mean,
         last.noise_n,
         last.fine,
+        last.spans_n,
         last.quantum_n,
         sum(one.repeats for one in airs),
         sum(one.count for one in airs),

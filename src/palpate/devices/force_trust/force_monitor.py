@@ -35,6 +35,7 @@ from palpate.devices.force_bias import ForceBias
 from palpate.devices.force_trust.air_noise import (
     AirNoise,
     Six,
+    check_fineness,
     check_pace,
     check_same_air,
     constant_air,
@@ -124,6 +125,9 @@ class ForceMonitor:
         self._ended_before_ns: int | None = 0
         self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
         self._climb, self._behind_n = ForceClimb(), 0.0
+        self._stood_m: float | None = None
+        self._felt_m, self._felt_step_m = 0.0, 0.0
+        self._felt: list[tuple[float, float, float]] | None = []
         self.restart()
 
     def new_tool(self, stated: StiffnessRange | None = None) -> None:
@@ -144,6 +148,7 @@ class ForceMonitor:
             check_same_air(self.air, air)
         if air.is_constant:
             raise constant_air(air, self.air is not None)
+        check_fineness(air, self._bias.mounting.normal)
         self.learn_press()
         self._airs.append(air)
         self.air = air
@@ -157,7 +162,19 @@ class ForceMonitor:
     def learn_press(self) -> None:
         """Learn from the way down that went well just now."""
         if self.air is not None:
+            self._feel_move()
             self.corridor.learn(self._normal_noise(self.air))
+
+    def forget_press(self) -> None:
+        """Forget the way down that is not to be learnt from."""
+        self._felt = []
+        self.corridor.forget()
+
+    def _feel_move(self) -> None:
+        """Take the steps of the last move among those of the press; samples that come later add to them."""
+        for step in self._felt or ():
+            self.corridor.feel(*step)
+        self._felt = None if self._felt is None else []
 
     def _normal_noise(self, air: AirNoise) -> float:
         return air.noise_n[self._bias.mounting.normal]
@@ -168,7 +185,7 @@ class ForceMonitor:
         self._dating, self._count = SampleDating(1.0 / period_s, heard_s=0.0), 0
         self._six: Six | None = None
         self._six_before: Six | None = None
-        self._row, self._row_way_m = 1, 0.0
+        self._row, self._row_way_m, self._row_moved = 1, 0.0, 0
         self._time_ns, self._normal_n, self._level_n = 0, 0.0, 0.0
         self._touched, self._moved = False, 0
         self._deficit = self._excess = self._held = 0.0
@@ -190,6 +207,8 @@ class ForceMonitor:
         self._asked_ns, self._ended_before_ns = asked_ns, self._ended_ns
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
+        self._feel_move()
+        self._felt, self._felt_m, self._felt_step_m, self._stood_m = [], 0.0, 0.0, None
         self._is_over = False
         self._climb = ForceClimb()
         self._began_touched = self._counts = self._touched
@@ -205,11 +224,23 @@ class ForceMonitor:
         if self._phase is Phase.LIFT:
             self._phase = Phase.STAND
 
+    def stood(self, way_m: float) -> None:
+        """Way from the start of this move to where the stage stands now [m].
+
+        A stage that was stopped has run on meanwhile, which the samples that are still to come were
+        measured on.
+        """
+        self._stood_m = way_m
+        if way_m < self._way_m - SLACK_M:
+            self._felt = None  # it began late or paused: where it was at a sample is not known by time
+
     def arrived(self) -> Doubt | None:
         """Hold what the force changed by in a move against its length, once the stage stands at its target.
 
         Where the call that sent the stage was blocked, no sample of the move had a way of its own.
         """
+        if self._took_longer:
+            self._felt = None  # as in `stood`
         if self.air is None or self._climb.from_n is None:
             return None
         if self._phase is Phase.UP:
@@ -221,9 +252,10 @@ class ForceMonitor:
             return doubt
         if from_n < CONTACT * self._noise_n:
             return None
-        if self._way_m == 0:
+        if self._way_m == 0 or self._felt is None:
+            self._felt = None
             self.corridor.feel(from_n + rise_n / 2, rise_n, self._length_m)
-        least = self.corridor.least_n_m(from_n)
+        least = self.corridor.least_between_n_m(from_n, from_n + rise_n)
         self._deficit = self._behind(self._deficit, least, rise_n)
         return self._flat(least)
 
@@ -240,6 +272,14 @@ class ForceMonitor:
         """
         by_samples_n = summed_n - least_n_m * self._speed * self._early_s
         return max(by_samples_n, self._behind_n + least_n_m * self._length_m - climb_n, 0.0)
+
+    @property
+    def _took_longer(self) -> bool:
+        """Whether the move took more time than its length explains."""
+        if self._ended_ns is None or self._speed == 0:
+            return False
+        due_s = self._length_m / self._speed + self._speed / self._travel.acceleration_m_s2
+        return (self._ended_ns - self._begun_ns) / NS_PER_S > due_s + LAG_S
 
     @property
     def _early_s(self) -> float:
@@ -299,6 +339,7 @@ class ForceMonitor:
         # A busy computer takes in samples of the stand before this move only once it has begun.
         ended_ns = self._ended_before_ns if time_ns < self._asked_ns else self._ended_ns
         if ended_ns is not None and time_ns > ended_ns + LAG_S * NS_PER_S:
+            self._felt_step_m = 0.0
             return Phase.STAND, 0.0
         gone_s = max(time_ns - self._begun_ns, 0) / NS_PER_S
         v, a = self._speed, self._travel.acceleration_m_s2
@@ -306,6 +347,9 @@ class ForceMonitor:
         way_m = min(way_m, self._length_m)
         if self._reported_m is not None:
             way_m = min(way_m, self._reported_m + v * REPORT_S)
+        felt_m = way_m if self._ended_ns is None else min(way_m, self._stood_m or 0.0)
+        self._felt_step_m = max(felt_m - self._felt_m, 0.0)
+        self._felt_m += self._felt_step_m
         step_m = max(way_m - self._way_m, 0.0) if self._ended_ns is None else 0.0
         self._way_m += step_m
         self._is_over = step_m == 0.0 and v * (gone_s - v / a - LAG_S) > self._length_m <= self._way_m
@@ -325,18 +369,30 @@ class ForceMonitor:
 
     def _repeats(self, six: Six, step_m: float) -> Doubt | None:
         if six != self._six:
-            self._row, self._row_way_m = 1, 0.0
+            self._row, self._row_way_m, self._row_moved = 1, 0.0, 0
             return None
         self._row += 1
         self._row_way_m += step_m
-        limit = self._run_limit
+        self._row_moved += step_m > 0
         if self._is_coarse and self._level_n > CONTACT * self._noise_n:
-            # Pressed, the mean lies elsewhere between two steps than in the air, and may repeat more often.
-            due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
-            limit = max(MIN_TURN, limit // 2) if due_n > self.air.quantum_n else 3 * limit  # type: ignore[union-attr]
-        if self._row < limit:
+            row, limit = self._row_moved, self._pressed_limit()
+        else:
+            row, limit = self._row, self._run_limit
+        if row < limit:
             return None
         return self._doubt("repeats", f"{self._row} samples in a row are the same on all six axes")
+
+    def _pressed_limit(self) -> int:
+        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed.
+
+        Its mean lies elsewhere between two steps than in the air: at a stand it may repeat one sample for as
+        long as it stands, which harms nobody. A stage that moves may begin `LAG_S` late.
+        """
+        due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
+        air = self.air
+        if air is None or due_n <= air.quantum_n:
+            return 3 * self._run_limit
+        return max(MIN_TURN, self._run_limit // 2, math.ceil(LAG_S / air.period_s))
 
     @property
     def _is_coarse(self) -> bool:
@@ -387,14 +443,13 @@ class ForceMonitor:
     def _on_the_way_down(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
         """Hold a sample's rise against its way; before the stage was `sent` for certain, only an excess."""
         force_n = max(self._level_n, CONTACT * self._noise_n)
-        self._moved += step_m > 0
+        self._moved += self._felt_step_m > 0
         least, greatest = self.corridor.least_n_m(force_n), self.corridor.greatest_n_m(force_n)
         self._excess = max(self._excess + rise_n - greatest * step_m, 0.0)
         if not sent:
             self._deficit = max(self._behind_n - self._climb.rise_n, 0.0)
         else:
-            if self._moved > SETTLED:  # the mean lags: what rises first belongs to the way before contact
-                self.corridor.feel(force_n, rise_n, step_m)
+            self._feel(force_n, rise_n)
             self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
         if (doubt := self._outside(step_m, rise_n) or self._flat(least, self._early_s)) is not None:
             return doubt
@@ -403,6 +458,13 @@ class ForceMonitor:
                 "steep", f"{self._level_n:.3f} N rises more steeply on the way down than it did before"
             )
         return None
+
+    def _feel(self, force_n: float, rise_n: float) -> None:
+        """Keep a sample's rise and way to learn from; none once the stage stands where nobody said."""
+        is_known = self._ended_ns is None or self._stood_m is not None
+        # The mean lags: what rises first belongs to the way before contact.
+        if self._felt is not None and is_known and self._moved > SETTLED:
+            self._felt.append((force_n, rise_n, self._felt_step_m))
 
     def _outside(self, way_m: float, rise_n: float) -> Doubt | None:
         """Hold the rise of force since contact began against the range of stiffness that the rig states.

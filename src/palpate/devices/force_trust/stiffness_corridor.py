@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections import defaultdict, deque
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import median
+from statistics import median_high, median_low
 
 from palpate.core import RangeError
 
@@ -84,7 +84,8 @@ class StiffnessCorridor:
     def __init__(self, stated: StiffnessRange | None = None) -> None:
         self._stated = stated
         self._felt: dict[int, deque[float]] = defaultdict(lambda: deque(maxlen=KEPT))
-        self._median: dict[int, float] = {}
+        self._median: dict[int, float] = {}  # the lower of the two in the middle, of an even number
+        self._median_high: dict[int, float] = {}
         self._rise: dict[int, list[float]] = {}
 
     @property
@@ -108,7 +109,8 @@ class StiffnessCorridor:
         for bin_, (rise_n, way_m) in self._rise.items():
             if way_m > 0 and rise_n >= max(FELT * 2.0 ** (bin_ - 1), FELT_NOISES * noise_n):
                 self._felt[bin_].append(rise_n / way_m)
-                self._median[bin_] = median(self._felt[bin_])
+                self._median[bin_] = median_low(self._felt[bin_])
+                self._median_high[bin_] = median_high(self._felt[bin_])
         self._rise.clear()
 
     def least_n_m(self, force_n: float) -> float:
@@ -119,13 +121,19 @@ class StiffnessCorridor:
         below = min(force_n / 2.0 ** (bin_ - 1), 1.0)
         return self._median[bin_] / WIDE_LOW * below**SHRINK
 
+    def least_between_n_m(self, from_n: float, to_n: float) -> float:
+        """Stiffness that a force rises by at least, wherever it is between two forces [N/m]."""
+        low, high = sorted((from_n, to_n))
+        exponents = range(math.frexp(low)[1], math.frexp(high)[1])
+        return min(self.least_n_m(one) for one in (low, high, *(2.0**k for k in exponents)) if one > 0)
+
     def greatest_n_m(self, force_n: float) -> float:
         """Stiffness that it rises by at most [N/m]."""
         if not self._median:
             return UNKNOWN_N_M
         bin_ = self._nearest(math.frexp(max(force_n, 1e-9))[1])
         above = max(force_n / 2.0 ** (bin_ - 1), 1.0)
-        return self._median[bin_] * WIDE_HIGH * above**GROWTH
+        return self._median_high[bin_] * WIDE_HIGH * above**GROWTH
 
     def stated_n_m(self, force_n: float) -> tuple[float, float]:
         """Return the stated least and greatest stiffness; 0 and `UNKNOWN_N_M` without a range [N/m]."""
