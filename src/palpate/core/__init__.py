@@ -5,6 +5,7 @@ from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
 from palpate.core.contact import (
     FRESH,
     Contact,
+    ContactSolution,
     EarlierPress,
     Pose,
     PressHistory,
@@ -146,6 +147,7 @@ __all__ = [
     "Complex",
     "Complex64",
     "Contact",
+    "ContactSolution",
     "DeviceError",
     "DisplayRange",
     "DisplaySample",

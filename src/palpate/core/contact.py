@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from numpy import ndarray
 
@@ -87,6 +88,15 @@ FRESH = PressHistory()
 """Straight down on a skin that was never touched before."""
 
 
+class ContactSolution(StrEnum):
+    """How a contact was solved; `Contact.model` describes it."""
+
+    LINEAR = "linear"  # linear elastic layers or a half space
+    DISC_TABLE = "disc-table"  # finite strain, axisymmetric, tabulated
+    PULLED_TABLE = "pulled-table"  # the same under a lateral load, to first order in it
+    PROBE_TABLE = "probe-table"  # finite strain of a probe without an axis, tabulated
+
+
 @dataclass(frozen=True, slots=True)
 class Contact:
     """Traction, displacement and contact region on a grid of the skin's surface, SI.
@@ -107,6 +117,7 @@ class Contact:
         shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa]; None without any.
         lateral_n: force of the probe on the skin along x and y [N].
         moment_nm: of that shear about z through the probe's axis, from x towards y [N m].
+        solution: how it was solved.
         specimen, history: what made it besides probe and pose; None for a rigid probe.
     """
 
@@ -125,3 +136,4 @@ class Contact:
     moment_nm: float = 0.0
     specimen: Specimen | None = None
     history: PressHistory = FRESH
+    solution: ContactSolution = ContactSolution.LINEAR

@@ -14,15 +14,13 @@ import math
 
 import numpy as np
 
-from palpate.core import Contact, Field, Float, Mask, Pose, Probe, RangeError, ndarray
+from palpate.core import Contact, ContactSolution, Field, Float, Mask, Pose, Probe, RangeError, ndarray
 from palpate.mechanics.layers.influence import normal_influence
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.surface_grid import Cells, laid_onto
 from palpate.mechanics.light_touch import MAX_LIGHT, RoundedBody, light_law, light_touch
 from palpate.mechanics.probe_table import SAME, ProbeTable, own_frame
 
-FROM_PROBE_TABLE = "finite-strain table in three dimensions"
-"""With which the model of a contact of these tables begins."""
 LIGHT = MAX_LIGHT / 3
 """Depth to which linear layers press alone [h]; to `MAX_LIGHT` they and the table do."""
 TOUCHES = 0.02
@@ -33,7 +31,7 @@ Knots = Float[ndarray, " n"]
 
 def is_tabled_probe(contact: Contact) -> bool:
     """Tell whether a contact is of a probe without an axis that has a table."""
-    return contact.model.startswith(FROM_PROBE_TABLE)
+    return contact.solution is ContactSolution.PROBE_TABLE
 
 
 def share_of_table(depth: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
@@ -113,7 +111,8 @@ def press_probe(
         radius_m=math.sqrt(area / math.pi) * h,
         probe=probe,
         pose=pose,
-        model=f"{FROM_PROBE_TABLE}: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
+        solution=ContactSolution.PROBE_TABLE,
+        model=f"finite-strain table in three dimensions: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
         f"bonded neo-Hookean layer, nu {table.poisson_ratio:g}, no friction, "
         f"depth <= {table.greatest_depth * h * 1e3:g} mm; linear to {LIGHT * h * 1e3:g} mm",
     )

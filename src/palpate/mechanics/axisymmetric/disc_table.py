@@ -21,13 +21,22 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from palpate.core import Contact, Float, Float32, InputError, Pose, Probe, RangeError, ndarray
+from palpate.core import (
+    Contact,
+    ContactSolution,
+    Float,
+    Float32,
+    InputError,
+    Pose,
+    Probe,
+    RangeError,
+    ndarray,
+)
 from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.parsing import parser
 
 SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
 MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio
-FROM_TABLE = "finite-strain table"
 """With which the model of a contact of a table begins."""
 NEAREST = 3  # tables of other thicknesses that one between them is drawn from
 
@@ -326,7 +335,8 @@ def pressed_contact(
         radius_m=at.contact_radius * R,
         probe=probe,
         pose=pose,
-        model=f"{FROM_TABLE}: rigid {table.INDENTER}, bonded neo-Hookean disc {table.thickness:g} R "
+        solution=ContactSolution.DISC_TABLE,
+        model=f"finite-strain table: rigid {table.INDENTER}, bonded neo-Hookean disc {table.thickness:g} R "
         f"thick, nu {table.poisson_ratio:g}, friction {table.friction:g}, "
         f"depth <= {table.greatest_depth:g} R",
         shear_pa=np.stack([inwards * east, inwards * north]) if table.friction > 0.0 else None,

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.optimize import brentq
 
-from palpate.core import Contact, Float, RangeError, ndarray
+from palpate.core import Contact, ContactSolution, Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
 
 TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
@@ -42,8 +42,6 @@ NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4
 FAR, DOWN = 16, 24  # knots outside two contact radii, and down to the base
 FIRST = 0.06  # contact radii under the top: about the first knot
 
-PULLED = "pulled aside, to first order in the pull"
-"""Part of the model of a contact of `pulled`."""
 
 Knots = Float[ndarray, " n"]
 
@@ -252,7 +250,8 @@ def pulled(
         displacement_m=contact.displacement_m + lean,
         shear_pa=exact * np.stack([along * e[0] - aside * e[1], along * e[1] + aside * e[0]]),
         lateral_n=(float(pull_n[0]), float(pull_n[1])),
-        model=f"{contact.model}; {PULLED}, friction {friction:g}",
+        solution=ContactSolution.PULLED_TABLE,
+        model=f"{contact.model}; pulled aside, to first order in the pull, friction {friction:g}",
     )
 
 

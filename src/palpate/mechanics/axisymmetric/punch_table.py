@@ -18,9 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from palpate.core import Contact, Float, InputError, Pose, Probe, ndarray
+from palpate.core import Contact, ContactSolution, Float, InputError, Pose, Probe, ndarray
 from palpate.mechanics.axisymmetric.disc_table import (
-    FROM_TABLE,
     DiscTable,
     Knots,
     TabulatedPress,
@@ -58,7 +57,7 @@ class PunchTable(DiscTable):
 
 def is_punched(contact: Contact) -> bool:
     """Tell whether a contact is of these tables."""
-    return contact.probe.shape == PunchTable.INDENTER and contact.model.startswith(FROM_TABLE)
+    return contact.probe.shape == PunchTable.INDENTER and contact.solution is ContactSolution.DISC_TABLE
 
 
 def is_punch_tabled(ratio: float, friction: float, poisson_ratio: float) -> bool:

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from palpate.core import Contact, Float, Float32, ndarray
+from palpate.core import Contact, ContactSolution, Float, Float32, ndarray
 from palpate.mechanics.axisymmetric.pulled_sphere import (
-    PULLED,
     PulledStress,
     angle_from,
     pulled_sphere_table,
@@ -43,7 +42,7 @@ class Laid(NamedTuple):
 
 def is_pulled_ball(contact: Contact) -> bool:
     """Tell whether a contact is of the finite-strain table under a lateral load."""
-    return PULLED in contact.model
+    return contact.solution is ContactSolution.PULLED_TABLE
 
 
 def stress_about(spec: PalmSpec, contact: Contact) -> Laid:
