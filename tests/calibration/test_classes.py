@@ -19,6 +19,7 @@ from palpate.calibration.classes.prediction_sets import (
 )
 from palpate.cli import app
 from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError, UnitError
+from palpate.core.refusal import NONE, ImageCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.class_sets import class_readings, members_of
 from palpate.recordings import Manifest, Run, RunWriter
@@ -245,25 +246,26 @@ def test_a_class_of_few_presses_is_in_every_set_and_named(blobs, tmp_path) -> No
 
 
 @pytest.mark.parametrize(
-    ("outputs", "valid", "why"),
+    ("outputs", "valid", "code"),
     [
         ([0.9, 0.1, 0.0], True, ""),
         ([0.6, 0.6, 0.0], True, ""),
-        ([0.7, 0.6, 0.5], False, "leaves all classes"),
-        ([0.2, 0.1, 0.0], False, "their set is empty"),
-        ([0.45, 0.0, 0.4], False, "is not in the set"),
-        ([np.nan, 0.6, 0.5], False, "their set is empty"),
+        ([0.7, 0.6, 0.5], False, "all_classes"),
+        ([0.2, 0.1, 0.0], False, "no_class"),
+        ([0.45, 0.0, 0.4], False, "class_not_in_set"),
+        ([np.nan, 0.6, 0.5], False, "no_class"),
     ],
 )
-def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, valid, why) -> None:
+def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, valid, code) -> None:
     folder, _ = blobs
     card = read_card(folder / "cal").classes[0].model_copy(update={"thresholds": (0.5, 0.5, 0.3)})
-    reading = class_readings([card], np.array([outputs]), "", **COMMON)["kind"]
+    reading = class_readings([card], np.array([outputs]), NONE, **COMMON)["kind"]
     assert reading.valid is valid
-    assert why in reading.why
+    assert reading.code == code
     assert bool(reading.why) is not valid
-    refused = class_readings([card], np.array([outputs]), "a frame of another kind", **COMMON)["kind"]
-    assert (refused.valid, refused.why) == (False, "a frame of another kind")
+    frame = Refusal(ImageCode.OUT_OF_DISTRIBUTION, "another kind")
+    refused = class_readings([card], np.array([outputs]), frame, **COMMON)["kind"]
+    assert (refused.valid, refused.code, refused.why) == (False, *frame)
     assert json.loads(json.dumps(reading.to_dict()))["set"] == list(reading.members)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from palpate.core.refusal import ImageCode
 from palpate.estimators.model_card import CircularCard, RangeCard, ScoreCard, TargetCard
 from palpate.estimators.reading_rules import doubt, untold
 
@@ -23,29 +24,29 @@ def target(over: RangeCard | None = OVER, circular: CircularCard | None = None, 
 
 
 @pytest.mark.parametrize(
-    ("place", "why"),
+    ("place", "code", "distance"),
     [
-        ((18.69, 17.0, 20.4), ""),
-        ((18.71, 17.0, 20.4), "force 18.7 N lies 0.21 N beyond the calibrated range 0.5 to 18.5 N"),
-        ((18.0, 16.0, 20.6), "the interval of force 18 N reaches 2.1 N beyond the calibrated range"),
-        ((0.01, -2.4, 2.0), ""),
-        ((-0.01, -2.4, 2.0), "lies 0.51 N beyond the calibrated range 0.5 to 18.5 N; up to 0.5 N is usual"),
-        ((1.0, -2.6, 2.0), "reaches 3.1 N beyond"),
-        ((9.0, 0.1, 18.2), "this frame does not tell force: its interval is 18.1 N wide, and the calibrated"),
-        ((22.7, 15.4, 30.0), "force 22.7 N lies 4.2 N beyond the calibrated range"),
+        ((18.69, 17.0, 20.4), "", ""),
+        ((18.71, 17.0, 20.4), ImageCode.OUTSIDE_RANGE, "0.21 N"),
+        ((18.0, 16.0, 20.6), ImageCode.INTERVAL_OUTSIDE_RANGE, "2.1 N"),
+        ((0.01, -2.4, 2.0), "", ""),
+        ((-0.01, -2.4, 2.0), ImageCode.OUTSIDE_RANGE, "0.51 N"),
+        ((1.0, -2.6, 2.0), ImageCode.INTERVAL_OUTSIDE_RANGE, "3.1 N"),
+        ((9.0, 0.1, 18.2), ImageCode.UNDETERMINED, "18.1 N"),
+        ((22.7, 15.4, 30.0), ImageCode.OUTSIDE_RANGE, "4.2 N"),
     ],
 )
-def test_beyond_what_is_usual_within_the_range_a_reading_is_refused(place, why) -> None:
+def test_beyond_what_is_usual_within_the_range_a_reading_is_refused(place, code, distance) -> None:
     found = doubt(target(), *place)
-    assert why in found
-    assert bool(found) == bool(why)
+    assert found.code == code
+    assert distance in found.why
 
 
 def test_a_card_of_before_refuses_what_lies_wholly_outside_only() -> None:
     """22.7 N with an interval that reaches back into the range was read, and is with such a card."""
-    assert doubt(target(None), 22.7, 15.4, 30.0) == ""
-    assert "beyond the calibrated range 0.5 to 18.5 N" in doubt(target(None), 22.7, 18.6, 26.8)
-    assert doubt(target(None), 9.0, -20.0, 38.0) == ""
+    assert not doubt(target(None), 22.7, 15.4, 30.0)
+    assert doubt(target(None), 22.7, 18.6, 26.8).code == ImageCode.OUTSIDE_RANGE
+    assert not doubt(target(None), 9.0, -20.0, 38.0)
 
 
 @pytest.mark.parametrize(
@@ -63,26 +64,26 @@ def test_a_card_of_before_refuses_what_lies_wholly_outside_only() -> None:
 def test_an_angle_is_in_its_arc_whichever_way_round(place, refused) -> None:
     arc = CircularCard(period=360.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
     assert bool(doubt(target(None, arc, 125.0, 235.0), *place)) == refused
-    assert doubt(target(None, arc, -180.0, 180.0), *place) == ""
+    assert not doubt(target(None, arc, -180.0, 180.0), *place)
 
 
 def test_an_angle_is_untold_from_the_width_that_its_card_states() -> None:
     arc = CircularCard(period=360.0, centre=(0.0, 0.0), scale=(1.0, 1.0), untold_width=99.0)
     one = target(None, arc, 125.0, 235.0)
-    assert doubt(one, 180.0, 131.0, 229.0) == ""
-    why = doubt(one, 180.0, 130.0, 230.0)
+    assert not doubt(one, 180.0, 131.0, 229.0)
+    why = doubt(one, 180.0, 130.0, 230.0).why
     assert "its interval is 100 N wide, and 99 N are 90 % of the calibrated arc 125 to 235 N" in why
     nothing = target(None, arc.model_copy(update={"untold_width": 0.0}), 125.0, 235.0)
-    assert "this calibration does not read force" in doubt(nothing, 180.0, 179.0, 181.0)
+    assert doubt(nothing, 180.0, 179.0, 181.0).code == ImageCode.NOT_LEARNED
     before = arc.model_copy(update={"untold_width": None})
     assert "untold_width" not in before.model_dump()
-    assert doubt(target(None, before, 125.0, 235.0), 180.0, 80.0, 280.0) == ""
+    assert not doubt(target(None, before, 125.0, 235.0), 180.0, 80.0, 280.0)
 
 
 def test_an_arc_of_the_whole_turn_tells_nothing() -> None:
     half_turn = CircularCard(period=180.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
-    assert "does not tell force" in doubt(target(None, half_turn, -90.0, 90.0), 0.0, -90.0, 90.0)
-    assert doubt(target(None, half_turn, -90.0, 90.0), 0.0, -80.0, 80.0) == ""
+    assert doubt(target(None, half_turn, -90.0, 90.0), 0.0, -90.0, 90.0).code == ImageCode.UNDETERMINED
+    assert not doubt(target(None, half_turn, -90.0, 90.0), 0.0, -80.0, 80.0)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +101,8 @@ def test_of_a_target_that_is_not_read_no_reading_is_valid(poor, why) -> None:
     place, turn = (9.0, 8.0, 10.0), CircularCard(period=18.0, centre=(0.0, 0.0), scale=(1.0, 1.0))
     for one in (target(), target(None, turn)):
         found = doubt(scored(one), *place)
-        assert why in found
+        assert why in found.why
         assert bool(found) == bool(why) == untold(scored(one), *place[1:])
     before = scored(target(None))
-    assert doubt(before, *place) == ""
+    assert not doubt(before, *place)
     assert not untold(before, *place[1:])

@@ -34,6 +34,7 @@ from palpate.core import (
     unit,
 )
 from palpate.core.parsing import parser
+from palpate.core.refusal import NONE, ImageCode, Refusal
 from palpate.estimators.admission import admit_model
 from palpate.estimators.card_ground import FileCard, sealed_from
 from palpate.estimators.class_sets import class_count, class_readings
@@ -221,14 +222,16 @@ class Estimator:
         frame = frame if isinstance(frame, Frame) else Frame(frame)
         self._check_zero(zero)
         if frame.image.shape[:2] != self.card.input.frame_px:
-            return self._readings(frame, None, self._size_message(frame.image), zero), None
+            return self._readings(frame, None, self._wrong_size(frame.image), zero), None
         prepared = self._preparation.apply(frame.image)
         verdict = self._novelty.judge(prepared)
-        why = "" if verdict.atypicality <= 1 else verdict.reason
+        why = NONE
+        if verdict.atypicality > 1:
+            why = Refusal(ImageCode.OUT_OF_DISTRIBUTION, verdict.reason)
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
-            why = _copy_reason(self.card)
+            why = Refusal(ImageCode.FORMER_UNIT, _copy_reason(self.card))
         if self._coloured and _is_grey(frame.image):
-            why = "the image is grey, and the calibration is of colour"
+            why = Refusal(ImageCode.GRAY_IMAGE, "the image is grey, and the calibration is of colour")
         outputs = self._outputs(prepared, zero)
         return self._readings(frame, outputs, why, zero), outputs
 
@@ -262,12 +265,12 @@ class Estimator:
         difference = picture - zero.image if self.card.input.delta and zero is not None else picture
         return self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
 
-    def unread(self, name: str, time_s: float, why: str) -> Readings:
-        """Readings of a frame that could not be opened: no values, not valid, and the reason."""
+    def unread(self, name: str, time_s: float, why: Refusal) -> Readings:
+        """Readings of a frame that could not be read: no values, not valid, and the reason."""
         nothing = Frame(np.zeros((1, 1), np.uint8), time_s, name=name)
         return self._readings(nothing, None, why, None)
 
-    def _readings(self, frame: Frame, outputs: Outputs | None, why: str, zero: Zero | None) -> Readings:
+    def _readings(self, frame: Frame, outputs: Outputs | None, why: Refusal, zero: Zero | None) -> Readings:
         targets, drift = self.card.targets, None if zero is None else zero.drift
         whole = outputs
         outputs = None if outputs is None or not targets else outputs[:, : self._layout.outputs]
@@ -289,7 +292,7 @@ class Estimator:
         return Readings({**read, **self._classes(frame, whole, why, drift)})
 
     def _classes(
-        self, frame: Frame, outputs: Outputs | None, why: str, drift: Drift | None
+        self, frame: Frame, outputs: Outputs | None, why: Refusal, drift: Drift | None
     ) -> dict[str, ClassReading]:
         """The classes of a frame, from all outputs of the network."""
         return class_readings(
@@ -307,7 +310,7 @@ class Estimator:
         self,
         target: TargetCard,
         place: tuple[float, float, float],
-        why: str,
+        why: Refusal,
         drift: Drift | None,
         frame: Frame,
     ) -> Reading | CircularReading:
@@ -324,7 +327,8 @@ class Estimator:
             "coverage": self.card.coverage,
             "calibrated_range": (si.to_si(target.least), si.to_si(target.greatest)),
             "valid": not why,
-            "why": why,
+            "why": why.why,
+            "code": why.code,
             "drift": drift,
             "calibration": self.card.id,
             "frame": frame.name,
@@ -362,12 +366,13 @@ class Estimator:
 
     def _check_size(self, image: Image) -> None:
         if image.shape[:2] != self.card.input.frame_px:
-            raise ImageError(self._size_message(image))
+            raise ImageError(self._wrong_size(image).why)
 
-    def _size_message(self, image: Image) -> str:
+    def _wrong_size(self, image: Image) -> Refusal:
         height, width = self.card.input.frame_px
         rows, columns = image.shape[:2]
-        return f"the image is {columns}x{rows} px, the calibration is for {width}x{height} px"
+        text = f"the image is {columns}x{rows} px, the calibration is for {width}x{height} px"
+        return Refusal(ImageCode.IMAGE_SIZE, text)
 
 
 def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscriminator | None:

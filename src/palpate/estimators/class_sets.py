@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from palpate.core import Bool, ClassReading, Float
+from palpate.core.refusal import NONE, ImageCode, Refusal
 from palpate.estimators.card_ground import CardPart
 
 ClassOutputs = Float[np.ndarray, "n k"]
@@ -132,14 +133,14 @@ def members_of(outputs: ClassOutputs, thresholds: Sequence[float | None]) -> Mem
 
 
 def class_readings(
-    cards: Sequence[ClassCard], outputs: ClassOutputs | None, why: str, **common: Any
+    cards: Sequence[ClassCard], outputs: ClassOutputs | None, why: Refusal, **common: Any
 ) -> dict[str, ClassReading]:
     """Readings of one frame by the label columns.
 
     Args:
         cards: of the labels.
         outputs: the model's for all classes, of one row; None where nothing was read.
-        why: reason not to use anything of this frame; empty where there is none.
+        why: reason not to use anything of this frame; false where there is none.
         common: what every reading of the frame carries.
     """
     read = {}
@@ -152,20 +153,23 @@ def class_readings(
         doubt = why or _doubt(card, value, named)
         read[card.column] = ClassReading(
             quantity=card.column, unit="", value=value, members=named, classes=card.names,
-            valid=not doubt, why=doubt, **common,
+            valid=not doubt, why=doubt.why, code=doubt.code, **common,
         )  # fmt: skip
     return read
 
 
-def _doubt(card: ClassCard, value: str, members: tuple[str, ...]) -> str:
-    """Reason not to trust a class; empty where there is none."""
+def _doubt(card: ClassCard, value: str, members: tuple[str, ...]) -> Refusal:
+    """Reason not to trust a class; false where there is none."""
     if not members:
-        return f"not told: this frame is like no class of {card.column}, their set is empty"
+        why = f"not told: this frame is like no class of {card.column}, their set is empty"
+        return Refusal(ImageCode.NO_CLASS, why)
     if len(members) == len(card.names):
-        return f"not told: this frame leaves all classes of {card.column} open ({', '.join(members)})"
+        why = f"not told: this frame leaves all classes of {card.column} open ({', '.join(members)})"
+        return Refusal(ImageCode.ALL_CLASSES, why)
     if value not in members:
-        return (
+        why = (
             f"not told: the likeliest class of {card.column}, {value}, is not in the set of those that "
             f"cannot be ruled out ({', '.join(members)})"
         )
-    return ""
+        return Refusal(ImageCode.CLASS_NOT_IN_SET, why)
+    return NONE

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from palpate.core.refusal import NONE, ImageCode, Refusal
 from palpate.estimators.model_card import RangeCard, TargetCard
 from palpate.estimators.reference_uncertainty import with_reference
 
 
-def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
-    """Reason not to trust a value; empty where there is none.
+def doubt(target: TargetCard, value: float, low: float, high: float) -> Refusal:
+    """Reason not to trust a value; false where there is none.
 
     A target that the calibration does not read has no valid reading. An estimate beyond the calibrated
     range by more than the card allows is extrapolated, and so is one whose interval reaches further
@@ -23,15 +24,19 @@ def doubt(target: TargetCard, value: float, low: float, high: float) -> str:
             unit; NaN where none.
     """
     if target.is_never_valid:
-        return _not_read(target)
+        return Refusal(ImageCode.NOT_LEARNED, _not_read(target))
     ends = with_reference(target, value, low, high)
     if untold(target, *ends):
-        return _tells_nothing(target, ends[1] - ends[0])
+        return Refusal(ImageCode.UNDETERMINED, _tells_nothing(target, ends[1] - ends[0]))
     if target.circular is not None:
-        return _outside_arc(target, value, (high - low) / 2, target.circular.period)
+        return _outside(_outside_arc(target, value, (high - low) / 2, target.circular.period))
     if target.over_range is None:
-        return _wholly_outside(target, value, (high - low) / 2)
+        return _outside(_wholly_outside(target, value, (high - low) / 2))
     return _extrapolated(target, target.over_range, value, low, high)
+
+
+def _outside(why: str) -> Refusal:
+    return Refusal(ImageCode.OUTSIDE_RANGE, why) if why else NONE
 
 
 def untold(target: TargetCard, low: float, high: float) -> bool:
@@ -48,7 +53,7 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
     return target.untold_width is not None and bool(high - low >= target.untold_width)
 
 
-def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> str:
+def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> Refusal:
     """The estimate, or else the interval, lies beyond an end of the range by more than allowed."""
     what = f"{target.quantity} {value:.3g} {target.unit}"
     sides = (
@@ -57,10 +62,11 @@ def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float,
     )
     for (estimate, end), usual, usual_end in zip(sides, over.beyond, over.reach, strict=True):
         if estimate > usual:
-            return _beyond(target, f"{what} lies", estimate, usual)
+            return _outside(_beyond(target, f"{what} lies", estimate, usual))
         if end > usual_end:
-            return _beyond(target, f"the interval of {what} reaches", end, usual_end)
-    return ""
+            why = _beyond(target, f"the interval of {what} reaches", end, usual_end)
+            return Refusal(ImageCode.INTERVAL_OUTSIDE_RANGE, why)
+    return NONE
 
 
 def _beyond(target: TargetCard, what: str, far: float, usual: float) -> str:

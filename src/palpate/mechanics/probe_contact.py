@@ -112,7 +112,8 @@ def press_probe(
         probe=probe,
         pose=pose,
         solution=ContactSolution.PROBE_TABLE,
-        model=f"finite-strain table in three dimensions: rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
+        model="finite-strain table in three dimensions: "
+        f"rigid {probe.shape}, edges rounded by {table.rounding * h * 1e3:g} mm, "
         f"bonded neo-Hookean layer, nu {table.poisson_ratio:g}, no friction, "
         f"depth <= {table.greatest_depth * h * 1e3:g} mm; linear to {LIGHT * h * 1e3:g} mm",
     )

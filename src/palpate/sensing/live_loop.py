@@ -6,7 +6,6 @@ Frames of a camera that were not taken in time are replaced and counted, never q
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -29,6 +28,7 @@ from palpate.core import (
 )
 from palpate.core.failure_log import record_failure, report_to_stderr
 from palpate.core.reading import plain_number
+from palpate.core.refusal import OF_ALL_FRAMES
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
@@ -44,9 +44,6 @@ ZERO_FRAMES = 15  # half a second at 30 frames a second, in which a lamp's flick
 TOLD_S = 0.2  # age of the rate and latencies that a reading carries
 BIAS_S = 0.5  # of the force sensor's last samples, whose median is its bias
 MAX_FAULTS = 20
-_OF_ALL_FRAMES = re.compile(r"the image is \d+x\d+ px|this calibration reads")
-"""Reasons that hold for every frame alike, of another size or without an untouched image; one frame's own, as
-that it is unlike those calibrated on, stands beside its value alone."""
 
 
 class LiveState(StrEnum):
@@ -315,10 +312,10 @@ class LiveLoop(Closing):
         if needs := getattr(reader, "needs", ""):
             return str(needs)
         if reader is not None and latest is not None and latest.readings is not None and not latest.why:
-            reasons = {one.why for one in latest.readings.values()}
-            first = next(iter(reasons), "")
-            if len(reasons) == 1 and _OF_ALL_FRAMES.match(first):
-                return first  # of another size, or without an untouched image
+            reasons = {(one.code, one.why) for one in latest.readings.values()}
+            code, why = next(iter(reasons), ("", ""))
+            if len(reasons) == 1 and code in OF_ALL_FRAMES:
+                return why
         return ""
 
     def status(self) -> dict[str, Any]:

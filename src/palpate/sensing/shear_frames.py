@@ -12,9 +12,9 @@ import numpy as np
 
 from palpate.calibration.shear import ForceFollower, ShearCalibration
 from palpate.core import Frame, ImageError, InputError, PathText, Readings, storage_errors
+from palpate.core.refusal import Refusal
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
-from palpate.estimators.shear.refusal import Refusal
 from palpate.estimators.surface_strain import StrainFields
 from palpate.recordings.exchange.frame_sequences import TIFFS, open_sequence
 from palpate.sensing.frame_sources import FrameStream, ImageFiles, SequenceFrames, Unreadable, open_source

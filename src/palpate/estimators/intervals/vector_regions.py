@@ -46,7 +46,8 @@ def vector_reading(
             reach = joint_reach(len(parts), parts[0].coverage)  # of all of them: more than that of one
             covariance[k, k] += (reach * unit.to_si(instrument.standard_uncertainty) / vector.radius) ** 2
     whys = dict.fromkeys(part.why for part in parts if part.why)
-    first = provenance(parts[0]) | {"valid": not whys, "why": "; ".join(whys)}
+    codes = dict.fromkeys(part.code for part in parts if part.code)
+    first = provenance(parts[0]) | {"valid": not whys, "why": "; ".join(whys), "code": "; ".join(codes)}
     ranges = [part.calibrated_range for part in parts if isinstance(part, Reading)]
     return VectorReading(
         quantity=quantity,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, ndarray
-from palpate.estimators.shear.refusal import NONE, Refusal
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.shear.touch_places import TouchPlaces
 from palpate.estimators.surface_strain import StrainFields, contact_peaks
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.estimators.shear.refusal import NONE, Refusal
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
 from palpate.estimators.shear.touch_places import TouchPlaces
 from palpate.estimators.surface_strain import StrainFields, contact_peaks

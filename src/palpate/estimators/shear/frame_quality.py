@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, Shaped, ndarray
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.brightest_channel import brightest_channel
-from palpate.estimators.shear.refusal import NONE, Refusal
 
 MIN_CONTRAST = 0.4  # of the reference's
 MIN_SHARPNESS = 0.7  # of the reference's

@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from palpate.core import Frame, InputError, Lens, RangeError, Readings
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.lattice import ControlPoints, DottedSkin
 from palpate.estimators.shear.camera_motion import camera_motion
 from palpate.estimators.shear.contact_reach import reach_of
 from palpate.estimators.shear.frame_quality import look_at, pattern_box, why_unreadable
 from palpate.estimators.shear.reference_check import refuse_reference
-from palpate.estimators.shear.refusal import NONE, Refusal
 from palpate.estimators.shear.skin_damage import damage_of
 from palpate.estimators.shear.skin_marks import DotMarks, SkinMarks, TiledSkin, TileMarks
 from palpate.estimators.shear.slip_onset import SlipWatch

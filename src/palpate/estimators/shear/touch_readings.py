@@ -10,11 +10,11 @@ import math
 from typing import Any
 
 from palpate.core import CircularReading, ClassReading, Frame, MeasurementResult, Reading, Readings
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.shear.camera_motion import motion_limit
 from palpate.estimators.shear.contact_reach import area_of
 from palpate.estimators.shear.pattern_shift import PatternShift, pattern_shift
 from palpate.estimators.shear.reference_check import LatticeFit
-from palpate.estimators.shear.refusal import NONE, Refusal
 from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
 from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces
 from palpate.estimators.surface_strain import StrainFields, shear_measure

@@ -40,7 +40,7 @@ class ShearFrameReader:
         self._name = name
         self._reader: ShearReader | None = None
         self._force: ForceInTouch | None = None
-        self.needs = NO_ZERO
+        self.needs = NO_ZERO.why
         self.seen: tuple[ShearReader, ShearTouch] | None = None
 
     @property
