@@ -72,9 +72,9 @@ def test_a_network_that_gives_no_number_is_not_scored_on_the_others(
         evaluate(estimator, run)
 
 
-def card_of(kind: str, columns: tuple[str, ...] = (), reason: str = "") -> Card:
+def card_of(kind: str, columns: tuple[str, ...] = (), block_rows: int | None = None) -> Card:
     """A card of a split; there is nothing else that groups are told by."""
-    about = SplitCard.model_construct(kind=kind, columns=columns, reason=reason)
+    about = SplitCard.model_construct(kind=kind, columns=columns, block_rows=block_rows)
     return Card.model_construct(split=about, interval_reset=None)
 
 
@@ -88,7 +88,7 @@ def test_held_out_blocks_are_found_again_from_the_predictions(spec, folds_scored
     rows = np.concatenate(parts.folds[:folds_scored])
     table = pd.DataFrame({"session": sessions[rows], "row": rows, "held_out_in_fold": folds})
     table = table.sample(frac=1, random_state=0)
-    groups, by = held_out_groups(card_of(spec, reason=parts.reason), table)
+    groups, by = held_out_groups(card_of(spec, block_rows=parts.block_rows), table)
     assert by == "held-out block"
     pairs = set(zip(groups.tolist(), np.array(parts.groups)[table["row"]].tolist(), strict=True))
     assert len(pairs) == len(set(groups.tolist())) == len(np.unique(np.array(parts.groups)[rows]))

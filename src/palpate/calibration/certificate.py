@@ -475,6 +475,7 @@ def split_card(result: CalibrationResult) -> SplitCard:
     return SplitCard(
         kind=result.split.kind,
         reason=result.split.reason,
+        block_rows=result.split.block_rows,
         columns=result.split.group_columns,
         groups=len(np.unique(result.data.groups)),
         folds=len(result.split.folds),

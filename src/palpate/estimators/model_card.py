@@ -349,8 +349,11 @@ class ReferenceCard(CardPart):
 class SplitCard(CardPart):
     """Split by which rows were held out, numbers of rows learnt from and scored, and the audit."""
 
+    added = ("block_rows",)
+
     kind: str
     reason: str
+    block_rows: int | None = None
     columns: tuple[str, ...]
     groups: int
     folds: int

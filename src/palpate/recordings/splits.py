@@ -62,6 +62,7 @@ class Split:
         groups: name of the group of each row ``[n]``; None for a random split.
         folds: row indices held out in each fold; disjoint, together all rows.
         reason: why this kind, in words.
+        block_rows: consecutive rows of each block, of a split by blocks; None of any other.
     """
 
     kind: str
@@ -69,6 +70,7 @@ class Split:
     groups: np.ndarray | None
     folds: tuple[np.ndarray, ...]
     reason: str
+    block_rows: int | None = None
 
     def training_rows(self, k: int) -> np.ndarray:
         """The rows that fold `k` trains on: all but those it holds out, in order."""
@@ -171,7 +173,7 @@ def _by_blocks(table: pd.DataFrame, length: int | None, folds: int, rng: np.rand
     parts = tuple(np.flatnonzero(fold == k) for k in range(folds))
     kind = "blocks" if length is None else f"blocks:{length}"
     reason = f"blocks of {rows} consecutive rows dealt to {folds} folds in turn, as asked"
-    return Split(kind, (), np.array([f"block {b}" for b in block]), parts, reason)
+    return Split(kind, (), np.array([f"block {b}" for b in block]), parts, reason, rows)
 
 
 def _block_numbers(table: pd.DataFrame, rows: int) -> np.ndarray:

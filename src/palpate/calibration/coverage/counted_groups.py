@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pandas as pd
 
@@ -66,15 +64,14 @@ def held_out_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
         card: of the calibration.
         table: its held-out predictions.
     """
-    if card.split.columns or card.interval_reset or card.split.kind.partition(":")[0] != "blocks":
+    length = card.split.block_rows
+    if card.split.columns or card.interval_reset or length is None:
         return counted_groups(card, table)
-    return _held_out_blocks(card, table), BLOCK
+    return _held_out_blocks(length, table), BLOCK
 
 
-def _held_out_blocks(card: Card, table: pd.DataFrame) -> np.ndarray:
+def _held_out_blocks(length: int, table: pd.DataFrame) -> np.ndarray:
     """Number of each row's block: a fold's stretches of rows without a gap, cut after each block's length."""
-    stated = re.search(r"\d+", card.split.kind) or re.match(r"blocks of (\d+)", card.split.reason)
-    length = int(stated[stated.re.groups]) if stated else len(table)
     rows, folds = (own_column(table, name).to_numpy(np.int64) for name in ("row", "held_out_in_fold"))
     sessions = groups_in(table, (SESSION,)) if SESSION in table else np.zeros(len(table), np.int64)
     order, place = np.argsort(rows), np.arange(len(table))

@@ -126,7 +126,7 @@ def presses_of(table: pd.DataFrame, split: Split) -> np.ndarray | None:
         split: of these rows.
     """
     named = [groups_within(table)] if finest_columns(table) else []
-    fine = split.groups is not None and split.kind.partition(":")[0] != "blocks"
+    fine = split.groups is not None and split.block_rows is None
     if fine and (not split.group_columns or set(split.group_columns) - set(HELD_OUT_WHOLE)):
         named.append(np.unique(np.asarray(split.groups), return_inverse=True)[1])
     if not named:
