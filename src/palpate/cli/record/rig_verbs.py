@@ -31,7 +31,7 @@ PositionSource = Annotated[
     Option(
         help="Source of the stage's position: stored (only with complete evidence), reference (your word "
         "that it stands at the file's reference), or touch-off (a guarded search for the skin, from at most "
-        "10 mm above its center, after a push by hand)."
+        "5 mm above its center, after a push by hand)."
     ),
 ]
 Opened = TypeVar("Opened")

@@ -10,18 +10,19 @@ from typing import Any
 
 from palpate.core import Clock, ForceSensor, InputError, Position, RangeError, Stage
 from palpate.devices import Limits, Mounting, OperatorControl
-from palpate.devices.force_bias import ForceBias
+from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
-from palpate.devices.motion_limits import Tripped
+from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, touch_twice
 from palpate.rig.commissioning.hand_motion import (
     JOG_N,
+    LIFT_SPEED_M_S,
     MAX_JOG_M,
     MAX_JOG_M_S,
     PUSH,
     await_push,
     home_clear,
-    mean_force,
+    hop_to,
 )
 from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, three_of, until_good
 from palpate.rig.rig_file import RigFile, open_part
@@ -67,7 +68,7 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         force = open_part("force", file.force, clock)
         opened.callback(force.close)
         say(PUSH)
-        await_push(force, clock)
+        pushed_n = await_push(force, clock)
         homes = homing and confirm(answers, "home", "Home the stage now, the probe free", True)
         stage = open_part("stage", file.stage, clock, "nowhere" if homes else "reference")
         opened.callback(stage.close)
@@ -82,6 +83,7 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         )
         say("touching twice, gently")
         touch = touch_twice(stage, force, limits, clock, reach_mm / MM)
+        _check_same_axis(pushed_n, touch.axes[2])
         found: dict[str, Any] = {"axes": list(touch.axes), "origin_mm": _mm(touch.surface_m)}
         say(f"skin at {found['origin_mm']} mm; a press is {touch.axes[2]} of the sensor")
         x, y, z = touch.surface_m
@@ -128,12 +130,30 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
 def _go_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, above: Three) -> None:
     """Aside first and then down, stopped by a change of force of 1 N."""
     at = stage.position_m()
-    bias = ForceBias(Mounting(), mean_force(force, Mounting(), clock).force_n)
+    bias = ForceBias(Mounting())
     guard = MotionGuard(stage, force, replace(limits, force_n=JOG_N), bias, clock, OperatorControl())
+    guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
     speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
-    for target in ((above[0], above[1], min(at[2], above[2])), above):
-        if any(abs(a - b) > 1e-6 for a, b in zip(stage.position_m(), target, strict=True)):
-            guard.towards(target, speed)
+    try:
+        for target in ((above[0], above[1], min(at[2], above[2])), above):
+            if any(abs(a - b) > 1e-6 for a, b in zip(stage.position_m(), target, strict=True)):
+                guard.towards(target, speed)
+    except Tripped:  # perhaps in the skin
+        x, y, z = stage.position_m()
+        if z > at[2]:
+            hop_to(stage, clock, (x, y, at[2]), LIFT_SPEED_M_S)
+        raise
+
+
+def _check_same_axis(pushed_n: Force, axis: str) -> None:
+    """Refuse a touch that was felt along another axis than the push by hand."""
+    pushed = "xyz"[max(range(3), key=lambda i: abs(pushed_n[i]))]
+    if pushed != axis.removeprefix("-"):
+        raise Tripped(
+            Reason.FORCE_REVERSED,
+            f"the push by hand was felt along the sensor's {pushed}, and the touch along its {axis[-1]}: "
+            "push in the direction of a press, and check how the sensor is mounted",
+        )
 
 
 def _mm(at: Position) -> list[float]:

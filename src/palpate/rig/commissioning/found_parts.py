@@ -65,7 +65,7 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, c
             stage.close()
         box = Mount(axes).box_m(machine.travel_mm)
         fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": dtr, "boot_s": boot_s}
-        fields["steps_per_mm"] = list(stage.steps_per_mm)
+        fields |= {"steps_per_mm": list(stage.steps_per_mm), "direction_mask": stage.direction_mask}
         return FoundStage("grbl", says, machine.homing, box, fields)
     assert first is not None
     raise first

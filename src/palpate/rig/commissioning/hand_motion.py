@@ -7,6 +7,7 @@ force stays what it is while the probe is lifted, and in contact it does not.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
@@ -23,6 +24,7 @@ from palpate.core import (
     Wrench,
 )
 from palpate.devices import Limits, Mounting, OperatorControl, Reason, Tripped
+from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
 
@@ -46,14 +48,19 @@ MAX_UNGUARDED_M_S = 2e-3
 JOG_N = 1.0  # change of force at which a jog stops
 SEARCH_STEP_M = 0.05e-3  # step of a touch-off; the force is measured after each
 SEARCH_SPEED_M_S = 1e-3
-SEARCH_REACH_M = 10e-3  # greatest distance from the skin at which a touch-off begins
+SEARCH_REACH_M = 5e-3  # greatest distance from the skin at which a touch-off begins
 SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
 TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
 PUSH_N = 0.5  # change of force by a hand that shows that the sensor measures force
 PUSH_WAIT_S = 60.0  # longest wait for a push, and for its end
-RELEASED_S = 1.0  # time without a change of force, which no hand holds
+PUSH_MEANS = 20  # means of 0.1 s within which a push rises; a drift does not
+RELEASED_N, RELEASED_SHARE = 0.1, 0.2  # force that may be left of a push
+RELEASED_S = 1.0  # time for which the force stays so
+AGREE_M = 0.3e-3  # difference of two searches for the skin
+MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
+AXES = "xyz"
 PUSH = (
-    f"Push the probe, or what carries the force sensor, by hand with more than {PUSH_N:g} N, and let go: the "
+    f"Push the probe in the direction of a press, by hand, with more than {PUSH_N:g} N, and let go: the "
     "stage moves only once the force sensor has responded"
 )
 
@@ -86,6 +93,15 @@ class AirForce:
     lifted_mm: float
 
 
+def _fresh(force: ForceSensor) -> list[Wrench]:
+    """Samples since the last call; one that a sensor reports as faulty, or that is no number, raises."""
+    samples = PlainForceSource(force).drain()
+    for one in samples:
+        if one.fault:
+            raise Tripped(Reason.FORCE_FAULT, f"the force sensor reports: {one.fault}")
+    return samples
+
+
 def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
     """Mean of fresh samples, at a stand; on a busy computer samples are waited for up to `STALE_S`.
 
@@ -96,10 +112,10 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
     began_ns = clock.now_ns()
     seconds = max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz)
     clock.sleep(seconds)
-    samples = force.drain()
+    samples = PlainForceSource(force).drain()
     while len(samples) < MIN_SAMPLES and clock.now_ns() - began_ns < (seconds + STALE_S) * NS_PER_S:
         clock.sleep(POLL_S)
-        samples += force.drain()
+        samples += PlainForceSource(force).drain()
     bias = ForceBias(mounting)
     bias.measure(samples)
     if len({(one.force_n, one.torque_nm) for one in samples if not one.fault}) == 1:
@@ -124,44 +140,65 @@ def discard(force: ForceSensor) -> None:
         force.drain()
 
 
-def await_push(force: ForceSensor, clock: Clock) -> None:
+def await_push(force: ForceSensor, clock: Clock, axis: int | None = None) -> Force:
     """Wait until the force sensor responds to a push by hand, and until the hand is gone.
 
     Noise alone does not show that a sensor measures force: one with a broken bridge has noise too, and a
-    search for the skin that it guards ends deep in the skin. `PUSH` is what to tell the operator.
+    search for the skin that it guards ends deep in the skin. A push rises within two seconds and leaves no
+    force behind, so that a drift or a jump is none. `PUSH` is what to tell the operator.
+
+    Args:
+        axis: Axis of the sensor along which the push must be felt: 0, 1, or 2; None for any.
+
+    Returns:
+        Change of force by the push, in the sensor's own axes [N].
 
     Raises:
-        Tripped: No response within `PUSH_WAIT_S` (`FORCE_DEAD`), or the force does not come to rest
+        Tripped: No response within `PUSH_WAIT_S` (`FORCE_DEAD`), or the force does not return to what it was
             (`FORCE_NOISE`).
     """
     end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
-    rest = mean_force(force, Mounting(), clock)
-    while math.dist((now := mean_force(force, Mounting(), clock)).force_n, rest.force_n) < max(
-        PUSH_N, _contact_n(now, rest)
-    ):
+    means: deque[AirForce] = deque([mean_force(force, Mounting(), clock)], maxlen=PUSH_MEANS)
+    while True:
+        now = mean_force(force, Mounting(), clock)
+        for before in means:
+            push = _difference(now, before)
+            felt_n = math.hypot(*push) if axis is None else abs(push[axis])
+            if felt_n >= max(PUSH_N, _contact_n(now, before)):
+                return _released(force, clock, before, push, axis)
+        means.append(now)
         if clock.now_ns() > end_ns:
             raise Tripped(
                 Reason.FORCE_DEAD,
-                f"the force sensor did not respond to a push by hand of more than {PUSH_N:g} N within "
-                f"{PUSH_WAIT_S:g} s, so nothing moved; check its cable and its load path, then repeat",
+                f"the force sensor did not respond to a push by hand of more than {PUSH_N:g} N "
+                f"{'' if axis is None else f'along its {AXES[axis]} '}within {PUSH_WAIT_S:g} s, so nothing "
+                "moved; check its cable, its axes, and its load path, then repeat",
             )
-    _await_rest(force, clock, now)
 
 
-def _await_rest(force: ForceSensor, clock: Clock, since: AirForce) -> None:
-    """Wait until the force has not changed for `RELEASED_S`."""
+def _released(force: ForceSensor, clock: Clock, rest: AirForce, push: Force, axis: int | None) -> Force:
+    """Wait until the force has been what it was before a push for `RELEASED_S`; the greatest change [N]."""
     end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
     since_ns = clock.now_ns()
     while clock.now_ns() - since_ns < RELEASED_S * NS_PER_S:
         now = mean_force(force, Mounting(), clock)
-        if math.dist(now.force_n, since.force_n) > _contact_n(now, since):
-            since, since_ns = now, clock.now_ns()
+        change = _difference(now, rest)
+        push = max(push, change, key=lambda one: math.hypot(*one) if axis is None else abs(one[axis]))
+        if math.hypot(*change) > max(RELEASED_N, RELEASED_SHARE * math.hypot(*push), _contact_n(now, rest)):
+            since_ns = clock.now_ns()
         if clock.now_ns() > end_ns:
             raise Tripped(
                 Reason.FORCE_NOISE,
-                f"the force did not come to rest within {PUSH_WAIT_S:g} s after a push by hand, so nothing "
-                "moved; let go of the probe, or let the sensor warm up, then repeat",
+                f"the force did not return to what it was before the push by hand within {PUSH_WAIT_S:g} s, "
+                f"so nothing moved: it is {math.hypot(*change):.2f} N away. Let go of the probe, or let the "
+                "sensor warm up, then repeat",
             )
+    return push
+
+
+def _difference(a: AirForce, b: AirForce) -> Force:
+    x, y, z = (p - q for p, q in zip(a.force_n, b.force_n, strict=True))
+    return x, y, z
 
 
 def lift_clear(
@@ -177,11 +214,12 @@ def lift_clear(
         limits: soft limits that it keeps to, where the stage's place is known.
 
     Raises:
-        Tripped: a soft limit, before it is passed; compression rises, the force goes on changing over
-            `MAX_LIFT_M`, or cannot be believed.
+        Tripped: a soft limit, before it is passed; compression rises, the force changes by more than the
+            rig's limit, goes on changing over `MAX_LIFT_M`, or cannot be believed.
         DeviceError: the stage fails, or its controller refuses to go higher.
     """
-    at = mean_force(force, mounting, clock)
+    at = start = mean_force(force, mounting, clock)
+    most_n = MAX_CHANGE_N if limits is None else limits.force_n
     lifted_m, reference, flat_m = 0.0, at, 0.0
     while flat_m < FLAT_M - 1e-9:
         if lifted_m > MAX_LIFT_M:
@@ -193,7 +231,7 @@ def lift_clear(
         if limits is not None:
             x, y, z = stage.position_m()
             limits.check_target((x, y, z - STEP_M))
-        _retreat(stage, force, mounting, clock, STEP_M, LIFT_SPEED_M_S)
+        _retreat(stage, force, mounting, clock, STEP_M, LIFT_SPEED_M_S, start=start, most_n=most_n)
         lifted_m, flat_m = lifted_m + STEP_M, flat_m + STEP_M
         at = mean_force(force, mounting, clock)
         if math.dist(at.force_n, reference.force_n) > _contact_n(at, reference):
@@ -234,7 +272,7 @@ def touch_off(
     *,
     pushed: bool = True,
 ) -> AirForce:
-    """Find the skin below the probe by a guarded search, and take the stage's position from it.
+    """Find the skin below the probe by two guarded searches, and take the stage's position from them.
 
     The operator states that the probe hangs above the skin's center, `SEARCH_REACH_M` at most, and shows by
     a push that the force sensor responds (`await_push`). The probe is lifted until the force is flat, goes
@@ -253,23 +291,47 @@ def touch_off(
     if not isinstance(stage, Homing):
         raise DeviceError("this stage always knows its position; leave --position touch-off out")
     if pushed:
-        await_push(force, clock)
+        await_push(force, clock, mounting.normal)
     lift_clear(stage, force, mounting, clock)
     air = mean_force(force, Mounting(), clock)
+    _search(stage, force, mounting, clock, air, SEARCH_REACH_M)
+    left = _lift_off(stage, force, mounting, clock, air)
+    again_m = _search(stage, force, mounting, clock, left, TOUCH_OFF_LIFT_M + 2 * AGREE_M)
+    if abs(again_m - TOUCH_OFF_LIFT_M) > AGREE_M:  # the first was a knock, or the second
+        _retreat(stage, force, mounting, clock, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"two searches for the skin differ by {abs(again_m - TOUCH_OFF_LIFT_M) * 1e3:.2f} mm, and "
+            f"{AGREE_M * 1e3:g} mm are allowed: something knocked the probe, or it is loose; repeat",
+        )
+    left = _lift_off(stage, force, mounting, clock, left)
+    x, y, z = surface_m
+    stage.reference((x, y, z - TOUCH_OFF_LIFT_M))
+    return replace(left, lifted_mm=TOUCH_OFF_LIFT_M * 1e3)
+
+
+def _search(
+    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, air: AirForce, reach_m: float
+) -> float:
+    """Go down in steps until the force differs from that of the air; the way [m]."""
     lowered_m = 0.0
     while True:
-        if lowered_m > SEARCH_REACH_M:  # perhaps deep in a skin that the sensor does not feel
-            _retreat(stage, force, mounting, clock, lowered_m, LIFT_SPEED_M_S)
+        if lowered_m > reach_m:  # perhaps deep in a skin that the sensor does not feel
+            _retreat(stage, force, mounting, clock, lowered_m, LIFT_SPEED_M_S, most_n=math.inf)
             raise Tripped(
                 Reason.NO_CONTACT,
-                f"no contact within {SEARCH_REACH_M * 1e3:g} mm below the probe, which was lifted again; "
-                "hang it above the skin's center, nearer than that, and press the force sensor by hand",
+                f"no contact within {reach_m * 1e3:g} mm below the probe, which was lifted again; hang it "
+                "above the skin's center, nearer than that, and press the force sensor by hand",
             )
-        _search_step(stage, force, clock, air)
+        _search_step(stage, force, clock, air)  # type: ignore[arg-type]
         lowered_m += SEARCH_STEP_M
         at = mean_force(force, Mounting(), clock)
         if math.dist(at.force_n, air.force_n) > _contact_n(at, air):
-            break
+            return lowered_m
+
+
+def _lift_off(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, air: AirForce) -> AirForce:
+    """Lift by `TOUCH_OFF_LIFT_M` from the skin, to the force of the air."""
     _retreat(stage, force, mounting, clock, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
     left = mean_force(force, Mounting(), clock)
     if math.dist(left.force_n, air.force_n) > _contact_n(left, air):
@@ -278,18 +340,14 @@ def touch_off(
             f"after a touch-off the force did not return to that of the air, {TOUCH_OFF_LIFT_M * 1e3:g} mm "
             "above the contact: the sensor drifts, or something else touches; let it warm up, then repeat",
         )
-    x, y, z = surface_m
-    stage.reference((x, y, z - TOUCH_OFF_LIFT_M))
-    return replace(left, lifted_mm=TOUCH_OFF_LIFT_M * 1e3)
+    return left
 
 
 def _search_step(stage: Homing, force: ForceSensor, clock: Clock, air: AirForce) -> None:
     """Go down by one step, stopped on the way by a change of force."""
 
     def look() -> None:
-        for one in force.drain():
-            if one.fault:
-                raise Tripped(Reason.FORCE_FAULT, f"the force sensor reports: {one.fault}")
+        for one in _fresh(force):
             if math.dist(one.force_n, air.force_n) > SEARCH_N:
                 stage.stop()  # type: ignore[attr-defined]
 
@@ -332,6 +390,8 @@ def jog(
 ) -> None:
     """Move one axis by so far, stopped by any change of force from what it is now.
 
+    Away from the skin the force may fall by as much as the rig allows: the probe may stand in the skin.
+
     Args:
         axis: x, y or z of the skin's frame; z leads into it.
         distance_m: with its sign [m].
@@ -348,9 +408,9 @@ def jog(
             f"a jog stopped at {stop_n:g} N; the rig's limit of {limits.force_n:g} N is the greatest allowed"
         )
     if force is None:
-        _hop(stage, clock, target, speed_m_s)
+        hop_to(stage, clock, target, speed_m_s)
     elif axis == "z" and distance_m < 0:
-        _retreat(stage, force, mounting, clock, -distance_m, speed_m_s)
+        _retreat(stage, force, mounting, clock, -distance_m, speed_m_s, rise_n=stop_n, most_n=limits.force_n)
     else:
         bias = ForceBias(mounting)
         guard = MotionGuard(stage, force, replace(limits, force_n=stop_n), bias, clock, OperatorControl())
@@ -380,9 +440,7 @@ def move_watched(
 
     def look() -> None:
         nonlocal felt, newest_ns
-        for one in force.drain():
-            if one.fault:
-                raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {one.fault}")
+        for one in _fresh(force):
             felt, newest_ns = felt or math.dist(one.force_n, from_n) > stop_n, one.time_ns
         if clock.now_ns() - newest_ns > STALE_S * NS_PER_S:
             raise Tripped(Reason.FORCE_STALE, f"no force came for {STALE_S:g} s while the stage moved")
@@ -450,14 +508,29 @@ def _contact_n(a: AirForce, b: AirForce) -> float:
 
 
 def _retreat(
-    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, distance_m: float, speed_m_s: float
+    stage: Stage,
+    force: ForceSensor,
+    mounting: Mounting,
+    clock: Clock,
+    distance_m: float,
+    speed_m_s: float,
+    *,
+    start: AirForce | None = None,
+    rise_n: float = RISE_N,
+    most_n: float = MAX_CHANGE_N,
 ) -> None:
-    """Move away from the skin, and stop where compression rises on the way."""
-    start_n = mounting.to_skin(mean_force(force, Mounting(), clock).force_n)[2]
+    """Move away from the skin, and stop where compression rises or the force changes by too much.
 
-    def rising() -> None:
-        for one in force.drain():
-            _check_rise(one, mounting, start_n)
+    Args:
+        start: Force at the start of the whole lift, of which this may be a step, in the skin's axes.
+        rise_n: Allowed rise of compression since then [N].
+        most_n: Allowed change of force since then, of any sign: z or the sensor may be turned round [N].
+    """
+    from_n = (start or mean_force(force, mounting, clock)).force_n
+
+    def look() -> None:
+        for one in _fresh(force):
+            _check_lift(mounting.to_skin(one.force_n), from_n, rise_n, most_n)
 
     x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)
     count = math.ceil(distance_m / HOP_M - 1e-6)
@@ -466,10 +539,10 @@ def _retreat(
             stage.retreat(distance_m / count, speed_m_s)
         else:
             stage.move_to((x, y, z - distance_m * k / count), speed_m_s)
-        _await(stage, clock, distance_m / count / speed_m_s, rising)
+        _await(stage, clock, distance_m / count / speed_m_s, look)
 
 
-def _hop(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:
+def hop_to(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:
     """Move in short hops, one in flight at a time."""
     start = stage.position_m()
     count = math.ceil(math.dist(start, target) / HOP_M - 1e-6)
@@ -479,15 +552,19 @@ def _hop(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None
         _await(stage, clock, HOP_M / speed_m_s, lambda: None)
 
 
-def _check_rise(sample: Wrench, mounting: Mounting, start_n: float) -> None:
-    if sample.fault:
-        raise Tripped(Reason.FORCE_FAULT, f"the force sensor says: {sample.fault}")
-    rise_n = mounting.to_skin(sample.force_n)[2] - start_n
-    if rise_n > RISE_N:
+def _check_lift(force_n: Force, start_n: Force, rise_n: float, most_n: float) -> None:
+    turned = "is z of the stage or of the force sensor turned round?"
+    if (rose_n := force_n[2] - start_n[2]) > rise_n:
         raise Tripped(
             Reason.FORCE_LIMIT,
-            f"compression rose by {rise_n:.2f} N on the way away from the skin; {RISE_N:g} N are allowed: is "
-            "z of the stage or of the force sensor turned round?",
+            f"compression rose by {rose_n:.2f} N on the way away from the skin; {rise_n:g} N are allowed: "
+            f"{turned}",
+        )
+    if (changed_n := math.dist(force_n, start_n)) > most_n:
+        raise Tripped(
+            Reason.FORCE_LIMIT,
+            f"the force changed by {changed_n:.2f} N on the way away from the skin; {most_n:g} N are "
+            f"allowed: {turned} If the probe was pressed as hard, repeat",
         )
 
 

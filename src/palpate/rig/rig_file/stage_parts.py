@@ -75,7 +75,8 @@ class GrblPart(Part):
         reference: Position at which the operator may confirm that the stage stands (`--position reference`),
             never assumed: three numbers [mm], or "counts" for the controller's machine coordinates.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
-        steps_per_mm: $100 to $102, as the controller must count; another scale is refused.
+        steps_per_mm, direction_mask: $100 to $102, and $3, as the controller must have them; others are
+            refused.
         top_speed_mm_s, latency_s, boot_s, reply_s, stop_s, home_s: see `GrblSpec`; left out, its own.
     """
 
@@ -91,6 +92,7 @@ class GrblPart(Part):
     require_homed: bool = True
     reference: Literal["counts"] | Three | None = None
     steps_per_mm: Three | None = None
+    direction_mask: Annotated[int, Field(ge=0, le=7)] | None = None
     top_speed_mm_s: Positive | None = None
     boot_s: NotNegative | None = None
     reply_s: Positive | None = None
@@ -280,6 +282,7 @@ def _placed(
     try:
         if position != "nowhere":
             _check_scale(stage, part)
+            _check_directions(stage, part)
         if position == "reference":
             stage.reference(_confirmed_m(part))
         elif position == "stored":
@@ -303,6 +306,18 @@ def _check_scale(stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart) ->
         f"the controller counts {found_text} steps per mm along its X, Y, and Z, and the rig's file states "
         f"{stated_text}: distances and speeds would be wrong by as much. Correct the controller ($100 to "
         "$102, or M92), or steps_per_mm under [stage] where the machine was changed"
+    )
+
+
+def _check_directions(stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart) -> None:
+    """Refuse a controller whose axes run in other directions than the rig's file states."""
+    stated = getattr(part, "direction_mask", None)
+    if stated is None or (found := getattr(stage, "direction_mask", stated)) == stated:
+        return
+    raise DeviceError(
+        f"the controller's direction mask ($3) is {found}, and the rig's file states {stated}: an axis would "
+        "run the other way, perhaps into the skin. Correct $3, or direction_mask under [stage] where the "
+        "machine was changed"
     )
 
 

@@ -90,6 +90,11 @@ class GrblStage(Closing):
         """Steps per millimeter of the machine's X, Y, and Z."""
         return self._session.machine.steps_per_mm
 
+    @property
+    def direction_mask(self) -> int:
+        """Axes whose direction is inverted ($3): bits 0, 1, and 2 for X, Y, and Z."""
+        return self._session.machine.reversed_axes
+
     def position_m(self) -> Position:
         """Place now [m]; of a move between two reports, by calculation. See `palpate.core.Stage`."""
         with self._lock:
