@@ -205,6 +205,7 @@ def _text(fit: FringeFit) -> str:
         "of it " + ", ".join(f"{name} {part:.2g}" for name, part in fit.half_widths.items()),
         f"{fit.orders_per_n:.4g} orders per N; residual order {fit.residual_order:.3f}",
         f"R2 of order against load {fit.r_squared:.3f}; residual brightness {fit.rms:.1%} of its range",
+        f"searched to order {fit.settings['greatest_order']:g} at the greatest load",
     ]
     lines += [
         f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first: "
