@@ -7,7 +7,8 @@ The pins and the approach at the calibrated forces form one vector y. For an obj
 - m(p): mean of the references at the parameters p of the object (softness, or softness and curvature)
 - B: scatter between trials of one reference
 - J: change of the press by each stated nuisance of its standard size
-- K: other curves through the references, between which they cannot decide
+- K: other curves through the references, between which they cannot decide; for surfaces of curved objects
+  also the distance of each reference from the surface through the others
 - e: noise
 
 a, b, c, and e are independent with zero mean and known variance. The misfit is the generalized
@@ -15,7 +16,8 @@ least-squares minimum over p of the squared residual in units of its covariance.
 tests the pins. Its increase when the approach is added tests whether the approach agrees with the pins.
 
 The area, the spread rate, and E* are derived from the pins and the approach, so a press that fails either
-test has no valid quantity.
+test has no valid quantity. If the references include spheres, the quantities of flat objects are tested
+against the flat references alone as well.
 """
 
 from __future__ import annotations
@@ -84,12 +86,13 @@ class _CueModel:
     minimize: Callable[[Callable[[Point], float], Place], float]
 
 
-def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit:
+def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: bool = False) -> CueMisfit:
     """Return the misfit of the pins, and its increase by the approach.
 
     Args:
         calibration: of this tip.
         press: with or without positions.
+        flat: of flat objects alone, where the calibration has spheres as well.
 
     Raises:
         InputError: a press of another sensor.
@@ -101,7 +104,7 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
         pins = touch_row(one, calibration.layout_px, calibration.levels_n)
         return np.concatenate([pins, approach_row(one, calibration.levels_n)]) if placed else pins
 
-    model = _model(calibration, placed)
+    model = _model(calibration, placed, flat=flat)
     sizes = NONE if calibration.nuisances is None else calibration.nuisances
     y = row(press)
     changes = np.array([row(one) - y for one in sizes.altered(press).values()]).reshape(-1, len(y))
@@ -113,25 +116,26 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
     return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
 
 
-def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
+def greatest_misfit(calibration: ComplianceCalibration, *, flat: bool = False) -> CueMisfit:
     """Return the limits, which are wider for a scatter that few trials show.
 
     With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
     squared in place of chi-squared.
     """
-    freedom = (calibration.shape or calibration.touch).space.freedom
+    shape = None if flat else calibration.shape
+    freedom = (shape or calibration.touch).space.freedom
     count = scatter_directions(freedom)
     left = freedom - count + 1
     distance = count * freedom / left * stats.f.ppf(SURE, count, left)
     more = float(distance / stats.chi2.ppf(SURE, count))
-    pins = MAX_PINS if calibration.shape is None else MAX_SHAPE_PINS
+    pins = MAX_PINS if shape is None else MAX_SHAPE_PINS
     return CueMisfit(pins * more, MAX_APPROACH * more)
 
 
-def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
+def _model(calibration: ComplianceCalibration, placed: bool, *, flat: bool) -> _CueModel:
     if not placed:
         return _curve_model(calibration.touch)
-    if calibration.shape is not None:
+    if calibration.shape is not None and not flat:
         return _surface_model(calibration.shape)
     assert calibration.both is not None
     return _curve_model(calibration.both)
@@ -153,7 +157,8 @@ def _curve_model(curve: SoftnessCurve) -> _CueModel:
 
 def _surface_model(surface: ShapeSurface) -> _CueModel:
     def others(p: Point) -> Places:
-        return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
+        bent = np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
+        return np.vstack([bent, surface.misses])
 
     def least(misfit: Callable[[Point], float], start: Place) -> float:
         tolerance = {"xatol": 1e-4, "fatol": 0.01}
@@ -185,7 +190,9 @@ def _misfit(
     return model.minimize(at, space.place(np.where(known, y, np.nan)))
 
 
-def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
-    """Return the greatest misfit over presses, of either kind."""
-    found = [cue_misfit(calibration, press) for press in presses]
+def worst_misfit(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], *, flat: bool = False
+) -> CueMisfit:
+    """Return the greatest misfit over presses, of either kind; see `cue_misfit`."""
+    found = [cue_misfit(calibration, press, flat=flat) for press in presses]
     return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))
