@@ -51,6 +51,7 @@ from palpate.estimators.compliance.stiffness_curve import (
 MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
 MAX_SHAPE_PINS = 60.0  # misfit of the pins where they also determine a radius; set from 168 virtual presses
 MAX_APPROACH = 13.0  # increase by the approach, likewise
+MAX_SHAPE_APPROACH = 32.5  # likewise where a radius is determined: greater by the ratio of the limits of pins
 SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
 APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
@@ -128,8 +129,8 @@ def greatest_misfit(calibration: ComplianceCalibration, *, flat: bool = False) -
     left = freedom - count + 1
     distance = count * freedom / left * stats.f.ppf(SURE, count, left)
     more = float(distance / stats.chi2.ppf(SURE, count))
-    pins = MAX_PINS if shape is None else MAX_SHAPE_PINS
-    return CueMisfit(pins * more, MAX_APPROACH * more)
+    pins, approach = (MAX_PINS, MAX_APPROACH) if shape is None else (MAX_SHAPE_PINS, MAX_SHAPE_APPROACH)
+    return CueMisfit(pins * more, approach * more)
 
 
 def _model(calibration: ComplianceCalibration, placed: bool, *, flat: bool) -> _CueModel:
