@@ -100,6 +100,22 @@ def test_few_sound_presses_are_refused(calibration, spec) -> None:
         assert sum(not getattr(read, name).valid for read in reads) <= 0.03 * len(reads), name
 
 
+def test_a_layer_that_few_trials_cannot_refuse_widens_area_and_rate(spec, calibration) -> None:
+    """Pins as of a stiff flat specimen with another area: both are within two half-widths."""
+    body = "layer:h_mm=1.99,E_MPa=0.1"
+    press = replace(press_on(spec, body, 915_606), position_m=None)
+    assert cue_misfit(calibration, press).birge > 1
+    words = specimens_at(spec, {"one": body})["one"]
+    true = float(record_press(spec, words, 82).sensor.on(words).area_m2(np.array([4.0]))[0])
+    area = read_touch(calibration, [press]).area
+    assert area is not None
+    assert abs(area.value - true) < area.high - area.low
+
+
+def test_a_sound_press_has_no_birge_ratio_far_above_one(calibration, sound) -> None:
+    assert cue_misfit(calibration, sound).birge < 1.5
+
+
 SPHERES = (
     "sphere:R_mm=30",
     "sphere:R_mm=60",

@@ -23,7 +23,7 @@ against the flat references alone as well.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy import stats
@@ -71,10 +71,13 @@ class CueMisfit:
     Attributes:
         pins: of the pins alone.
         approach: increase by the approach; 0 for a press without position.
+        birge: root of both over their degrees of freedom, at most near 1 for objects of the references' kind;
+            R. T. Birge, Phys. Rev. 40, 207 (1932), doi:10.1103/PhysRev.40.207.
     """
 
     pins: float
     approach: float
+    birge: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,7 @@ class _CueModel:
     mean: Callable[[Point], Place]
     others: Callable[[Point], Places]
     minimize: Callable[[Callable[[Point], float], Place], float]
+    parameters: int
 
 
 def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: bool = False) -> CueMisfit:
@@ -113,8 +117,9 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: boo
     approach = np.zeros(len(y), bool)
     if placed:
         approach[-(len(calibration.levels_n) - 1) :] = True
-    pins = _misfit(model, y, changes, approach, known & ~approach)
-    return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+    pins, freedom = _misfit(model, y, changes, approach, known & ~approach)
+    total, freedom = _misfit(model, y, changes, approach, known) if placed else (pins, freedom)
+    return CueMisfit(pins, total - pins, float(np.sqrt(total / freedom)))
 
 
 def greatest_misfit(calibration: ComplianceCalibration, *, flat: bool = False) -> CueMisfit:
@@ -153,7 +158,7 @@ def _curve_model(curve: SoftnessCurve) -> _CueModel:
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)])
         return float(minimize_scalar(lambda s: misfit(np.array([s])), bounds=bounds, method="bounded").fun)
 
-    return _CueModel(curve.space, lambda p: curve.at(p)[0], others, least)
+    return _CueModel(curve.space, lambda p: curve.at(p)[0], others, least, 1)
 
 
 def _surface_model(surface: ShapeSurface) -> _CueModel:
@@ -166,13 +171,13 @@ def _surface_model(surface: ShapeSurface) -> _CueModel:
         begun = (surface.nearest(start), min(SHAPES, key=misfit))
         return float(min(minimize(misfit, at, method="Nelder-Mead", options=tolerance).fun for at in begun))
 
-    return _CueModel(surface.space, surface.at, others, least)
+    return _CueModel(surface.space, surface.at, others, least, 2)
 
 
 def _misfit(
     model: _CueModel, y: Vector, changes: Vectors, approach: Bool[ndarray, " d"], known: Bool[ndarray, " d"]
-) -> float:
-    """Minimum over p, from the known values, in the directions that the model has."""
+) -> tuple[float, int]:
+    """Minimum over p, from the known values, in the directions that the model has; degrees of freedom."""
     space = model.space
     noise = np.where(approach, APPROACH_NOISE_PX, PIN_NOISE * space.outside)[known]
     basis, changes = space.basis[:, known] / noise, changes[:, known] / noise
@@ -188,7 +193,8 @@ def _misfit(
         wide = np.vstack([scatter, changes, model.others(p) @ basis])
         return float(off @ np.linalg.solve(np.eye(len(off)) + wide.T @ wide, off))
 
-    return model.minimize(at, space.place(np.where(known, y, np.nan)))
+    least = model.minimize(at, space.place(np.where(known, y, np.nan)))
+    return least, directions.shape[1] - model.parameters
 
 
 def worst_misfit(
@@ -196,4 +202,5 @@ def worst_misfit(
 ) -> CueMisfit:
     """Return the greatest misfit over presses, of either kind; see `cue_misfit`."""
     found = [cue_misfit(calibration, press, flat=flat) for press in presses]
-    return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))
+    pins, approach, birge = (max(kind) for kind in zip(*(astuple(one) for one in found), strict=True))
+    return CueMisfit(pins, approach, birge)
