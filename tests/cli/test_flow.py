@@ -76,6 +76,17 @@ def test_the_divergence_is_of_the_region_that_is_given(press, tmp_path) -> None:
     assert got["accumulated_divergence"] != got["accumulated_border_flux"]
 
 
+def test_a_region_of_the_whole_image_has_no_divergence_but_the_border_flux(press, tmp_path) -> None:
+    words = ("flow", press, "--region", "0,0,128,96", "--out")
+    said = palpate(*words, tmp_path / "out").stdout
+    assert "border flux" in said
+    assert "accumulated divergence" not in said
+    assert "--region" in said
+    got = json.loads(palpate(*words, tmp_path / "again", "--json").stdout)
+    assert got["region"]["kind"] == "image"
+    assert got["accumulated_divergence"] == got["accumulated_border_flux"]
+
+
 @pytest.mark.parametrize("region", ["100,20,60,40", "0,0,0,5", "-1,0,5,5", "1,2"])
 def test_a_region_outside_the_images_is_refused(press, tmp_path, region) -> None:
     palpate("flow", press, "--out", tmp_path / "out", f"--region={region}", status=2)

@@ -48,6 +48,11 @@ def test_fit_c_prints_c_with_its_unit_and_its_interval(photos):
     assert "589.3 nm" in said.splitlines()[0]
 
 
+def test_fit_c_states_where_its_search_ends(photos):
+    assert "searched to order 24 at the greatest load" in fit_c(*asked(photos)).stdout
+    assert "searched to order 3 at" in fit_c(*asked(photos), "--max-order", "3").stdout
+
+
 def test_json_holds_c_and_every_photograph(photos):
     got = json.loads(fit_c(*asked(photos), "--json").stdout)
     assert got["coefficient_per_pa"] == pytest.approx(C, rel=5e-3)  # 8-bit steps

@@ -63,6 +63,22 @@ def test_with_shuffled_radii_the_surface_tells_nothing_of_them(rng) -> None:
     assert bad.between[1] > 3 * good.between[1]
 
 
+def test_misses_are_of_references_between_others_and_grow_with_wrong_radii(rng) -> None:
+    good = surface(FLATS + RIGID + SOFT, rng)
+    assert 0 < len(good.misses) < len(FLATS + RIGID + SOFT)
+    assert good.misses.shape[1] == good.space.means.shape[1]
+    wrong = [INF] * 4 + [60e-3, 20e-3, 30e-3, 40e-3, 20e-3, 40e-3, 20e-3]
+    trials = [np.stack([row(E, R, rng) for _ in range(5)]) for E, R in FLATS + RIGID + SOFT]
+    bad = fit_shape_surface([E for E, _ in FLATS + RIGID + SOFT], wrong, trials)
+    assert np.linalg.norm(bad.misses, axis=1).max() > 2 * np.linalg.norm(good.misses, axis=1).max()
+
+
+def test_references_of_which_none_lies_between_others_have_no_misses(rng) -> None:
+    least = [*FLATS[:1], FLATS[1], FLATS[3], RIGID[0], RIGID[2], SOFT[0], SOFT[3]]
+    by = surface(least, rng)
+    assert by.misses.shape == (0, by.space.means.shape[1])
+
+
 def test_the_noise_widens_the_interval(rng) -> None:
     by = surface(FLATS + RIGID + SOFT, rng)
     y = row(0.1e6, 30e-3, rng)

@@ -98,6 +98,9 @@ def test_the_report_of_a_certificate_of_before_says_what_to_install(before, monk
     assert not (before / "none.html").exists()
 
 
+WIDER_SINCE = ("area_at_4_N", "spread_rate")  # by the Birge ratio of the press
+
+
 def test_a_tip_calibrated_before_reads_a_press_the_same(before) -> None:
     with np.load(before / "press.npz") as held:
         press = PinPress(**{k: float(v) if v.ndim == 0 else v for k, v in held.items()}, flaws=())
@@ -106,8 +109,12 @@ def test_a_tip_calibrated_before_reads_a_press_the_same(before) -> None:
     assert {reading.quantity for reading in touch.readings} == set(expected)
     for reading in touch.readings:
         told = expected[reading.quantity]
-        ends = [told["value"], told["low"], told["high"]]
-        assert_allclose([reading.value, reading.low, reading.high], ends, rtol=1e-9)
+        assert_allclose(reading.value, told["value"], rtol=1e-9)
+        if reading.quantity in WIDER_SINCE:
+            assert reading.low <= told["low"] * (1 + 1e-9)
+            assert told["high"] <= reading.high * (1 + 1e-9)
+        else:
+            assert_allclose([reading.low, reading.high], [told["low"], told["high"]], rtol=1e-9)
         assert [reading.unit, reading.valid, reading.why] == [told["unit"], told["valid"], told["why"]]
         assert reading.calibration == told["calibration"]
 

@@ -89,7 +89,7 @@ def write_flow(
         "mean_speed_px": float(table["speed_px"].mean()),
         **{name: float(table[name].iloc[-1]) for name in SUMMED},
         "region": {
-            "kind": "contact" if region_px is None else "given",
+            "kind": _kind(region, region_px),
             "pixels": int(region.sum()),
             "box_px": [int(x) for x in cv2.boundingRect(region.astype(np.uint8))],
         },
@@ -113,6 +113,12 @@ def _region(
     region = np.zeros((rows, columns), bool)
     region[y : y + height, x : x + width] = True
     return region
+
+
+def _kind(region: Bool[np.ndarray, "h w"], region_px: tuple[int, int, int, int] | None) -> str:
+    if region.all():
+        return "image"  # its mean divergence is the border flux
+    return "contact" if region_px is None else "given"
 
 
 def _flows_file(folder: Path, steps: int, step: Step) -> np.ndarray:

@@ -164,6 +164,7 @@ def test_a_copy_has_wider_intervals_until_a_weight_is_laid(calibrated, unseen):
         more = np.sqrt(0.20**2 - PAD_STIFFNESS**2)
         assert wide == pytest.approx(np.hypot(half, 1.645 * more * own.value), rel=1e-3)
         assert force > 0
+    assert calibration.on_copy().stiffness_error > calibration.stiffness_error
     with pytest.raises(RangeError):
         calibration.on_copy(0.0)
     with pytest.raises(RangeError):

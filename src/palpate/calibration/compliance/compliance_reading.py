@@ -17,8 +17,9 @@ from palpate.calibration.compliance.compliance_calibration import (
     rate_by_areas,
     touch_row,
 )
+from palpate.calibration.compliance.cue_agreement import greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
-from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
+from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
 from palpate.calibration.compliance.reading_reasons import SEPARATOR, ReadingReason, ReasonCode, joined
 from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
@@ -128,10 +129,29 @@ def read_touch(
     if calibration.nuisances is not None:
         read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
         read = replace(read, nuisances=calibration.nuisances)
-    return _judged(calibration, read)
+    return _stretched(
+        _judged(calibration, presses, read), worst_misfit(calibration, presses, flat=True).birge
+    )
 
 
-def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressReading:
+def _stretched(read: PressReading, birge: float) -> PressReading:
+    """Return the readings with wider intervals of area and rate for pins unlike the references'.
+
+    Both are derived from the pins by what references showed. A layer on a hard base moves them nearly as a
+    stiff flat specimen does, with another area.
+    """
+    wide = {}
+    for name in ("area", "spread_rate"):
+        one: Reading | None = getattr(read, name)
+        if one is not None and one.value > 0 and birge > 1:
+            low, high = (one.value * (max(end, 0.0) / one.value) ** birge for end in (one.low, one.high))
+            wide[name] = replace(one, low=low, high=high)
+    return replace(read, **wide)
+
+
+def _judged(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
+) -> PressReading:
     """Return the readings with the reasons that follow from their final intervals."""
     reasons = {name: _range_reasons(calibration, name, getattr(read, name)) for name in FIELDS}
     curved = calibration.shape is not None and _curved(read)
@@ -141,7 +161,7 @@ def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressRead
         flat = [ReadingReason(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
         everywhere = []
     else:
-        flat = _reasons_of(read.radius) if calibration.shape is not None else []
+        flat = [] if calibration.shape is None else _not_flat(calibration, presses, read)
         everywhere = _disagreements(calibration, read)
     for name in FLAT_ONLY:
         reasons[name] += flat
@@ -149,6 +169,14 @@ def _judged(calibration: ComplianceCalibration, read: PressReading) -> PressRead
         name: _refused(getattr(read, name), [*reasons[name], *everywhere]) for name in FIELDS
     }
     return replace(read, **checked)
+
+
+def _not_flat(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
+) -> list[ReadingReason]:
+    """Return why presses that may be on a flat object tell no quantity of one."""
+    misfit = worst_misfit(calibration, presses, flat=True)
+    return _reasons_of(read.radius) + misfit_reasons(misfit, greatest_misfit(calibration, flat=True))
 
 
 def _curved(read: PressReading) -> bool:

@@ -7,7 +7,8 @@ The pins and the approach at the calibrated forces form one vector y. For an obj
 - m(p): mean of the references at the parameters p of the object (softness, or softness and curvature)
 - B: scatter between trials of one reference
 - J: change of the press by each stated nuisance of its standard size
-- K: other curves through the references, between which they cannot decide
+- K: other curves through the references, between which they cannot decide; for surfaces of curved objects
+  also the distance of each reference from the surface through the others
 - e: noise
 
 a, b, c, and e are independent with zero mean and known variance. The misfit is the generalized
@@ -15,13 +16,14 @@ least-squares minimum over p of the squared residual in units of its covariance.
 tests the pins. Its increase when the approach is added tests whether the approach agrees with the pins.
 
 The area, the spread rate, and E* are derived from the pins and the approach, so a press that fails either
-test has no valid quantity.
+test has no valid quantity. If the references include spheres, the quantities of flat objects are tested
+against the flat references alone as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy import stats
@@ -49,6 +51,7 @@ from palpate.estimators.compliance.stiffness_curve import (
 MAX_PINS = 24.0  # misfit of the pins, if the scatter between trials is known exactly
 MAX_SHAPE_PINS = 60.0  # misfit of the pins where they also determine a radius; set from 168 virtual presses
 MAX_APPROACH = 13.0  # increase by the approach, likewise
+MAX_SHAPE_APPROACH = 32.5  # likewise where a radius is determined: greater by the ratio of the limits of pins
 SURE = 0.995  # quantile at which limits grow with the number of trials
 PIN_NOISE = 10.0  # standard deviation of the pins that no direction explains, over that of the references
 APPROACH_NOISE_PX = 3.5e-6 * APPROACH_PX  # standard deviation of the approach, from 3.5 um
@@ -68,10 +71,13 @@ class CueMisfit:
     Attributes:
         pins: of the pins alone.
         approach: increase by the approach; 0 for a press without position.
+        birge: root of both over their degrees of freedom, at most near 1 for objects of the references' kind;
+            R. T. Birge, Phys. Rev. 40, 207 (1932), doi:10.1103/PhysRev.40.207.
     """
 
     pins: float
     approach: float
+    birge: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -82,14 +88,16 @@ class _CueModel:
     mean: Callable[[Point], Place]
     others: Callable[[Point], Places]
     minimize: Callable[[Callable[[Point], float], Place], float]
+    parameters: int
 
 
-def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit:
+def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: bool = False) -> CueMisfit:
     """Return the misfit of the pins, and its increase by the approach.
 
     Args:
         calibration: of this tip.
         press: with or without positions.
+        flat: of flat objects alone, where the calibration has spheres as well.
 
     Raises:
         InputError: a press of another sensor.
@@ -101,7 +109,7 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
         pins = touch_row(one, calibration.layout_px, calibration.levels_n)
         return np.concatenate([pins, approach_row(one, calibration.levels_n)]) if placed else pins
 
-    model = _model(calibration, placed)
+    model = _model(calibration, placed, flat=flat)
     sizes = NONE if calibration.nuisances is None else calibration.nuisances
     y = row(press)
     changes = np.array([row(one) - y for one in sizes.altered(press).values()]).reshape(-1, len(y))
@@ -109,29 +117,31 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress) -> CueMisfit
     approach = np.zeros(len(y), bool)
     if placed:
         approach[-(len(calibration.levels_n) - 1) :] = True
-    pins = _misfit(model, y, changes, approach, known & ~approach)
-    return CueMisfit(pins, _misfit(model, y, changes, approach, known) - pins if placed else 0.0)
+    pins, freedom = _misfit(model, y, changes, approach, known & ~approach)
+    total, freedom = _misfit(model, y, changes, approach, known) if placed else (pins, freedom)
+    return CueMisfit(pins, total - pins, float(np.sqrt(total / freedom)))
 
 
-def greatest_misfit(calibration: ComplianceCalibration) -> CueMisfit:
+def greatest_misfit(calibration: ComplianceCalibration, *, flat: bool = False) -> CueMisfit:
     """Return the limits, which are wider for a scatter that few trials show.
 
     With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
     squared in place of chi-squared.
     """
-    freedom = (calibration.shape or calibration.touch).space.freedom
+    shape = None if flat else calibration.shape
+    freedom = (shape or calibration.touch).space.freedom
     count = scatter_directions(freedom)
     left = freedom - count + 1
     distance = count * freedom / left * stats.f.ppf(SURE, count, left)
     more = float(distance / stats.chi2.ppf(SURE, count))
-    pins = MAX_PINS if calibration.shape is None else MAX_SHAPE_PINS
-    return CueMisfit(pins * more, MAX_APPROACH * more)
+    pins, approach = (MAX_PINS, MAX_APPROACH) if shape is None else (MAX_SHAPE_PINS, MAX_SHAPE_APPROACH)
+    return CueMisfit(pins * more, approach * more)
 
 
-def _model(calibration: ComplianceCalibration, placed: bool) -> _CueModel:
+def _model(calibration: ComplianceCalibration, placed: bool, *, flat: bool) -> _CueModel:
     if not placed:
         return _curve_model(calibration.touch)
-    if calibration.shape is not None:
+    if calibration.shape is not None and not flat:
         return _surface_model(calibration.shape)
     assert calibration.both is not None
     return _curve_model(calibration.both)
@@ -148,25 +158,26 @@ def _curve_model(curve: SoftnessCurve) -> _CueModel:
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)])
         return float(minimize_scalar(lambda s: misfit(np.array([s])), bounds=bounds, method="bounded").fun)
 
-    return _CueModel(curve.space, lambda p: curve.at(p)[0], others, least)
+    return _CueModel(curve.space, lambda p: curve.at(p)[0], others, least, 1)
 
 
 def _surface_model(surface: ShapeSurface) -> _CueModel:
     def others(p: Point) -> Places:
-        return np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
+        bent = np.stack([surface.at(p, bend) for bend in SURFACE_BENDS]) - surface.at(p)
+        return np.vstack([bent, surface.misses])
 
     def least(misfit: Callable[[Point], float], start: Place) -> float:
         tolerance = {"xatol": 1e-4, "fatol": 0.01}
         begun = (surface.nearest(start), min(SHAPES, key=misfit))
         return float(min(minimize(misfit, at, method="Nelder-Mead", options=tolerance).fun for at in begun))
 
-    return _CueModel(surface.space, surface.at, others, least)
+    return _CueModel(surface.space, surface.at, others, least, 2)
 
 
 def _misfit(
     model: _CueModel, y: Vector, changes: Vectors, approach: Bool[ndarray, " d"], known: Bool[ndarray, " d"]
-) -> float:
-    """Minimum over p, from the known values, in the directions that the model has."""
+) -> tuple[float, int]:
+    """Minimum over p, from the known values, in the directions that the model has; degrees of freedom."""
     space = model.space
     noise = np.where(approach, APPROACH_NOISE_PX, PIN_NOISE * space.outside)[known]
     basis, changes = space.basis[:, known] / noise, changes[:, known] / noise
@@ -182,10 +193,14 @@ def _misfit(
         wide = np.vstack([scatter, changes, model.others(p) @ basis])
         return float(off @ np.linalg.solve(np.eye(len(off)) + wide.T @ wide, off))
 
-    return model.minimize(at, space.place(np.where(known, y, np.nan)))
+    least = model.minimize(at, space.place(np.where(known, y, np.nan)))
+    return least, directions.shape[1] - model.parameters
 
 
-def worst_misfit(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> CueMisfit:
-    """Return the greatest misfit over presses, of either kind."""
-    found = [cue_misfit(calibration, press) for press in presses]
-    return CueMisfit(max(one.pins for one in found), max(one.approach for one in found))
+def worst_misfit(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], *, flat: bool = False
+) -> CueMisfit:
+    """Return the greatest misfit over presses, of either kind; see `cue_misfit`."""
+    found = [cue_misfit(calibration, press, flat=flat) for press in presses]
+    pins, approach, birge = (max(kind) for kind in zip(*(astuple(one) for one in found), strict=True))
+    return CueMisfit(pins, approach, birge)

@@ -55,8 +55,8 @@ from palpate.version import __version__
 MIN_FORCE_N = 1.0  # below it the published sensor's pattern did not move enough
 COVERAGE = 0.90
 BEYOND_PLACES_M = 1e-3  # a place this far outside of those calibrated is still taken
-COPY_STIFFNESS = 0.10  # standard deviation of the stiffness of copies; assumed, as the virtual pad's copies
 PAD_STIFFNESS = 0.12  # standard deviation of the calibrated pad's own stiffness since then; assumed
+COPY_STIFFNESS = math.hypot(0.10, PAD_STIFFNESS)  # of a copy: as virtual copies differ, and since then
 COPY_SHAPE = 0.02  # what one known weight does not tell of a copy: layers of other thickness bend the law
 DRIFT_LIMIT_PX = 0.5  # root mean square shift of the untouched marks
 

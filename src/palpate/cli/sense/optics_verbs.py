@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from typer import Argument, Option
 
@@ -43,13 +44,24 @@ def flow(
             frames, out, method=method, from_first=from_first, fields=fields,
             region_px=box, progress=tell,
         )  # fmt: skip
-    place = result["region"]
+    print_found(result, _flow_text(result), json_)
+
+
+def _flow_text(result: Mapping[str, Any]) -> str:
+    place, flux = result["region"], f"{result['accumulated_border_flux']:.3g}"
     text = (
-        f"{out}: {result['steps']} steps by {method}, mean speed {result['mean_speed_px']:.3g} px, "
-        f"accumulated divergence {result['accumulated_divergence']:.3g} in the {place['kind']} region of "
-        f"{place['pixels']} px, border flux of the image {result['accumulated_border_flux']:.3g}"
+        f"{result['out']}: {result['steps']} steps by {result['method']}, mean speed "
+        f"{result['mean_speed_px']:.3g} px, "
     )
-    print_found(result, text, json_)
+    if place["kind"] == "image":
+        return text + (
+            f"border flux of the image {flux}; no divergence of a contact, because the region is the whole "
+            "image: give --region X,Y,WIDTH,HEIGHT inside the contact"
+        )
+    return text + (
+        f"accumulated divergence {result['accumulated_divergence']:.3g} in the {place['kind']} region of "
+        f"{place['pixels']} px, border flux of the image {flux}"
+    )
 
 
 if TYPE_CHECKING:
@@ -193,6 +205,7 @@ def _text(fit: FringeFit) -> str:
         "of it " + ", ".join(f"{name} {part:.2g}" for name, part in fit.half_widths.items()),
         f"{fit.orders_per_n:.4g} orders per N; residual order {fit.residual_order:.3f}",
         f"R2 of order against load {fit.r_squared:.3f}; residual brightness {fit.rms:.1%} of its range",
+        f"searched to order {fit.settings['greatest_order']:g} at the greatest load",
     ]
     lines += [
         f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first: "

@@ -18,7 +18,7 @@ tell each one that lies between them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -164,6 +164,12 @@ class ShapeSurface:
 
         return {bend: fit(bend) for bend in (STRAIGHT, *BENDS)}
 
+    @cached_property
+    def misses(self) -> Float[ndarray, "m q"]:
+        """From the surface through the other references to each that lies between them."""
+        off = [self.space.means[one] - fewer.at(at) for one, fewer, at in _told_by_others(self)]
+        return np.array(off).reshape(-1, self.space.means.shape[1])
+
     def holds(self, s: float, c: float) -> bool:
         """Whether a place lies among the references: inside of the least convex figure around theirs."""
         return bool(Delaunay(self.points).find_simplex(np.array([[s, c]]), tol=1e-6)[0] >= 0)
@@ -217,23 +223,27 @@ def _enough(counts: tuple[int, ...]) -> bool:
 
 def _between(surface: ShapeSurface) -> tuple[float, float]:
     """Greatest errors of log E and of c of references between others, read from these."""
-    E, R, off = surface.modulus_pa, surface.radius_m, [(0.0, 0.0)]
-    for one in range(len(E)):
-        others = np.delete(np.arange(len(E)), one)
-        fewer = replace(
-            surface,
-            modulus_pa=E[others],
-            radius_m=R[others],
-            space=replace(surface.space, means=surface.space.means[others]),
-        )
-        if not (_enough(_counts(fewer.modulus_pa, fewer.radius_m)) and fewer.holds(*surface.points[one])):
-            continue
-        s, c = fewer.nearest(surface.space.means[one])
+    off = [(0.0, 0.0)]
+    for one, _, (s, c) in _told_by_others(surface):
         true_s, true_c = surface.points[one]
         of_modulus = abs(s - true_s) / (true_s * (1 - true_s)) if true_s > 0 else 0.0
         off.append((of_modulus, abs(c - true_c)))
     largest = np.max(off, axis=0)
     return float(largest[0]), float(largest[1])
+
+
+def _told_by_others(surface: ShapeSurface) -> Iterator[tuple[int, ShapeSurface, Float[ndarray, 2]]]:
+    """Each reference that lies between the others, the surface through these, and its nearest place there."""
+    for one in range(len(surface.modulus_pa)):
+        others = np.delete(np.arange(len(surface.modulus_pa)), one)
+        fewer = replace(
+            surface,
+            modulus_pa=surface.modulus_pa[others],
+            radius_m=surface.radius_m[others],
+            space=replace(surface.space, means=surface.space.means[others]),
+        )
+        if _enough(_counts(fewer.modulus_pa, fewer.radius_m)) and fewer.holds(*surface.points[one]):
+            yield one, fewer, fewer.nearest(surface.space.means[one])
 
 
 def _bent(points: Float[ndarray, "n 2"], bend: tuple[float, float]) -> Float[ndarray, "n 2"]:
