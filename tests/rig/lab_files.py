@@ -22,6 +22,7 @@ from tests.rig.serial_terminal import FakeTerminal, SerialDevice
 
 from palpate.core import Clock, ForceSensor, MonotonicClock
 from palpate.core.clock import NS_PER_S
+from palpate.devices.force_bias import Force
 from palpate.rig.commissioning import first_touch, hand_motion
 from palpate.rig.commissioning.hand_motion import await_push
 from palpate.rig.commissioning.toml_text import toml_text
@@ -90,19 +91,19 @@ class LabFile:
         """Noise, and the skin under the probe."""
         depth_mm = max(-self.stage.place_mm[2] - SURFACE_MM, 0.0)
         x, y, z = (random.gauss(0.0, 0.002) for _ in "xyz")
-        return x + self.hand_n, y, z - STIFFNESS_N_MM * depth_mm
+        return x, y, z - STIFFNESS_N_MM * depth_mm - self.hand_n
 
 
 @contextmanager
 def pushed(lab: Any) -> Iterator[None]:
     """Push the force sensor of a lab by hand whenever palpate waits for it; `lab.hand_n` is the force."""
 
-    def push(force: ForceSensor, clock: Clock) -> None:
+    def push(force: ForceSensor, clock: Clock, axis: int | None = None) -> Force:
         timers = [threading.Timer(at_s, setattr, (lab, "hand_n", n)) for at_s, n in ((0.5, 2.0), (1.2, 0.0))]
         for timer in timers:
             timer.start()
         try:
-            await_push(force, clock)
+            return await_push(force, clock, axis)
         finally:
             for timer in timers:
                 timer.cancel()

@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from palpate.core import NS_PER_S, DeviceError, ManualClock, Position, Wrench
+from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import InputError, RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.rig.commissioning.force_touch import G_M_S2, touch_twice, weigh
 from palpate.rig.commissioning.hand_motion import await_push, home_clear, jog, lift_clear, touch_off, zero
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, virtual_rig
@@ -213,7 +212,7 @@ def test_a_touch_off_with_a_numb_sensor_does_not_leave_the_probe_in_the_skin() -
 
 
 class Pushed:
-    """A force sensor that a hand pushes for a while, along its x."""
+    """A force sensor that a hand pushes for a while, along its z."""
 
     def __init__(self, rig: Rig, push_n: float, begin_s: float, end_s: float) -> None:
         self._sensor, self._push_n = rig.force, push_n
@@ -233,157 +232,133 @@ class Pushed:
     def _felt(self, one: Wrench) -> Wrench:
         x, y, z = one.force_n
         push_n = self._push_n if self._begin_ns <= one.time_ns < self._end_ns else 0.0
-        return replace(one, force_n=(x + push_n, y, z))
+        return replace(one, force_n=(x, y, z + push_n))
 
 
 @pytest.mark.parametrize(("push_n", "end_s"), [(0.7, 4.0), (-5.0, 2.5), (20.0, 50.0)])
 def test_a_push_by_hand_shows_that_the_sensor_responds_once_it_is_over(push_n: float, end_s: float) -> None:
     rig = virtual_rig()
     start_ns = rig.clock.now_ns()
-    await_push(Pushed(rig, push_n, 2.0, end_s), rig.clock)  # type: ignore[arg-type]
-    assert 2.0 < (rig.clock.now_ns() - start_ns) / NS_PER_S < end_s + 2.0
+    found = await_push(Pushed(rig, push_n, 2.0, end_s), rig.clock, 2)  # type: ignore[arg-type]
+    assert found[2] == pytest.approx(push_n, abs=0.05)
+    assert end_s - 0.2 < (rig.clock.now_ns() - start_ns) / NS_PER_S < end_s + 2.0
+
+
+def test_a_touch_off_after_a_push_states_the_position_of_the_skin() -> None:
+    rig = virtual_rig()
     stage = Referenced(rig)
-    touch_off(stage, Pushed(rig, push_n, 2.0, end_s), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    rig.stage.move_to((0.0, 0.0, -2e-3), 5e-3)
+    while rig.stage.moving():
+        rig.clock.sleep(0.01)
+    touch_off(stage, Pushed(rig, 1.0, 1.0, 2.0), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
     assert stage.stated_m == pytest.approx((0.0, 0.0, -2e-3))
     assert rig.stage.position_m()[2] == pytest.approx(-2e-3, abs=0.2e-3)
 
 
-@pytest.mark.parametrize("push_n", [0.0, 0.3])
-def test_nothing_moves_before_the_force_sensor_has_responded_to_a_push(push_n: float) -> None:
-    rig = virtual_rig()
-    start = rig.stage.position_m()
-    sensor = Numb(rig) if push_n == 0 else Pushed(rig, push_n, 2.0, 50.0)
-    with pytest.raises(Tripped) as refusal:
-        touch_off(Switched(rig), sensor, rig.mounting, rig.clock, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
-    assert refusal.value.reason is Reason.FORCE_DEAD
-    assert rig.stage.position_m() == start
+class Disturbed(Pushed):
+    """A force sensor whose reading changes without a push along z, by the kind of the change."""
 
+    def __init__(self, rig: Rig, kind: str) -> None:
+        super().__init__(rig, 0.6, 2.0, 1e4)
+        self._kind = kind
 
-def test_nothing_moves_while_a_hand_still_pushes() -> None:
-    rig = virtual_rig()
-    start = rig.stage.position_m()
-
-    class Wavering(Pushed):
-        def _felt(self, one: Wrench) -> Wrench:
-            self._push_n = 1.0 + 0.5 * math.sin(one.time_ns / NS_PER_S * 5.0)
-            return super()._felt(one)
-
-    with pytest.raises(Tripped) as refusal:
-        touch_off(Switched(rig), Wavering(rig, 1.0, 2.0, 1e4), rig.mounting, rig.clock, (0.0, 0.0, 0.0))  # type: ignore[arg-type]
-    assert refusal.value.reason is Reason.FORCE_NOISE
-    assert rig.stage.position_m() == start
-
-
-@pytest.mark.parametrize("guarded", [False, True])
-def test_motion_that_no_force_bounds_is_sent_in_short_hops(guarded: bool) -> None:
-    rig = virtual_rig()
-    start, hops = rig.stage.position_m(), []
-    move_to = rig.stage.move_to
-
-    def noted(target: Any, speed_m_s: float) -> None:
-        hops.append(abs(target[2] - rig.stage.position_m()[2]))
-        move_to(target, speed_m_s)
-
-    rig.stage.move_to = noted  # type: ignore[method-assign]
-    jog(
-        rig.stage, rig.force if guarded else None, rig.mounting, rig.limits, rig.clock,
-        axis="z", distance_m=-3e-3, speed_m_s=2e-3,
-    )  # fmt: skip
-    assert rig.stage.position_m()[2] == pytest.approx(start[2] - 3e-3, abs=2e-5)
-    assert max(hops) < 0.51e-3
-
-
-def test_a_lift_that_leads_into_the_skin_is_stopped() -> None:
-    rig = in_contact(0.5e-3)
-
-    class Down(Switched):
-        def retreat(self, distance_m: float, speed_m_s: float) -> None:
-            super().retreat(-distance_m, speed_m_s)
-
-    with pytest.raises(Tripped, match=r"turned round|still changes"):
-        lift_clear(Down(rig), rig.force, rig.mounting, rig.clock)
-    assert rig.stage.position_m()[2] < 3e-3
+    def _felt(self, one: Wrench) -> Wrench:
+        x, y, z = one.force_n
+        since_s = max(one.time_ns - self._begin_ns, 0) / NS_PER_S
+        if self._kind == "drift":
+            return replace(one, force_n=(x, y, z + 0.04 * since_s))
+        if self._kind == "sideways" and 0 < since_s < 1:
+            return replace(one, force_n=(x + 2.0, y, z))
+        if self._kind == "nan" and since_s > 0:
+            return replace(one, force_n=(x, y, math.nan))
+        return super()._felt(one) if self._kind == "jump" else one
 
 
 @pytest.mark.parametrize(
-    "axes",
+    ("kind", "reason"),
     [
-        pytest.param(("x", "y", "z"), marks=pytest.mark.slow),
-        pytest.param(("x", "y", "-z"), marks=pytest.mark.slow),
-        ("-y", "z", "x"),
-        ("z", "x", "-y"),
+        ("jump", Reason.FORCE_NOISE),
+        ("drift", Reason.FORCE_DEAD),
+        ("sideways", Reason.FORCE_DEAD),
+        ("nan", Reason.FORCE_FAULT),
     ],
 )
-@pytest.mark.cases(1)
-def test_a_touch_finds_the_axis_and_sign_of_any_mounting(axes: tuple[str, str, str]) -> None:
-    rig = virtual_rig()
-    turned = Turned(rig, Mounting(axes))
-    touch = touch_twice(rig.stage, turned, rig.limits, rig.clock, 8e-3)  # type: ignore[arg-type]
-    pressed = Mounting(touch.axes).to_skin(Mounting(axes).to_skin((0.0, 0.0, 1.0)))
-    assert pressed[2] == 1.0
-    assert -0.2e-3 < touch.surface_m[2] < 1.0e-3
-
-
-def test_a_touch_that_finds_no_skin_or_reaches_too_far_is_refused() -> None:
+def test_a_change_of_force_that_is_no_push_along_the_press_moves_nothing(kind: str, reason: Reason) -> None:
     rig = virtual_rig()
     start = rig.stage.position_m()
-    with pytest.raises(Tripped, match="dead"):
-        touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 2e-3)
-    assert rig.stage.position_m() == pytest.approx(start, abs=1e-5)
-    with pytest.raises(RangeError, match=r"11 mm.*10 mm"):
-        touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 11e-3)
+    with pytest.raises(Tripped) as refusal:
+        touch_off(Switched(rig), Disturbed(rig, kind), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    assert refusal.value.reason is reason
+    assert rig.stage.position_m() == start
 
 
-class Scale:
-    """A sensor of quiet counts that reads `scale` of what lies on it, on a clock in the test's hand."""
+class SoftSkin:
+    """Force of a linear skin of so many N/m below z = 0, with the sensor's noise."""
 
-    rate_hz, range_n = 500.0, (30.0, 30.0, 30.0)
-
-    def __init__(self, scale: float) -> None:
-        self.scale, self.load_n, self.clock, self._n = scale, (0.0, 0.0, 0.0), ManualClock(NS_PER_S), 0
-        self._due_ns = self.clock.now_ns()
-
-    def latest(self) -> Wrench:
-        self._n += 1
-        x, y, z = (
-            self.scale * f + 1e-3 * (self._n * k % 7 - 3) for f, k in zip(self.load_n, (1, 2, 3), strict=True)
-        )
-        return Wrench(self._due_ns, (x, y, z + 5.0))
+    def __init__(self, rig: Rig, n_m: float, fails_m: float = math.inf) -> None:
+        self._rig, self._n_m, self._fails_m, self._noise = rig, n_m, fails_m, random.Random(5)
+        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
 
     def drain(self) -> list[Wrench]:
-        taken = []
-        while self._due_ns <= self.clock.now_ns():
-            taken.append(self.latest())
-            self._due_ns += 2_000_000
-        return taken
+        depth_m = self._rig.stage.position_m()[2]
+        force_n = self._n_m * max(depth_m, 0.0)
+        noise = self._noise.gauss
+        if depth_m > self._fails_m:
+            force_n = math.nan
+        return [
+            replace(one, force_n=(noise(0, 0.003), noise(0, 0.003), force_n + noise(0, 0.003)), fault="")
+            for one in self._rig.force.drain()
+        ]
+
+    def latest(self) -> Wrench:
+        return self.drain()[-1]
 
     def close(self) -> None:
-        pass
+        self._rig.force.close()
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.1, 1.3])
-def test_a_known_weight_tells_the_scale_within_its_uncertainty(scale: float) -> None:
-    sensor = Scale(scale)
+class TurnedStage(Switched):
+    """A stage whose z runs the other way: what it is told to lift goes into the skin."""
 
-    def lay() -> None:
-        sensor.load_n = (0.0, 0.0, -0.2 * G_M_S2)
-
-    found = weigh(sensor, ("x", "y", "-z"), sensor.clock, 200.0, 0.2, lay)
-    assert found.factor == pytest.approx(1 / scale, abs=found.uncertainty)
-    assert found.uncertainty < 0.02 / scale
-    assert found.agrees == (scale == 1.0)
+    def retreat(self, distance_m: float, speed_m_s: float) -> None:
+        x, y, z = self._stage.position_m()
+        self._stage.move_to((x, y, z + distance_m), speed_m_s)
 
 
-@pytest.mark.parametrize("load_n", [(0.0, 0.0, 0.0), (1.4, 0.0, -1.4)])
-def test_a_weight_that_is_not_there_or_askew_gives_no_factor(
-    load_n: tuple[float, float, float],
+@pytest.mark.parametrize(("n_m", "most_mm"), [(500.0, 2.5), (4000.0, 0.6), (-1000.0, 10.5), (-4000.0, 3.0)])
+def test_a_lift_that_leads_into_a_soft_skin_is_stopped_by_the_whole_change(
+    n_m: float, most_mm: float
 ) -> None:
-    sensor = Scale(1.0)
+    """By 1 N of compression since its start, or by the rig's limit where the sign is turned too."""
+    rig = virtual_rig()
+    rig.stage.move_to((0.0, 0.0, -0.2e-3), 5e-3)
+    while rig.stage.moving():
+        rig.clock.sleep(0.01)
+    with pytest.raises(Tripped) as refusal:
+        lift_clear(TurnedStage(rig), SoftSkin(rig, n_m), rig.mounting, rig.clock)  # type: ignore[arg-type]
+    assert refusal.value.reason is Reason.FORCE_LIMIT
+    assert rig.stage.position_m()[2] * 1e3 < most_mm
 
-    def lay() -> None:
-        sensor.load_n = load_n
 
-    with pytest.raises(InputError, match="along the press"):
-        weigh(sensor, ("x", "y", "z"), sensor.clock, 200.0, 0.2, lay)
-    with pytest.raises(RangeError, match="lighter"):
-        weigh(sensor, ("x", "y", "z"), sensor.clock, 4000.0, 1.0, lay)
+def test_a_knock_in_a_search_gives_no_position() -> None:
+    rig = virtual_rig()
+    rig.stage.move_to((0.0, 0.0, -3e-3), 5e-3)
+    while rig.stage.moving():
+        rig.clock.sleep(0.01)
+
+    class Knocked(SoftSkin):
+        begun_ns = 0
+
+        def drain(self) -> list[Wrench]:
+            now_ns = self._rig.clock.now_ns()
+            if not self.begun_ns and self._rig.stage.position_m()[2] > -2.9e-3:
+                self.begun_ns = now_ns
+            knock_n = 0.6 if 0 <= now_ns - self.begun_ns < 0.4 * NS_PER_S and self.begun_ns else 0.0
+            return [
+                replace(one, force_n=(*one.force_n[:2], one.force_n[2] + knock_n)) for one in super().drain()
+            ]
+
+    with pytest.raises(Tripped) as refusal:
+        touch_off(Referenced(rig), Knocked(rig, 4000.0), *devices(rig)[2:], (0.0, 0.0, 0.0), pushed=False)  # type: ignore[arg-type]
+    assert refusal.value.reason in (Reason.FORCE_NOISE, Reason.NO_CONTACT)
+    assert rig.stage.position_m()[2] < -1e-3, "lifted again"

@@ -105,7 +105,8 @@ class Lab:
         self.deepest_mm = max(self.deepest_mm, depth_mm)
         press_n = 0.0 if self.dead else STIFFNESS_N_MM * max(depth_mm, 0.0)
         press_n += WEIGHT_G * 1e-3 * G * self.weight_lies
-        true = (self.hand_n * (not self.dead), 0.02 * press_n, self.sign * press_n)
+        press_n += self.hand_n * (not self.dead)
+        true = (0.0, 0.02 * press_n, self.sign * press_n)
         x, y, z = (o + self.scale * f + n for o, f, n in zip(OFFSET_N, true, noise, strict=True))
         return x, y, z
 

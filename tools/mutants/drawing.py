@@ -85,7 +85,6 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
             ),
             "palpate.optics.wall_refraction": ("tests/optics/test_wall_refraction.py",),
             "palpate.optics.axisymmetric_kernels": ("tests/optics/test_axisymmetric_march.py",),
-            "palpate.optics.single_slice": ("tests/optics/test_single_slice.py",),
             "palpate.optics.stress_optic": (
                 "tests/optics/test_stress_optic.py",
                 "tests/laws/test_polariscope.py",

@@ -39,7 +39,6 @@ __all__ = [
     "MarchedRays",
     "Rays",
     "Retarder",
-    "SingleSliceError",
     "Spectrum",
     "StressOpticLaw",
     "assumed_camera",

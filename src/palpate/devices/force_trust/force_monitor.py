@@ -126,7 +126,7 @@ class ForceMonitor:
         self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
         self._climb, self._behind_n = ForceClimb(), 0.0
         self._stood_m: float | None = None
-        self._felt_m, self._felt_step_m = 0.0, 0.0
+        self._way_felt_m, self._felt_m, self._felt_step_m, self._went = 0.0, 0.0, 0.0, False
         self._felt: list[tuple[float, float, float]] | None = []
         self.restart()
 
@@ -208,7 +208,8 @@ class ForceMonitor:
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
         self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
         self._feel_move()
-        self._felt, self._felt_m, self._felt_step_m, self._stood_m = [], 0.0, 0.0, None
+        self._felt, self._stood_m = [], None
+        self._way_felt_m, self._felt_m, self._felt_step_m, self._went = 0.0, 0.0, 0.0, False
         self._is_over = False
         self._climb = ForceClimb()
         self._began_touched = self._counts = self._touched
@@ -348,12 +349,20 @@ class ForceMonitor:
         if self._reported_m is not None:
             way_m = min(way_m, self._reported_m + v * REPORT_S)
         felt_m = way_m if self._ended_ns is None else min(way_m, self._stood_m or 0.0)
-        self._felt_step_m = max(felt_m - self._felt_m, 0.0)
-        self._felt_m += self._felt_step_m
+        self._felt_step_m = self._smoothed_step(felt_m, time_ns)
         step_m = max(way_m - self._way_m, 0.0) if self._ended_ns is None else 0.0
         self._way_m += step_m
         self._is_over = step_m == 0.0 and v * (gone_s - v / a - LAG_S) > self._length_m <= self._way_m
         return self._phase, step_m
+
+    def _smoothed_step(self, way_m: float, time_ns: int) -> float:
+        """Step of the way after the same mean as the force, so that what is learnt lags alike in both [m]."""
+        self._went = way_m > self._way_felt_m
+        self._way_felt_m = max(self._way_felt_m, way_m)
+        weight = 1.0 if time_ns < self._turned_ns else SMOOTH
+        step_m = weight * (self._way_felt_m - self._felt_m)
+        self._felt_m += step_m
+        return step_m
 
     def _late(self, time_ns: int) -> Doubt | None:
         late_s = self._dating.late_s(self._count, time_ns)
@@ -443,7 +452,7 @@ class ForceMonitor:
     def _on_the_way_down(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
         """Hold a sample's rise against its way; before the stage was `sent` for certain, only an excess."""
         force_n = max(self._level_n, CONTACT * self._noise_n)
-        self._moved += self._felt_step_m > 0
+        self._moved += self._went
         least, greatest = self.corridor.least_n_m(force_n), self.corridor.greatest_n_m(force_n)
         self._excess = max(self._excess + rise_n - greatest * step_m, 0.0)
         if not sent:
