@@ -129,23 +129,24 @@ def read_touch(
     if calibration.nuisances is not None:
         read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
         read = replace(read, nuisances=calibration.nuisances)
-    return _stretched(
-        _judged(calibration, presses, read), worst_misfit(calibration, presses, flat=True).birge
-    )
+    birge = worst_misfit(calibration, presses, flat=True).birge
+    return _stretched(calibration, _judged(calibration, presses, read), birge)
 
 
-def _stretched(read: PressReading, birge: float) -> PressReading:
+def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: float) -> PressReading:
     """Return the readings with wider intervals of area and rate for pins unlike the references'.
 
     Both are derived from the pins by what references showed. A layer on a hard base moves them nearly as a
     stiff flat specimen does, with another area.
     """
-    wide = {}
+    wide: dict[str, Any] = {}
     for name in ("area", "spread_rate"):
         one: Reading | None = getattr(read, name)
         if one is not None and one.value > 0 and birge > 1:
             low, high = (one.value * (max(end, 0.0) / one.value) ** birge for end in (one.low, one.high))
-            wide[name] = replace(one, low=low, high=high)
+            stretched = replace(one, low=low, high=high)
+            reasons = _range_reasons(calibration, name, stretched) if one.valid else []
+            wide[name] = _refused(stretched, reasons) if reasons else stretched
     return replace(read, **wide)
 
 
