@@ -280,13 +280,13 @@ def reference_card(result: CalibrationResult) -> ReferenceCard:
     )
 
 
-def run_card(result: CalibrationResult) -> RunCard:
-    """The run that was learnt from."""
-    manifest = result.run.manifest
+def run_card(run: Run) -> RunCard:
+    """Return the card of a run."""
+    manifest = run.manifest
     return RunCard(
         run_id=manifest.run_id,
-        hash=result.run.hash,
-        frames=len(result.run),
+        hash=run.hash,
+        frames=len(run),
         origin=manifest.origin,
         licence=manifest.licence,
         provenance=manifest.provenance,
@@ -368,7 +368,7 @@ def write_certificate(
                 "targets": targets,
                 "reference": reference_card(result),
                 "split": split or split_card(result),
-                "run": run_card(result),
+                "run": run_card(result.run),
                 "agreement": agrees,
                 "seconds": round(result.seconds, 1),
                 "adapted_from": former and former.id,

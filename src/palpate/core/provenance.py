@@ -8,7 +8,7 @@ from enum import StrEnum
 from palpate.core.errors import InputError
 
 EARLIER_MARK = "virtual, not measured"
-"""End of the origin of each simulated run that palpate wrote before manifests stated a provenance."""
+"""Part of the origin of each simulated run that palpate wrote before manifests stated a provenance."""
 
 
 class Provenance(StrEnum):

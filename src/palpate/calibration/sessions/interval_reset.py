@@ -36,6 +36,7 @@ from palpate.calibration.certificate import (
     interval_fields,
     made_fields,
     most_missed,
+    run_card,
     write_picture,
 )
 from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
@@ -64,7 +65,6 @@ from palpate.core import (
     refuse_existing,
     silent,
 )
-from palpate.estimators.card_ground import RunCard
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
@@ -510,7 +510,6 @@ def _classes(former: Card, rows: _SessionRows) -> HeldOutClasses | None:
 
 
 def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:
-    about = run.manifest
     what = "rows" if rows.count == len(rows.rows) else f"{' and '.join(rows.columns)} groups"
     low, mean, high = (100 * rate for rate in (expected.low, expected.mean, expected.high))
     own = rows.count == len(rows.rows)
@@ -528,14 +527,7 @@ def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCo
     )
     return IntervalResetCard(
         calibration=former.id,
-        run=RunCard(
-            run_id=about.run_id,
-            hash=run.hash,
-            frames=len(run),
-            origin=about.origin,
-            licence=about.licence,
-            provenance=about.provenance,
-        ),
+        run=run_card(run),
         session=rows.session,
         rows=len(rows.rows),
         groups=rows.count,

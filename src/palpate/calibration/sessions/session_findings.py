@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.certificate import CalibrationResult, IntervalFit
+from palpate.calibration.certificate import CalibrationResult, IntervalFit, run_card
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.session_intervals import (
@@ -26,7 +26,6 @@ from palpate.calibration.sessions.session_labels import (
     unlabelled_runs,
 )
 from palpate.core import InputError, SplitError, Values
-from palpate.estimators.card_ground import RunCard
 from palpate.estimators.finding_cards import SessionErrorCard, SessionsCard
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.target_layout import Outputs, TargetLayout
@@ -270,7 +269,7 @@ def sessions_card(
     return SessionsCard(
         column=column,
         names=tuple(str(name) for name in names),
-        runs=tuple(_run_card(one) for one in run.runs) if isinstance(run, JoinedRun) else (),
+        runs=tuple(run_card(one) for one in run.runs) if isinstance(run, JoinedRun) else (),
         held_out=count,
         rule="one session" if count < 2 else "distribution-free" if free else "parametric",
         rank=rank_of_new_group(count, coverage) if free else None,
@@ -278,18 +277,6 @@ def sessions_card(
         errors={} if held is None else {c: _error_card(held, *pair) for c, pair in errors.items()},
         findings=findings,
         text=" ".join(filter(None, [text, same_day])),
-    )
-
-
-def _run_card(run: Run) -> RunCard:
-    about = run.manifest
-    return RunCard(
-        run_id=about.run_id,
-        hash=run.hash,
-        frames=len(run),
-        origin=about.origin,
-        licence=about.licence,
-        provenance=about.provenance,
     )
 
 

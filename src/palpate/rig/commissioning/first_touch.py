@@ -15,6 +15,7 @@ from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, touch_twice
 from palpate.rig.commissioning.hand_motion import (
+    AXES,
     JOG_N,
     LIFT_SPEED_M_S,
     MAX_JOG_M,
@@ -147,7 +148,7 @@ def _go_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, ab
 
 def _check_same_axis(pushed_n: Force, axis: str) -> None:
     """Refuse a touch that was felt along another axis than the push by hand."""
-    pushed = "xyz"[max(range(3), key=lambda i: abs(pushed_n[i]))]
+    pushed = AXES[max(range(3), key=lambda i: abs(pushed_n[i]))]
     if pushed != axis.removeprefix("-"):
         raise Tripped(
             Reason.FORCE_REVERSED,
