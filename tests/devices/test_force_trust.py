@@ -259,9 +259,18 @@ def test_a_move_in_which_the_stage_paused_teaches_as_a_whole(rng) -> None:
     assert made.corridor.greatest_n_m(1.0) / WIDE_HIGH == pytest.approx(4000.0, rel=0.3)
 
 
+def test_a_force_felt_over_less_way_than_the_stage_s_slack_teaches_nothing() -> None:
+    """The mean still catches up after a stop: 14 mN over 3 um are no stiffness of 4.5 N/mm."""
+    made = spring(1000.0)
+    made.feel(0.05, 13.6e-3, 3e-6)
+    made.learn(2e-3)
+    assert made.greatest_n_m(0.05) < 4.6e3
+    assert made.least_n_m(0.05) * WIDE_LOW <= 1000.0
+
+
 def test_a_whole_move_is_held_against_the_least_stiffness_between_its_forces() -> None:
     corridor = StiffnessCorridor()
-    for force, stiff in ((0.2, 12000.0), (0.4, 4000.0), (0.8, 20000.0)):
+    for force, stiff in ((0.2, 3000.0), (0.4, 1000.0), (0.8, 5000.0)):
         corridor.feel(force, 0.5 * force, 0.5 * force / stiff)
     corridor.learn(0.001)
     assert corridor.least_n_m(0.2) > 2 * corridor.least_between_n_m(0.2, 0.9)

@@ -89,6 +89,7 @@ def test_a_scale_that_prints_a_wrong_unit_is_refused_by_the_known_weight(tmp_pat
     assert not (tmp_path / "wrong.toml").exists()
 
 
+@pytest.mark.slow
 def test_a_scale_slower_than_stated_is_named_with_what_came(tmp_path: Path) -> None:
     with lab() as one, served(scale(rate_hz=2.0)) as port:
         words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}

@@ -18,7 +18,7 @@ from palpate.softness import Characteristic, Mode, SoftObject, hertz_object
 from palpate.softness.control.arm_servo import ArmServo, BenchState
 from palpate.softness.control.pressure_servo import PidServo
 from palpate.softness.control.reference_table import ReferenceTable
-from palpate.softness.control.rendering_loop import RenderingLoop
+from palpate.softness.control.rendering_loop import WISHED, RenderingLoop
 from palpate.softness.display_parts import Chamber
 from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_simulation import Rendering, law_of, simulate
@@ -160,6 +160,19 @@ class TestLoop:
         with pytest.raises(OperatorInterrupt):
             self.loop.tick()
         assert self.safe()
+
+    def test_an_emergency_stop_in_mid_period_is_the_reason_and_not_the_device_that_refuses(self) -> None:
+        self.ticks(0.5)
+
+        def refuses(*_) -> None:
+            self.control.ask(OperatorCommand.ESTOP)
+            raise DeviceError("the display is vented")
+
+        self.display.set_pressure = refuses  # type: ignore[method-assign]
+        with pytest.raises(OperatorInterrupt) as caught:
+            self.loop.tick()
+        assert caught.value.command is OperatorCommand.ESTOP
+        assert self.loop.safe == WISHED[OperatorCommand.ESTOP]
 
     def test_a_process_that_stands_still_is_found_out_by_the_devices_and_then_by_the_loop(self) -> None:
         self.ticks(0.5)

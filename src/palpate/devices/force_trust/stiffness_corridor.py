@@ -22,6 +22,7 @@ WIDE_HIGH = 4.0  # and above
 KEPT = 32  # presses that are remembered
 FELT = 0.4  # of a factor of two in force that a press has to go through, to tell a stiffness
 FELT_NOISES = 4.0  # and rise of force
+FELT_WAY_M = 20e-6  # and way of the stage, whose own slack is as long
 GROWTH = 1.0  # greatest exponent of stiffness over force, beyond what was felt: force exponential in depth
 SHRINK = 0.5  # and of its fall below what was felt: stiffness over F^(1/2), as under a cone
 UNKNOWN_N_M = 1e6  # nothing is known: stiffer than any skin
@@ -107,7 +108,7 @@ class StiffnessCorridor:
     def learn(self, noise_n: float) -> None:
         """Take what was felt in a press that went well among what is known; under such a noise [N]."""
         for bin_, (rise_n, way_m) in self._rise.items():
-            if way_m > 0 and rise_n >= max(FELT * 2.0 ** (bin_ - 1), FELT_NOISES * noise_n):
+            if way_m >= FELT_WAY_M and rise_n >= max(FELT * 2.0 ** (bin_ - 1), FELT_NOISES * noise_n):
                 self._felt[bin_].append(rise_n / way_m)
                 self._median[bin_] = median_low(self._felt[bin_])
                 self._median_high[bin_] = median_high(self._felt[bin_])

@@ -137,7 +137,7 @@ class RenderingLoop:
         if self.safe:
             raise SafetyError(f"this rendering has ended: {self.safe}; begin another")
         try:
-            self.last = self._tick()
+            self.last = self._period()
         except OperatorInterrupt as e:
             self.make_safe(WISHED[e.command])
             raise
@@ -168,8 +168,16 @@ class RenderingLoop:
             else:
                 self.safe += failed
 
-    def _tick(self) -> LoopSample:
+    def _period(self) -> LoopSample:
+        """One period; an emergency stop in its midst is the reason, not the device that then refuses."""
         self.control.check(STOPS)
+        try:
+            return self._tick()
+        except Tripped:
+            self.control.check(STOPS)
+            raise
+
+    def _tick(self) -> LoopSample:
         now_ns = self._clock.now_ns()
         self._watch.period(self._before_ns, now_ns)
         dt = PERIOD_S if self._before_ns is None else max((now_ns - self._before_ns) / NS_PER_S, 1e-6)
