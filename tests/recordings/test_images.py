@@ -7,13 +7,14 @@ import struct
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from palpate.core import ImageError
-from palpate.recordings.exchange.image_files import read_image
+from palpate.recordings.exchange.image_files import decode, encode, opencv_image, read_image
 
 LOSSLESS = {"PNG": {}, "BMP": {}, "TIFF": {"compression": "tiff_lzw"}, "WEBP": {"lossless": True}}
 ANY = LOSSLESS | {"JPEG": {"quality": 90}}
@@ -165,3 +166,20 @@ def test_missing_empty_and_folder_are_each_named(tmp_path):
     refused(tmp_path / "gone.png", "not there")
     refused(written(tmp_path, b""), "0 bytes")
     refused(tmp_path, "folder")
+
+
+def test_a_png_whose_chunk_claims_more_than_the_file_holds_allocates_none_of_it(rng):
+    data = encode(rng.integers(0, 256, (24, 32), np.uint8))
+    data[33:37] = 255  # length of the first chunk after the header: 4 GB
+    before = peak_bytes()
+    with pytest.raises(ImageError):
+        decode(data)
+    assert opencv_image(data, cv2.IMREAD_GRAYSCALE) is None
+    assert peak_bytes() - before < 100e6
+
+
+def peak_bytes() -> int:
+    if not Path("/proc/self/status").is_file():
+        pytest.skip("peak memory is read from /proc")
+    line = next(one for one in Path("/proc/self/status").read_text().splitlines() if one.startswith("VmHWM"))
+    return 1024 * int(line.split()[1])

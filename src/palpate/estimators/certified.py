@@ -44,6 +44,7 @@ from palpate.estimators.model_card import FORMAT, Card, TargetCard
 from palpate.estimators.reading_rules import doubt
 from palpate.estimators.reference_uncertainty import with_reference
 from palpate.estimators.target_layout import Outputs
+from palpate.recordings.exchange.image_files import opencv_image
 
 CARD_FILE = "card.json"
 MAX_CARD_BYTES = 4_000_000
@@ -387,7 +388,7 @@ def _is_of_colour(folder: Path, card: Card) -> bool:
     example = next((part for part in card.files if part.file == "example.png"), None)
     if card.input.channels != 3 or example is None:
         return False
-    image = cv2.imread(str(checked_file(folder, example)), cv2.IMREAD_COLOR)
+    image = opencv_image(np.fromfile(checked_file(folder, example), np.uint8), cv2.IMREAD_COLOR)
     return image is not None and not _is_grey(image)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy import ndarray
 
 from palpate.core import Float, ImageError, InputError, PathText, Progress, UInt8, is_hidden, silent
+from palpate.recordings.exchange.image_files import opencv_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 MIN_CORNERS = 3  # along either side
@@ -186,8 +187,8 @@ def _images(paths: list[Path]) -> Iterator[tuple[Path, np.ndarray]]:
         try:
             # Not turned by EXIF: a lens belongs to the sensor's own rows and columns.
             flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-            image = cv2.imdecode(np.fromfile(path, np.uint8), flags)
-        except (OSError, cv2.error) as error:
+            image = opencv_image(np.fromfile(path, np.uint8), flags)
+        except OSError as error:
             raise ImageError(f"{path} cannot be read as an image: {error}") from error
         if image is None or image.size > MAX_IMAGE_PX:
             raise ImageError(f"{path} cannot be read as an image; repair it or take it out of the folder")

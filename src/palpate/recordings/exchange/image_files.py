@@ -62,13 +62,45 @@ def decode(data: np.ndarray) -> Image:
         ImageError: not a whole PNG, of another kind, or larger than `MAX_PIXELS`.
     """
     shape, read_as = _expected(data)
-    try:
-        image = cv2.imdecode(data, read_as)
-    except cv2.error as e:
-        raise ImageError(f"the PNG cannot be decoded ({e.err})") from e
+    image = _decoded(data, read_as)
     if image is None or image.shape != shape:
         raise ImageError("the PNG cannot be decoded; its data is damaged")
     return np.asarray(image, np.uint8)
+
+
+def opencv_image(data: np.ndarray, flags: int) -> np.ndarray | None:
+    """Decode the bytes ``[n]`` of an image file by OpenCV; None where it cannot, or above `MAX_PIXELS`.
+
+    Pixels are those that OpenCV makes of a file; `image_from_bytes` makes them with Pillow.
+    """
+    content = data.tobytes()
+    try:
+        with _decoder(Path("image"), content)(BytesIO(content)) as header:
+            width, height = header.size
+    except Exception:  # as in `_damage_explained`
+        return None
+    return _decoded(data, flags) if 0 < width * height <= MAX_PIXELS else None
+
+
+def _decoded(data: np.ndarray, flags: int) -> np.ndarray | None:
+    """OpenCV allocates what a PNG's chunk claims before it reads it: none may end beyond the file."""
+    if data[:8].tobytes() == _SIGNATURE and not _chunks_fit(data):
+        return None
+    try:
+        return cv2.imdecode(data, flags)
+    except cv2.error:
+        return None
+
+
+def _chunks_fit(data: np.ndarray) -> bool:
+    """Whether each chunk of a PNG, up to its end, lies within the file."""
+    at, head = len(_SIGNATURE), struct.Struct(">I4s")
+    while at + head.size <= data.size:
+        length, name = head.unpack_from(data, at)
+        at += 12 + length  # with the length itself, the name, and the checksum
+        if at > data.size or name == b"IEND":
+            break
+    return bool(at <= data.size)
 
 
 def _expected(data: np.ndarray) -> tuple[tuple[int, ...], int]:

@@ -14,6 +14,7 @@ from pandas import DataFrame
 
 from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
 from palpate.core.parsing import parser
+from palpate.recordings.exchange.image_files import opencv_image
 from palpate.recordings.run_reader import Run
 from palpate.sensors.palm.copies.palm_copy import (
     LOCAL,
@@ -203,7 +204,7 @@ def read_picture(path: Path) -> Image:
     """
     with storage_errors(path):
         data = np.frombuffer(path.read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    image = opencv_image(data, cv2.IMREAD_COLOR)
     if image is None:
         raise ImageError(f"{path} is no picture that can be read; give a PNG")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)

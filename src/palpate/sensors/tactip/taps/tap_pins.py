@@ -19,6 +19,7 @@ import numpy as np
 from palpate.core import Float, ImageError, InputError, Progress, UInt8, ndarray, silent, storage_errors
 from palpate.core.parsing import parser
 from palpate.estimators.lattice.pin_lattice import PinLattice, PinLayoutKind, name_pins
+from palpate.recordings.exchange.image_files import opencv_image
 
 Spots = Float[ndarray, "_ 2"]  # as many as each image has
 Layout = Float[ndarray, "p 2"]
@@ -57,7 +58,7 @@ def read_image(path: Path) -> UInt8[ndarray, "h w"]:
     if path.is_file():
         with storage_errors(path):
             data = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        image = opencv_image(data, cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise ImageError(f"{path} cannot be read as an image")
     return np.asarray(image, np.uint8)
