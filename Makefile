@@ -13,7 +13,7 @@ INSTALL := $(PIP) install --constraint constraints.txt --build-constraint constr
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help start demo test slow mutants check style types layers doctests exports documentation docs bench clean
+.PHONY: help start demo test slow mutants check style types layers doctests exports documentation docs bench clean budget
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -42,7 +42,7 @@ slow: .venv/work.stamp ## run the tests that take minutes
 mutants: .venv/work.stamp ## see that the nearest tests notice each line changed in the frozen list
 	PYTHONPATH=tools OMP_NUM_THREADS=1 $(BIN)/python -m mutants $(MUTANTS)
 
-check: style types layers doctests exports documentation ## style, types, layers, doctests, exports, documentation
+check: style types layers budget doctests exports documentation ## style, types, layers, size, doctests, exports, documentation
 
 style: .venv/work.stamp
 	$(BIN)/python -m ruff check .
@@ -53,6 +53,9 @@ types: .venv/work.stamp
 
 layers: .venv/work.stamp
 	$(BIN)/lint-imports
+
+budget: .venv/work.stamp ## measure the size of the package against its limits
+	$(BIN)/python tools/budget.py
 
 doctests: .venv/work.stamp
 	$(BIN)/python -m pytest --doctest-modules src/palpate
