@@ -213,7 +213,7 @@ def test_the_outside_tells_what_was_put_there_and_nothing_else(rng) -> None:
     images = rng.normal(100, 2, (240, 24, 24, 1)).astype(np.float32)
     images[:, 8:16, 8:16, 0] += 10 * values[:, [1]][..., None]
     images[:, 0, :, 0] += 4 * values[:, [0]]
-    region = boxed((24, 24), (6, 6, 12, 12), "given")
+    region = boxed((24, 24), (6, 6, 12, 12))
     found = outside_control(images, region, values, thirds(240), interleaved_blocks(np.arange(240)))
     assert found.folds[0] > 0.95
     assert found.blocks[0] > 0.95
@@ -225,7 +225,7 @@ def test_the_outside_tells_what_was_put_there_and_nothing_else(rng) -> None:
 def test_one_place_that_tells_a_label_is_named_and_a_glow_all_around_is_not(rng) -> None:
     values = rng.normal(size=(150, 1))
     images = rng.normal(100, 2, (150, 64, 64, 1)).astype(np.float32)
-    region = boxed((64, 64), (20, 20, 24, 24), "given")
+    region = boxed((64, 64), (20, 20, 24, 24))
     burnt, glow = images.copy(), images.copy()
     burnt[:, 58:62, 2:6] += 20 * values[:, :, None, None]
     glow[:, region.outside] += 5 * values[:, :, None]

@@ -71,6 +71,30 @@ def test_depth_in_a_label_lies_a_threshold_above_the_truth(whole: Run) -> None:
     assert below_touch.between(0.08, 0.16).all()
 
 
+@pytest.mark.parametrize(("speed_mm_s", "taps"), [(1.0, 0), pytest.param(5.0, 3, marks=pytest.mark.slow)])
+def test_depth_counts_from_the_same_zero_in_a_sweep(tmp_path: Path, speed_mm_s: float, taps: int) -> None:
+    middle = Listed(kind="listed", at_mm=((0.0, 0.0),))
+    sweep = Ramp(
+        name="s",
+        kind="swept",
+        places=middle,
+        taps=taps,
+        cycles=1,
+        speed_mm_s=speed_mm_s,
+        until_N=2.0,
+        wait_s=0.5,
+    )
+    assert record(rig(), sweep, tmp_path / "run").state is State.DONE
+    run = Run.open(tmp_path / "run")
+    swept = run.labels.query("phase == 'sweep'")
+    below_touch = (swept["true_depth_mm"] - swept["depth_mm"])[swept["depth_mm"] > 0]
+    # As above; a stamp 8 ms after the exposure, where no taps tell that, is 0.008 mm at 1 mm/s.
+    assert len(below_touch) > 10
+    assert below_touch.between(0.08, 0.16).all()
+    assert (swept["depth_mm"] >= 0).all()
+    assert len(fields_of(run, "zero")) == 1
+
+
 @pytest.mark.slow
 def test_depth_in_a_label_lies_as_near_the_truth_after_deep_presses(tmp_path: Path) -> None:
     deep = plan(depth_mm=4.8, step_mm=2.4, cycles=3, frames=1)

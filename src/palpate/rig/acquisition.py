@@ -38,11 +38,12 @@ LABELS: dict[str, LabelKind] = {
     "force_y_N": "number",
     "force_magnitude_N": "number",
 }
-"""Labels of every frame. `depth_mm` is below the local zero, where the normal force passed the plan's
-threshold: a little below first touch. `force_N` is along z, positive in compression, the mean over the
-exposure."""
+"""Labels of every frame. In each kind of plan `depth_mm` is the way below the local zero, where the normal
+force passed the plan's threshold in this approach, a little below first touch; 0 above it. `force_N` is
+along z, positive in compression, the mean over the exposure."""
 
 KEPT_S = 2.0  # of force samples, to average over exposures
+LOOKS = 64  # at the stage's position that are remembered, for frames taken on the way
 NEAR_S = 0.05  # within which a sample stands for an exposure that has none of its own
 FROZEN = 5  # frames in a row that are the same to the last bit
 GRAB_S = 2.0
@@ -80,6 +81,8 @@ class Acquisition:
         second = rig.label_force
         self._label_force = second and LabelForce(second, rig.label_mounting, guard, rig.clock)
         guard.samples.subscribe(self._remember)
+        self._heights: deque[tuple[int, float]] = deque(maxlen=LOOKS)
+        guard.positions.subscribe(lambda at, time_ns: self._heights.append((time_ns, at[2])))
 
     def begin(self, press: PlannedPress) -> None:
         """Label the next frames with this press."""
@@ -149,9 +152,10 @@ class Acquisition:
     def _labels(self, shot: Shot, k: int, time_ns: int, exposure_s: float) -> dict[str, Label]:
         press, force = self._press, self._mean_force(time_ns, exposure_s)
         at = self._guard.position_m()
-        x, y, z = self._rig.from_origin_mm(at)
+        x, y, _ = self._rig.from_origin_mm(at)
         contact = self._motion.contact_m
-        depth = 0.0 if contact is None else 1e3 * (at[2] - contact)
+        height_m = self._height_m(time_ns, exposure_s) if shot.phase == "sweep" else at[2]
+        depth = 0.0 if contact is None else max(1e3 * (height_m - contact), 0.0)
         labels: dict[str, Label] = {
             "shot": shot.key,
             "frame_in_shot": float(k),
@@ -164,7 +168,7 @@ class Acquisition:
             "reference": shot.phase == "reference",
             "x_mm": round(x, 6),
             "y_mm": round(y, 6),
-            "depth_mm": round(z if shot.phase == "sweep" else depth, 6),
+            "depth_mm": round(depth, 6),
             "force_N": force[2],
             "force_x_N": force[0],
             "force_y_N": force[1],
@@ -173,6 +177,11 @@ class Acquisition:
         if self._label_force and shot.phase != "sweep":
             labels[LABEL_FORCE] = self._label_force.force_n()
         return labels | dict(self._rig.truth(time_ns))
+
+    def _height_m(self, time_ns: int, exposure_s: float) -> float:
+        """Where a moving stage was in the middle of an exposure, along its z [m]."""
+        middle_ns = time_ns - round((self.late_s + exposure_s / 2) * NS_PER_S)
+        return float(np.interp(middle_ns, *zip(*self._heights, strict=True)))
 
     def _remember(self, samples: Sequence[Wrench]) -> None:
         for sample in samples:

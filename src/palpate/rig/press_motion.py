@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+
+import numpy as np
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
@@ -20,6 +23,7 @@ from palpate.rig.zero_drift import allowed_n, moved_n, slope_n_s
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force
 HIGHER_MM = 5.0  # than the clearance, after contact there
+LOOKS = 16  # that are remembered, for a force that comes late
 FREE = 2.0  # contact thresholds, below which the probe counts as free
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 AIR_S = 0.3  # of listening higher up
@@ -296,33 +300,41 @@ class PressMotion:
                 f"no contact down to {plan.seek_mm:g} mm below the expected surface at "
                 f"{self._place.name}; is the layer there, and the force sensor's sign right?",
             )
-        self.contact_m = self._guard.position_m()[2]
+        self._found_contact(self._guard.position_m()[2])
         self._position_proven = True
-        self._recorder.event(
-            ZERO,
-            place=self._place.name,
-            x_mm=self._place.x_mm,
-            y_mm=self._place.y_mm,
-            z_mm=1e3 * (self.contact_m - self._rig.origin_m[2]),
-        )
+
+    def _found_contact(self, z_m: float) -> None:
+        """Let the press's depths count from this height, along the stage's z [m]."""
+        self.contact_m, place = z_m, self._place
+        z_mm = 1e3 * (z_m - self._rig.origin_m[2])
+        self._recorder.event(ZERO, place=place.name, x_mm=place.x_mm, y_mm=place.y_mm, z_mm=z_mm)
 
     @contextmanager
     def contact_due(self, depth_m: float) -> Iterator[None]:
         """Expect contact where the search for it would end, within a ``with`` block that goes on to a depth.
 
+        The press's zero is where the stage was when the force passed the threshold, between two looks.
+
         Raises:
             Tripped: nothing was felt down to there.
         """
-        plan, z0, felt = self._plan, self._rig.origin_m[2], False
+        plan, z0 = self._plan, self._rig.origin_m[2]
+        felt_ns: int | None = None
+        ways: deque[tuple[int, float]] = deque(maxlen=LOOKS)
 
         def feel(samples: Sequence[Wrench]) -> None:
-            nonlocal felt
-            felt = felt or any(
-                self._bias.force(one)[2] > plan.threshold_N for one in samples if not one.fault
-            )
+            nonlocal felt_ns
+            if felt_ns is None:
+                strong = (one for one in samples if not one.fault)
+                felt_ns = next(
+                    (one.time_ns for one in strong if self._bias.force(one)[2] > plan.threshold_N), None
+                )
 
         def look(at: Position, time_ns: int) -> None:
-            if not felt and at[2] > z0 + plan.seek_mm * MM:
+            ways.append((time_ns, at[2]))
+            if self.contact_m is None and felt_ns is not None:
+                self._found_contact(float(np.interp(felt_ns, *zip(*ways, strict=True))))
+            if felt_ns is None and at[2] > z0 + plan.seek_mm * MM:
                 raise Tripped(
                     Reason.NO_CONTACT,
                     f"nothing was felt at {self._place.name} down to {plan.seek_mm:g} mm below the expected "

@@ -34,7 +34,7 @@ from palpate.calibration.confounds.row_order import (
     sampled,
     shift_check,
 )
-from palpate.calibration.confounds.skin_region import SkinRegion, boxed, find_skin
+from palpate.calibration.confounds.skin_region import RegionSource, SkinRegion, boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
 from palpate.core import Float32, Indices, Progress, Values, silent
 from palpate.estimators.finding_cards import ConfoundCard, ConfoundFindingCard, TargetConfoundCard
@@ -196,7 +196,7 @@ def audit_confounds(
         findings=ranked([shifted, *found] if shifted else found),
         evidence=evidence,
         outside_share=float(region.outside.mean()) if region.has_outside else None,
-        outside_text=region.source if region.has_outside else f"no outside: {_why_none(region)}",
+        outside_text=region.source.value if region.has_outside else f"no outside: {_why_none(region)}",
         skin_px=_in_frame(region.box, images.shape, rows) if region.has_outside and _one_view(rows) else None,
         shift=shift,
         functions=functions,
@@ -205,8 +205,8 @@ def audit_confounds(
 
 
 def _why_none(region: SkinRegion) -> str:
-    if not region.inside.any() or region.source.startswith("every"):
-        return region.source
+    if not region.inside.any() or region.source is RegionSource.EVERYWHERE:
+        return region.source.value
     return "touch changes the picture up to its border"
 
 
@@ -236,7 +236,7 @@ def _region(
 ) -> SkinRegion:
     """The skin in small pictures: as given, or as found, in each view by itself."""
     if skin_px is not None and _one_view(rows):
-        return boxed(images.shape[1:3], _in_small(skin_px, images.shape, rows), "the box that was given")
+        return boxed(images.shape[1:3], _in_small(skin_px, images.shape, rows))
     untouched = rest = None
     if rows.untouched is not None and len(rows.untouched) >= 4:
         asked = sampled(len(rows.untouched), 100)

@@ -9,6 +9,7 @@ label burnt into a corner changes too, and is small and apart.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import cv2
 import numpy as np
@@ -31,6 +32,15 @@ MIN_OUTSIDE = 0.02
 """Share of the picture below which there is no outside to speak of."""
 
 
+class RegionSource(Enum):
+    """How a region was found, in words."""
+
+    GIVEN = "the box that was given"
+    CHANGING = "the part of the picture that changes from press to press"
+    CHANGING_UNDER_TOUCH = "the part of the picture that changes more under touch than at rest"
+    EVERYWHERE = "every part of the picture changes alike"
+
+
 @dataclass(frozen=True)
 class SkinRegion:
     """The skin in prepared pictures.
@@ -38,12 +48,12 @@ class SkinRegion:
     Attributes:
         outside: ``[h w]`` pixels that surely lie outside the skin.
         inside: ``[h w]`` pixels of the skin; between the two lies a margin.
-        source: how it was found, in words.
+        source: how it was found.
     """
 
     outside: Bool[np.ndarray, "h w"]
     inside: Bool[np.ndarray, "h w"]
-    source: str
+    source: RegionSource
 
     @property
     def far_outside(self) -> Bool[np.ndarray, "h w"]:
@@ -112,20 +122,20 @@ def find_skin(
     """
     change = change_map(images, units, sessions=sessions)
     quiet = float(np.quantile(change, 0.02))
-    source = "the part of the picture that changes from press to press"
+    source = RegionSource.CHANGING
     if untouched is not None and len(untouched) >= 4:
         rest = change_map(untouched, np.arange(len(untouched)), sessions=rest_sessions)
         change, quiet = np.maximum(change - rest, 0.0), 0.0
-        source = "the part of the picture that changes more under touch than at rest"
+        source = RegionSource.CHANGING_UNDER_TOUCH
     lively = float(np.quantile(change, 0.9))
     height, width = images.shape[1:3]
     whole = np.ones((height, width), dtype=bool)
     if lively <= max(MIN_CONTRAST * quiet, 1e-6):
-        return SkinRegion(~whole, whole, "every part of the picture changes alike")
+        return SkinRegion(~whole, whole, RegionSource.EVERYWHERE)
     return _region(change > quiet + ACTIVE * (lively - quiet), (height, width), source)
 
 
-def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: str) -> SkinRegion:
+def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: RegionSource) -> SkinRegion:
     """Convex hulls of the places that change, small ones aside, and a margin of a cell around them."""
     closed = cv2.morphologyEx(active.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
@@ -142,9 +152,9 @@ def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: str
     return SkinRegion(~near, inside, source)
 
 
-def boxed(shape: tuple[int, int], box: tuple[int, int, int, int], source: str) -> SkinRegion:
+def boxed(shape: tuple[int, int], box: tuple[int, int, int, int]) -> SkinRegion:
     """A region whose outside is what lies beyond a box, (x, y, width, height) [px of the picture]."""
     inside = np.zeros(shape, dtype=bool)
     x, y, width, height = box
     inside[max(y, 0) : y + height, max(x, 0) : x + width] = True
-    return SkinRegion(~inside, inside, source)
+    return SkinRegion(~inside, inside, RegionSource.GIVEN)
