@@ -181,7 +181,8 @@ class Acquisition:
     def _height_m(self, time_ns: int, exposure_s: float) -> float:
         """Where a moving stage was in the middle of an exposure, along its z [m]."""
         middle_ns = time_ns - round((self.late_s + exposure_s / 2) * NS_PER_S)
-        return float(np.interp(middle_ns, *zip(*self._heights, strict=True)))
+        times_ns, heights_m = zip(*self._heights, strict=True)
+        return float(np.interp(middle_ns, times_ns, heights_m))
 
     def _remember(self, samples: Sequence[Wrench]) -> None:
         for sample in samples:

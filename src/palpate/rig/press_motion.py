@@ -333,7 +333,8 @@ class PressMotion:
         def look(at: Position, time_ns: int) -> None:
             ways.append((time_ns, at[2]))
             if self.contact_m is None and felt_ns is not None:
-                self._found_contact(float(np.interp(felt_ns, *zip(*ways, strict=True))))
+                times_ns, heights_m = zip(*ways, strict=True)
+                self._found_contact(float(np.interp(felt_ns, times_ns, heights_m)))
             if felt_ns is None and at[2] > z0 + plan.seek_mm * MM:
                 raise Tripped(
                     Reason.NO_CONTACT,

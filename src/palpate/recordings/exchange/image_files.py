@@ -96,7 +96,7 @@ def _chunks_fit(data: np.ndarray) -> bool:
     """Whether each chunk of a PNG, up to its end, lies within the file."""
     at, head = len(_SIGNATURE), struct.Struct(">I4s")
     while at + head.size <= data.size:
-        length, name = head.unpack_from(data, at)
+        length, name = head.unpack(data[at : at + head.size].tobytes())
         at += 12 + length  # with the length itself, the name, and the checksum
         if at > data.size or name == b"IEND":
             break
