@@ -108,6 +108,7 @@ class MarlinFaults:
 class _Modes:
     steps: bool = False
     feed_mm_s: float = 25.0
+    percent: float = 100.0  # of it, as a panel or another program sets it
     words: dict[str, float] = field(default_factory=dict)
 
 
@@ -332,6 +333,8 @@ class MarlinFirmware:
                 self._released = True
             case "M17":
                 self._released, self._moved_s = False, self._now_s
+            case "M220":
+                self._modes.percent = words["S"]
             case "G21" | "M400":
                 pass
             case _:
@@ -369,7 +372,8 @@ class MarlinFirmware:
             end = at if axis not in words else words[axis] + (at if self._modes.steps else 0.0)
             ends.append(min(max(end, low), high) if self.homed else end)  # clipped, and nothing is said
         self._modes.feed_mm_s = words.get("F", 60 * self._modes.feed_mm_s) / 60
-        self._axes.add(PlannedBlock(start, (ends[0], ends[1], ends[2]), self._modes.feed_mm_s))
+        feed_mm_s = self._modes.feed_mm_s * self._modes.percent / 100
+        self._axes.add(PlannedBlock(start, (ends[0], ends[1], ends[2]), feed_mm_s))
         return ()
 
     def _home(self) -> Work:

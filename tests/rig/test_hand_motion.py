@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +14,10 @@ from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import InputError, RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
+from palpate.rig.commissioning.force_touch import touch_twice
 from palpate.rig.commissioning.hand_motion import await_push, home_clear, jog, lift_clear, touch_off, zero
 from palpate.rig.rig import Rig
+from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import Fault, virtual_rig
 
 
@@ -104,6 +107,53 @@ def test_a_jog_goes_as_far_as_it_was_told_and_up_again() -> None:
     assert jogged(rig, distance_m=-1e-3) == pytest.approx(start, abs=2e-5)
 
 
+@pytest.mark.parametrize(("axis", "step_m"), [("z", 0.1e-3), ("x", 1e-3)])
+def test_a_repeated_jog_in_the_skin_is_refused_and_lifts_the_probe(axis: str, step_m: float) -> None:
+    rig = in_contact(0.3e-3)
+    with pytest.raises(Tripped) as told:
+        jogged(rig, axis=axis, distance_m=step_m)
+    assert told.value.reason is Reason.TOUCHED_EARLY
+    assert rig.stage.position_m()[2] < 0
+
+
+def test_repeated_small_jogs_go_no_deeper_than_one() -> None:
+    rig, deepest_m = in_contact(-1e-3), -1e-3
+    for _ in range(30):
+        with suppress(Tripped):
+            deepest_m = max(deepest_m, jogged(rig, distance_m=0.1e-3))
+    assert 0 < deepest_m < 0.6e-3  # 1 N
+
+
+def test_a_jog_at_the_upper_soft_limit_needs_no_lift() -> None:
+    rig = virtual_rig()
+    z = rig.stage.position_m()[2]
+    rig = replace(rig, limits=replace(rig.limits, least_m=(*rig.limits.least_m[:2], z - 1e-4)))
+    assert jogged(rig) == pytest.approx(z + 1e-3, abs=2e-5)
+
+
+def test_two_touches_that_begin_in_the_skin_find_its_surface() -> None:
+    rig = in_contact(1.0e-3)
+    found = touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 2e-3)
+    assert found.surface_m[2] == pytest.approx(0.0, abs=0.5e-3)
+    with pytest.raises(RangeError):
+        touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 6e-3)
+
+
+def test_the_check_of_a_rig_goes_no_lower_than_where_its_probe_stands() -> None:
+    rig = virtual_rig()
+    start_m, lowest_m = rig.stage.position_m()[2], -1.0
+    move_to = rig.stage.move_to
+
+    def followed(target: Position, speed_m_s: float) -> None:
+        nonlocal lowest_m
+        move_to(target, speed_m_s)  # of which some are refused, as they have to be
+        lowest_m = max(lowest_m, target[2])
+
+    rig.stage.move_to = followed  # type: ignore[method-assign]
+    check_rig(rig)
+    assert lowest_m <= start_m + 1e-9
+
+
 def test_a_jog_into_the_skin_ends_at_its_change_of_force() -> None:
     rig = virtual_rig()
     with pytest.raises(Tripped) as told:
@@ -117,7 +167,8 @@ def test_a_jog_ends_where_the_sensor_repeats_itself(after_s: float) -> None:
     rig = virtual_rig(faults=[Fault("force-stuck", after_s)])
     with pytest.raises(Tripped) as told:
         jogged(rig, distance_m=9e-3)
-    assert told.value.reason in (Reason.FORCE_STUCK, Reason.FORCE_DEAD)
+    # While the lift proves the air, equal samples are no noise.
+    assert told.value.reason in (Reason.FORCE_STUCK, Reason.FORCE_DEAD, Reason.FORCE_NOISE)
     assert rig.stage.position_m()[2] < 0.2e-3  # of 4 mm that it was sent into the skin
 
 

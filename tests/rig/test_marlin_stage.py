@@ -116,6 +116,15 @@ def mm(sensor_m):
     return sensor_m[0] * 1e3, -sensor_m[1] * 1e3, -sensor_m[2] * 1e3
 
 
+def test_a_speed_factor_that_another_program_left_is_taken_back(bench) -> None:
+    one = bench()
+    with one.terminal.lock:
+        one.firmware._modes.percent = 300.0
+    stage = one.open()
+    one.to_speed(stage, (5e-3, 0.0, 0.0))
+    assert one.speed_mm_s <= SPEED * 1e3 * 1.001
+
+
 def test_lines_carry_a_number_and_the_exclusive_or_of_their_bytes() -> None:
     assert numbered(1, "M115") == b"N1 M115*39\n"  # as hosts' logs show it
     with pytest.raises(ValueError, match="longer"):

@@ -49,8 +49,9 @@ def check_rig(
 ) -> list[CheckResult]:
     """Check a rig whose probe hangs in free air, a few millimetres above the skin.
 
-    The stage is moved by 2 mm to each side of where it stands and never nearer to the expected surface than
-    `clear_m`; a change of force by 1 N ends all motion.
+    The stage is moved by 2 mm to each side of where it stands and 4 mm up, or down where the soft limits
+    leave no 2 mm above, and never nearer to the expected surface than `clear_m`; a change of force by 1 N
+    ends all motion.
 
     Args:
         rig: the devices, homed; the probe above the layer.
@@ -216,6 +217,8 @@ def _box(rig: Rig, highest_z: float) -> Box:
     at, limits = rig.stage.position_m(), rig.limits
     least = [max(p - HALF_M, low) for p, low in zip(at, limits.least_m, strict=True)]
     most = [min(p + HALF_M, high) for p, high in zip(at, limits.greatest_m, strict=True)]
+    if at[2] - limits.least_m[2] >= HALF_M:
+        most[2] = at[2]  # the operator's word that the probe hangs free holds for where it stands alone
     most[2] = min(most[2], highest_z)
     least[2] = max(min(least[2], most[2] - 2 * HALF_M), limits.least_m[2])
     return (least[0], least[1], least[2]), (most[0], most[1], most[2])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import Any
 
 from palpate.core import Clock, ForceSensor, InputError, Position, RangeError, Stage
-from palpate.devices import Limits, Mounting, OperatorControl
-from palpate.devices.force_bias import Force, ForceBias
-from palpate.devices.motion_guard import MotionGuard
+from palpate.devices import Limits, Mounting
+from palpate.devices.force_bias import Force
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import MAX_REACH_M, touch_twice
 from palpate.rig.commissioning.hand_motion import (
@@ -22,6 +20,7 @@ from palpate.rig.commissioning.hand_motion import (
     MAX_JOG_M_S,
     PUSH,
     await_push,
+    guard_from_air,
     home_clear,
     hop_to,
 )
@@ -129,11 +128,9 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
 
 
 def _go_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, above: Three) -> None:
-    """Aside first and then down, stopped by a change of force of 1 N."""
+    """Aside first and then down, stopped by a change of force of 1 N from that of the air."""
     at = stage.position_m()
-    bias = ForceBias(Mounting())
-    guard = MotionGuard(stage, force, replace(limits, force_n=JOG_N), bias, clock, OperatorControl())
-    guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
+    guard = guard_from_air(stage, force, Mounting(), limits, clock, JOG_N)
     speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
     try:
         for target in ((above[0], above[1], min(at[2], above[2])), above):

@@ -11,13 +11,20 @@ import numpy as np
 from palpate.core import Clock, ForceSensor, InputError, Position, RangeError, Stage
 from palpate.devices import Limits, Mounting, Reason, Tripped
 from palpate.devices.force_bias import Force
-from palpate.rig.commissioning.hand_motion import CHANGED_N, mean_force, move_watched
+from palpate.rig.commissioning.hand_motion import (
+    CHANGED_N,
+    FLAT_M,
+    has_room_to_lift,
+    lift_clear,
+    mean_force,
+    move_watched,
+)
 
 STEP_M = 0.05e-3
 SPEED_M_S = 1e-3
 TOUCH_N = 0.3  # a change of force, along any axis, that is contact
 MAX_TOUCH_N = 2.0  # and one at which the move under way is stopped
-MAX_REACH_M = 10e-3
+MAX_REACH_M = 5e-3
 AGREE_M = 0.3e-3  # between two touches
 AGREE_SHARE = 0.5  # of the touch's force that may be left, or lie across its axis
 G_M_S2 = 9.80665  # standard acceleration of free fall (CGPM 1901)
@@ -47,12 +54,18 @@ class SkinTouch:
 def touch_twice(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, reach_m: float) -> SkinTouch:
     """Touch twice from where the probe hangs, in steps of 0.05 mm, and lift again.
 
+    It is first lifted until the force no longer changes, since a touch that begins in the skin agrees with
+    the next one that does.
+
     Raises:
         RangeError: more than `MAX_REACH_M`.
         Tripped: nothing was felt, no axis stands out, the touches differ, or the force does not return.
     """
     if not 0 < reach_m <= MAX_REACH_M:
         raise RangeError(f"a touch over {reach_m * 1e3:g} mm; {MAX_REACH_M * 1e3:g} mm are the most")
+    if has_room_to_lift(stage, limits):
+        lift_clear(stage, force, Mounting(), clock, limits)
+        reach_m += FLAT_M
     first, second = (_touch(stage, force, limits, clock, reach_m) for _ in range(2))
     apart_m = abs(first.surface_m[2] - second.surface_m[2])
     if first.axes != second.axes or apart_m > AGREE_M:

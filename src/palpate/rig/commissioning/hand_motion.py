@@ -29,6 +29,7 @@ from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
 
 STEP_M = 0.2e-3  # of a lift; the force is measured after each
+SAME_M = 1e-6  # between two positions that are the same
 FLAT_M = 0.6e-3  # of lifting without a change of force, which proves the air
 MAX_LIFT_M = 20e-3
 HOMING_LIFT_M = 8e-3  # at least, before homing, whatever the force says: a numb sensor reads as air does
@@ -371,9 +372,37 @@ def zero(
         raise Tripped(
             Reason.TOUCHED_EARLY,
             f"the probe was in contact: the force changed while it was lifted by {found.lifted_mm:.1f} mm. "
-            "It hangs in the air now; zero again",
+            "It hangs in the air now; repeat",
         )
     return found
+
+
+def has_room_to_lift(stage: Stage, limits: Limits) -> bool:
+    """Whether the soft limits let the probe be lifted by `FLAT_M`, which proves the air."""
+    return stage.position_m()[2] - FLAT_M >= limits.least_m[2]
+
+
+def guard_from_air(
+    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, stop_n: float
+) -> MotionGuard:
+    """Return a guard whose zero is the air, with the stage back where it stood.
+
+    A guard that is zeroed where the probe stands allows `stop_n` more in each motion: repeated, they would
+    press without a bound. At the upper soft limit, where nothing can be lifted, it is zeroed in place.
+
+    Raises:
+        Tripped: the probe was in contact, and is lifted; or a limit of the way back.
+    """
+    at = stage.position_m()
+    guard = MotionGuard(
+        stage, force, replace(limits, force_n=stop_n), ForceBias(mounting), clock, OperatorControl()
+    )
+    if has_room_to_lift(stage, limits):
+        zero(stage, force, mounting, clock, limits)
+    guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
+    if math.dist(stage.position_m(), at) > SAME_M:
+        guard.towards(at, min(LIFT_SPEED_M_S, limits.fastest_m_s(stage.travel)))
+    return guard
 
 
 def jog(
@@ -388,9 +417,10 @@ def jog(
     speed_m_s: float,
     stop_n: float = JOG_N,
 ) -> None:
-    """Move one axis by so far, stopped by any change of force from what it is now.
+    """Move one axis by so far, stopped by any change of force from that of the air.
 
-    Away from the skin the force may fall by as much as the rig allows: the probe may stand in the skin.
+    Other than away, the probe is first lifted by `FLAT_M`, which proves the air, and lowered again. Away from
+    the skin the force may fall by as much as the rig allows: the probe may stand in the skin.
 
     Args:
         axis: x, y or z of the skin's frame; z leads into it.
@@ -412,10 +442,8 @@ def jog(
     elif axis == "z" and distance_m < 0:
         _retreat(stage, force, mounting, clock, -distance_m, speed_m_s, rise_n=stop_n, most_n=limits.force_n)
     else:
-        bias = ForceBias(mounting)
-        guard = MotionGuard(stage, force, replace(limits, force_n=stop_n), bias, clock, OperatorControl())
-        guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
-        guard.towards(target, speed_m_s)
+        limits.check_speed(speed_m_s, stage.travel)  # before anything moves
+        guard_from_air(stage, force, mounting, limits, clock, stop_n).towards(target, speed_m_s)
 
 
 def move_watched(

@@ -554,7 +554,7 @@ class MarlinStage(Closing):
         return True
 
     def _set_modes(self) -> None:
-        for line in ("G21", "G90"):  # millimetres; absolute
+        for line in ("G21", "G90", "M220 S100"):  # millimeters; absolute; speeds as sent
             self._link.command(line)
         said = [text for line in ("M17", "M84 S0") for text in _texts(self._link.command(line))]
         self._motors_hold = not any("Unknown command" in text for text in said)
