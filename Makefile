@@ -58,7 +58,7 @@ budget: .venv/work.stamp ## measure the size of the package against its limits
 	$(BIN)/python tools/budget.py
 
 doctests: .venv/work.stamp
-	$(BIN)/python -m pytest --doctest-modules src/palpate
+	$(BIN)/python -m pytest --doctest-modules src/palpate reproductions/src
 
 exports: .venv/work.stamp
 	$(BIN)/python -m pytest tests/laws/test_house.py
@@ -77,15 +77,15 @@ bench: .venv/work.stamp ## run every benchmark, each beside its own baseline
 
 clean: ## remove the environment, caches and built documentation; demo-out folders stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache \
-		site build dist src/palpate.egg-info
+		site build dist reproductions/build reproductions/dist src/*.egg-info reproductions/src/*.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A stamp is written last, so an installation that fails is tried again.
-.venv/sense.stamp: pyproject.toml constraints.txt
+.venv/sense.stamp: pyproject.toml reproductions/pyproject.toml constraints.txt
 	@test -x $(BIN)/python || { $(find-python); "$$python" -m venv --clear .venv; }
 	@echo "installing palpate into .venv; the first time takes a minute or more"
 	$(PIP) install --constraint constraints.txt --upgrade pip
-	$(INSTALL) --editable .
+	$(INSTALL) --editable . --editable ./reproductions
 	@touch $@
 
 .venv/studio.stamp: .venv/sense.stamp

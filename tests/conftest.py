@@ -163,7 +163,7 @@ def checked(what):
 
 # Before any test imports palpate: what was imported earlier would go unchecked.
 jaxtyping.jaxtyped = lambda typechecker: checked
-jaxtyping.install_import_hook("palpate", None)
+jaxtyping.install_import_hook(["palpate", "palpate_reproductions"], None)
 
 # No deadline: how long one example takes says more about the machine's other work than about palpate.
 hypothesis.settings.register_profile("palpate", deadline=None)

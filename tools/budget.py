@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCE = ROOT / "src" / "palpate"
+SOURCES = (ROOT / "src", ROOT / "reproductions" / "src")
 LONG_LINES, COMPLEX, SMALL_LINES, WORDS = 60, 15, 150, 3
 BRANCHES = (ast.If, ast.For, ast.While, ast.ExceptHandler, ast.IfExp, ast.comprehension, ast.match_case)
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -72,8 +72,9 @@ def complexity(function: Function) -> int:
 
 
 def module_name(path: Path) -> str:
-    """Dotted name of a module of the package."""
-    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    """Dotted name of a module of one of the distributions."""
+    (source,) = [one for one in SOURCES if path.is_relative_to(one)]
+    parts = path.relative_to(source).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
@@ -198,11 +199,13 @@ def place(path: Path, node: ast.AST) -> str:
 
 def measured() -> tuple[dict[str, float], dict[str, list[str]]]:
     """Numbers by name, and the places behind those that have some."""
-    source, tests, tools = (python_files(ROOT / name) for name in ("src", "tests", "tools"))
-    graph = imports(source)
+    source, reproductions = map(python_files, SOURCES)
+    tests, tools = (python_files(ROOT / name) for name in ("tests", "tools"))
+    modules = source | reproductions
+    graph = imports(modules)
     importers = collections.Counter(one for wanted in graph.values() for one in wanted)
-    packages = collections.Counter(path.parent for path in source if path.name != "__init__.py")
-    all_functions = [(path, one) for path, tree in source.items() for one in functions(tree)]
+    packages = collections.Counter(path.parent for path in modules if path.name != "__init__.py")
+    all_functions = [(path, one) for path, tree in modules.items() for one in functions(tree)]
     all_tests = [(p, f) for p, tree in tests.items() for f in functions(tree) if f.name.startswith("test_")]
     named, options = commands()
     places = {
@@ -215,7 +218,7 @@ def measured() -> tuple[dict[str, float], dict[str, list[str]]]:
         "import_cycles": [" ".join(group) for group in cycles(graph)],
         "small_modules_with_one_importer": [
             module_name(path)
-            for path in source
+            for path in modules
             if path.name != "__init__.py"
             and importers[module_name(path)] == 1
             and path.read_bytes().count(b"\n") < SMALL_LINES
@@ -226,6 +229,7 @@ def measured() -> tuple[dict[str, float], dict[str, list[str]]]:
         "source_files": len(source),
         "source_lines": lines(source),
         "code_lines": sum(code_lines(*one) for one in source.items()),
+        "reproduction_lines": lines(reproductions),
         "test_lines": lines(tests),
         "tool_lines": lines(tools),
         "modules_of_the_largest_package": max(packages.values()),

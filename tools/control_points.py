@@ -18,7 +18,8 @@ sys.path.insert(0, str(ROOT))
 
 from tests.rendered_boards import View, board, noisy  # noqa: E402
 
-from palpate.estimators.lattice import QuadSettings, find_checkerboard, published_stages  # noqa: E402
+from palpate.estimators.lattice import find_checkerboard  # noqa: E402
+from palpate_reproductions.nusense.quadrilaterals import QuadSettings, published_stages  # noqa: E402
 
 PICTURE = ROOT / "docs" / "images" / "control-points.png"
 SCALE, EDGE, TITLE = 2, 6, 22

@@ -25,8 +25,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from palpate.recordings import Run
-from palpate.reproductions.palm.palm_comparison import GROUPINGS, MIRROR_SIGHTS
-from palpate.reproductions.palm.palm_conditions import (
+from palpate_reproductions.palm.palm_comparison import GROUPINGS, MIRROR_SIGHTS
+from palpate_reproductions.palm.palm_conditions import (
     ADAPTATION_PRESSES,
     CONDITIONS,
     FOREIGN,
@@ -35,8 +35,8 @@ from palpate.reproductions.palm.palm_conditions import (
     PRESSES,
     SEVERAL,
 )
-from palpate.reproductions.palm.palm_published import MAE, R2
-from palpate.reproductions.palm.palm_setup import MODELS, NETWORKS, pressed_rows
+from palpate_reproductions.palm.palm_published import MAE, R2
+from palpate_reproductions.palm.palm_setup import MODELS, NETWORKS, pressed_rows
 
 EXPLANATIONS = Path(__file__).resolve().parents[1] / "docs" / "explanations"
 PAGE, DATA = EXPLANATIONS / "palm-study.md", EXPLANATIONS / "palm-study.json"

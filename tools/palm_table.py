@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.reproductions.palm.palm_published import MAE, NAMES
+from palpate_reproductions.palm.palm_published import MAE, NAMES
 
 TARGETS = ("force_N", "place_mm", "depth_mm")
 FIELDS = ("grid", "new")

@@ -28,16 +28,16 @@ from tactip.tactip_model_errors import (
     sensitivity,
 )
 
-from palpate.reproductions.tactip.tactip_conditions import (
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
+from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
+from palpate_reproductions.tactip.tactip_conditions import (
     AS_IS,
     KAPPA_N_M,
     Row,
     compared,
     order,
 )
-from palpate.reproductions.tactip.tactip_setup import KAPPA, under_plate
-from palpate.rig.virtual.linear_rig import LINEAR_RIG
-from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
+from palpate_reproductions.tactip.tactip_setup import KAPPA, under_plate
 
 SHOWN_N = (1.0, 3.0, 5.0)
 REGIONS = ("contact", "middle", "disc")

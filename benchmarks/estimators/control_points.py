@@ -23,12 +23,15 @@ from tests.rendered_boards import View, board, noisy
 
 from palpate.estimators.lattice import (
     MarkTracker,
-    QuadSettings,
     find_checkerboard,
+)
+from palpate_reproductions.nusense.quadrilaterals import (
+    QuadSettings,
+    midpoints_by_pairs,
+    midpoints_by_tree,
     published_stages,
     quad_midpoints,
 )
-from palpate.estimators.lattice.quadrilaterals import midpoints_by_pairs, midpoints_by_tree
 
 SAME_PX = 0.05
 SIDE, PART = 164, 24

@@ -17,7 +17,7 @@ import numpy as np
 
 import palpate
 from palpate.core import Contact, Pose
-from palpate.estimators.lattice import ControlPoints, QuadSettings, find_checkerboard, published_stages
+from palpate.estimators.lattice import ControlPoints, find_checkerboard
 from palpate.estimators.surface_strain import (
     PatternedSkin,
     StrainMeter,
@@ -26,6 +26,7 @@ from palpate.estimators.surface_strain import (
     on_plane,
     recover_traction,
 )
+from palpate_reproductions.nusense.quadrilaterals import QuadSettings, published_stages
 
 SENSOR = palpate.sensor("nusense")
 SIGMA_PX = 0.05

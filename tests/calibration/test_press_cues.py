@@ -9,9 +9,15 @@ from palpate.calibration.compliance.press_cues import cues_of
 from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
 from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.recordings.exchange.press_table import PressTable
-from palpate.reproductions.tactip.tactip_setup import press_table_of
 from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_trials import record_press
+from palpate.workflows.tactip_trials import VirtualPress, record_press
+
+
+def press_table_of(trial: VirtualPress) -> PressTable:
+    return PressTable(
+        trial.time_s, trial.raw_n, trial.position_m, trial.true_area_m2, trial.frame_sample,
+        "force_raw_N", "actual_mm", "true_area_mm2", False,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

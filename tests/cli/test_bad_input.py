@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.installed_packages import lay_package
 from typer.testing import CliRunner
 
 from palpate import CalibrationPlan, Manifest, calibrate
@@ -108,15 +108,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
 
 
-def register(folder: Path, group: str, name: str, value: str) -> None:
-    """Lay an entry point on the path, as an installer does."""
-    about = folder / "their_package-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their_package\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
-    importlib.invalidate_caches()
-
-
 def refusal(*words: object) -> str:
     """The one line with which a command is refused."""
     result = CliRunner().invoke(app, [str(word) for word in words])
@@ -186,7 +177,7 @@ def test_a_rig_of_a_broken_device_is_refused_by_its_name_and_law(
 def test_a_device_that_takes_an_existing_name_is_refused(
     folder: Path, role: str, group: str, name: str
 ) -> None:
-    register(folder, group, name, OWN[role])
+    lay_package(folder, "their_package", group, name, OWN[role])
     kinds = {"stage": 'grbl"\nport = "COM3', "force": 'netft"\nhost = "box', "camera": 'uvc"\naddress = "0'}
     (folder / "rig.toml").write_text(RIG.format(**{**OWN, role: kinds[role]}))
     line = refusal("record", "--out", folder / "run", "--rig", folder / "rig.toml")
@@ -209,7 +200,7 @@ def test_a_broken_sensor_is_refused_by_its_name_and_law(folder: Path, sensor: st
 
 
 def test_a_sensor_that_takes_an_existing_name_is_refused(folder: Path) -> None:
-    register(folder, "palpate.sensors", "palm", "their_sensors:Bare")
+    lay_package(folder, "their_package", "palpate.sensors", "palm", "their_sensors:Bare")
     line = refusal("record", "--out", folder / "run", "--rig", "virtual:palm")
     assert "a name stands for one sensor" in line
 
@@ -242,7 +233,7 @@ def test_a_broken_model_or_split_is_refused_by_its_name(
 def test_a_model_or_split_that_takes_an_existing_name_is_refused(
     folder: Path, record_spots, group: str, name: str, option: str
 ) -> None:
-    register(folder, group, name, "their_models:Half")
+    lay_package(folder, "their_package", group, name, "their_models:Half")
     run = record_spots("run", 10)
     line = refusal("calibrate", run.path, "--targets", "x_mm", option, name, "--out", folder / "cal")
     assert f"{name!r} of their_models:Half takes the name of palpate" in line

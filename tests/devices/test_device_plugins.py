@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.installed_packages import lay_package
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, InputError, PluginError
@@ -159,15 +159,6 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
 
 
-def registered(folder: Path, package: str, group: str, name: str, value: str) -> None:
-    """Install a package that registers an entry point, as pip does."""
-    about = folder / f"{package}-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
-    importlib.invalidate_caches()
-
-
 @pytest.mark.parametrize("role", ROLES)
 def test_a_class_that_keeps_the_interface_is_opened_by_its_name(bench: Path, role: str) -> None:
     device = open_device(ROLES[role], f"bench_devices:{role}", {}, MonotonicClock())
@@ -226,7 +217,7 @@ def test_a_device_that_says_what_is_wrong_says_it_unchanged(bench: Path) -> None
 
 
 def test_an_installed_package_registers_a_device_by_a_name(bench: Path) -> None:
-    registered(bench, "bench_gantry", "palpate.stages", "gantry", "bench_devices:Stage")
+    lay_package(bench, "bench_gantry", "palpate.stages", "gantry", "bench_devices:Stage")
     check_kind("stage", "gantry", ("grbl",))
     assert open_device("stage", "gantry", {"port": "COM9"}, MonotonicClock()).port == "COM9"
     with pytest.raises(InputError, match="there is no camera 'gantry'; there are uvc"):
@@ -234,11 +225,11 @@ def test_an_installed_package_registers_a_device_by_a_name(bench: Path) -> None:
 
 
 def test_a_package_that_takes_an_existing_name_is_refused_by_name(bench: Path) -> None:
-    registered(bench, "bench_one", "palpate.stages", "grbl", "bench_devices:Stage")
+    lay_package(bench, "bench_one", "palpate.stages", "grbl", "bench_devices:Stage")
     with pytest.raises(InputError, match="'grbl' of bench_devices:Stage takes the name of palpate"):
         check_kind("stage", "grbl", ("grbl",))
-    registered(bench, "bench_two", "palpate.stages", "gantry", "bench_devices:Stage")
-    registered(bench, "bench_three", "palpate.stages", "gantry", "bench_other:Stage")
+    lay_package(bench, "bench_two", "palpate.stages", "gantry", "bench_devices:Stage")
+    lay_package(bench, "bench_three", "palpate.stages", "gantry", "bench_other:Stage")
     with pytest.raises(
         InputError, match="'gantry' of bench_other:Stage takes the name of bench_devices:Stage"
     ):

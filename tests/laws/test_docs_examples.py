@@ -22,11 +22,15 @@ from palpate.devices.device_plugins import GROUPS
 PROGRAM: Any = get_command(app)
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCE = REPOSITORY / "src" / "palpate"
+REPRODUCTIONS = REPOSITORY / "reproductions" / "src" / "palpate_reproductions"
+PACKAGES = {SOURCE.name, REPRODUCTIONS.name}
+MODULES = [path for package in (SOURCE, REPRODUCTIONS) for path in package.rglob("*.py")]
 PAGES = {
     path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding="utf-8")
     for path in (
         *sorted(REPOSITORY.glob("*.md")),
         *sorted((REPOSITORY / "docs").rglob("*.md")),
+        REPOSITORY / "reproductions" / "README.md",
         *sorted((REPOSITORY / "examples").glob("*.py")),
     )
     if path.name != "CHANGELOG.md"  # it also names what is gone; its new paths have a test of their own
@@ -36,7 +40,7 @@ OTHER_TOOLS = {"--nproc-per-node", "--standalone", "--nnodes", "--rdzv-backend",
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`([^`]+)`")
-DOTTED = re.compile(r"(?<![\w./-])palpate(?:\.[A-Za-z_]\w*)+")
+DOTTED = re.compile(r"(?<![\w./-])palpate(?:_reproductions)?(?:\.[A-Za-z_]\w*)+")
 FILE = re.compile(r"(?<![\w./*-])(?:[a-z_]+/)+[a-z_]+\.py\b")
 FILE_ALONE = re.compile(r"[a-z_0-9]+\.py")
 FOLDER = re.compile(r"(?:[a-z_]+/)+[a-z_]+/?")
@@ -89,13 +93,13 @@ def bound_by(tree: ast.AST) -> dict[str, str]:
             names |= {name: alias.name if alias.asname else name for name, alias in pairs}
         elif isinstance(node, ast.ImportFrom):
             names |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
-    return {name: dotted for name, dotted in names.items() if dotted.split(".")[0] == "palpate"}
+    return {name: dotted for name, dotted in names.items() if dotted.split(".")[0] in PACKAGES}
 
 
 def imported(tree: ast.AST) -> set[str]:
     """Modules of palpate that a block imports whole."""
     aliases = [alias for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
-    return {alias.name for alias in aliases if alias.name.split(".")[0] == "palpate"}
+    return {alias.name for alias in aliases if alias.name.split(".")[0] in PACKAGES}
 
 
 def dotted_name(node: ast.expr, names: dict[str, str]) -> str:
@@ -147,7 +151,7 @@ def test_a_name_that_is_gone_is_noticed(code: str) -> None:
     assert list(faults_of_python(code))
 
 
-REGISTERED = {*GROUPS.values(), "palpate.sensors", "palpate.models", "palpate.splits"}
+REGISTERED = {*GROUPS.values(), "palpate.commands", "palpate.sensors", "palpate.models", "palpate.splits"}
 """Groups of entry points: names with a dot that need not be modules."""
 
 
@@ -162,7 +166,7 @@ def test_files_and_folders_that_a_page_names_are_there(page: str) -> None:
     rooms = {path.name for path in SOURCE.iterdir() if path.is_dir()}
     folders = {code for code in inline(page) if FOLDER.fullmatch(code) and code.split("/")[0] in rooms}
     named = folders | {path for code in inline(page) for path in FILE.findall(code)}
-    roots = (REPOSITORY, REPOSITORY / "src", SOURCE)
+    roots = (REPOSITORY, REPOSITORY / "src", SOURCE, REPRODUCTIONS)
     assert not sorted(
         one
         for one in named
@@ -172,7 +176,7 @@ def test_files_and_folders_that_a_page_names_are_there(page: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_files_that_a_page_names_without_a_folder_are_there(page: str) -> None:
-    folders = (SOURCE, REPOSITORY / "tools", REPOSITORY / "tests", REPOSITORY / "examples")
+    folders = (SOURCE, REPRODUCTIONS, REPOSITORY / "tools", REPOSITORY / "tests", REPOSITORY / "examples")
     known = {path.name for folder in folders for path in folder.rglob("*.py")}
     assert not sorted({code for code in inline(page) if FILE_ALONE.fullmatch(code)} - known)
 
@@ -253,9 +257,9 @@ def rows_of_words() -> list[list[str]]:
 
 
 def test_classes_and_modules_on_the_page_of_words_are_there() -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py"))
+    text = "\n".join(path.read_text(encoding="utf-8") for path in MODULES)
     classes = set(re.findall(r"^class (\w+)", text, re.MULTILINE))
-    places = {path.stem for path in SOURCE.rglob("*.py")} | {path.name for path in SOURCE.rglob("*/")}
+    places = {path.stem for path in MODULES} | {path.parent.name for path in MODULES}
     named = {code for _, meaning, _ in rows_of_words() for code in INLINE.findall(meaning)}
     assert named
     assert not sorted(named - classes - places)
@@ -263,7 +267,7 @@ def test_classes_and_modules_on_the_page_of_words_are_there() -> None:
 
 def test_no_module_is_called_what_only_older_files_say() -> None:
     words = {word.strip() for row in rows_of_words() for word in re.split("[,:;]", row[2])}
-    modules = {path.stem for path in SOURCE.rglob("*.py")}
+    modules = {path.stem for path in MODULES}
     assert not sorted({word.replace(" ", "_") for word in words} & modules - {""})
 
 

@@ -32,7 +32,7 @@ def drawn(page: str) -> Layers:
 def kept() -> Layers:
     """Layers of the contract that the imports are checked against."""
     contracts = PYPROJECT["tool"]["importlinter"]["contracts"]
-    (layers,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
+    (layers,) = [contract["layers"] for contract in contracts if contract.get("containers") == ["palpate"]]
     return layers_in(layers)
 
 

@@ -7,6 +7,7 @@ import importlib
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import jaxtyping
@@ -20,10 +21,11 @@ from palpate.core.units import UNITS
 from palpate.version import __version__
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SOURCE = REPOSITORY / "src"
+PACKAGES = (REPOSITORY / "src" / "palpate", REPOSITORY / "reproductions" / "src" / "palpate_reproductions")
 MODULES = {
-    ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__"): path
-    for path in sorted((SOURCE / "palpate").rglob("*.py"))
+    ".".join(path.relative_to(package.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in PACKAGES
+    for path in sorted(package.rglob("*.py"))
 }
 ROOMS = [name for name, path in MODULES.items() if path.name == "__init__.py"]
 
@@ -49,7 +51,8 @@ def imports_of_palpate(path: Path) -> list[tuple[str, str]]:
     return [
         (node.module, alias.name)
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "palpate"
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in {package.name for package in PACKAGES}
         for alias in node.names
     ]
 
@@ -168,9 +171,8 @@ MACHINE_PATH = re.compile(
 
 def text_files() -> list[Path]:
     """Everything a person wrote, in the folders that hold such files and beside them."""
-    folders = [
-        REPOSITORY / name for name in ("src", "tests", "docs", "examples", "benchmarks", "tools", ".ci")
-    ]
+    names = ("src", "reproductions", "tests", "docs", "examples", "benchmarks", "tools", ".ci")
+    folders = [REPOSITORY / name for name in names]
     kinds = {".py", ".md", ".toml", ".yml", ".txt", ".html", ".css", ".cff", ".csv", ".json", ""}
     inside = [path for folder in folders for path in folder.rglob("*")]
     return sorted(
@@ -217,6 +219,13 @@ def test_the_readme_s_python_runs(tmp_path: Path) -> None:
 def test_the_citation_names_this_version() -> None:
     citation = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
     assert re.findall(r"^version: (.+)$", citation, re.MULTILINE) == [__version__]
+
+
+def test_the_distributions_have_one_version_and_one_license() -> None:
+    other = REPOSITORY / "reproductions"
+    about = tomllib.loads((other / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert about["version"] == __version__
+    assert (other / "LICENSE").read_bytes() == (REPOSITORY / "LICENSE").read_bytes()
 
 
 def test_the_conventions_name_every_unit_and_axis() -> None:

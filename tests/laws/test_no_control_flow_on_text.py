@@ -6,7 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-SOURCE = Path(__file__).parents[2] / "src" / "palpate"
+REPOSITORY = Path(__file__).parents[2]
+PACKAGES = (REPOSITORY / "src" / "palpate", REPOSITORY / "reproductions" / "src" / "palpate_reproductions")
 TEXTS = {"origin", "why", "reason", "verdict"}
 METHODS = {"startswith", "endswith", "partition", "rpartition", "find", "index", "removeprefix"}
 SEARCHES = {"match", "search", "fullmatch", "findall", "finditer"}
@@ -37,9 +38,10 @@ def _decisions(tree: ast.AST) -> Iterator[int]:
 
 def test_no_program_decision_depends_on_an_origin_a_reason_or_a_verdict() -> None:
     found = {}
-    for path in SOURCE.rglob("*.py"):
-        if lines := list(_decisions(ast.parse(path.read_text(encoding="utf-8")))):
-            found[str(path.relative_to(SOURCE))] = lines
+    for package in PACKAGES:
+        for path in package.rglob("*.py"):
+            if lines := list(_decisions(ast.parse(path.read_text(encoding="utf-8")))):
+                found[path.relative_to(package).as_posix()] = lines
     assert set(found) <= set(ALLOWED), found
 
 

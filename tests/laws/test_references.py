@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).resolve().parents[2] / "src"
-PATHS = sorted((SOURCE / "palpate").rglob("*.py"))
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = (REPOSITORY / "src", REPOSITORY / "reproductions" / "src")
+PATHS = {path: path.relative_to(source) for source in SOURCES for path in sorted(source.rglob("*.py"))}
+"""Modules of every distribution, and the place of each in its own."""
 
 QUOTED = re.compile(r"(?<!`)`([A-Za-z_]\w*(?:\.\w+)*)(?:\(\))?`(?!`)")
 CAMEL_CASE = re.compile(r"_?[A-Z]+[a-z]\w*")
@@ -64,8 +66,8 @@ def package() -> tuple[Names, Names]:
     modules: Names = {}
     members: Names = defaultdict(set)
     bases: dict[str, list[str]] = {}
-    for path in PATHS:
-        parts = path.relative_to(SOURCE).with_suffix("").parts
+    for path, place in PATHS.items():
+        parts = place.with_suffix("").parts
         dotted = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         tree = ast.parse(path.read_text(encoding="utf-8"))
         modules[dotted] = names_in(tree.body)
@@ -118,8 +120,8 @@ def _leads(module: str, names: set[str], parts: list[str]) -> bool:
 def test_what_stands_in_backticks_exists() -> None:
     assert PATHS
     dead = [
-        (str(path.relative_to(SOURCE)), line, name)
-        for path in PATHS
+        (str(place), line, name)
+        for path, place in PATHS.items()
         for line, name in identifiers(path.read_text(encoding="utf-8"))
         if not exists(name)
     ]

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).resolve().parents[2] / "src"
-PATHS = sorted((SOURCE / "palpate").rglob("*.py"))
-PACKAGES = [".".join(path.parent.relative_to(SOURCE).parts) for path in PATHS if path.name == "__init__.py"]
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = (REPOSITORY / "src", REPOSITORY / "reproductions" / "src")
+PATHS = {path: path.relative_to(source) for source in SOURCES for path in sorted(source.rglob("*.py"))}
+"""Modules of every distribution, and the place of each in its own."""
+PACKAGES = {".".join(place.parent.parts): path for path, place in PATHS.items() if path.name == "__init__.py"}
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 # A sentence that begins so has no noun: of what, as what, where what?
@@ -25,7 +27,7 @@ BOUND = re.compile(rf"(?!_?(?:MAX|MIN)_)_?(?:[A-Z0-9]+_)*(?:{EXTREMES})(?:_[A-Z0
 
 @pytest.fixture(scope="module")
 def trees() -> dict[str, ast.Module]:
-    return {str(path.relative_to(SOURCE)): ast.parse(path.read_text(encoding="utf-8")) for path in PATHS}
+    return {str(place): ast.parse(path.read_text(encoding="utf-8")) for path, place in PATHS.items()}
 
 
 def nounless(tree: ast.Module) -> list[str]:
@@ -72,16 +74,16 @@ def test_no_two_classes_share_a_name(trees) -> None:
 
 def test_no_two_modules_share_a_name() -> None:
     places: dict[str, list[str]] = defaultdict(list)
-    for path in PATHS:
+    for path, place in PATHS.items():
         if path.stem not in ("__init__", "__main__"):
-            places[path.stem].append(str(path.relative_to(SOURCE)))
+            places[path.stem].append(str(place))
     assert not shared(places)
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_offers_just_its_public_names(package: str) -> None:
     module = importlib.import_module(package)
-    [path] = [path for path in PATHS if path == SOURCE.joinpath(*package.split("."), "__init__.py")]
+    path = PACKAGES[package]
     public = public_names(ast.parse(path.read_text(encoding="utf-8")), package)
     assert public - set(module.__all__) == set(), "named in __all__, or by an underscore"
     modules = [name for name in module.__all__ if isinstance(getattr(module, name), types.ModuleType)]

@@ -16,9 +16,11 @@ from palpate.cli import app
 from palpate.core import Reading
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.lattice import ControlPoints
-from palpate.reproductions import nusense as nusense_package
-from palpate.reproductions.nusense import nusense_experiments, reproduce_nusense, scale_named
-from palpate.reproductions.nusense.nusense_analysis import (
+from palpate.sensors.nusense.nusense_plans import FIRM_TAPS, PLANS
+from palpate.sensors.nusense.nusense_sensor import nusense
+from palpate_reproductions import nusense as nusense_package
+from palpate_reproductions.nusense import nusense_experiments, reproduce_nusense, scale_named
+from palpate_reproductions.nusense.nusense_analysis import (
     branch_table,
     drift_of,
     force_line,
@@ -30,7 +32,7 @@ from palpate.reproductions.nusense.nusense_analysis import (
     shuffled_r2,
     turned_deg,
 )
-from palpate.reproductions.nusense.nusense_experiments import (
+from palpate_reproductions.nusense.nusense_experiments import (
     RANGES,
     arm_or_reader_holds,
     cut_seen,
@@ -42,7 +44,7 @@ from palpate.reproductions.nusense.nusense_experiments import (
     read_errors,
     weighed_errors,
 )
-from palpate.reproductions.nusense.nusense_setup import (
+from palpate_reproductions.nusense.nusense_setup import (
     RECORDINGS,
     SMALL,
     NuSenseStudy,
@@ -50,13 +52,11 @@ from palpate.reproductions.nusense.nusense_setup import (
     labelled_cues,
     plain_cues,
 )
-from palpate.reproductions.nusense.published_shear import (
+from palpate_reproductions.nusense.published_shear import (
     ShearCurve,
     published_gamma_of,
     scale_of_published_shear,
 )
-from palpate.sensors.nusense.nusense_plans import FIRM_TAPS, PLANS
-from palpate.sensors.nusense.nusense_sensor import nusense
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from palpate.core.errors import InputError
-from palpate.reproductions.palm.palm_published import interval_of_mean, scores_of
+from palpate_reproductions.palm.palm_published import interval_of_mean, scores_of
 
 COLUMNS = ("x_mm", "y_mm", "force_N")
 

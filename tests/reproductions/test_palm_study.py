@@ -8,13 +8,13 @@ import pytest
 
 from palpate.core.errors import ExistsError, InputError, PalpateError
 from palpate.estimators.networks import make_model, model_kind
-from palpate.reproductions.palm import Scale, palm_reproduction, reproduce_palm, scale_of
-from palpate.reproductions.palm.palm_conditions import record_loads
-from palpate.reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
-from palpate.reproductions.palm.palm_reproduction import beside, study_folder, write_up
-from palpate.reproductions.palm.palm_setup import MODELS, NETWORKS, PUBLISHED, noisier
-from palpate.reproductions.palm.palm_summary import summary_of
-from palpate.reproductions.study_results import kept_result
+from palpate_reproductions.palm import Scale, palm_reproduction, reproduce_palm, scale_of
+from palpate_reproductions.palm.palm_conditions import record_loads
+from palpate_reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
+from palpate_reproductions.palm.palm_reproduction import beside, study_folder, write_up
+from palpate_reproductions.palm.palm_setup import MODELS, NETWORKS, PUBLISHED, noisier
+from palpate_reproductions.palm.palm_summary import summary_of
+from palpate_reproductions.study_results import kept_result
 
 SHORT = {"epochs": 1}
 BRIEF = {"epochs": 1, "rendered": 24}

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from palpate.psychophysics import Condition, Presentation
-from palpate.psychophysics.observers import (
-    RankObserver,
+from palpate.psychophysics.rank_observer import RankObserver
+from palpate_reproductions.softness.judged_softness import _interval_entries, _table_entries, fewest_answers
+from palpate_reproductions.softness.observers import (
     correlation_needed,
     needs_of,
     predict_by_accuracy,
     predict_of_unlike_people,
 )
-from palpate.reproductions.softness.judged_softness import _interval_entries, _table_entries, fewest_answers
-from palpate.reproductions.softness.published_judgements import RANKINGS_PRINTED, printed_ranking
+from palpate_reproductions.softness.published_judgements import RANKINGS_PRINTED, printed_ranking
 
 DIAGONALS = {"I": (146, 131), "K": (87, 85), "C": (99, 95)}
 TOTALS = {"I": (97.33, 87.33), "K": (58.00, 56.67), "C": (66.00, 63.33)}

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from palpate.core import ExistsError
-from palpate.reproductions.softness import reproduce_softness
+from palpate_reproductions.softness import reproduce_softness
 
 pytestmark = pytest.mark.slow  # the whole study; its laws, loop, servo and observers have quick tests
 

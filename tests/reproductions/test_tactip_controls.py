@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.reproductions.tactip.tactip_conditions import (
+from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
+from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate_reproductions.tactip.tactip_conditions import (
     AS_IS,
     CONDITIONS,
     FROM_N,
@@ -24,8 +26,6 @@ from palpate.reproductions.tactip.tactip_conditions import (
     recorded,
     true_divergence,
 )
-from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
-from palpate.sensors.tactip.tactip_press import modulus_pa
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 

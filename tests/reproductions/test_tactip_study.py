@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core.errors import ExistsError, InputError
 from palpate.psychophysics import fit_line
-from palpate.reproductions import tactip as tactip_package
-from palpate.reproductions.tactip import tactip_reproduction as study
-from palpate.reproductions.tactip.tactip_conditions import order
-from palpate.reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
-from palpate.reproductions.tactip.tactip_setup import (
+from palpate.rig.virtual.linear_rig import LINEAR_RIG
+from palpate.sensors.tactip import tactip
+from palpate.workflows.tactip_trials import record_press
+from palpate_reproductions import tactip as tactip_package
+from palpate_reproductions.tactip import tactip_reproduction as study
+from palpate_reproductions.tactip.tactip_conditions import order
+from palpate_reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
+from palpate_reproductions.tactip.tactip_setup import (
     KAPPA,
     KAPPA_NEW,
     NAMES,
@@ -26,9 +29,6 @@ from palpate.reproductions.tactip.tactip_setup import (
     stiffness_line,
     under_plate,
 )
-from palpate.rig.virtual.linear_rig import LINEAR_RIG
-from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_trials import record_press
 
 FIELDS = {"name", "value", "unit", "published", "source", "why"}
 

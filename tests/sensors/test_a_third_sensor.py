@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.installed_packages import lay_package
 from typer.testing import CliRunner
 
 import palpate
@@ -126,10 +127,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     site = tmp_path / "site"
     (site / "rubber_pad").mkdir(parents=True)
     (site / "rubber_pad" / "__init__.py").write_text(PAD)
-    info = site / "rubber_pad-0.1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rubber-pad\nVersion: 0.1\n")
-    (info / "entry_points.txt").write_text("[palpate.sensors]\npad = rubber_pad:Pad\n")
+    lay_package(site, "rubber_pad", "palpate.sensors", "pad", "rubber_pad:Pad")
     monkeypatch.syspath_prepend(str(site))
     return tmp_path
 

@@ -10,6 +10,7 @@ from importlib.metadata import Distribution, DistributionFinder, EntryPoint, Ent
 from pathlib import Path
 
 import pytest
+from tests.installed_packages import lay_package
 
 import palpate
 from palpate.core.contact import Pose, PressHistory
@@ -28,10 +29,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 
     def lay(name: str, value: str, code: str = "", package: str = "stranger") -> None:
         (tmp_path / f"{package}.py").write_text(code)
-        info = tmp_path / f"{package}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[palpate.sensors]\n{name} = {value}\n")
+        lay_package(tmp_path, package, "palpate.sensors", name, value)
         monkeypatch.syspath_prepend(str(tmp_path))
         monkeypatch.delitem(sys.modules, package, raising=False)
 

@@ -28,8 +28,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.reproductions.tactip.tactip_conditions import KAPPA_N_M, POLAR, head_on, marker_radii_px
 from palpate.sensors.tactip import TacTipSpec
+from palpate_reproductions.tactip.tactip_conditions import KAPPA_N_M, POLAR, head_on, marker_radii_px
 
 LEVELS_PA = (150.0, 300.0, 600.0)
 HALF = "half"  # of the greatest at each force, instead of a fixed level

@@ -10,7 +10,11 @@ import numpy as np
 
 from palpate.estimators.compliance.spread_rate import summed_slopes
 from palpate.estimators.pins import find_pins, follow
-from palpate.reproductions.tactip.tactip_conditions import (
+from palpate.sensors.tactip import TacTipSpec, pictured
+from palpate.sensors.tactip.inclined_press import inclined, linear_inclined
+from palpate.sensors.tactip.tactip_press import modulus_pa
+from palpate.workflows.tactip_trials import VirtualPress
+from palpate_reproductions.tactip.tactip_conditions import (
     ASSUMED,
     FINE_STEPS,
     FROM_N,
@@ -32,10 +36,6 @@ from palpate.reproductions.tactip.tactip_conditions import (
     row_of,
     true_divergence,
 )
-from palpate.sensors.tactip import TacTipSpec, pictured
-from palpate.sensors.tactip.inclined_press import inclined, linear_inclined
-from palpate.sensors.tactip.tactip_press import modulus_pa
-from palpate.workflows.tactip_trials import VirtualPress
 
 METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import UserDict
+from collections.abc import Iterator
 from importlib import import_module
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.main import get_command
 
 from palpate.cli.verb_support import Group
 from palpate.version import __version__
+
+if TYPE_CHECKING:
+    from palpate.core.plugins import PluginRegistry
 
 __all__ = ["HEADINGS", "Root", "Verbs", "app", "start"]
 
@@ -57,7 +61,6 @@ HEADINGS: dict[str, dict[str, str]] = {
     "Study": {
         "demo": "study.study_verbs:demo",
         "render": "study.render_verbs:app",
-        "reproduce": "study.study_verbs:app",
         "mechanics": "study.mechanics_verbs:app",
         "optics": "sense.optics_verbs:app",
     },
@@ -65,30 +68,76 @@ HEADINGS: dict[str, dict[str, str]] = {
 """Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""
 
 
+ADDED = {
+    "reproduce": ("palpate-reproductions", "Study", "Reproduce published studies on virtual sensors."),
+}
+"""Distribution, heading and help of each command that another distribution of the repository adds."""
+
+
+def added_commands() -> PluginRegistry:
+    """Commands of installed distributions: what their entry points in ``palpate.commands`` name."""
+    from palpate.core.plugins import PluginRegistry
+
+    return PluginRegistry("command", "palpate.commands", {})
+
+
 class Verbs(UserDict[str, Any]):
-    """Commands by name, each imported and built when it is first asked for: one verb loads no other."""
+    """Commands by name, each imported and built when it is first asked for: one verb loads no other.
+
+    Palpate's own come first, and none that is added takes the name of one.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         for heading, verbs in HEADINGS.items():
             self.data |= {verb: (heading, place) for verb, place in verbs.items()}
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.data or name in added_commands().names()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self.data, *added_commands().names())))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
     def __getitem__(self, name: str) -> Any:
+        if name not in self.data:
+            self.data[name] = self._added(name)
         if isinstance(self.data[name], tuple):
-            self.data[name] = self._built(name, *self.data[name])
+            heading, place = self.data[name]
+            module, _, member = place.partition(":")
+            verb = getattr(import_module(f"palpate.cli.{module}"), member)
+            self.data[name] = built(name, heading, verb)
         return self.data[name]
 
-    def _built(self, name: str, heading: str, place: str) -> Any:
-        module, _, member = place.partition(":")
-        verb = getattr(import_module(f"palpate.cli.{module}"), member)
-        if not isinstance(verb, typer.Typer):
-            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-            alone.command(name)(verb)
-            verb = alone
-        command: Any = get_command(verb)
-        command.name = name
-        command.rich_help_panel = heading
-        return command
+    def _added(self, name: str) -> Any:
+        from palpate.core.plugins import ERROR, plugin_calls
+
+        commands = added_commands()
+        if name not in commands.names():
+            raise KeyError(name)
+        verb = commands.find(name)
+        with plugin_calls(f"command {name!r} ({commands.path_of(name)}) cannot be built: {ERROR}"):
+            return built(name, help_of_added(name)[0], verb)
+
+
+def built(name: str, heading: str, verb: Any) -> Any:
+    """Return the command of a function, or of a group of them."""
+    if not isinstance(verb, typer.Typer):
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(name)(verb)
+        verb = alone
+    command: Any = get_command(verb)
+    command.name = name
+    command.rich_help_panel = heading
+    return command
+
+
+def help_of_added(name: str) -> tuple[str, str]:
+    """Return heading and help of a command that is added, without importing it."""
+    _, heading, sentence = ADDED.get(name, ("", "Added", "Command of an installed package."))
+    return heading, sentence
 
 
 class Root(Group):
@@ -97,6 +146,38 @@ class Root(Group):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = Verbs()
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return all names; importing what they stand for is left to whoever needs it."""
+        return list(self.commands)
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """Return a command.
+
+        Raises:
+            MissingExtraError: it belongs to a distribution that is not installed.
+            PluginError: an installed distribution adds it, and it does not import or cannot be built.
+        """
+        try:
+            command = super().get_command(ctx, name)
+        except Exception:
+            if ctx.resilient_parsing:  # a shell completes a word: what is broken is not offered
+                return None
+            raise
+        if command is None and name in ADDED and not ctx.resilient_parsing:
+            from palpate.core.errors import MissingExtraError
+
+            raise MissingExtraError(
+                f"`palpate {name}` belongs to the distribution {ADDED[name][0]}, which is not installed; "
+                "install it from a checkout of palpate: pip install ./reproductions",
+                code="missing-distribution",
+            )
+        return command
+
+    def help_row(self, ctx: Any, name: str) -> tuple[str, str] | None:
+        """Return the heading and the help of a command; one that is added is not imported for it."""
+        own = any(name in verbs for verbs in HEADINGS.values())
+        return super().help_row(ctx, name) if own else help_of_added(name)
 
 
 app = typer.Typer(

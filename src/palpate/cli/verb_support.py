@@ -99,17 +99,22 @@ class Group(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section a heading; the names of all sections are as wide, so that sentences align."""
-        named = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        shown = [(name, command) for name, command in named if command is not None and not command.hidden]
-        width = max(len(name) for name, _ in shown)
+        rows = {name: row for name in self.list_commands(ctx) if (row := self.help_row(ctx, name))}
+        width = max(map(len, rows))
         sections: dict[str, list[tuple[str, str]]] = {}
-        for name, command in shown:
-            heading = getattr(command, "rich_help_panel", None) or "Commands"
-            sentence = command.get_short_help_str(limit=1000)
+        for name, (heading, sentence) in rows.items():
             sections.setdefault(heading, []).append((name.ljust(width), sentence))
-        for heading, rows in sections.items():
+        for heading, shown in sections.items():
             with formatter.section(heading):
-                formatter.write_dl(rows)
+                formatter.write_dl(shown)
+
+    def help_row(self, ctx: Any, name: str) -> tuple[str, str] | None:
+        """Return the heading and the first sentence of a command's help; None for a hidden command."""
+        command = self.get_command(ctx, name)
+        if command is None or command.hidden:
+            return None
+        heading = getattr(command, "rich_help_panel", None) or "Commands"
+        return heading, command.get_short_help_str(limit=1000)
 
 
 @contextmanager

@@ -29,6 +29,8 @@ from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
 DECIDES = "#b2381f"
+COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT, "#b03060", "#1b2a33")
+"""Colors of the series of a figure, in the order in which they are drawn."""
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from palpate.core import PathText, half_width_text, new_file, rounded
@@ -53,8 +53,8 @@ def render_report(calibration: Path, card: Card) -> str:
     return filled_template("certificate.html", card=card, sections=shown)
 
 
-def filled_template(name: str, **values: Any) -> str:
-    """A page of `reports/templates`.
+def filled_template(name: str, package: str = "palpate.reports", /, **values: Any) -> str:
+    """A page of the folder `templates` of a package, which may include those of `palpate.reports`.
 
     Its filters ``g`` and ``four`` write three and four significant digits and ``pc`` a share in percent;
     ``to`` rounds to a half-width, and ``mae``, ``r2`` and ``covered`` write parts of a score as far as its
@@ -62,7 +62,10 @@ def filled_template(name: str, **values: Any) -> str:
     ``setting`` writes a model's.
     """
     environment = Environment(
-        loader=PackageLoader("palpate.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("palpate.reports")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
     )
     environment.filters["g"] = lambda value: "–" if value is None else f"{value:.3g}"
     environment.filters["four"] = lambda value: "–" if value is None else f"{value:.4g}"

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from palpate.core import new_file
 from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, STYLE, drawn
-from palpate.reports.study_figures import COLOURS
+from palpate.reports.calibration_figures import ACCENT, BAD, BAND, COLOURS, INK, STYLE, drawn
 from palpate.softness import Mode, Rendered, RenderingLaw, SoftObject
 from palpate.softness.display_bench_test import BenchTest
 from palpate.softness.pressure_response import HALF_POWER, PressureResponse

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 
 from palpate.core import new_file
 from palpate.mechanics.fingertip_laws import Fingertip
-from palpate.reports.calibration_figures import ACCENT, BAND, INK, STYLE, drawn
+from palpate.reports.calibration_figures import ACCENT, BAND, COLOURS, INK, STYLE, drawn
 from palpate.reports.certificate_page import filled_template
-from palpate.reports.study_figures import COLOURS
 from palpate.softness.characteristics import SoftObject
 from palpate.softness.transmission import StageJudgement, Transmission
 from palpate.softness.transmission.judged_stages import STAGES

@@ -1,3 +1,3 @@
-"""Verbs that make and check: demo, renderings, reproductions, mechanics."""
+"""Verbs that make and check: demo, renderings, mechanics."""
 
 __all__: list[str] = []

@@ -6,15 +6,8 @@ from palpate.estimators.lattice.dotted_skin import DottedSkin, find_dots, read_s
 from palpate.estimators.lattice.lattice_growth import GrownLattice, grow_lattices
 from palpate.estimators.lattice.lattice_identity import named_as
 from palpate.estimators.lattice.mark_tracker import MarkTracker, TrackedPoints
-from palpate.estimators.lattice.quadrilaterals import (
-    PublishedStages,
-    QuadSettings,
-    published_stages,
-    quad_midpoints,
-)
 
 __all__ = [
-    "CheckerboardFind", "ControlPoints", "DottedSkin", "GrownLattice", "MarkTracker", "PublishedStages",
-    "QuadSettings", "TrackedPoints", "find_checkerboard", "find_dots", "grow_lattices", "named_as",
-    "published_stages", "quad_midpoints", "read_skin",
+    "CheckerboardFind", "ControlPoints", "DottedSkin", "GrownLattice", "MarkTracker", "TrackedPoints",
+    "find_checkerboard", "find_dots", "grow_lattices", "named_as", "read_skin",
 ]  # fmt: skip

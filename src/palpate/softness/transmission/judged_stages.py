@@ -1,9 +1,9 @@
 """What of a difference in softness is left for a participant's judgement, stage by stage.
 
 An observer perceives the logarithm of each cue's chord with Gaussian noise, weighs the two by their
-reliabilities, 1 / variance, and ranks what it perceives (`psychophysics.observers`). Its noise follows from
-the Weber fraction w of each cue, sigma = ln(1 + w) / 0.954, with which a difference of w is told right in
-75 % of pairs: an assumption that a user replaces by their participants' own. Under one finger both cues of
+reliabilities, 1 / variance, and ranks what it perceives (`psychophysics.rank_observer`). Its noise follows
+from the Weber fraction w of each cue, sigma = ln(1 + w) / 0.954, with which a difference of w is told right
+in 75 % of pairs: an assumption that a user replaces by their participants' own. Under one finger both cues of
 a flat tell the same ratio of softness; what the second one adds is a second look with noise of its own.
 The same observer judges the objects themselves, what was touched of them, and what is felt, so that what
 differs between stages is lost there and not in the observer. The reading's interval is carried by judging
@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 
 from palpate.core import InputError, RangeError
-from palpate.psychophysics.observers import RankObserver
+from palpate.psychophysics.rank_observer import RankObserver
 from palpate.softness.transmission.transmitted_cues import CUES, Transmission
 
 STAGES = {

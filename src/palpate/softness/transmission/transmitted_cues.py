@@ -5,7 +5,7 @@ Four stages, each with what it loses:
     object      its curves under a finger: force over displacement, and over contact area
     touched     the same of the object as a TacTip has read it, with the reading's interval
     felt        what the finger feels where the display and the arm render what was touched
-    judged      which of two a participant would call softer, of each stage (`psychophysics.observers`)
+    judged      which of two a participant would call softer, of each stage (`psychophysics.rank_observer`)
 
 Each object is a thick flat, and it is mapped through the finger's own radius and modulus, never the TacTip's
 (`mechanics.fingertip_laws.on_flat`). A cue is a chord: force at the end of the press over displacement there,

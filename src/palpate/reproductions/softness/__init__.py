@@ -1,5 +1,0 @@
-"""The report on softness rendered by two cues, on the virtual bench: its mechanics and its device."""
-
-from palpate.reproductions.softness.softness_reproduction import reproduce_softness
-
-__all__ = ["reproduce_softness"]
