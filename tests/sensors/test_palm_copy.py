@@ -23,11 +23,11 @@ from palpate.core import (
     silent,
 )
 from palpate.core.errors import MisfitError
-from palpate.estimators.known_terms import GRAVITY_M_S2
+from palpate.estimators.unit_fit import GRAVITY_M_S2, most_probable
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
 from palpate.sensors.palm.copies import palm_copy_fit, palm_weight
-from palpate.sensors.palm.copies.copy_estimate import CopyState
+from palpate.sensors.palm.copies.copy_estimate import joined
 from palpate.sensors.palm.copies.palm_copy import (
     LOCAL,
     TERMS,
@@ -315,9 +315,9 @@ def test_a_picture_of_another_probe_misfits_and_one_of_the_palm_s_ball_does_not(
     known = designed_copy(DESIGN, modulus_share=0.01, coefficient_share=0.01)
     local = np.zeros((1, len(LOCAL)))
     local[0, :3] = *place, math.log(start_m)
-    state, seen = CopyState(known.terms, local), [seen_press(DESIGN, shown)]
+    state, seen = joined(known.terms, local), [seen_press(DESIGN, shown)]
     estimate = _estimate_at(known, seen, state)
-    (found,) = estimate.fit(estimate.settled(state, silent, 3)).presses
+    (found,) = estimate.fit(most_probable(estimate, state, silent, rounds=3)).presses
     if fits:
         refuse_misfit(found)
         assert found.misfit < 1.0

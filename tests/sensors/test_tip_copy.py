@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ImageError, InputError, RangeError
-from palpate.estimators.known_terms import GRAVITY_M_S2, changed_since, correlated_pairs, untold_terms
+from palpate.estimators.unit_fit import GRAVITY_M_S2, changed_since, correlated_pairs, untold_terms
 from palpate.mechanics.axisymmetric.tip_family import tip_between
 from palpate.recordings.exchange.press_folder import write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import Float, InputError, Progress, UInt8, ndarray, silent
-from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, weight_n
+from palpate.estimators.unit_fit import SAID, WEIGHT_SHARE, weight_n
 from palpate.sensors.palm.copies.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
 

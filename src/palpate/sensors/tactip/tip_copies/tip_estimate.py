@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.core import Float, Int, Progress, ndarray
-from palpate.estimators.known_terms import untold_terms
 from palpate.estimators.lattice.ring_layout import ring_of
+from palpate.estimators.unit_fit import untold_terms
 from palpate.mechanics.axisymmetric.tip_family import ratio_range, tip_between
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import (

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import ImageError, InputError, Progress, silent
-from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, changed_since, weight_n
+from palpate.estimators.unit_fit import SAID, WEIGHT_SHARE, changed_since, weight_n
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, TipCopy
 from palpate.sensors.tactip.tip_copies.tip_copy_fit import fit_tip_copy, read_plate_press
