@@ -107,14 +107,19 @@ def test_slopes_are_those_of_the_rows(presses) -> None:
     estimate = TipEstimate(DESIGN, presses[::2])
     state = estimate._start()
     state[:10] += 0.3 * np.array([SPREADS[name] for name in COPY_TERMS]) * np.array([1, -1] * 5)
-    J = estimate._slopes(state)
+    blocks, sure = list(estimate.blocks(state)), estimate.known(state)
     rng = np.random.default_rng(0)
     scale = np.ones(len(state))
     scale[:10] = [SPREADS[name] for name in COPY_TERMS]
     for _ in range(3):
         step = 1e-4 * scale * rng.standard_normal(len(state))
-        change = (estimate._rows(state + step) - estimate._rows(state - step)) / 2
-        assert_allclose(J @ step, change, atol=2e-3 * np.abs(change).max())
+        ends = [(list(estimate.residuals(one)), estimate.known(one)) for one in (state - step, state + step)]
+        (before, sure_before), (after, sure_after) = ends
+        for block, (low, _), (high, _) in zip(blocks, before, after, strict=True):
+            change = (low - high) / 2
+            assert_allclose(block.slopes @ step[block.at], change, atol=2e-3 * np.abs(change).max())
+        for row, low, high in zip(sure, sure_before, sure_after, strict=True):
+            assert_allclose(row.slopes @ step, (low.off - high.off) / 2, rtol=2e-3, atol=1e-7)
 
 
 def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_named(
