@@ -300,7 +300,8 @@ def test_terms_known_before_and_after_are_told_apart() -> None:
     y = A @ np.array([0.7, 0.1])
     now = np.linalg.inv(A.T @ A + np.linalg.inv(C + D))
     moved = now @ A.T @ y
-    change, spread = changed_since(moved, D, C, now)
+    change, variance = changed_since(moved, D, C, now)
+    spread = np.sqrt(np.maximum(np.diag(variance), 0.0))
     both = np.concatenate([A, A[:, :1]], axis=1)
     prior = np.diag([1 / 0.04, 1 / 0.02, 1 / 0.5])
     H = np.linalg.inv(both.T @ both + prior)

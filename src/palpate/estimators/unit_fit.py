@@ -346,10 +346,24 @@ def correlated_pairs(names: Sequence[str], covariance: Covariance) -> tuple[tupl
     return tuple((names[i], names[j]) for i, j in np.argwhere(high))
 
 
+def since_fit(before: Covariance, design: Covariance, constants: int) -> tuple[Covariance, Covariance]:
+    """Covariance of a unit's terms some days after its fit, and of a change of its constants since.
+
+    Args:
+        before: covariance at the fit.
+        design: from unit to unit; `DAILY` of its spread is that of other terms from day to day.
+        constants: number of first terms that a known weight checks.
+    """
+    daily, freedom = DAILY**2 * np.diag(np.diag(design)), np.zeros_like(design)
+    daily[:constants] = 0.0
+    freedom[:constants, :constants] = design[:constants, :constants]
+    return before + daily, freedom
+
+
 def changed_since(
     change: Float[ndarray, " t"], freedom: Covariance, before: Covariance, now: Covariance
-) -> tuple[Float[ndarray, " t"], Float[ndarray, " t"]]:
-    """How far terms have changed, where an estimate was made as if they could have, and standard deviations.
+) -> tuple[Float[ndarray, " t"], Covariance]:
+    """How far terms have changed, where an estimate was made as if they could have, and its covariance.
 
     With terms before N(m, C) and a change N(0, D), what is seen now is told beside the prior N(m, C + D); the
     change's part of what has moved from m is D (C + D)^-1.
@@ -361,5 +375,9 @@ def changed_since(
         now: covariance of the terms now.
     """
     share = freedom @ np.linalg.inv(before + freedom)
-    spread = freedom - share @ freedom + share @ now @ share.T
-    return share @ change, np.sqrt(np.maximum(np.diag(spread), 0.0))
+    return share @ change, freedom - share @ freedom + share @ now @ share.T
+
+
+def drifted(changes: dict[str, float]) -> tuple[str, ...]:
+    """Names of what has changed for sure, of changes in standard deviations."""
+    return tuple(name for name, deviations in changes.items() if abs(deviations) > SAID)
