@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.core import ImageError, Pose
-from palpate.estimators.known_terms import GRAVITY_M_S2
+from palpate.estimators.unit_fit import GRAVITY_M_S2
 from palpate.sensors.palm.copies.palm_copy import AS_SAID, LOCAL, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
 from palpate.sensors.palm.copies.palm_weight import check_weight

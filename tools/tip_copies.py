@@ -30,7 +30,7 @@ import tip_tables
 from finite_strain.tip import Specimen, Tip, TipPress
 
 from palpate.core import PalpateError
-from palpate.estimators.known_terms import GRAVITY_M_S2
+from palpate.estimators.unit_fit import GRAVITY_M_S2
 from palpate.mechanics.axisymmetric.tip_family import TipBetween, tip_between
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip import tactip

@@ -11,12 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.core import Pose
+from palpate.estimators.unit_fit import KnownRow, Widening, standardised, widening_of
 from palpate.optics.camera_response import AutoExposure
 from palpate.sensors.palm.copies.copy_advice import told_by, unsure_constants
 from palpate.sensors.palm.copies.copy_force import log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
-from palpate.sensors.palm.copies.held_out import KnownRow, standardised, widening_of
-from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, Widening, designed_copy
+from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, designed_copy
 from palpate.sensors.palm.copies.press_picture import (
     away_from_edges,
     backdrop_of,

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ImageError, InputError, RangeError
-from palpate.estimators.known_terms import GRAVITY_M_S2, changed_since, correlated_pairs, untold_terms
+from palpate.estimators.unit_fit import GRAVITY_M_S2, changed_since, correlated_pairs, untold_terms
 from palpate.mechanics.axisymmetric.tip_family import tip_between
 from palpate.recordings.exchange.press_folder import write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
@@ -107,14 +107,19 @@ def test_slopes_are_those_of_the_rows(presses) -> None:
     estimate = TipEstimate(DESIGN, presses[::2])
     state = estimate._start()
     state[:10] += 0.3 * np.array([SPREADS[name] for name in COPY_TERMS]) * np.array([1, -1] * 5)
-    J = estimate._slopes(state)
+    blocks, sure = list(estimate.blocks(state)), estimate.known(state)
     rng = np.random.default_rng(0)
     scale = np.ones(len(state))
     scale[:10] = [SPREADS[name] for name in COPY_TERMS]
     for _ in range(3):
         step = 1e-4 * scale * rng.standard_normal(len(state))
-        change = (estimate._rows(state + step) - estimate._rows(state - step)) / 2
-        assert_allclose(J @ step, change, atol=2e-3 * np.abs(change).max())
+        ends = [(list(estimate.residuals(one)), estimate.known(one)) for one in (state - step, state + step)]
+        (before, sure_before), (after, sure_after) = ends
+        for block, (low, _), (high, _) in zip(blocks, before, after, strict=True):
+            change = (low - high) / 2
+            assert_allclose(block.slopes @ step[block.at], change, atol=2e-3 * np.abs(change).max())
+        for row, low, high in zip(sure, sure_before, sure_after, strict=True):
+            assert_allclose(row.slopes @ step, (low.off - high.off) / 2, rtol=2e-3, atol=1e-7)
 
 
 def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_named(
@@ -295,7 +300,8 @@ def test_terms_known_before_and_after_are_told_apart() -> None:
     y = A @ np.array([0.7, 0.1])
     now = np.linalg.inv(A.T @ A + np.linalg.inv(C + D))
     moved = now @ A.T @ y
-    change, spread = changed_since(moved, D, C, now)
+    change, variance = changed_since(moved, D, C, now)
+    spread = np.sqrt(np.maximum(np.diag(variance), 0.0))
     both = np.concatenate([A, A[:, :1]], axis=1)
     prior = np.diag([1 / 0.04, 1 / 0.02, 1 / 0.5])
     H = np.linalg.inv(both.T @ both + prior)

@@ -6,7 +6,6 @@ from palpate.sensors.palm.copies.palm_copy import (
     PalmCopy,
     PicturedPress,
     PressFound,
-    Widening,
     designed_copy,
     measured_copy,
 )
@@ -20,7 +19,6 @@ __all__ = [
     "PressFound",
     "UnsureConstant",
     "WeightCheck",
-    "Widening",
     "check_weight",
     "designed_copy",
     "fit_copy",

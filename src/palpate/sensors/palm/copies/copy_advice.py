@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, Progress, ndarray, silent
+from palpate.estimators.unit_fit import covariance_with
 from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M
 from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
@@ -76,10 +77,9 @@ def told_by(copy: PalmCopy, local: Float[ndarray, " 8"]) -> Float[ndarray, "t t"
     J = picture_slopes(few, local, None, away_from_edges(copy, local))
     _, slopes = log_force(copy, local)
     H = J.T @ J / (PIXEL_SD * BLOCK_PX) ** 2 + np.outer(slopes, slopes) / FORCE_SHARE**2
-    H[:n, :n] += np.linalg.inv(copy.covariance)
     own = [1 / PLACE_SD_M**2, 1 / PLACE_SD_M**2, 0.0, *(1 / one**2 for one in copy.local_spreads)]
     H[n:, n:] += np.diag(own)
-    return np.asarray(np.linalg.inv(H)[:n, :n])
+    return covariance_with(copy.covariance, H)
 
 
 def _unsure(

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Float, Pose, RangeError, UInt8, ndarray
-from palpate.estimators.known_terms import term_rows
+from palpate.estimators.unit_fit import Widening, term_rows
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.uneven_membrane import SIDE_MODES, ResidualMap
@@ -57,20 +57,6 @@ and by how much the membrane differs there from what the copy's terms say, in th
 Terms = Float[ndarray, " t"]
 Covariance = Float[ndarray, "t t"]
 Local = Float[ndarray, " 8"]
-
-
-class Widening(NamedTuple):
-    """By how much presses that were held out missed, over what their intervals said.
-
-    Attributes:
-        place, depth, force: factors on standard deviations of what a new press is read to be.
-        presses: that were held out; 0 where none were, and all factors are 1.
-    """
-
-    place: float = 1.0
-    depth: float = 1.0
-    force: float = 1.0
-    presses: int = 0
 
 
 AS_SAID = Widening()

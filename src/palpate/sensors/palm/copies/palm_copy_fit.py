@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,8 @@ from palpate.core import (
     silent,
 )
 from palpate.core.errors import MisfitError
-from palpate.sensors.palm.copies.copy_estimate import (
-    MIN_DEPTH_M,
-    CopyEstimate,
-    CopyState,
-)
+from palpate.estimators.unit_fit import State, cost, most_probable
+from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, CopyEstimate, joined
 from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
@@ -102,9 +100,11 @@ def fit_copy(
     if near is not None:
         states.append(_state_of(near, seen))
     for _ in range(PASSES):
-        edges, estimate = states[0].local, _estimate_at(known, seen, states[0])
-        states = [min((estimate.settled(one, progress) for one in states), key=estimate.cost)]
-        if np.abs(np.exp(states[0].local[:, 2]) - np.exp(edges[:, 2])).max() < MOVED * row_m:
+        edges, estimate = states[0], _estimate_at(known, seen, states[0])
+        ends = (most_probable(estimate, one, progress) for one in states)
+        states = [min(ends, key=partial(cost, estimate))]
+        depths = [np.exp(_local(one)[:, 2]) for one in (states[0], edges)]
+        if np.abs(depths[0] - depths[1]).max() < MOVED * row_m:
             break
     found = estimate.fit(states[0])
     worst = max(one.off for one in found.presses)
@@ -180,7 +180,7 @@ def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
     return Drift(abs(change) / spread, DRIFTED)
 
 
-def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> CopyState:
+def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> State:
     """The likeliest by few rays and every pixel."""
     sure, rests = math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]) <= LIT, [one.rest for one in seen]
     lit = 0.0 if sure else lamp_of(known, rests)
@@ -188,30 +188,35 @@ def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress)
     few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # which do for a start
     backdrop = backdrop_of(few, rests, _places(first[0])) if sure else None
     rough = CopyEstimate(few, seen, backdrop)
-    best = min((rough.settled(state, progress, TRIED) for state in first), key=rough.cost)
-    return rough.settled(best, progress, ROUGH)
+    tried = (most_probable(rough, state, progress, rounds=TRIED) for state in first)
+    return most_probable(rough, min(tried, key=partial(cost, rough)), progress, rounds=ROUGH)
 
 
-def _estimate_at(known: PalmCopy, seen: Sequence[SeenPress], state: CopyState) -> CopyEstimate:
+def _estimate_at(known: PalmCopy, seen: Sequence[SeenPress], state: State) -> CopyEstimate:
     """The rows of all rays, with backdrop and edges as a state has them."""
-    at = replace(known, terms=state.terms)
+    at = replace(known, terms=state[: len(TERMS)])
     backdrop = backdrop_of(at, [one.rest for one in seen], _places(state))
-    return CopyEstimate(known, seen, backdrop, [away_from_edges(at, own) for own in state.local])
+    return CopyEstimate(known, seen, backdrop, [away_from_edges(at, own) for own in _local(state)])
 
 
-def _places(state: CopyState) -> list[tuple[float, float]]:
-    return [(float(x), float(y)) for x, y in state.local[:, :2]]
+def _places(state: State) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in _local(state)[:, :2]]
 
 
-def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> CopyState:
+def _local(state: State) -> Float[ndarray, "p 8"]:
+    """Unknowns of each press."""
+    return state[len(TERMS) :].reshape(-1, len(LOCAL))
+
+
+def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> State:
     """Where another fit of the same presses ended, each press as its copy's terms say."""
     local = np.zeros((len(seen), len(LOCAL)))
     for own, one, found in zip(local, seen, fit.presses, strict=True):
         own[:4] = found.x_m, found.y_m, math.log(found.depth_m), one.exposure
-    return CopyState(fit.copy.terms, local)
+    return joined(fit.copy.terms, local)
 
 
-def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[CopyState]:
+def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[State]:
     """Where to begin: at the few products that all presses together find likeliest.
 
     A press alone may look alike with another product, depth and place.
@@ -232,9 +237,7 @@ class _Look(NamedTuple):
     place: Place
 
 
-def _state_at(
-    known: PalmCopy, seen: Sequence[SeenPress], looks: Sequence[Place], product: float
-) -> CopyState:
+def _state_at(known: PalmCopy, seen: Sequence[SeenPress], looks: Sequence[Place], product: float) -> State:
     terms = known.terms + product * _unit("product")
     local = np.zeros((len(seen), len(LOCAL)))
     local[:, :3], local[:, 3] = looks, [one.exposure for one in seen]
@@ -244,7 +247,7 @@ def _state_at(
     ]  # fmt: skip
     if moduli:
         terms[0] = np.median(moduli)
-    return CopyState(terms, local)
+    return joined(terms, local)
 
 
 def _first_looks(known: PalmCopy, seen: SeenPress) -> dict[float, _Look]:

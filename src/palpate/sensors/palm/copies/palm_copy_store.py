@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +11,10 @@ import cv2
 import numpy as np
 from pandas import DataFrame
 
-from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, new_file, storage_errors
+from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, storage_errors
 from palpate.core.parsing import parser
+from palpate.estimators.unit_fit import Widening
+from palpate.estimators.unit_store import read_unit, write_unit
 from palpate.recordings.exchange.image_files import opencv_image
 from palpate.recordings.run_reader import Run
 from palpate.sensors.palm.copies.palm_copy import (
@@ -21,14 +22,12 @@ from palpate.sensors.palm.copies.palm_copy import (
     TERMS,
     PalmCopy,
     PicturedPress,
-    Widening,
     designed_copy,
 )
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 FORMAT = "palpate palm copy 3"
-MAX_TERM = 100.0  # of a copy's file, in its own unit: no logarithm, angle, pixel or mired comes near
 MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
 MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
 
@@ -42,14 +41,12 @@ def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
         ExistsError: `path` exists.
         StorageError: the disk refused.
     """
-    record: dict[str, Any] = {
-        "format": FORMAT, "preset": design, "frame_px": list(copy.spec.frame_px),
-        "friction": copy.spec.friction, "terms": dict(zip(TERMS, copy.terms.tolist(), strict=True)),
-        "covariance": copy.covariance.tolist(), "widening": copy.widening._asdict(),
+    others = {
+        "preset": design, "frame_px": list(copy.spec.frame_px), "friction": copy.spec.friction,
+        "widening": copy.widening._asdict(),
         "local_spreads": dict(zip(LOCAL[3:], copy.local_spreads, strict=True)),
     }  # fmt: skip
-    with new_file(path) as building:
-        building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_unit(path, FORMAT, TERMS, copy.terms, copy.covariance, others)
 
 
 @parser("palm unit", InputError)
@@ -60,37 +57,20 @@ def read_copy(path: Path) -> PalmCopy:
         InputError: no copy's file, one of another format, or one whose numbers make none.
         StorageError: it cannot be read.
     """
-    if not path.is_file():
-        raise InputError(f"there is no copy's file {path}; `palpate palm fit` makes one")
-    with storage_errors(path):
-        text = path.read_bytes()
-    try:
-        record = _record_of(text)
-        terms = np.array([float(record["terms"][name]) for name in TERMS])
-        covariance = np.array(record["covariance"], dtype=np.float64)
-        fits = covariance.shape == (len(TERMS),) * 2
-        width, height = (int(one) for one in record["frame_px"])
-        wider = Widening(**record["widening"])
-        widening = Widening(float(wider.place), float(wider.depth), float(wider.force), int(wider.presses))
-        own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
-        spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
-    except InputError as e:
-        raise InputError(f"{path} is no palm's copy that can be used: {e}") from e
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
-        raise InputError(f"{path} is no palm's copy: {type(e).__name__}: {e}") from e
-    sound = fits and bool((np.abs(terms) < MAX_TERM).all() and np.isfinite(covariance).all())
-    sound = sound and all(math.isfinite(one) and one > 0 for one in own)
-    sound = sound and all(math.isfinite(one) and one >= 1 for one in widening[:3])
-    if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
-        raise InputError(f"{path} is no palm's copy: its terms and covariance are not those of {FORMAT}")
+    return read_unit(path, FORMAT, TERMS, "palpate palm fit", _made)
+
+
+def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> PalmCopy:
+    width, height = (int(one) for one in record["frame_px"])
+    wider = Widening(**record["widening"])
+    widening = Widening(float(wider.place), float(wider.depth), float(wider.force), int(wider.presses))
+    own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
+    spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
+    if not all(math.isfinite(one) and one > 0 for one in own):
+        raise ValueError(f"spreads of one press, {own}, have to be above 0")
+    if not all(math.isfinite(one) and one >= 1 for one in widening[:3]):
+        raise ValueError(f"{widening} makes intervals narrower")
     return PalmCopy(spec, terms, covariance, widening, own)
-
-
-def _record_of(text: bytes) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads(text)
-    if record["format"] != FORMAT:
-        raise InputError(f"its format is {record['format']!r}, not {FORMAT!r}; fit the copy anew")
-    return record
 
 
 def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:

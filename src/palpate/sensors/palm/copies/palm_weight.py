@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.core import Float, InputError, Progress, UInt8, ndarray, silent
-from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, weight_n
-from palpate.sensors.palm.copies.palm_copy import TERMS, CopyFit, PalmCopy, PicturedPress, designed_copy
+from palpate.core import InputError, Progress, UInt8, ndarray, silent
+from palpate.estimators.unit_fit import WEIGHT_SHARE, changed_since, drifted, since_fit, weight_n
+from palpate.sensors.palm.copies.palm_copy import CopyFit, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
 
 STILL_M, SAID_MOVED = 0.1e-3, 3.0  # a weight at rest is seen to move by less: this and standard deviations
@@ -42,8 +42,7 @@ class WeightCheck:
     @property
     def drifted(self) -> tuple[str, ...]:
         """Names of what has changed: "modulus", "coefficient"."""
-        found = {"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations}
-        return tuple(name for name, deviations in found.items() if abs(deviations) > SAID)
+        return drifted({"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations})
 
 
 def check_weight(
@@ -67,14 +66,15 @@ def check_weight(
         ImageError: no press is seen, or no such palm's picture.
     """
     force_n = weight_n(mass_kg)
-    known = forgotten(calibrated)
+    design = designed_copy(calibrated.spec)
+    now, freedom = since_fit(calibrated.covariance, design.covariance, 2)
     unchanged = fit_copy(calibrated, [PicturedPress(image, reference)], progress)
     weighed = [PicturedPress(image, reference, force_n, WEIGHT_SHARE)]
+    known = replace(calibrated, covariance=now + freedom)
     found = fit_copy(known, weighed, progress, near=unchanged)
-    before, now = calibrated.terms[:2], found.copy.terms[:2]
+    away, spread = changed_since(found.copy.terms - calibrated.terms, freedom, now, found.copy.covariance)
     towards = np.array([[1.0, 0.0], [-1.0, 1.0]])  # ln E, ln C
-    change = towards @ (now - before)
-    spread = towards @ (calibrated.covariance[:2, :2] + found.copy.covariance[:2, :2]) @ towards.T
+    change, spread = towards @ away[:2], towards @ spread[:2, :2] @ towards.T
     deviations = change / np.sqrt(np.diag(spread) + FLOOR**2)
     shares = np.expm1(change)
     read_n = found.presses[0].force_n * math.exp(float(change[1]))  # E C is seen, and C is taken as it was
@@ -112,18 +112,3 @@ def refuse_rolling(
                 f"{1e3 * (STILL_M + SAID_MOVED * spread):.2f} mm are allowed: let it come to rest on a level "
                 "skin, and take both pictures anew"
             )
-
-
-def forgotten(calibrated: PalmCopy) -> PalmCopy:
-    """The same copy, its E and C no better known than a design's; lamp, mirror and lens as they are."""
-    covariance: Float[ndarray, "t t"] = calibrated.covariance.copy()
-    covariance[:2], covariance[:, :2] = 0.0, 0.0
-    covariance[:2, :2] = designed_copy(calibrated.spec).covariance[:2, :2]
-    covariance[2:, 2:] += np.diag([(0.1 * one) ** 2 for one in _usual_spreads(calibrated)])
-    return replace(calibrated, covariance=covariance)
-
-
-def _usual_spreads(calibrated: PalmCopy) -> Float[ndarray, " n"]:
-    """Spreads of terms other than E and C from copy to copy; a tenth of it may change from day to day."""
-    design = designed_copy(calibrated.spec)
-    return np.sqrt(np.diag(design.covariance))[2 : len(TERMS)]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from palpate.core import Float, InputError, Progress, ndarray, silent
-from palpate.estimators.known_terms import correlated_pairs, untold_terms
+from palpate.estimators.unit_fit import correlated_pairs, untold_terms
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 

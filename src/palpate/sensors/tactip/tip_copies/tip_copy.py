@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.core import Float, Int, RangeError, ndarray
-from palpate.estimators.known_terms import correlated_pairs, term_rows
+from palpate.estimators.unit_fit import correlated_pairs, term_rows
 from palpate.mechanics.axisymmetric.tip_family import tip_between
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 from palpate.sensors.tactip.tip_view import TipOptics

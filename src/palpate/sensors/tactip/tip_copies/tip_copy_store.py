@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.core import InputError, new_file, storage_errors
+from palpate.core import InputError, ndarray
 from palpate.core.parsing import parser
+from palpate.estimators.unit_store import read_unit, write_unit
 from palpate.sensors.tactip.tactip_sensor import tactip
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, TipCopy
 
@@ -31,14 +32,11 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
     """
     if copy.rest_px is None or copy.cells is None:
         raise InputError("this copy has seen no press; fit it to presses first")
-    record: dict[str, Any] = {
-        "format": TIP_COPY_FORMAT, "preset": design,
-        "terms": dict(zip(COPY_TERMS, copy.terms.tolist(), strict=True)),
-        "covariance": copy.covariance.tolist(), "rest_px": copy.rest_px.tolist(),
-        "cells": copy.cells.tolist(), "limit_off": copy.limit_off,
+    others = {
+        "preset": design, "rest_px": copy.rest_px.tolist(), "cells": copy.cells.tolist(),
+        "limit_off": copy.limit_off,
     }  # fmt: skip
-    with new_file(path) as building:
-        building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_unit(path, TIP_COPY_FORMAT, COPY_TERMS, copy.terms, copy.covariance, others)
 
 
 @parser("tip unit", InputError)
@@ -49,21 +47,14 @@ def load_tip_copy(path: Path) -> TipCopy:
         InputError: no copy's file, or one whose numbers make none.
         StorageError: it cannot be read.
     """
-    if not path.is_file():
-        raise InputError(f"there is no copy's file {path}; `palpate tip calibrate` makes one")
-    with storage_errors(path):
-        text = path.read_bytes()
-    try:
-        record = json.loads(text)
-        terms = np.array([float(record["terms"][name]) for name in COPY_TERMS])
-        covariance = np.array(record["covariance"], dtype=np.float64)
-        rest, cells = np.array(record["rest_px"], np.float64), np.array(record["cells"], np.int64)
-        fits = record["format"] == TIP_COPY_FORMAT and covariance.shape == (len(COPY_TERMS),) * 2
-        fits = fits and rest.shape == cells.shape == (len(rest), 2) and len(rest) > 0
-        spec, limit = tactip(str(record["preset"])).spec, float(record["limit_off"])
-    except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{path} is no tip's copy: {type(e).__name__}: {e}") from e
-    sound = fits and all(np.isfinite(one).all() for one in (terms, covariance, rest, np.array(limit)))
-    if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
-        raise InputError(f"{path} is no tip's copy: its numbers are not those of {TIP_COPY_FORMAT}")
+    return read_unit(path, TIP_COPY_FORMAT, COPY_TERMS, "palpate tip calibrate", _made)
+
+
+def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> TipCopy:
+    rest, cells = np.array(record["rest_px"], np.float64), np.array(record["cells"], np.int64)
+    spec, limit = tactip(str(record["preset"])).spec, float(record["limit_off"])
+    if not (rest.shape == cells.shape == (len(rest), 2) and len(rest) > 0):
+        raise ValueError("its pins and their cells do not fit each other")
+    if not (np.isfinite(rest).all() and math.isfinite(limit)):
+        raise ValueError("places of pins, or the limit of a misfit, are not finite")
     return TipCopy(spec, terms, covariance, rest, cells, limit)

@@ -1,24 +1,30 @@
-"""The most probable copy of a TacTip, by least squares on pins, forces and positions of its presses.
+"""Forward model of a TacTip's presses for `estimators.unit_fit`: motions of pins, known forces and positions.
 
-Rows are the pins' motions, the copy's prior, known forces and positions. What the model leaves out moves
-neighbouring pins together: pins of a patch count as one, and covariances are those of scores summed over
-patches (cluster-robust; K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13,
-doi:10.1093/biomet/73.1.13), added to what the residuals of pins give.
+What the model leaves out moves neighbouring pins together: pins of a patch count as one, and their errors are
+correlated.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from palpate.core import Float, Int, Progress, ndarray
-from palpate.estimators.known_terms import untold_terms
 from palpate.estimators.lattice.ring_layout import ring_of
+from palpate.estimators.unit_fit import (
+    Block,
+    KnownRow,
+    Layout,
+    State,
+    covariance_with,
+    most_probable,
+    posterior,
+    untold_terms,
+)
 from palpate.mechanics.axisymmetric.tip_family import ratio_range, tip_between
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import (
@@ -50,11 +56,8 @@ POSITION_MM = 0.03
 ZERO_MM = 20.0  # to which the zero of a stage is known
 AXIS_MM = 0.08  # by which pins beside their lattice move the middle that the camera's axis is told from
 MIN_DEPTH_MM = 0.05
-ROUNDS = 40
+ROUNDS, SETTLED, STIFFEST = 40, 1e-4, 1e6  # see `most_probable`; pins are a smooth function
 OUTLIER = 6.0  # standard deviations by their median, from which a pin is left out
-
-Rows = Float[ndarray, " r"]
-State = Float[ndarray, " u"]
 
 
 @dataclass(frozen=True)
@@ -120,11 +123,6 @@ class TipCopyFit:
     helpful: tuple[HelpfulPress, ...] = ()
 
 
-def _weight(pin_px: float) -> float:
-    """Weight of a pin's coordinate, where those of a patch count as one [1/px]."""
-    return 1 / (pin_px * math.sqrt(PATCH))
-
-
 @lru_cache(maxsize=64)
 def _skin(log_ratio: float) -> InnerSkin:
     tip = tip_between(log_ratio)
@@ -132,17 +130,19 @@ def _skin(log_ratio: float) -> InnerSkin:
 
 
 class TipEstimate:
-    """The rows of the least squares, for one set of presses."""
+    """A TacTip's presses as a `UnitModel`."""
+
+    kink = math.inf
 
     def __init__(self, known: TipCopy, presses: Sequence[PlatePress]) -> None:
         self._known, self._presses = known, presses
-        self._n, self._t = len(presses), len(COPY_TERMS)
+        n = self._n = len(presses)
+        t = self._t = len(COPY_TERMS)
         self._pins = max(len(one.rest_px) for one in presses)
-        self._prior = np.linalg.cholesky(np.linalg.inv(known.covariance)).T
-        self._at = np.zeros((self._n, self._pins, 2))  # pins at rest from their field's middle, in its edges
-        self._moved = np.full((self._n, self._pins, 2), np.nan)  # by so many px
-        self._edge_px = np.empty(self._n)
-        self._patch = np.zeros((self._n, self._pins), int)
+        self._at = np.zeros((n, self._pins, 2))  # pins at rest from their field's middle, in its edges
+        self._moved = np.full((n, self._pins, 2), np.nan)  # by so many px
+        self._edge_px = np.empty(n)
+        self._patch = np.zeros((n, self._pins), int)
         for i, one in enumerate(presses):
             count = len(one.rest_px)
             middle = np.median(one.rest_px, axis=0)
@@ -150,72 +150,63 @@ class TipEstimate:
             self._edge_px[i] = np.hypot(*(one.rest_px[ring == ring.max()] - middle).T).mean()
             self._at[i, :count] = (one.rest_px - middle) / self._edge_px[i]
             self._moved[i, :count] = one.moved_px - one.rest_px
-            self._patch[i, :count] = _patches(one.cells) + 1000 * i
+            self._patch[i, :count] = _patches(one.cells)
         self._last: tuple[bytes, tuple[InnerSkin, PinView, PinRoots]] | None = None
         self._approaches = sorted({p.approach for p in presses if p.position_m is not None})
-        self._weight = _weight(PIN_PX)
-        self._size = self._t + OWN * self._n + len(self._approaches)
+        self._pin_px = PIN_PX
+        self._depths = t + OWN * np.arange(n)
+        self.layout = Layout(t, OWN, n, len(self._approaches))
+        size, self._zeros = self.layout.size, t + OWN * n
+        self.mean = np.zeros(size)
+        self.mean[:t] = known.terms
+        spread = np.concatenate([np.ones(t), np.tile(OWN_SD, n), np.full(len(self._approaches), ZERO_MM)])
+        self.precision = np.diag(1 / spread**2)
+        self.precision[:t, :t] = np.linalg.inv(known.covariance)
+        self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
+        self._low[1], self._high[1] = (math.log(one) for one in ratio_range())
+        self._low[2], self._low[3] = 0.0, 1e3 * known.spec.table.radius_m + 1
+        self._low[self._depths], self._high[self._depths] = MIN_DEPTH_MM, 8.0
 
     def settled(self, progress: Progress) -> State:
         """The most probable state; once, pins far off are left out and all weighed by what is left."""
-        start = self._start()
-        state = self._solved(start, progress)
-        off = self._off(state)
-        size = np.sqrt(np.sum(off**2, axis=2))
+        state = self._solved(self._start(), progress)
+        size = np.sqrt(np.sum(self._off(state) ** 2, axis=2))
         usual = np.nanmedian(size, axis=1, keepdims=True) / 1.18
         stray = size > OUTLIER * np.maximum(usual, PIN_PX)
         self._moved[stray] = np.nan
-        left = math.sqrt(float(np.nanmean(self._off(state) ** 2)))
-        self._weight = _weight(max(left, MIN_PIN_PX))
+        self._pin_px = max(math.sqrt(float(np.nanmean(self._off(state) ** 2))), MIN_PIN_PX)
         return self._solved(state, progress)
 
     def _solved(self, start: State, progress: Progress) -> State:
-        low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
-        low[1], high[1] = (math.log(one) for one in ratio_range())
-        low[2], low[3] = 0.0, 1e3 * self._known.spec.table.radius_m + 1
-        depths = self._t + OWN * np.arange(self._n)
-        low[depths], high[depths] = MIN_DEPTH_MM, 8.0
-        rounds = 0
-
-        def slopes(state: State) -> Float[ndarray, "r u"]:
-            nonlocal rounds
-            rounds += 1
-            progress("rounds", min(rounds, ROUNDS), ROUNDS)
-            return self._slopes(state)
-
-        inside = np.clip(start, low + 1e-6, high - 1e-6)
-        scale = np.ones(self._size)
-        scale[: self._t] = np.sqrt(np.diag(self._known.covariance))
-        scale[self._t : self._t + OWN * self._n] = np.tile([0.3, 0.01, 0.01, 0.3, 0.3], self._n)
-        found = least_squares(
-            self._rows, inside, jac=slopes, bounds=(low, high), x_scale=scale, max_nfev=ROUNDS, ftol=1e-7
+        return most_probable(
+            self, self.inside(start), progress, rounds=ROUNDS, settled=SETTLED, stiffest=STIFFEST
         )
-        return np.asarray(found.x)
+
+    def inside(self, state: State) -> State:
+        """See `UnitModel`."""
+        return np.clip(state, self._low, self._high)
 
     def _start(self) -> State:
         """Depths by the pins' motion, or by known forces, seats and shifts at nothing."""
-        state = np.zeros(self._size)
-        state[: self._t] = self._known.terms
+        state = self.mean.copy()
         depths = np.array([0.5, 1.0, 1.8, 2.8, 3.8, 4.8])
         off = []
         for depth in depths:
-            state[self._t + OWN * np.arange(self._n)] = depth
+            state[self._depths] = depth
             off.append(np.nansum(self._off(state) ** 2, axis=(1, 2)))
-        state[self._t + OWN * np.arange(self._n)] = depths[np.argmin(off, axis=0)]
+        state[self._depths] = depths[np.argmin(off, axis=0)]
         for k, approach in enumerate(self._approaches):
             zero = [
-                1e3 * one.position_m - state[self._t + OWN * i]
-                for i, one in enumerate(self._presses)
+                1e3 * one.position_m - depth
+                for one, depth in zip(self._presses, state[self._depths], strict=True)
                 if one.position_m is not None and one.approach == approach
             ]
-            state[self._t + OWN * self._n + k] = np.median(zero)
-        self._zero_start = state[self._t + OWN * self._n :].copy()
+            self.mean[self._zeros + k] = state[self._zeros + k] = np.median(zero)
         return state
 
     def _off(self, state: State) -> Float[ndarray, "n p 2"]:
         """What pins differ from the copy's [px]; NaN where one is not seen."""
-        terms, own = state[: self._t], state[self._t : self._t + OWN * self._n].reshape(self._n, OWN)
-        return np.asarray(self._motion(terms, own) - self._moved)
+        return np.asarray(self._motion(state[: self._t], self.layout.own_of(state)) - self._moved)
 
     def _motion(self, terms: TermVector, own: Float[ndarray, "n o"]) -> Float[ndarray, "n p 2"]:
         skin, view, pins = self._pins_of(terms)
@@ -232,26 +223,33 @@ class TipEstimate:
             self._last = key, (skin, view, pins)
         return self._last[1]
 
-    def _rows(self, state: State) -> Rows:
-        pins = self._weight * np.nan_to_num(self._off(state)).ravel()
-        return np.concatenate([pins, self._sure_rows(state)])
+    def residuals(self, state: State) -> Iterator[tuple[Float[ndarray, " r"], float]]:
+        """See `UnitModel`."""
+        for one in self._off(state):
+            yield -np.nan_to_num(one).ravel(), self._row_px
 
-    def _sure_rows(self, state: State) -> Rows:
-        """The prior's rows, those of presses' seats and shifts, known forces, positions and zeros."""
-        terms, own = state[: self._t], state[self._t : self._t + OWN * self._n].reshape(self._n, OWN)
-        rows = [self._prior @ (terms - self._known.terms), (own / OWN_SD)[:, 1:].ravel()]
-        force = [
-            (math.log(one.force_n) - self.log_force(terms, own[i, 0])) / self._force_sd(one)
-            for i, one in enumerate(self._presses)
-            if one.force_n is not None
-        ]
-        zeros = state[self._t + OWN * self._n :]
-        place = [
-            (1e3 * one.position_m - own[i, 0] - zeros[self._approaches.index(one.approach)]) / POSITION_MM
-            for i, one in enumerate(self._presses)
-            if one.position_m is not None
-        ]
-        return np.concatenate([*rows, force, place, (zeros - self._zero_start) / ZERO_MM])
+    @property
+    def _row_px(self) -> float:
+        """Standard deviation of a pin's coordinate, where those of a patch count as one [px]."""
+        return self._pin_px * math.sqrt(PATCH)
+
+    def known(self, state: State) -> list[KnownRow]:
+        """See `UnitModel`."""
+        terms, own, rows = state[: self._t], self.layout.own_of(state), []
+        for i, one in enumerate(self._presses):
+            depth = float(own[i, 0])
+            if one.force_n is not None:
+                J, off = (
+                    self.force_slopes(terms, depth, i),
+                    math.log(one.force_n) - self.log_force(terms, depth),
+                )
+                rows.append(KnownRow(J, off, 1 / self._force_sd(one) ** 2, i, True))
+            if one.position_m is not None:
+                J, zero = np.zeros(self.layout.size), self._zeros + self._approaches.index(one.approach)
+                J[[self._depths[i], zero]] = 1.0
+                off = 1e3 * one.position_m - depth - float(state[zero])
+                rows.append(KnownRow(J, off, 1 / POSITION_MM**2, i, False))
+        return rows
 
     @staticmethod
     def _force_sd(one: PlatePress) -> float:
@@ -268,26 +266,24 @@ class TipEstimate:
             at += (last - before) / -math.log(0.97) * math.log(depth_mm / deepest)
         return float(at - stated + math.log(design_force_n(self._known.spec, STATED_MM)) + terms[0])
 
-    def _slopes(self, state: State) -> Float[ndarray, "r u"]:
-        """Slopes of all rows over all unknowns; a press's own move its own pins alone."""
+    def blocks(self, state: State) -> Iterator[Block]:
+        """See `UnitModel`."""
         t, n = self._t, self._n
-        terms, own = state[:t], state[t : t + OWN * n].reshape(n, OWN)
-        pins = np.zeros((n, self._pins * 2, self._size))
-        seen = np.isfinite(self._moved).reshape(n, -1)
+        terms, own = state[:t], self.layout.own_of(state)
+        pins = np.zeros((n, self._pins, 2, t + OWN))
         for k, step in enumerate(TERM_STEP):
             if k:  # the stiffness moves no pin
                 there, here = self._ends(terms, k, step)
-                change = (self._motion(there, own) - self._motion(here, own)) / (there[k] - here[k])
-                pins[:, :, k] = change.reshape(n, -1)
-        pins[:, 0::2, [t + OWN * i + 3 for i in range(n)]] = np.eye(n)[:, None, :]  # a shift moves all
-        pins[:, 1::2, [t + OWN * i + 4 for i in range(n)]] = np.eye(n)[:, None, :]
+                change = self._motion(there, own) - self._motion(here, own)
+                pins[..., k] = change / (there[k] - here[k])
         for k, step in enumerate(OWN_STEP):
             d = step * (np.arange(OWN) == k)
-            change = (self._motion(terms, own + d) - self._motion(terms, own - d)) / (2 * step)
-            for i in range(n):
-                pins[i, :, t + OWN * i + k] = change[i].ravel()
-        J = (self._weight * pins * seen[:, :, None]).reshape(-1, self._size)
-        return np.concatenate([J, self._sure_slopes(state)])
+            pins[..., t + k] = (self._motion(terms, own + d) - self._motion(terms, own - d)) / (2 * step)
+        pins[:, :, 0, t + 3] = pins[:, :, 1, t + 4] = 1.0  # a shift moves all
+        pins[~np.isfinite(self._moved)] = 0.0
+        for i, (residual, sd) in enumerate(self.residuals(state)):
+            J = pins[i].reshape(-1, t + OWN)
+            yield Block(self.layout.at(i), J, residual, sd, np.repeat(self._patch[i], 2))
 
     @staticmethod
     def _ends(terms: TermVector, k: int, step: float) -> tuple[TermVector, TermVector]:
@@ -299,31 +295,9 @@ class TipEstimate:
             there[1], here[1] = min(there[1], high), max(here[1], low)
         return there, here
 
-    def _sure_slopes(self, state: State) -> Float[ndarray, "s u"]:
-        t, n = self._t, self._n
-        terms, own = state[:t], state[t : t + OWN * n].reshape(n, OWN)
-        blocks = [np.zeros((t, self._size)), np.zeros((n * (OWN - 1), self._size))]
-        blocks[0][:, :t] = self._prior
-        for i in range(n):
-            for k in range(1, OWN):
-                blocks[1][i * (OWN - 1) + k - 1, t + OWN * i + k] = 1 / OWN_SD[k]
-        rows = []
-        for i, one in enumerate(self._presses):
-            if one.force_n is not None:
-                rows.append(-self.force_slopes(terms, own[i, 0], i) / self._force_sd(one))
-        for i, one in enumerate(self._presses):
-            if one.position_m is not None:
-                row = np.zeros(self._size)
-                row[t + OWN * i] = -1 / POSITION_MM
-                row[t + OWN * n + self._approaches.index(one.approach)] = -1 / POSITION_MM
-                rows.append(row)
-        zeros = np.zeros((len(self._approaches), self._size))
-        zeros[:, t + OWN * n :] = np.eye(len(self._approaches)) / ZERO_MM
-        return np.concatenate([*blocks, np.reshape(rows, (-1, self._size)), zeros])
-
     def force_slopes(self, terms: TermVector, depth_mm: float, i: int) -> State:
         """Slopes of the logarithm of a press's force over all unknowns."""
-        row = np.zeros(self._size)
+        row = np.zeros(self.layout.size)
         row[0] = 1.0
         there, here = self._ends(terms, 1, TERM_STEP[1])
         row[1] = (self.log_force(there, depth_mm) - self.log_force(here, depth_mm)) / (there[1] - here[1])
@@ -335,35 +309,23 @@ class TipEstimate:
 
     def found(self, state: State) -> TipCopyFit:
         """The copy and presses of a settled state, with their covariances."""
-        J, t, n = self._slopes(state), self._t, self._n
-        count = n * self._pins * 2
-        bread = np.linalg.inv(J.T @ J)
-        residual = self._weight * np.nan_to_num(self._off(state)).ravel()
-        patch = np.repeat(self._patch.ravel(), 2)
-        order, patch = np.unique(patch, return_inverse=True)
-        scores = np.zeros((len(order), self._size))
-        np.add.at(scores, patch, J[:count] * residual[:, None])
-        covariance = bread + bread @ (scores.T @ scores) @ bread
+        t, end = self._t, posterior(self, state)
+        covariance = end.covariance
         covariance[[6, 7], [6, 7]] += AXIS_MM**2
-        self._state, self._normal, self._covariance = state, J.T @ J, covariance
+        self._state, self._normal = state, end.hessian
         copy = replace(self._known, terms=state[:t].copy(), covariance=covariance[:t, :t])
+        sd = np.sqrt(np.diag(covariance))
         zeros = tuple(
-            StageZero(
-                approach,
-                float(state[t + OWN * n + k]),
-                float(np.sqrt(covariance[t + OWN * n + k, t + OWN * n + k])),
-            )
-            for k, approach in enumerate(self._approaches)
+            StageZero(approach, float(state[k]), float(sd[k]))
+            for k, approach in enumerate(self._approaches, self._zeros)
         )
-        forces = self._sure_rows(state)[t + n * (OWN - 1) :][
-            : sum(one.force_n is not None for one in self._presses)
-        ]
+        forces = [one.weight * one.off**2 for one in end.known if one.is_force]
         return TipCopyFit(
             copy,
-            tuple(self._reading(state, i, covariance) for i in range(n)),
+            tuple(self._reading(state, i, covariance) for i in range(self._n)),
             untold_terms(COPY_TERMS, self._known.covariance, copy.covariance),
             zeros,
-            float(np.sqrt(np.mean(forces**2))) if len(forces) else 0.0,
+            float(np.sqrt(np.mean(forces))) if forces else 0.0,
         )
 
     def _reading(self, state: State, i: int, covariance: ndarray) -> PlateReading:
@@ -384,9 +346,9 @@ class TipEstimate:
 
     def helpful(self) -> tuple[HelpfulPress, ...]:
         """Further presses, and the term whose spread each would make fall most, by the rows it would have."""
-        state, t, n = self._state, self._t, self._n
+        state = self._state
         deepest = float(tip_between(float(state[1])).press.approach_m[-1]) * 1e3
-        depths = state[t + OWN * np.arange(n)]
+        depths = state[self._depths]
         ways = {
             "deeper": (0.97 * deepest, 0.0),
             "shallower": (0.5 * float(depths.min()), 0.0),
@@ -405,28 +367,21 @@ class TipEstimate:
         more = TipEstimate(
             self._known, [replace(first, moved_px=first.rest_px, force_n=force, position_m=None)]
         )
-        own = np.array([depth_mm, turn_rad, 0.0, 0.0, 0.0])
-        state = np.concatenate([self._state[: self._t], own])
-        J = more._slopes(state)
-        J = np.delete(J, slice(more._pins * 2, more._pins * 2 + self._t), axis=0)  # the prior counts once
+        t, now = self._t, np.linalg.inv(self._normal)[: self._t, : self._t]
+        state = np.concatenate([self._state[:t], [depth_mm, turn_rad, 0.0, 0.0, 0.0]])
+        H = posterior(more, state).hessian
+        H[:t, :t] -= more.precision[:t, :t]  # the prior counts once
         if turn_rad:
-            J[more._pins * 2, self._t + 1] *= 0.0  # a lean that was meant is no chance
-        t = self._t
-        size = len(self._normal)
-        normal = np.zeros((size + OWN, size + OWN))
-        normal[:size, :size] = self._normal
-        at = np.concatenate([np.arange(t), size + np.arange(OWN)])
-        normal[np.ix_(at, at)] += J.T @ J
-        return self._gain(f"{name}, {force:.2g} N", np.linalg.inv(normal))
+            H[t + 1, t + 1] -= more.precision[t + 1, t + 1]  # a lean that was meant is no chance
+        return self._gain(f"{name}, {force:.2g} N", covariance_with(now, H))
 
     def _with_positions(self) -> HelpfulPress:
         """The stage's position with each of these presses, of one approach."""
-        t, n, size = self._t, self._n, len(self._normal)
-        normal = np.zeros((size + 1, size + 1))
-        normal[:size, :size] = self._normal
+        size = len(self._normal)
+        normal = np.pad(self._normal, (0, 1))
         normal[size, size] = 1 / ZERO_MM**2
-        for i in range(n):
-            at = [t + OWN * i, size]
+        for depth in self._depths.tolist():
+            at = [depth, size]
             normal[np.ix_(at, at)] += 1 / POSITION_MM**2
         return self._gain("the stage's position with each press", np.linalg.inv(normal))
 

@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import ImageError, InputError, Progress, silent
-from palpate.estimators.known_terms import SAID, WEIGHT_SHARE, changed_since, weight_n
+from palpate.estimators.unit_fit import SAID, WEIGHT_SHARE, changed_since, drifted, since_fit, weight_n
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
-from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, TipCopy
+from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, TermCovariance, TipCopy
 from palpate.sensors.tactip.tip_copies.tip_copy_fit import fit_tip_copy, read_plate_press
 from palpate.sensors.tactip.tip_copies.tip_estimate import PlateReading
 
 FLOOR = 0.015  # of the stiffness, by which no weight is trusted to be better: a share
-DAILY = 0.1  # of the spread from copy to copy, by which pins, camera and seat may change from day to day
 MAX_LEAN_RAD = math.radians(2.0)  # beside the copy's usual seat
 MAX_SLIDE_PX = 1.0  # of the whole field
 STILL_MM = 0.05  # that frames of one weight may differ in depth
@@ -56,8 +55,7 @@ class TipWeightCheck:
     @property
     def drifted(self) -> tuple[str, ...]:
         """Names of what has changed, of `CHANGED`."""
-        found = zip(CHANGED, (self.stiffness_deviations, self.ratio_deviations), strict=True)
-        return tuple(name for name, deviations in found if abs(deviations) > SAID)
+        return drifted(dict(zip(CHANGED, (self.stiffness_deviations, self.ratio_deviations), strict=True)))
 
 
 def check_tip_weight(
@@ -81,13 +79,15 @@ def check_tip_weight(
     if not presses:
         raise InputError("no frame of the weight; give one or several")
     unknown = [replace(one, force_n=None, position_m=None) for one in presses]
-    known = _by_now(calibrated)
+    design = np.diag([SPREADS[name] ** 2 for name in COPY_TERMS])
+    now, freedom = since_fit(calibrated.covariance, design, len(CHANGED))
+    known = replace(calibrated, covariance=now)
     read = [read_plate_press(known, one, progress) for one in unknown]
     _refuse_unsteady(calibrated, read)
     read_n = float(np.mean([one.force_n for one in read]))
     share = math.hypot(read[0].force_share, WEIGHT_SHARE, FLOOR)
     change = math.log(force_n / read_n)
-    ratio, ratio_sd = _ratio_change(known, unknown[0], force_n, progress)
+    ratio, ratio_sd = _ratio_change(known, freedom, unknown[0], force_n, progress)
     return TipWeightCheck(
         force_n,
         read_n,
@@ -98,13 +98,6 @@ def check_tip_weight(
         ratio / ratio_sd,
         math.expm1(SAID * share),
     )
-
-
-def _by_now(calibrated: TipCopy) -> TipCopy:
-    """The copy, its pins, camera and seat a little less known."""
-    daily = np.array([DAILY * SPREADS[name] for name in COPY_TERMS])
-    daily[:2] = 0.0
-    return replace(calibrated, covariance=calibrated.covariance + np.diag(daily**2))
 
 
 def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
@@ -138,13 +131,11 @@ def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
 
 
 def _ratio_change(
-    known: TipCopy, press: PlatePress, force_n: float, progress: Progress
+    known: TipCopy, free: TermCovariance, press: PlatePress, force_n: float, progress: Progress
 ) -> tuple[float, float]:
     """Change of the ratio's logarithm, as if stiffness and ratio could both have, and its deviation."""
-    free = np.zeros_like(known.covariance)
-    free[0, 0], free[1, 1] = SPREADS["stiffness"] ** 2, SPREADS["ratio"] ** 2
     freed = replace(known, covariance=known.covariance + free)
     weighed = replace(press, force_n=force_n, force_sd_n=WEIGHT_SHARE * force_n)
     now = fit_tip_copy(freed, [weighed], progress, advise=False).copy
     change, spread = changed_since(now.terms - known.terms, free, known.covariance, now.covariance)
-    return float(change[1]), float(spread[1])
+    return float(change[1]), math.sqrt(max(float(spread[1, 1]), 0.0))

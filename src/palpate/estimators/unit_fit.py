@@ -1,0 +1,383 @@
+"""Bayesian fit of one sensor unit: maximum a posteriori (MAP), with Laplace covariance.
+
+A unit differs from its design by terms with a Gaussian prior; each press adds nuisances with their own prior.
+A sensor gives a forward model (`UnitModel`): rows of measured data and their slopes, known forces and
+positions, bounds. Everything else is here: damped Gauss-Newton steps (Levenberg-Marquardt), covariances,
+held-out presses, and what is said about the terms.
+
+Rows of data may be robust (pseudo-Huber; P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298,
+doi:10.1109/83.551699). Errors are correlated within a cluster of rows: scores summed over clusters
+(K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13) are added to the Laplace
+covariance, because with few clusters the residuals of a fit with many unknowns are too small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from palpate.core import Float, Int, Progress, RangeError, ndarray
+
+UNTOLD = 0.8  # of its prior spread, from which a term is not told
+TIED = 0.95  # correlation from which two terms cannot be told apart
+
+GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
+WEIGHT_SHARE = 0.005
+SAID = 2.6  # standard deviations from which a change is said: 1 in 100 by chance
+DAILY = 0.1  # spread of a nuisance term from day to day, as a fraction of that from unit to unit
+
+AS_STATED = 4.0  # errors in number, of the stated size, that are assumed in addition to those seen
+MIN_PRESSES = 2  # presses, below which none is held out
+
+State = Float[ndarray, " u"]
+Square = Float[ndarray, "u u"]
+Covariance = Float[ndarray, "t t"]
+
+
+class Layout(NamedTuple):
+    """Order of the unknowns: terms of the unit, nuisances of each press, and others.
+
+    Attributes:
+        terms, own, presses: numbers of terms, of nuisances of a press, and of presses.
+        others: number of unknowns after them.
+    """
+
+    terms: int
+    own: int
+    presses: int
+    others: int = 0
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.terms + self.own * self.presses + self.others
+
+    def own_of(self, state: State) -> Float[ndarray, "n o"]:
+        """Nuisances of each press, a view."""
+        return state[self.terms : self.terms + self.own * self.presses].reshape(self.presses, self.own)
+
+    def at(self, press: int) -> Int[ndarray, " k"]:
+        """Indices of the terms and of a press's nuisances."""
+        return np.concatenate([np.arange(self.terms), self.terms + self.own * press + np.arange(self.own)])
+
+    def row(self, press: int, slopes: Float[ndarray, " k"]) -> State:
+        """Slopes over the terms and a press's nuisances, over all unknowns."""
+        J = np.zeros(self.size)
+        J[self.at(press)] = slopes
+        return J
+
+
+class Block(NamedTuple):
+    """Measured rows of one press.
+
+    Attributes:
+        at: unknowns that move them.
+        slopes: of the predicted values over these.
+        residual: measured less predicted, 0 where nothing is measured.
+        sd: standard deviation of a row.
+        cluster: group of each row within which errors are correlated.
+    """
+
+    at: Int[ndarray, " k"]
+    slopes: Float[ndarray, "r k"]
+    residual: Float[ndarray, " r"]
+    sd: float
+    cluster: Int[ndarray, " r"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownRow:
+    """Something known of a press: slopes over all unknowns, by how much it is off, and its weight."""
+
+    slopes: State
+    off: float
+    weight: float
+    press: int
+    is_force: bool
+
+
+@runtime_checkable
+class UnitModel(Protocol):
+    """Forward model of a sensor unit's presses."""
+
+    mean: State
+    """Prior mean of all unknowns."""
+    precision: Square
+    """Prior precision; 0 for an unknown without a prior."""
+    kink: float
+    """Standard deviations from which a row of data weighs less; infinite for least squares."""
+
+    def residuals(self, state: State) -> Iterator[tuple[Float[ndarray, " r"], float]]:
+        """Residual and standard deviation of each press's rows, without slopes."""
+
+    def blocks(self, state: State) -> Iterator[Block]:
+        """Rows of each press."""
+
+    def known(self, state: State) -> list[KnownRow]:
+        """Rows of known forces and positions."""
+
+    def inside(self, state: State) -> State:
+        """The nearest state within bounds."""
+
+
+class Posterior(NamedTuple):
+    """A settled state and its uncertainty.
+
+    Attributes:
+        state: most probable.
+        hessian: of half the cost.
+        meat: covariance of clusters' scores.
+        covariance: of the unknowns.
+        known: rows of known forces and positions.
+    """
+
+    state: State
+    hessian: Square
+    meat: Square
+    covariance: Square
+    known: list[KnownRow]
+
+
+def cost(model: UnitModel, state: State) -> float:
+    """Twice the negative logarithm of the posterior density, but for a constant."""
+    data = sum(_misfit(residual / sd, model.kink) for residual, sd in model.residuals(state))
+    sure = sum(one.weight * one.off**2 for one in model.known(state))
+    away = state - model.mean
+    return float(data + sure + away @ model.precision @ away)
+
+
+def most_probable(
+    model: UnitModel, state: State, progress: Progress, *, rounds: int = 25, settled: float = 0.02,
+    stiffest: float = 20.0,
+) -> State:  # fmt: skip
+    """The most probable state near a first one.
+
+    Args:
+        model: forward model.
+        state: start, within bounds.
+        progress: called with rounds.
+        rounds: at most.
+        settled: fall of the cost that ends the search, at a cost of 0; 1 is a standard deviation.
+        stiffest: damping from which no step is tried.
+    """
+    damping, now = 1e-3, cost(model, state)
+    for i in range(rounds):
+        progress("rounds", i, rounds)
+        H, g = _normal(model, state)
+        while damping < stiffest:
+            after = _stepped(model, state, H + damping * np.diag(np.diag(H)), g)
+            new = cost(model, after)
+            if new < now:
+                break
+            damping *= 10.0
+        else:
+            return state
+        state, fallen, now, damping = after, now - new, new, max(damping / 10.0, 1e-6)
+        if fallen < settled * (1.0 + now / 100.0):
+            return state
+    return state
+
+
+def posterior(model: UnitModel, state: State) -> Posterior:
+    """Laplace covariance of a settled state, and what correlated errors add to it."""
+    H, meat = model.precision.copy(), np.zeros_like(model.precision)
+    for at, J, residual, sd, cluster in model.blocks(state):
+        weight = _weight(residual / sd, model.kink)
+        H[np.ix_(at, at)] += (J.T * weight) @ J / sd**2
+        scores = np.stack([np.bincount(cluster, one * weight * residual) for one in J.T]) / sd**2
+        meat[np.ix_(at, at)] += scores @ scores.T
+    known = model.known(state)
+    H += sum(one.weight * np.outer(one.slopes, one.slopes) for one in known)
+    return Posterior(state, H, meat, _covariance(H, meat), known)
+
+
+def covariance_with(terms: Covariance, press: Float[ndarray, "k k"]) -> Covariance:
+    """Covariance of the terms after one more press.
+
+    Args:
+        terms: covariance before it.
+        press: Hessian of its rows over terms and own nuisances, with the nuisances' prior.
+    """
+    n, H = len(terms), press.copy()
+    H[:n, :n] += np.linalg.inv(terms)
+    return np.asarray(np.linalg.inv(H)[:n, :n])
+
+
+def _misfit(z: Float[ndarray, " r"], kink: float) -> float:
+    if math.isinf(kink):
+        return float(z @ z)
+    return 2 * kink**2 * float(np.sum(np.sqrt(1 + (z / kink) ** 2) - 1))
+
+
+def _weight(z: Float[ndarray, " r"], kink: float) -> Float[ndarray, " r"]:
+    return 1 / np.sqrt(1 + (z / kink) ** 2)
+
+
+def _normal(model: UnitModel, state: State) -> tuple[Square, State]:
+    """Normal matrix, and the cost's descent."""
+    H, g = model.precision.copy(), model.precision @ (model.mean - state)
+    for at, J, residual, sd, _ in model.blocks(state):
+        weight = _weight(residual / sd, model.kink)
+        H[np.ix_(at, at)] += (J.T * weight) @ J / sd**2
+        g[at] += J.T @ (weight * residual) / sd**2
+    for one in model.known(state):
+        H += one.weight * np.outer(one.slopes, one.slopes)
+        g += one.weight * one.slopes * one.off
+    return H, g
+
+
+def _stepped(model: UnitModel, state: State, H: Square, g: State) -> State:
+    """A state after one step; unknowns that bounds hold back are left out and the others solved again."""
+    free = np.ones(len(state), bool)
+    for _ in range(3):
+        step = np.zeros(len(state))
+        step[free] = np.linalg.solve(H[np.ix_(free, free)], g[free])
+        after = model.inside(state + step)
+        held = free & (after == state) & (step != 0)
+        if not held.any():
+            break
+        free &= ~held
+    return after
+
+
+class Widening(NamedTuple):
+    """By how much presses that were held out missed, over what their intervals said.
+
+    Attributes:
+        place, depth, force: factors on standard deviations of what a new press is read to be.
+        presses: that were held out; 0 where none were, and all factors are 1.
+    """
+
+    place: float = 1.0
+    depth: float = 1.0
+    force: float = 1.0
+    presses: int = 0
+
+
+def standardised(
+    hessian: Square, meat: Square, known: Sequence[KnownRow], depth_at: Sequence[int]
+) -> dict[str, list[float]]:
+    """Errors of every held-out press, over the standard deviations stated of them.
+
+    Each press is read as if it were new, its force and place unknown, by a unit that the other presses made:
+    one solution of the linear equations of the fit without that press's known force and place.
+
+    Args:
+        hessian: of half the cost, at the fit of all.
+        meat: covariance of clusters' scores, in the same unknowns.
+        known: of all presses.
+        depth_at: each press's unknown of its logarithm of the depth.
+    """
+    found: dict[str, list[float]] = {"place": [], "depth": [], "force": []}
+    whole = _covariance(hessian, meat)
+    for i, depth in enumerate(depth_at):
+        rows = [one for one in known if one.press == i]
+        if not rows:
+            continue
+        H = hessian - sum(one.weight * np.outer(one.slopes, one.slopes) for one in rows)
+        g = -sum(one.weight * one.off * one.slopes for one in rows)
+        covariance, step = _covariance(H, meat), np.linalg.solve(H, g)
+        for one in rows:
+            off = one.off - one.slopes @ step
+            variance = one.slopes @ covariance @ one.slopes + 1 / one.weight
+            found["force" if one.is_force else "place"].append(off / math.sqrt(variance))
+        if any(one.is_force for one in rows):  # against the depth at which the known force is
+            variance = max(covariance[depth, depth] - whole[depth, depth], 0.1 * covariance[depth, depth])
+            found["depth"].append(step[depth] / math.sqrt(variance))
+    return found
+
+
+def widening_of(errors: dict[str, list[float]], presses: int) -> Widening:
+    """Factors by which intervals have to be wider, from standardised errors of held-out presses; 1 or more.
+
+    What errs alike in all presses does not show in them, so that small errors make no interval narrower.
+    """
+    if presses < MIN_PRESSES:
+        return Widening()
+
+    def factor(name: str) -> float:
+        seen = np.array(errors[name])
+        return max(math.sqrt((AS_STATED + float(seen @ seen)) / (AS_STATED + len(seen))), 1.0)
+
+    return Widening(factor("place"), factor("depth"), factor("force"), presses)
+
+
+def _covariance(hessian: Square, meat: Square) -> Square:
+    bread = np.linalg.inv(hessian)
+    return np.asarray(bread + bread @ meat @ bread)
+
+
+def weight_n(mass_kg: float) -> float:
+    """Weight of a mass that is laid on a sensor [N], known to `WEIGHT_SHARE`.
+
+    Raises:
+        RangeError: a mass that is not above 0.
+    """
+    if not (math.isfinite(mass_kg) and mass_kg > 0):
+        raise RangeError(f"a mass of {1e3 * mass_kg:g} g; it has to be finite and above 0 g")
+    return mass_kg * GRAVITY_M_S2
+
+
+def term_rows(
+    names: Sequence[str], values: Float[ndarray, " t"], covariance: Covariance
+) -> dict[str, dict[str, float]]:
+    """Each term's value and standard deviation, by its name."""
+    spreads = np.sqrt(np.diag(covariance))
+    return {
+        name: {"value": float(value), "standard_deviation": float(spread)}
+        for name, value, spread in zip(names, values, spreads, strict=True)
+    }
+
+
+def untold_terms(names: Sequence[str], before: Covariance, after: Covariance) -> tuple[str, ...]:
+    """Terms of which hardly more is known than before."""
+    was, now = np.sqrt(np.diag(before)), np.sqrt(np.diag(after))
+    return tuple(name for name, b, a in zip(names, was, now, strict=True) if a > UNTOLD * b)
+
+
+def correlated_pairs(names: Sequence[str], covariance: Covariance) -> tuple[tuple[str, str], ...]:
+    """Pairs of terms that cannot be told apart: one may go up with the other."""
+    sd = np.sqrt(np.diag(covariance))
+    high = np.abs(np.triu(covariance / np.outer(sd, sd), 1)) > TIED
+    return tuple((names[i], names[j]) for i, j in np.argwhere(high))
+
+
+def since_fit(before: Covariance, design: Covariance, constants: int) -> tuple[Covariance, Covariance]:
+    """Covariance of a unit's terms some days after its fit, and of a change of its constants since.
+
+    Args:
+        before: covariance at the fit.
+        design: from unit to unit; `DAILY` of its spread is that of other terms from day to day.
+        constants: number of first terms that a known weight checks.
+    """
+    daily, freedom = DAILY**2 * np.diag(np.diag(design)), np.zeros_like(design)
+    daily[:constants] = 0.0
+    freedom[:constants, :constants] = design[:constants, :constants]
+    return before + daily, freedom
+
+
+def changed_since(
+    change: Float[ndarray, " t"], freedom: Covariance, before: Covariance, now: Covariance
+) -> tuple[Float[ndarray, " t"], Covariance]:
+    """How far terms have changed, where an estimate was made as if they could have, and its covariance.
+
+    With terms before N(m, C) and a change N(0, D), what is seen now is told beside the prior N(m, C + D); the
+    change's part of what has moved from m is D (C + D)^-1.
+
+    Args:
+        change: of the most probable terms, now less before.
+        freedom: D.
+        before: C.
+        now: covariance of the terms now.
+    """
+    share = freedom @ np.linalg.inv(before + freedom)
+    return share @ change, freedom - share @ freedom + share @ now @ share.T
+
+
+def drifted(changes: dict[str, float]) -> tuple[str, ...]:
+    """Names of what has changed for sure, of changes in standard deviations."""
+    return tuple(name for name, deviations in changes.items() if abs(deviations) > SAID)

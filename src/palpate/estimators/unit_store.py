@@ -1,0 +1,86 @@
+"""A sensor unit on disk: JSON with the preset's name, terms and covariance, and what one sensor adds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from palpate.core import Float, InputError, ndarray, new_file, storage_errors
+
+MAX_TERM = 100.0  # in its own unit: no logarithm, angle, millimeter, pixel or mired comes near
+
+Unit = TypeVar("Unit")
+
+
+def write_unit(
+    path: Path, form: str, names: Sequence[str], terms: Float[ndarray, " t"],
+    covariance: Float[ndarray, "t t"], others: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write a sensor unit.
+
+    Args:
+        path: must not exist.
+        form: name and version of the format.
+        names: of the terms.
+        terms: values.
+        covariance: of them.
+        others: further entries, in plain numbers.
+
+    Raises:
+        ExistsError: `path` exists.
+        StorageError: the disk refused.
+    """
+    record = {
+        "format": form, "terms": dict(zip(names, terms.tolist(), strict=True)),
+        "covariance": covariance.tolist(), **others,
+    }  # fmt: skip
+    with new_file(path) as building:
+        building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_unit(
+    path: Path, form: str, names: Sequence[str], command: str,
+    made: Callable[[dict[str, Any], ndarray, ndarray], Unit],
+) -> Unit:  # fmt: skip
+    """Read a sensor unit as `write_unit` wrote it.
+
+    Args:
+        path: of the file.
+        form: name and version of the format.
+        names: of the terms.
+        command: that writes such a file, for messages.
+        made: gives the unit of the record, the terms and their covariance, or raises ValueError.
+
+    Raises:
+        InputError: no such file, one of another format, or one whose numbers make no unit.
+        StorageError: it cannot be read.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; `{command}` makes one")
+    with storage_errors(path):
+        text = path.read_bytes()
+    try:
+        return made(*_numbers(json.loads(text), form, names))
+    except InputError as e:
+        raise InputError(f"{path} is no unit that can be used: {e}") from e
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
+        raise InputError(f"{path} is no unit's file: {type(e).__name__}: {e}") from e
+
+
+def _numbers(
+    record: dict[str, Any], form: str, names: Sequence[str]
+) -> tuple[dict[str, Any], ndarray, ndarray]:
+    if record["format"] != form:
+        raise InputError(f"its format is {record['format']!r}, not {form!r}; fit the copy anew")
+    terms = np.array([float(record["terms"][name]) for name in names])
+    covariance = np.array(record["covariance"], dtype=np.float64)
+    if covariance.shape != (len(names),) * 2 or not np.isfinite(covariance).all():
+        raise ValueError("its covariance is not one of its terms")
+    sound = bool((np.abs(terms) < MAX_TERM).all())
+    if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
+        raise ValueError(f"its numbers are not those of {form}")
+    return record, terms, covariance
