@@ -58,7 +58,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "demo": "study.study_verbs:demo",
         "render": "study.render_verbs:app",
         "reproduce": "study.study_verbs:app",
-        "mechanics": "study.mechanics_verbs:app",
+        "mechanics": "study.mechanics_verbs:mechanics",
         "optics": "sense.optics_verbs:app",
     },
 }
