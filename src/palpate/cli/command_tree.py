@@ -22,7 +22,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "record": "record.rig_verbs:record",
         "rig": "record.rig_hand_verbs:rig_app",
         "studio": "study.study_verbs:studio",
-        "import": "record.recording_verbs:import_app",
+        "import": "record.recording_verbs:import_run",
         "check": "record.recording_verbs:check",
         "repair": "record.recording_verbs:repair",
         "export": "record.recording_verbs:export",

@@ -27,8 +27,6 @@ Json = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
 Quiet = Annotated[bool, Option("--quiet", help="Show no progress bar.")]
 NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
-Licence = Annotated[str, Option(help="Licence of the data.")]
-Origin = Annotated[str, Option(help="Where the data come from.")]
 ProvenanceName = Annotated[
     str | None,
     Option("--provenance", help="measured (default), simulated, or derived from other data."),
