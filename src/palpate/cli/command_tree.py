@@ -49,7 +49,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "shear": "sense.shear_verbs:shear",
     },
     "Display": {
-        "pairs": "display.softness_verbs:pairs_app",
+        "pairs": "display.softness_verbs:pairs",
         "display": "display.softness_verbs:display_app",
         "trial": "display.trial_verbs:trial_app",
         "transmit": "display.transmit_verbs:app",
