@@ -251,3 +251,14 @@ def test_what_cannot_be_done_is_said_in_one_line(words, says, run, tmp_path) -> 
 
 def test_the_version_is_told() -> None:
     assert palpate("--version").output.startswith("palpate ")
+
+
+def test_a_format_takes_its_own_options_only(taps, tmp_path) -> None:
+    run = tmp_path / "new"
+    for words, said in (
+        (("movie", taps, run), "images, palm, tiff, video"),
+        (("palm", taps, run, "--labels", "labels.csv"), "import palm does not take --labels;"),
+        (("video", taps / "press.avi", run), "import video needs --force;"),
+    ):
+        assert said in " ".join(palpate("import", *words, status=2).output.split())
+        assert not run.exists()

@@ -26,7 +26,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "record": "record.rig_verbs:record",
         "rig": "record.rig_hand_verbs:rig_app",
         "studio": "study.study_verbs:studio",
-        "import": "record.recording_verbs:import_app",
+        "import": "record.recording_verbs:import_run",
         "check": "record.recording_verbs:check",
         "repair": "record.recording_verbs:repair",
         "export": "record.recording_verbs:export",
@@ -53,7 +53,7 @@ HEADINGS: dict[str, dict[str, str]] = {
         "shear": "sense.shear_verbs:shear",
     },
     "Display": {
-        "pairs": "display.softness_verbs:pairs_app",
+        "pairs": "display.softness_verbs:pairs",
         "display": "display.softness_verbs:display_app",
         "trial": "display.trial_verbs:trial_app",
         "transmit": "display.transmit_verbs:app",
@@ -61,7 +61,7 @@ HEADINGS: dict[str, dict[str, str]] = {
     "Study": {
         "demo": "study.study_verbs:demo",
         "render": "study.render_verbs:app",
-        "mechanics": "study.mechanics_verbs:app",
+        "mechanics": "study.mechanics_verbs:mechanics",
         "optics": "sense.optics_verbs:app",
     },
 }

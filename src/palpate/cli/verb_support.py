@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import math
 import os
@@ -26,8 +27,6 @@ Json = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
 Quiet = Annotated[bool, Option("--quiet", help="Show no progress bar.")]
 NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
-Licence = Annotated[str, Option(help="Licence of the data.")]
-Origin = Annotated[str, Option(help="Where the data come from.")]
 ProvenanceName = Annotated[
     str | None,
     Option("--provenance", help="measured (default), simulated, or derived from other data."),
@@ -329,6 +328,33 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
             raise InputError(f"--vector is given twice for {name!r}; give each vector a name of its own")
         vectors[name] = names_of(parts)
     return vectors
+
+
+def arguments_for(function: Callable[..., Any], command: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of the function that a command with several kinds selects, from the options given.
+
+    Args:
+        function: its keyword parameters are the options that this kind takes.
+        command: command and kind as typed, for messages.
+        options: value of each option, None or False where it was left out.
+
+    Raises:
+        InputError: an option was given that the kind does not take, or one that it needs is missing.
+    """
+    from palpate.core.errors import InputError
+
+    parameters = inspect.signature(function).parameters
+    given = {name: value for name, value in options.items() if value is not None and value is not False}
+    needed = [name for name, one in parameters.items() if one.default is inspect.Parameter.empty]
+    for problem, names in (
+        ("does not take", [name for name in given if name not in parameters]),
+        ("needs", [name for name in needed if name not in given]),
+    ):
+        if names:
+            listed = ", ".join(f"--{name.replace('_', '-')}" for name in names)
+            allowed = ", ".join(f"--{name.replace('_', '-')}" for name in parameters)
+            raise InputError(f"palpate {command} {problem} {listed}; its options are {allowed}")
+    return given
 
 
 def print_found(result: Any, text: str, as_json: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,7 @@ from typer import Argument, Option
 
 from palpate.cli.display import rendering_verbs
 from palpate.cli.display.bench_test_verb import bench_test
-from palpate.cli.verb_support import Json, group, print_found, progress_bar
+from palpate.cli.verb_support import Json, arguments_for, group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz_pairs import Body
@@ -21,77 +22,54 @@ if TYPE_CHECKING:
 
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
-pairs_app = group("Find objects that feel alike to the arm or to the skin.")
 display_app = group("Render softness on a contact-area display and an arm.")
 display_app.command()(bench_test)
 
-One = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of an object; a flat's radius is inf.")]
-Other = Annotated[str, Argument(help="MODULUS_KPA:RADIUS_MM of the other.")]
-OtherModulus = Annotated[float, Argument(help="Young's modulus of the other object [kPa].")]
 Finger = Annotated[
     str, Option(help="MODULUS_KPA:RADIUS_MM of the fingertip; 7 to 33 kPa and 15 mm are reported.")
 ]
 Poisson = Annotated[float, Option(help="Poisson's ratio of objects and finger, 0 to 0.5.")]
-AtForce = Annotated[float, Option(help="Force at which both are compared [N].")]
 Figure = Annotated[Path | None, Option(help="PNG to draw; must not exist.")]
 
 
-@pairs_app.command()
 def kinesthetic(
-    one: One,
-    other_modulus_kpa: OtherModulus,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: AtForce = 2.0,
-    figure: Figure = None,
-    json_: Json = False,
+    words: list[str],
+    json_: bool,
+    finger: str,
+    poisson: float = 0.5,
+    force_n: float = 2.0,
+    figure: Path | None = None,
 ) -> None:
-    """Find the ball of another modulus that feels alike to the arm.
-
-    Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
-    """
+    """Find the ball of another modulus that feels alike to the arm."""
     from palpate.mechanics.half_space.hertz_pairs import alike_to_the_arm
 
-    _tell_partner(
-        "kinesthetic", alike_to_the_arm, one, other_modulus_kpa, finger, poisson, force_n, figure, json_
-    )
+    _tell_partner("kinesthetic", alike_to_the_arm, words, finger, poisson, force_n, figure, json_)
 
 
-@pairs_app.command()
 def cutaneous(
-    one: One,
-    other_modulus_kpa: OtherModulus,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: AtForce = 2.0,
-    figure: Figure = None,
-    json_: Json = False,
+    words: list[str],
+    json_: bool,
+    finger: str,
+    poisson: float = 0.5,
+    force_n: float = 2.0,
+    figure: Path | None = None,
 ) -> None:
-    """Find the ball of another modulus that feels alike to the skin.
-
-    Example: palpate pairs cutaneous 200:30 20 --finger 100:15
-    """
+    """Find the ball of another modulus that feels alike to the skin."""
     from palpate.mechanics.half_space.hertz_pairs import alike_to_the_skin
 
-    _tell_partner(
-        "cutaneous", alike_to_the_skin, one, other_modulus_kpa, finger, poisson, force_n, figure, json_
-    )
+    _tell_partner("cutaneous", alike_to_the_skin, words, finger, poisson, force_n, figure, json_)
 
 
-@pairs_app.command()
 def compare(
-    one: One,
-    other: Other,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: AtForce = 2.0,
-    figure: Figure = None,
-    json_: Json = False,
+    words: list[str],
+    json_: bool,
+    finger: str,
+    poisson: float = 0.5,
+    force_n: float = 2.0,
+    figure: Path | None = None,
 ) -> None:
-    """Say how far two objects differ to each cue under a finger.
-
-    Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
-    """
+    """Compute how far two objects differ to each cue under a finger."""
+    one, other = _objects(words, 2, "two objects, each MODULUS_KPA:RADIUS_MM")
     bodies = [
         ball_of_words("object", one, poisson),
         ball_of_words("object", other, poisson),
@@ -100,19 +78,33 @@ def compare(
     _tell(None, bodies, poisson, force_n, figure, json_)
 
 
+def _objects(words: list[str], count: int, what: str) -> list[str]:
+    from palpate.core import InputError
+
+    if len(words) != count:
+        raise InputError(f"{len(words)} objects are given; give {what}")
+    return words
+
+
 def _tell_partner(
     cue: str,
     partner: Callable[[Body, Body, float], Body],
-    one: str,
-    other_modulus_kpa: float,
+    words: list[str],
     finger: str,
     poisson: float,
     force_n: float,
     figure: Path | None,
     json_: bool,
 ) -> None:
-    from palpate.core import RangeError
+    from palpate.core import InputError, RangeError
 
+    one, other_kpa = _objects(words, 2, "MODULUS_KPA:RADIUS_MM of one and MODULUS_KPA of the other")
+    try:
+        other_modulus_kpa = float(other_kpa)
+    except ValueError:
+        raise InputError(
+            f"modulus {other_kpa!r} of the other object is no number of kPa, as in 150"
+        ) from None
     if not other_modulus_kpa > 0:
         raise RangeError(f"a modulus of {other_modulus_kpa:g} kPa for the other object; give one above 0 kPa")
     first, tip = ball_of_words("object", one, poisson), ball_of_words("--finger", finger, poisson)
@@ -201,28 +193,21 @@ def _two(values: list[float], digits: int) -> str:
     return " and ".join(f"{value:.{digits}f}" for value in values)
 
 
-@pairs_app.command("specimens")
 def stacked(
-    moduli_kpa: Annotated[
-        str, Option(help="Five Young's moduli, with 0, 10, 20, 35 and 45 % of softener: E,E,E,E,E [kPa].")
-    ],
-    finger: Finger,
-    kind: Annotated[str, Argument(help="CL1, CL2, CL3, or all.", metavar="CLASS")] = "all",
-    poisson: Annotated[float, Option(help="Poisson's ratio of the silicones, below 0.5.")] = 0.499,
-    finger_poisson: Annotated[float, Option(help="Poisson's ratio of the finger, 0 to 0.5.")] = 0.5,
-    force_n: AtForce = 1.0,
-    figure: Figure = None,
-    json_: Json = False,
+    words: list[str],
+    json_: bool,
+    moduli_kpa: str,
+    finger: str,
+    poisson: float = 0.499,
+    finger_poisson: float = 0.5,
+    force_n: float = 1.0,
+    figure: Path | None = None,
 ) -> None:
-    """Say what the report's silicone specimens show each cue.
-
-    Two cylinders of 7 mm: of one silicone (CL1), a plate on silicone (CL2), two silicones (CL3).
-
-    Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
-    """
+    """Compute what the report's silicone specimens show each cue."""
     from palpate.core import ExistsError, InputError
     from palpate.softness import SpecimenClass, specimen_object, specimens
 
+    (kind,) = _objects(words or ["all"], 1, f"one of {', '.join(SpecimenClass)}, and all")
     if kind not in ("all", *SpecimenClass):
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
     if figure is not None and figure.exists():
@@ -244,6 +229,69 @@ def stacked(
         write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
         answer["figure"] = str(figure)
     print_found(answer, _specimen_text(answer), json_)
+
+
+CUES: dict[str, Callable[..., None]] = {
+    "kinesthetic": kinesthetic,
+    "cutaneous": cutaneous,
+    "compare": compare,
+    "specimens": stacked,
+}
+
+
+def pairs(
+    cue: Annotated[str, Argument(help="kinesthetic, cutaneous, compare, or specimens.", metavar="CUE")],
+    objects: Annotated[
+        list[str] | None,
+        Argument(
+            help="MODULUS_KPA:RADIUS_MM of an object (a flat's radius is inf), then MODULUS_KPA of the other "
+            "(compare: MODULUS_KPA:RADIUS_MM); specimens: CL1, CL2, CL3, or all."
+        ),
+    ] = None,
+    finger: Annotated[
+        str | None,
+        Option(help="MODULUS_KPA:RADIUS_MM of the fingertip; 7 to 33 kPa and 15 mm are reported."),
+    ] = None,
+    poisson: Annotated[
+        float | None,
+        Option(help="Poisson's ratio of objects and finger, else 0.5; specimens: of silicones, else 0.499."),
+    ] = None,
+    finger_poisson: Annotated[
+        float | None, Option(help="specimens: Poisson's ratio of the finger, 0 to 0.5; else 0.5.")
+    ] = None,
+    force_n: Annotated[
+        float | None, Option(help="Force at which both are compared, else 2; specimens: else 1 [N].")
+    ] = None,
+    moduli_kpa: Annotated[
+        str | None,
+        Option(
+            help="specimens: five Young's moduli, with 0, 10, 20, 35 and 45 % of softener: E,E,E,E,E [kPa]."
+        ),
+    ] = None,
+    figure: Figure = None,
+    json_: Json = False,
+) -> None:
+    """Find objects that feel alike to the arm or to the skin.
+
+    kinesthetic, cutaneous: the ball of another modulus that feels alike to the arm, or to the skin. compare:
+    how far two objects differ to each cue. specimens: cylinders of 7 mm, of one silicone (CL1), a plate on
+    silicone (CL2), two silicones (CL3).
+
+    Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
+
+    Example: palpate pairs cutaneous 200:30 20 --finger 100:15
+
+    Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
+
+    Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
+    """
+    options = {name: value for name, value in locals().items() if name not in ("cue", "objects", "json_")}
+    from palpate.core import InputError
+
+    if cue not in CUES:
+        raise InputError(f"cue {cue!r} is not known; there are {', '.join(CUES)}")
+    find = partial(CUES[cue], objects or [], json_)
+    find(**arguments_for(find, f"pairs {cue}", options))
 
 
 def _moduli(text: str) -> list[float]:

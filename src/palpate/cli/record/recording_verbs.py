@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,17 +13,13 @@ from typer import Argument, Option
 import palpate
 from palpate.cli.verb_support import (
     ForceColumn,
-    ForceRate,
-    ForceTable,
     Json,
-    Licence,
     NewRun,
-    Origin,
     PositionColumn,
     ProvenanceName,
     Quiet,
+    arguments_for,
     given_provenance,
-    group,
     names_of,
     pairs_of,
     print_found,
@@ -35,20 +32,17 @@ if TYPE_CHECKING:
 
 
 def palm(
-    folder: Annotated[Path, Argument(help="Folder of Cycle_Indent5mm_r{row}c{col}_{cycle}.csv tables.")],
-    run: NewRun,
-    sensor: Annotated[str, Option(help="What was recorded.")] = "palm",
-    licence: Licence = "",
-    origin: Origin = "",
-    provenance: ProvenanceName = None,
-    allow_unlabelled: Annotated[bool, Option(help="Skip photographs that no table names.")] = False,
-    json_: Json = False,
-    quiet: Quiet = False,
+    folder: Path,
+    run: Path,
+    json_: bool,
+    quiet: bool,
+    sensor: str = "palm",
+    licence: str = "",
+    origin: str = "",
+    provenance: str | None = None,
+    allow_unlabelled: bool = False,
 ) -> None:
-    """Import the photoelastic palm's own tables and photographs as a run.
-
-    Example: palpate import palm dataset run --licence CC-BY-4.0
-    """
+    """Import the photoelastic palm's own tables and photographs."""
     from palpate.sensors.palm.palm_import import import_palm
 
     with progress_bar(quiet) as progress:
@@ -65,34 +59,21 @@ def palm(
     _print_import(run, report, json_)
 
 
-Frames = Annotated[Path, Argument(help="The frames of one press.")]
-Sensor = Annotated[str, Option(help="What was recorded.")]
-
-TIFF = """Import a press from a multi-page TIFF and its table of force.
-
-Example: palpate import tiff PRESS.tif RUN --force force.csv
-"""
-VIDEO = """Import a press from a video and its table of force.
-
-Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
-"""
-
-
 def press(
-    frames: Frames,
-    run: NewRun,
-    force: ForceTable,
-    force_column: ForceColumn = None,
-    position_column: PositionColumn = None,
-    rate_hz: ForceRate = None,
-    sensor: Sensor = "",
-    licence: Licence = "",
-    origin: Origin = "",
-    provenance: ProvenanceName = None,
-    json_: Json = False,
-    quiet: Quiet = False,
+    frames: Path,
+    run: Path,
+    json_: bool,
+    quiet: bool,
+    force: Path,
+    force_column: str | None = None,
+    position_column: str | None = None,
+    rate_hz: float | None = None,
+    sensor: str = "",
+    licence: str = "",
+    origin: str = "",
+    provenance: str | None = None,
 ) -> None:
-    """Import a press; the two kinds of frames differ only in what their help says."""
+    """Import the frames of one press, of a TIFF or a video, with its table of force."""
     from palpate.recordings.exchange.press_import import import_press
 
     with progress_bar(quiet) as progress:
@@ -113,54 +94,29 @@ def press(
     print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
 
 
-import_app = group("Bring recordings from elsewhere into a run.")
-
-
-@import_app.command("images")
-def import_images(
-    folder: Annotated[Path, Argument(help="Folder of images.")],
-    run: NewRun,
-    labels: Annotated[
-        Path | None,
-        Option(
-            help="CSV, TSV, JSON, NumPy or Parquet, one row an image; here or in the folder. In quotes, "
-            "'*/labels.csv' takes a table a session, '*.json' a file an image."
-        ),
-    ] = None,
-    image_column: Annotated[
-        str | None, Option(help="Label column that names the image; by default one of a usual name.")
-    ] = None,
-    rename: Annotated[list[str] | None, Option(help="OLD=NEW name of a column, as in Fz=force_N.")] = None,
-    unit: Annotated[
-        list[str] | None, Option(help="COLUMN=UNIT of a column that has none, as in depth=mm.")
-    ] = None,
-    columns: Annotated[
-        str, Option(help="Names of the columns of a file without a header, x_mm,force_N.")
-    ] = "",
-    decimal: Annotated[str, Option(help="What stands before decimals: auto, point or comma.")] = "auto",
-    name_pattern: Annotated[
-        str | None, Option(help="Labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
-    ] = None,
-    in_order: Annotated[
-        bool, Option("--in-order", help="Row i belongs to image i, counted by the numbers in their names.")
-    ] = False,
-    sensor: Annotated[str, Option(help="What the images are of.")] = "",
-    licence: Licence = "",
-    origin: Origin = "",
-    provenance: ProvenanceName = None,
-    rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence.")] = None,
-    order_by: Annotated[
-        str | None, Option(help="Column of numbers that says in which order the images were taken.")
-    ] = None,
-    allow_unlabelled: Annotated[bool, Option(help="Skip images without a row.")] = False,
-    strict: Annotated[bool, Option("--strict", help="Refuse columns of numbers that carry no unit.")] = False,
-    json_: Json = False,
-    quiet: Quiet = False,
+def images(
+    folder: Path,
+    run: Path,
+    json_: bool,
+    quiet: bool,
+    labels: Path | None = None,
+    image_column: str | None = None,
+    rename: list[str] | None = None,
+    unit: list[str] | None = None,
+    columns: str = "",
+    decimal: str = "auto",
+    name_pattern: str | None = None,
+    in_order: bool = False,
+    sensor: str = "",
+    licence: str = "",
+    origin: str = "",
+    provenance: str | None = None,
+    rate_hz: float | None = None,
+    order_by: str | None = None,
+    allow_unlabelled: bool = False,
+    strict: bool = False,
 ) -> None:
-    """Import a folder of labelled images as a run.
-
-    Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
-    """
+    """Import a folder of labelled images."""
     from palpate.core import InputError
     from palpate.recordings.exchange.label_units import mending_options
 
@@ -228,9 +184,91 @@ def _print_import(run: Path, report: ImportReport, json_: bool) -> None:
     print_found(result | more, text, json_)
 
 
-import_app.command("palm")(palm)
-import_app.command("tiff", help=TIFF)(press)
-import_app.command("video", help=VIDEO)(press)
+FORMATS: dict[str, Callable[..., None]] = {"images": images, "palm": palm, "tiff": press, "video": press}
+
+
+def import_run(
+    kind: Annotated[str, Argument(help="images, palm, tiff, or video.", metavar="FORMAT")],
+    source: Annotated[
+        Path, Argument(help="Folder of images, dataset of the palm, or the TIFF or video of one press.")
+    ],
+    run: NewRun,
+    labels: Annotated[
+        Path | None,
+        Option(
+            help="images: CSV, TSV, JSON, NumPy or Parquet, one row an image; here or in the folder. In "
+            "quotes, '*/labels.csv' takes a table a session, '*.json' a file an image."
+        ),
+    ] = None,
+    image_column: Annotated[
+        str | None, Option(help="images: label column that names the image, if not a usual name.")
+    ] = None,
+    rename: Annotated[
+        list[str] | None, Option(help="images: OLD=NEW name of a column, as in Fz=force_N.")
+    ] = None,
+    unit: Annotated[
+        list[str] | None, Option(help="images: COLUMN=UNIT of a column that has none, as in depth=mm.")
+    ] = None,
+    columns: Annotated[
+        str | None, Option(help="images: names of the columns of a file without a header, x_mm,force_N.")
+    ] = None,
+    decimal: Annotated[
+        str | None, Option(help="images: what stands before decimals: auto (default), point or comma.")
+    ] = None,
+    name_pattern: Annotated[
+        str | None, Option(help="images: labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
+    ] = None,
+    in_order: Annotated[
+        bool,
+        Option("--in-order", help="images: row i belongs to image i, counted by the numbers in their names."),
+    ] = False,
+    force: Annotated[
+        Path | None,
+        Option(help="tiff, video: CSV or Parquet of samples of force and the frame each is of."),
+    ] = None,
+    force_column: ForceColumn = None,
+    position_column: PositionColumn = None,
+    rate_hz: Annotated[
+        float | None,
+        Option(help="Frame rate, if images are a sequence; else rate of the force's rows without time_s."),
+    ] = None,
+    order_by: Annotated[
+        str | None,
+        Option(help="images: column of numbers that says in which order the images were taken."),
+    ] = None,
+    sensor: Annotated[str | None, Option(help="What was recorded.")] = None,
+    licence: Annotated[str | None, Option(help="Licence of the data.")] = None,
+    origin: Annotated[str | None, Option(help="Where the data come from.")] = None,
+    provenance: ProvenanceName = None,
+    allow_unlabelled: Annotated[bool, Option(help="images, palm: skip images without a row.")] = False,
+    strict: Annotated[
+        bool, Option("--strict", help="images: refuse columns of numbers that carry no unit.")
+    ] = False,
+    json_: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Bring a recording from elsewhere into a run.
+
+    images: a folder of labelled images. palm: the photoelastic palm's own tables and photographs
+    (Cycle_Indent5mm_r{row}c{col}_{cycle}.csv). tiff, video: the frames of one press and its table of force.
+
+    Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
+
+    Example: palpate import palm dataset run --licence CC-BY-4.0
+
+    Example: palpate import tiff PRESS.tif RUN --force force.csv
+
+    Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
+    """
+    options = dict(locals())
+    for argument in ("kind", "source", "run", "json_", "quiet"):
+        del options[argument]
+    from palpate.core import InputError
+
+    if kind not in FORMATS:
+        raise InputError(f"format {kind!r} is not known; the formats are {', '.join(FORMATS)}")
+    importer = partial(FORMATS[kind], source, run, json_, quiet)
+    importer(**arguments_for(importer, f"import {kind}", options))
 
 
 def check(run: Annotated[Path, Argument(help="Run to look through.")], json_: Json = False) -> None:

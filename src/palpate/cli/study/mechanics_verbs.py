@@ -1,57 +1,27 @@
-"""The laws of contact, typed: one verb a law, each the scalars of one press."""
+"""The laws of contact, typed: one command, the scalars of one press by the law it names."""
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
-from typing import Annotated, ParamSpec
+from typing import Annotated
 
-from typer import Option
+from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, group, print_found
+from palpate.cli.verb_support import Json, arguments_for, print_found
 from palpate.core import InputError
 
-P = ParamSpec("P")
 Answer = dict[str, object]
 
-app = group("Work out force, depth, radius and pressure by a contact law.")
 
-Radius = Annotated[float, Option("--radius-mm", help="Radius of the sphere or punch [mm].")]
-Modulus = Annotated[float, Option("--modulus-kpa", help="Young's modulus of the skin [kPa].")]
-Poisson = Annotated[float, Option("--poisson", help="Poisson's ratio of the skin, 0 to 0.5.")]
-Depth = Annotated[float | None, Option("--depth-mm", help="Depth past first touch [mm].")]
-Force = Annotated[float | None, Option("--force-n", help="Normal force, instead of a depth [N].")]
-Lies = Annotated[str, Option(help="How the layer lies on its base: bonded or sliding.")]
-
-
-def verb(law: Callable[P, Answer]) -> Callable[P, None]:
-    """Make a verb of a law, which prints its answer: in JSON, or a line a number."""
-
-    @app.command()
-    @functools.wraps(law)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        answer = law(*args, **kwargs)
-        text = "\n".join(f"{name} = {_text(value)}" for name, value in answer.items())
-        print_found(answer, text, bool(kwargs.get("json_")))
-
-    run.__annotations__ = {**law.__annotations__, "return": "None"}
-    return run
-
-
-@verb
 def hertz(
-    radius_mm: Radius,
-    modulus_kpa: Modulus,
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Force = None,
-    json_: Json = False,
+    radius_mm: float,
+    modulus_kpa: float,
+    poisson: float = 0.5,
+    depth_mm: float | None = None,
+    force_n: float | None = None,
 ) -> Answer:
-    """Sphere on a half-space, as a paraboloid: to a/R = 0.5.
-
-    Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
-    """
+    """Sphere on a half-space, as a paraboloid: to a/R = 0.5."""
     from palpate.mechanics.half_space import hertz as law
     from palpate.mechanics.half_space.subsurface import greatest_shear
 
@@ -67,19 +37,14 @@ def hertz(
     }
 
 
-@verb
 def sphere(
-    radius_mm: Radius,
-    modulus_kpa: Modulus,
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Force = None,
-    json_: Json = False,
+    radius_mm: float,
+    modulus_kpa: float,
+    poisson: float = 0.5,
+    depth_mm: float | None = None,
+    force_n: float | None = None,
 ) -> Answer:
-    """Exact sphere on a half-space (Sneddon): to a/R = 0.99.
-
-    Example: palpate mechanics sphere --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --force-n 2
-    """
+    """Exact sphere on a half-space (Sneddon): to a/R = 0.99."""
     import numpy as np
 
     from palpate.mechanics.half_space import sneddon as law
@@ -94,19 +59,14 @@ def sphere(
     }
 
 
-@verb
 def punch(
-    radius_mm: Radius,
-    modulus_kpa: Modulus,
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Force = None,
-    json_: Json = False,
+    radius_mm: float,
+    modulus_kpa: float,
+    poisson: float = 0.5,
+    depth_mm: float | None = None,
+    force_n: float | None = None,
 ) -> Answer:
-    """Flat-ended cylinder on a half-space (Sneddon): to d/a = 0.5.
-
-    Example: palpate mechanics punch --radius-mm 3 --modulus-kpa 300 --depth-mm 0.5
-    """
+    """Flat-ended cylinder on a half-space (Sneddon): to d/a = 0.5."""
     from palpate.mechanics.half_space import sneddon as law
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
@@ -118,19 +78,14 @@ def punch(
     }
 
 
-@verb
 def cone(
-    half_angle_deg: Annotated[float, Option(help="From the cone's axis to its side [deg].")],
-    modulus_kpa: Modulus,
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Force = None,
-    json_: Json = False,
+    half_angle_deg: float,
+    modulus_kpa: float,
+    poisson: float = 0.5,
+    depth_mm: float | None = None,
+    force_n: float | None = None,
 ) -> Answer:
-    """Cone on a half-space (Sneddon): small strain, so a blunt one.
-
-    Example: palpate mechanics cone --half-angle-deg 70 --modulus-kpa 300 --depth-mm 1
-    """
+    """Cone on a half-space (Sneddon): small strain, so a blunt one."""
     from palpate.mechanics.half_space import sneddon as law
 
     alpha, skin = math.radians(half_angle_deg), (modulus_kpa * 1e3, poisson)
@@ -140,21 +95,17 @@ def cone(
     return _scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")}
 
 
-@verb
 def layer(
-    radius_mm: Radius,
-    thickness_mm: Annotated[float, Option("--thickness-mm", help="Of the layer [mm].")],
-    depth_mm: Annotated[float, Option("--depth-mm", help="Depth past first touch [mm].")],
-    modulus_kpa: Modulus,
-    poisson: Poisson = 0.5,
-    base: Lies = "bonded",
-    json_: Json = False,
+    radius_mm: float,
+    thickness_mm: float,
+    depth_mm: float,
+    modulus_kpa: float,
+    poisson: float = 0.5,
+    base: str = "bonded",
 ) -> Answer:
     """Sphere on a layer over a rigid base: to d/h = 0.2.
 
     Beside the exact force stand Dimitriadis's series and a half-space.
-
-    Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
     """
     from palpate.core.errors import RangeError
     from palpate.mechanics.half_space.sneddon import sphere_force_from_depth
@@ -180,22 +131,18 @@ def layer(
     }
 
 
-@verb
 def jkr(
-    radius_mm: Radius,
-    modulus_kpa: Modulus,
-    adhesion_j_per_m2: Annotated[float, Option(help="Work of adhesion [J/m^2].")],
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Annotated[float | None, Option(help="Force, a pull negative, instead of a depth [N].")] = None,
-    range_nm: Annotated[float, Option(help="Range of the surface forces, for Tabor's parameter [nm].")] = 0.3,
-    json_: Json = False,
+    radius_mm: float,
+    modulus_kpa: float,
+    adhesion_j_per_m2: float,
+    poisson: float = 0.5,
+    depth_mm: float | None = None,
+    force_n: float | None = None,
+    range_nm: float = 0.3,
 ) -> Answer:
     """Sphere that sticks to a half-space (Johnson, Kendall, Roberts).
 
     Says whether that law applies.
-
-    Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
     """
     from palpate.mechanics.half_space.adhesion import JKR_ABOVE, AdhesiveSphere
 
@@ -213,25 +160,20 @@ def jkr(
     }
 
 
-@verb
 def ting(
-    radius_mm: Radius,
-    depth_mm: Annotated[float, Option("--depth-mm", help="Greatest depth [mm].")],
-    equilibrium_kpa: Annotated[float, Option(help="Modulus after a long time [kPa].")],
-    branch: Annotated[list[str], Option(help="MODULUS_KPA:TIME_S of a branch; give one or more.")],
-    rise_s: Annotated[float, Option("--rise-s", help="Time to the greatest depth [s].")],
-    fall_s: Annotated[float, Option("--fall-s", help="Time back [s].")],
-    hold_s: Annotated[float, Option("--hold-s", help="Time at the greatest depth [s].")] = 0.0,
-    poisson: Poisson = 0.5,
-    samples: Annotated[int, Option("--samples", help="Samples of the press, 10 to 100000.")] = 401,
-    json_: Json = False,
+    radius_mm: float,
+    depth_mm: float,
+    equilibrium_kpa: float,
+    branch: list[str],
+    rise_s: float,
+    fall_s: float,
+    hold_s: float = 0.0,
+    poisson: float = 0.5,
+    samples: int = 401,
 ) -> Answer:
     """Sphere pressed into a viscoelastic half-space and back (Ting).
 
     Both at constant speed.
-
-    Example: palpate mechanics ting --radius-mm 5 --depth-mm 1 --equilibrium-kpa 200 --branch 100:0.5
-    --rise-s 1 --fall-s 1
     """
     import numpy as np
 
@@ -259,6 +201,71 @@ def ting(
         "loss_mJ": done.loss_j * 1e3,
         "law": "Ting: rigid sphere, viscoelastic half-space, small strain, no friction, a/R <= 0.5",
     }
+
+
+LAWS: dict[str, Callable[..., Answer]] = {
+    "hertz": hertz,
+    "sphere": sphere,
+    "punch": punch,
+    "cone": cone,
+    "layer": layer,
+    "jkr": jkr,
+    "ting": ting,
+}
+
+
+def mechanics(
+    law: Annotated[str, Argument(help="hertz, sphere, punch, cone, layer, jkr, or ting.", metavar="LAW")],
+    radius_mm: Annotated[float | None, Option(help="Radius of the sphere or punch [mm].")] = None,
+    half_angle_deg: Annotated[
+        float | None, Option(help="cone: angle from its axis to its side [deg].")
+    ] = None,
+    modulus_kpa: Annotated[float | None, Option(help="Young's modulus of the skin [kPa]; not ting.")] = None,
+    poisson: Annotated[float | None, Option(help="Poisson's ratio of the skin, 0 to 0.5; else 0.5.")] = None,
+    depth_mm: Annotated[float | None, Option(help="Depth past first touch; ting: the greatest [mm].")] = None,
+    force_n: Annotated[
+        float | None, Option(help="Normal force, instead of a depth [N]; jkr: a pull is negative.")
+    ] = None,
+    thickness_mm: Annotated[float | None, Option(help="layer: thickness [mm].")] = None,
+    base: Annotated[str | None, Option(help="layer: bonded (default) or sliding on its base.")] = None,
+    adhesion_j_per_m2: Annotated[float | None, Option(help="jkr: work of adhesion [J/m^2].")] = None,
+    range_nm: Annotated[
+        float | None, Option(help="jkr: range of the surface forces, for Tabor's parameter, else 0.3 [nm].")
+    ] = None,
+    equilibrium_kpa: Annotated[float | None, Option(help="ting: modulus after a long time [kPa].")] = None,
+    branch: Annotated[
+        list[str] | None, Option(help="ting: MODULUS_KPA:TIME_S of a branch; give one or more.")
+    ] = None,
+    rise_s: Annotated[float | None, Option(help="ting: time to the greatest depth [s].")] = None,
+    fall_s: Annotated[float | None, Option(help="ting: time back [s].")] = None,
+    hold_s: Annotated[float | None, Option(help="ting: time at the greatest depth, else 0 [s].")] = None,
+    samples: Annotated[int | None, Option(help="ting: samples of the press, 10 to 100000; else 401.")] = None,
+    json_: Json = False,
+) -> None:
+    """Compute force, depth, radius, and pressure by a contact law.
+
+    hertz: sphere on a half-space, as a paraboloid, to a/R = 0.5. sphere: the exact one (Sneddon), to
+    a/R = 0.99. punch: flat-ended cylinder, to d/a = 0.5. cone: a blunt one, at small strain. layer: sphere
+    on a layer over a rigid base, to d/h = 0.2. jkr: sphere that sticks (Johnson, Kendall, Roberts). ting:
+    sphere pressed into a viscoelastic half-space and back, at constant speed.
+
+    Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
+
+    Example: palpate mechanics cone --half-angle-deg 70 --modulus-kpa 300 --depth-mm 1
+
+    Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
+
+    Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
+
+    Example: palpate mechanics ting --radius-mm 5 --depth-mm 1 --equilibrium-kpa 200 --branch 100:0.5
+    --rise-s 1 --fall-s 1
+    """
+    options = {name: value for name, value in locals().items() if name not in ("law", "json_")}
+    if law not in LAWS:
+        raise InputError(f"law {law!r} is not known; the laws are {', '.join(LAWS)}")
+    answer = LAWS[law](**arguments_for(LAWS[law], f"mechanics {law}", options))
+    text = "\n".join(f"{name} = {_text(value)}" for name, value in answer.items())
+    print_found(answer, text, json_)
 
 
 def branch_of(text: str) -> tuple[float, float]:
