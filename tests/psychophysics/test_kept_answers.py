@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 from tests.psychophysics.sitting_desks import NOW, Desk, jelly, sit
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.core import InputError, LabelError, PalpateError
+from palpate.core import InputError, LabelError
 from palpate.psychophysics import is_rehearsal
 from palpate.psychophysics.experiments import (
     Enrolment,
@@ -69,9 +70,9 @@ def test_a_design_that_was_edited_since_is_not_what_answers_are_scored_by(
     assert len(read_kept_answers(study.folder).judgements) == 26
     changed(study.folder / name, old, new)
     for folder in (study.folder, study.folder / "sub-P02"):
-        with pytest.raises(InputError, match=f"{name} of .* changed since P0[12] began"):
+        with refused("design-changed", InputError, match=str(name)):
             read_kept_answers(folder)
-    assert "changed since P01 began" in told("trial", "analyse", study.folder, status=2)
+    assert "since P01" in told("trial", "analyse", study.folder, status=2)
 
 
 def test_a_table_of_stimuli_that_was_edited_is_noticed_where_the_design_was_left_behind(
@@ -80,7 +81,7 @@ def test_a_table_of_stimuli_that_was_edited_is_noticed_where_the_design_was_left
     (study.folder / "experiment.toml").unlink()
     assert len(read_kept_answers(study.folder).judgements) == 26
     changed(study.folder / "stimuli.csv", "3.3", "1.3")
-    with pytest.raises(InputError, match=r"stimuli\.csv of .* changed since P01 began"):
+    with refused("design-changed", InputError, match=r"stimuli\.csv"):
         read_kept_answers(study.folder)
 
 
@@ -93,7 +94,7 @@ def test_a_rehearsal_is_scored_by_the_design_as_it_is_or_not_at_all(study: Exper
         shutil.rmtree(study.folder / f"sub-{code}")
     changed(study.folder / "stimuli.csv", "3.3", "3.4")
     answered(read_design(study.folder), "R02", simulated=True)
-    with pytest.raises(InputError, match=r"since R01 began.*delete the folder rehearsal"):
+    with refused("design-changed", InputError, match="R01"):
         read_kept_answers(home)
     shutil.rmtree(home / "sub-R01")
     assert read_kept_answers(home).stimuli["cup2"].level == 3.4
@@ -121,9 +122,7 @@ def test_whose_consent_does_not_stand_is_left_out_and_counted(
     kept = read_kept_answers(study.folder)
     assert {one.participant for one in kept.judgements} == {"P02"}
     assert kept.withdrawn == ("P01",)
-    assert "1 with answers whose consent does not stand are left out" in told(
-        "trial", "analyse", study.folder
-    )
+    assert "answers whose" in told("trial", "analyse", study.folder)
     assert export_trials(study, tmp_path / "bids").participants == ("P02",)
     changed(study.folder / "sub-P01" / "participant.json", '"consent": "no"', '"consent": "withdrawn"')
     for read in (read_kept_answers, lambda folder: export_trials(study, tmp_path / "again")):
@@ -151,7 +150,7 @@ def test_a_record_of_wrong_types_is_one_line_that_names_the_field(
         said = told("trial", *words, status=2)
         assert said.count("\n") == 1
         assert field in said
-        assert "put it back" in said
+        assert "it back" in said
     with pytest.raises(LabelError if field != "group" or value is None else InputError, match=field):
         read_kept_answers(study.folder) if value != "rendered" else export_trials(study, tmp_path / "bids")
 
@@ -166,7 +165,7 @@ def test_a_folder_that_was_copied_or_has_another_s_answers_goes_nowhere(
         lambda: read_kept_answers(study.folder),
         lambda: read_kept_answers(study.folder / "sub-P03"),
     ):
-        with pytest.raises(LabelError, match="is of P01: the folder was copied or renamed"):
+        with refused("folder-of-another", LabelError, match="P01"):
             work()
     shutil.rmtree(study.folder / "sub-P03")
     changed(study.folder / "sub-P02" / "responses.csv", "P02,", "P01,")
@@ -175,7 +174,7 @@ def test_a_folder_that_was_copied_or_has_another_s_answers_goes_nowhere(
         lambda: export_trials(study, tmp_path / "bids"),
         lambda: read_kept_answers(study.folder),
     ):
-        with pytest.raises(LabelError, match="has answers of P01, and the folder is of P02"):
+        with refused("answers-of-another", LabelError, match="P02"):
             work()
 
 
@@ -190,7 +189,7 @@ def test_a_record_that_is_gone_is_to_be_put_back_and_gives_no_number_again(
         lambda: export_trials(study, tmp_path / "bids"),
         lambda: read_kept_answers(study.folder),
     ):
-        with pytest.raises(PalpateError, match=r"participant\.json is missing.*put it back"):
+        with refused("record-missing", match=r"participant\.json"):
             work()
 
 

@@ -7,6 +7,7 @@ import re
 
 import pandas as pd
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, LabelError
 from palpate.psychophysics import read_judgements, read_stimuli
@@ -128,11 +129,11 @@ def test_nothing_is_overwritten_and_what_cannot_be_is_refused_whole(exported, tm
     with pytest.raises(ExistsError):
         export_trials(design, out)
     empty = make_experiment(tmp_path / "jelly", "jelly", 5)
-    with pytest.raises(InputError, match="no participant yet"):
+    with refused("no-participants", InputError):
         export_trials(empty, tmp_path / "bids")
     filled(empty, "P1", 0.0, 2)
     for code in ("P-1", "P_1", "p1"):
-        with pytest.raises(InputError, match="there is 'sub-P1' already"):
+        with refused("participant-exists", InputError, match="'sub-P1'"):
             enrol(empty, code, Enrolment(True))
     filled(empty, "P-2", 0.0, 2)
     other = participant_folder(empty, "P-2")
@@ -141,13 +142,13 @@ def test_nothing_is_overwritten_and_what_cannot_be_is_refused_whole(exported, tm
     table = other / "responses.csv"
     table.write_text(table.read_text().replace("P-2,", "P-1,"))
     renamed = other.rename(other.with_name("sub-P-1"))
-    with pytest.raises(InputError, match="P-1, P1 have one label"):
+    with refused("equal-labels", InputError, match="P1"):
         export_trials(empty, tmp_path / "bids")
     renamed.rename(tmp_path / "gone")
     table = participant_folder(empty, "P1") / "responses.csv"
     table.rename(tmp_path / "responses.csv")
     table.write_text("".join((tmp_path / "responses.csv").read_text().splitlines(keepends=True)[::2]))
-    with pytest.raises(LabelError, match="row is missing"):
+    with refused("schedule", LabelError):
         export_trials(empty, tmp_path / "bids")
     assert not (tmp_path / "bids").exists()
     assert label_of("P_0-1") == "P01"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import rankdata
+from tests.refusals import refused
 
 from palpate.core.errors import InputError
 from palpate.psychophysics import compare, corrected_by_holm, fit_line, mean_interval
@@ -133,9 +134,9 @@ def test_lilliefors_test_keeps_its_level_and_finds_an_exponential(rng) -> None:
 
 
 def test_what_cannot_be_compared_is_refused() -> None:
-    with pytest.raises(InputError, match="two or more"):
+    with refused("too-few-groups", InputError):
         compare({"a": single([1, 2])})
-    with pytest.raises(InputError, match="a has 1 values"):
+    with refused("too-few-values", InputError):
         compare({"a": single([1]), "b": single([1, 2])})
     with pytest.raises(InputError, match="not finite"):
         compare({"a": single([1, np.nan]), "b": single([1, 2])})
@@ -196,6 +197,6 @@ def test_holms_correction_keeps_the_order_in_which_p_values_come() -> None:
 
 def test_an_interval_needs_two_finite_values() -> None:
     for values in ([1.0], [1.0, np.nan]):
-        with pytest.raises(InputError, match="two finite values"):
+        with refused("too-few-values", InputError):
             mean_interval(values)
     assert mean_interval([2.0, 2.0]) == (2.0, 2.0)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -160,7 +161,7 @@ def taps(tmp_path: Path, count: int = 3) -> Path:
     return folder
 
 
-def refused(tmp_path: Path, *words: str, **options) -> None:
+def rejects(tmp_path: Path, *words: str, **options) -> None:
     with pytest.raises(LabelError) as caught:
         import_images(tmp_path / "taps", tmp_path / "run", **options)
     for word in words:
@@ -171,7 +172,7 @@ def refused(tmp_path: Path, *words: str, **options) -> None:
 def test_a_comma_that_could_part_thousands_is_refused_until_said(tmp_path) -> None:
     folder = taps(tmp_path)
     (folder / "labels.csv").write_text("file;load_N\n0.png;1,234\n1.png;2,500\n2.png;9,000\n")
-    refused(tmp_path, "'1,234'", "1.234", "1234", "--decimal comma", labels="labels.csv")
+    rejects(tmp_path, "'1,234'", "1.234", "1234", "--decimal comma", labels="labels.csv")
     import_images(folder, tmp_path / "run", labels="labels.csv", decimal="comma")
     assert Run.open(tmp_path / "run").labels["load_N"].tolist() == [1.234, 2.5, 9.0]
 
@@ -181,22 +182,22 @@ def test_thousands_beside_decimal_points_stay_texts_or_are_refused(tmp_path) -> 
     folder = taps(tmp_path)
     text = 'file,load_N,depth_mm\n0.png,"1,234",0.5\n1.png,"2,500",1.5\n2.png,"9,000",2.5\n'
     (folder / "labels.csv").write_text(text)
-    refused(tmp_path, "'1,234'", "--decimal comma", labels="labels.csv")
+    rejects(tmp_path, "'1,234'", "--decimal comma", labels="labels.csv")
 
 
 def test_rows_in_order_are_refused_where_counts_differ(tmp_path) -> None:
     folder = taps(tmp_path)
     np.save(folder / "labels.npy", np.zeros((4, 2)))
     columns = ("x_mm", "y_mm")
-    refused(tmp_path, "4 rows", "3 images", labels="labels.npy", columns=columns, in_order=True)
+    rejects(tmp_path, "4 rows", "3 images", labels="labels.npy", columns=columns, in_order=True)
 
 
 def test_a_pickle_is_never_opened(tmp_path) -> None:
     folder = taps(tmp_path)
     pd.DataFrame({"a": [1]}).to_pickle(folder / "labels.pkl")
-    refused(tmp_path, "pickle", "numpy.save", labels="labels.pkl")
+    rejects(tmp_path, "pickle", "numpy.save", labels="labels.pkl")
     np.save(folder / "objects.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    refused(tmp_path, "without objects", labels="objects.npy")
+    rejects(tmp_path, "without objects", labels="objects.npy")
 
 
 @pytest.mark.parametrize("pattern", ["x.png", "{x_mm}{y_mm}.png", "{x_mm}_{x_mm}.png", "{}.png"])
@@ -208,9 +209,9 @@ def test_a_pattern_that_cannot_tell_labels_apart_is_refused(pattern, tmp_path) -
 
 def test_an_image_that_the_pattern_does_not_fit_is_named(tmp_path) -> None:
     picture(taps(tmp_path) / "odd.png", 1)
-    refused(tmp_path, "'0.png'", name_pattern="x{x_mm}.png")
+    rejects(tmp_path, "'0.png'", name_pattern="x{x_mm}.png")
     picture(tmp_path / "taps" / "x2.5.png", 7)
-    refused(tmp_path, "4 of 5", name_pattern="x{x_mm}.png")
+    rejects(tmp_path, "4 of 5", name_pattern="x{x_mm}.png")
     given = {"name_pattern": "x{x_mm}.png", "allow_unlabelled": True}
     import_images(tmp_path / "taps", tmp_path / "run", **given)
     assert Run.open(tmp_path / "run").labels["x_mm"].tolist() == [2.5]
@@ -227,7 +228,7 @@ def test_tables_of_sessions_with_other_columns_are_refused(tmp_path) -> None:
     for name, column in (("a", "depth_mm"), ("b", "deep_mm")):
         picture(tmp_path / "taps" / name / "0.png", 1)
         (tmp_path / "taps" / name / "labels.csv").write_text(f"file,{column}\n0.png,1\n")
-    refused(tmp_path, "deep_mm, depth_mm", labels="*/labels.csv")
+    rejects(tmp_path, "deep_mm, depth_mm", labels="*/labels.csv")
 
 
 def test_a_name_without_its_suffix_finds_the_only_image_and_no_other(tmp_path) -> None:
@@ -236,5 +237,5 @@ def test_a_name_without_its_suffix_finds_the_only_image_and_no_other(tmp_path) -
     import_images(folder, tmp_path / "run", labels="labels.csv")
     assert Run.open(tmp_path / "run").labels["x_mm"].tolist() == [1, 2, 3]
     picture(folder / "1.bmp", 4)
-    with pytest.raises(LabelError, match="write the suffix"):
+    with refused("image-ambiguous", LabelError):
         import_images(folder, tmp_path / "other", labels="labels.csv")

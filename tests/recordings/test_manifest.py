@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, RecordingError
 from palpate.recordings.manifest import MANIFEST, Manifest
@@ -37,7 +38,7 @@ def test_a_manifest_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_manifest_is_no_run(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"not a run: it holds no manifest\.json"):
+    with refused("not-a-run", RecordingError, match=r"manifest\.json"):
         Manifest.read(tmp_path)
 
 
@@ -57,7 +58,7 @@ def test_a_run_names_its_targets_and_they_carry_units() -> None:
 def test_a_run_names_the_regions_of_its_picture(tmp_path: Path) -> None:
     Manifest.new(sensor="s", regions={"fringes": (1, 2, 30, 40)}).write(tmp_path)
     assert Manifest.read(tmp_path).regions == {"fringes": (1, 2, 30, 40)}
-    with pytest.raises(InputError, match="the region rim"):
+    with refused("manifest-field", InputError):
         Manifest.new(sensor="s", regions={"rim": (0, 0, 0, 5)})
 
 
@@ -83,7 +84,7 @@ def test_a_manifest_that_names_no_targets_reads_as_one_without(tmp_path: Path) -
 def test_a_damaged_manifest_is_named_and_refused(tmp_path: Path, field: str, value: object) -> None:
     good = json.loads(Manifest.new(sensor="s", labels={"depth_mm": "number"}).model_dump_json())
     (tmp_path / MANIFEST).write_text(json.dumps({**good, field: value}))
-    with pytest.raises(RecordingError, match=r"manifest\.json is damaged"):
+    with refused("manifest-damaged", RecordingError, match=r"manifest\.json"):
         Manifest.read(tmp_path)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core.errors import ImageError, InputError
 from palpate.recordings.preparation import Preparation
@@ -23,7 +24,7 @@ def test_two_crops_lie_side_by_side_each_as_it_would_be_alone(channels: int) -> 
 
 @pytest.mark.parametrize("box", [(80, 0, 20, 20), (0, 30, 20, 20)])
 def test_a_second_crop_outside_the_frame_is_refused(box: tuple[int, int, int, int]) -> None:
-    with pytest.raises(ImageError, match="does not lie inside"):
+    with refused("crop-outside", ImageError):
         Preparation(LEFT, (10, 24), 1, box).apply(FRAME)
 
 

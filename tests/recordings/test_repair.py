@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ExistsError, ManualClock, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, repair
@@ -64,7 +65,7 @@ def test_a_repaired_run_is_sound_and_holds_all_that_was_readable(run: Path, tmp_
     assert new.events()["kind"].tolist() == ["end", "end"]
     lost = [found.file for found in report.lost]
     assert set(spoiled) <= set(lost)
-    assert sum("labels belong to frames" in found.what for found in report.lost) == 2
+    assert sum("labels belong" in found.what for found in report.lost) == 2
 
 
 def test_a_sound_run_is_copied_whole_and_loses_nothing(run: Path, tmp_path: Path) -> None:
@@ -101,6 +102,6 @@ def test_a_repair_never_overwrites(run: Path) -> None:
 def test_a_run_without_segments_has_nothing_to_repair(run: Path, tmp_path: Path) -> None:
     for path in run.glob("*.mcap"):
         path.unlink()
-    with pytest.raises(RecordingError, match="nothing to repair"):
+    with refused("no-segments", RecordingError):
         repair(run, tmp_path / "new")
     assert not (tmp_path / "new").exists()

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from mcap.writer import MCAP0_MAGIC
+from tests.refusals import refused
 
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, check, repair
@@ -150,7 +151,7 @@ def test_a_flipped_frame_of_a_closed_segment_raises_and_moves_no_other(run: Path
         file.write(b"\0\1\2\3")
     damaged = Run.open(run)
     assert len(damaged) == FRAMES
-    with pytest.raises(RecordingError, match=rf"0000-frames\.mcap at byte {chunk.offset}: .*palpate repair"):
+    with refused("segment-damaged", RecordingError, match=str(chunk.offset)):
         damaged.frame(1)
     np.testing.assert_array_equal(damaged.frame(2).image, picture(2))
     assert [(found.file, found.at_byte) for found in damaged.damage] == [(path.name, chunk.offset)]
@@ -273,7 +274,7 @@ def test_without_a_copy_a_spoilt_manifest_is_an_error(run: Path) -> None:
     spoilt("one byte is broken")(run)
     for path in run.glob("*.mcap"):
         path.unlink()
-    with pytest.raises(RecordingError, match=r"manifest\.json is damaged"):
+    with refused("manifest-damaged", RecordingError, match=r"manifest\.json"):
         Run.open(run)
 
 
@@ -309,7 +310,7 @@ def test_a_run_of_before_whose_manifest_was_changed_is_read_by_it_as_it_was(run:
     (run / "manifest.json").write_text(text.replace('"sensor": "s"', '"sensor": "t"'))
     changed = Run.open(run)
     assert changed.manifest.sensor == "t"
-    assert "manifest.json at byte 0: has changed since segment 0 was recorded" in map(str, changed.damage)
+    assert any("segment 0" in str(one) for one in changed.damage)
 
 
 def test_a_segment_of_another_run_is_left_out_and_told(run: Path, tmp_path: Path) -> None:
@@ -319,7 +320,7 @@ def test_a_segment_of_another_run_is_left_out_and_told(run: Path, tmp_path: Path
         shutil.copy(tmp_path / f"other/0000-{kind}.mcap", run / f"0001-{kind}.mcap")
     mixed = Run.open(run)
     assert len(mixed) == FRAMES
-    assert ["belongs to another run" in found.what for found in mixed.damage] == [True]
+    assert ["another run" in found.what for found in mixed.damage] == [True]
 
 
 def test_times_are_seconds_since_the_run_began_and_the_nearest_frame_is_found(written: Path) -> None:
@@ -333,7 +334,7 @@ def test_times_are_seconds_since_the_run_began_and_the_nearest_frame_is_found(wr
 
 @pytest.mark.parametrize("index", [-1, FRAMES])
 def test_an_index_that_is_not_there_is_refused(written: Path, index: int) -> None:
-    with pytest.raises(RangeError, match="frames 0 to 2"):
+    with refused("index-range", RangeError):
         Run.open(written).frame(index)
 
 
@@ -364,10 +365,10 @@ def test_a_damaged_frame_stays_an_error_however_often_it_is_asked_for(run: Path)
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        (struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0), "claims 60000 x 60000 pixels"),
-        (struct.pack(">IIBBBBB", 0, 4, 8, 0, 0, 0, 0), "claims 0 x 4 pixels"),
-        (struct.pack(">IIBBBBB", 4, 4, 16, 0, 0, 0, 0), "16-bit"),
-        (struct.pack(">IIBBBBB", 4, 4, 8, 3, 0, 0, 0), "colour type 3"),
+        (struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0), "image-size"),
+        (struct.pack(">IIBBBBB", 0, 4, 8, 0, 0, 0, 0), "image-size"),
+        (struct.pack(">IIBBBBB", 4, 4, 16, 0, 0, 0, 0), "pixel-format"),
+        (struct.pack(">IIBBBBB", 4, 4, 8, 3, 0, 0, 0), "pixel-format"),
     ],
 )
 def test_a_png_is_judged_by_its_header_before_it_is_decoded(header: bytes, message: str) -> None:
@@ -375,7 +376,7 @@ def test_a_png_is_judged_by_its_header_before_it_is_decoded(header: bytes, messa
         return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
 
     data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
-    with pytest.raises(ImageError, match=message):
+    with refused(message, ImageError):
         image_files.decode(np.frombuffer(data, np.uint8))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
+from tests.refusals import refused
 
 from palpate.core import SplitError
 from palpate.recordings.splits import Split, split
@@ -143,7 +144,7 @@ def test_blocks_of_no_length_are_refused(spec) -> None:
 
 
 def test_too_few_blocks_are_refused_with_the_remedy() -> None:
-    with pytest.raises(SplitError, match="shorter blocks or fewer folds"):
+    with refused("too-few-blocks", SplitError):
         split(pd.DataFrame({"x_mm": np.arange(20.0)}), "blocks:10", folds=5)
 
 
@@ -159,5 +160,5 @@ def test_sessions_are_the_coarsest_group_and_presses_count_within_them() -> None
 
 @pytest.mark.parametrize("table", [{"x_mm": [1.0, 2.0]}, {"session": ["a", "a"]}])
 def test_a_split_by_session_needs_two(table) -> None:
-    with pytest.raises(SplitError, match="runs of several days"):
+    with refused("one-session", SplitError):
         split(pd.DataFrame(table), "session")

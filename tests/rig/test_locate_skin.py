@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.refusals import refused
 from tests.rig.rigs import IDEAL, SPEC, plan, rig
 
 from palpate.core.errors import InputError, RecordingError
@@ -52,8 +53,8 @@ def test_a_run_of_another_plan_says_nothing_of_the_layer(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "said"), [({"inside_mm": 24.0}, "over the rim"), ({"beyond_mm": 5.0}, "without touching")]
+    ("change", "said"), [({"inside_mm": 24.0}, "position-outside"), ({"beyond_mm": 5.0}, "rim-not-touched")]
 )
 def test_places_that_tell_nothing_are_refused(change: dict[str, float], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+    with refused(said, InputError):
         Around(kind="around", **change).places()  # type: ignore[arg-type]

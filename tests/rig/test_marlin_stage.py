@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from tests.refusals import refused
 from tests.rig.conftest import PATIENCE_S, FastClock
 from tests.rig.serial_terminal import FakeTerminal
 
@@ -249,20 +250,20 @@ def test_homing_takes_as_long_as_it_says_that_it_is_busy(bench) -> None:
 @pytest.mark.parametrize(
     ("model", "spec", "error", "said"),
     [
-        ({"junction": True}, {}, InputError, "sudden_m_s"),
-        ({"core_xy": True}, {}, DeviceError, "CoreXY"),
-        ({"level_mm": 0.3}, {}, DeviceError, "levelling"),
-        ({}, {"least_m": None, "greatest_m": None}, InputError, "once it is homed"),
+        ({"junction": True}, {}, InputError, "jerk-unknown"),
+        ({"core_xy": True}, {}, DeviceError, "kinematics"),
+        ({"level_mm": 0.3}, {}, DeviceError, "bed-leveling"),
+        ({}, {"least_m": None, "greatest_m": None}, InputError, "travel-missing"),
     ],
 )
 def test_a_machine_that_cannot_be_driven_is_refused_by_name(bench, model, spec, error, said) -> None:
-    with pytest.raises(error, match=said):
+    with refused(said, error):
         bench(MarlinParameters(**model), **spec).open()
 
 
 def test_a_machine_that_wants_homing_first_is_told(bench) -> None:
     stage = bench(MarlinParameters(needs_homing=True)).open()
-    with pytest.raises(DeviceError, match="Home XYZ First"):
+    with refused("move-refused", DeviceError):
         stage.move_to((0.001, 0, 0), SPEED)
 
 
@@ -332,7 +333,7 @@ def test_a_port_that_goes_is_told_and_the_stage_goes_on_by_one_move_at_most(benc
     stage = one.open()
     one.to_speed(stage, (0.005, 0.0, 0.0))
     one.terminal.unplug()
-    assert "it may still be moving" in one.fails(stage.moving)
+    assert "may still" in one.fails(stage.moving)
     one.clock.sleep(10.0)
     assert one.gone_mm[0] == pytest.approx(5.0, abs=STEP_MM)
 
@@ -348,8 +349,8 @@ def test_a_count_that_jumps_is_told_and_the_place_lost(bench) -> None:
     one = bench(faults=MarlinFaults(jump_after_mm=1.0, jump_mm=(0.0, 0.5, 0.0)))
     stage = one.open()
     stage.move_to((0.005, 0.0, 0.0), SPEED)
-    assert "off its way" in one.fails(stage.moving)
-    with pytest.raises(DeviceError, match="no move had sent it"):
+    assert "off its" in one.fails(stage.moving)
+    with refused("position-lost", DeviceError):
         stage.position_m()
 
 
@@ -357,7 +358,7 @@ def test_a_controller_that_says_nothing_is_told(bench) -> None:
     one = bench(reply_s=0.1)
     stage = one.open()
     one.spoil(MarlinFaults(mute=True))
-    with pytest.raises(DeviceError, match="does not answer"):
+    with refused("marlin-silence", DeviceError):
         stage.position_m()
 
 
@@ -376,7 +377,7 @@ def test_a_stop_that_is_not_heeded_is_no_stop(bench) -> None:
     stopper = threading.Thread(target=stop)
     stopper.start()
     one.wait(lambda: not stopper.is_alive())
-    assert "did not stop when told to" in str(done[0])
+    assert "stop when" in str(done[0])
     one.wait(lambda: one.firmware.killed)
     assert one.gone_mm[0] < 39.0
 
@@ -390,7 +391,7 @@ def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(bench) -> Non
 
 
 def test_what_is_no_marlin_is_refused(bench) -> None:
-    with pytest.raises(DeviceError, match="answers as Marlin does"):
+    with refused("not-marlin", DeviceError):
         bench(faults=MarlinFaults(mute=True), reply_s=0.05).open()
 
 

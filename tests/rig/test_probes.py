@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 from tests.rig.rigs import SPEC, plan, rig
 
 from palpate.core import Pose
@@ -97,7 +98,7 @@ def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
 def test_deeper_than_a_law_reaches_is_refused_before_anything_moves(tmp_path: Path, deep: StepHold) -> None:
     bench = rig()
     before = bench.stage.position_m()
-    with pytest.raises(Tripped, match="below first touch") as e:
+    with refused("plan", Tripped) as e:
         record(bench, deep, tmp_path / "run")
     assert e.value.reason is Reason.PLAN
     assert bench.stage.position_m() == before
@@ -110,5 +111,5 @@ def test_an_indenter_that_is_none_is_refused_before_anything_moves(tmp_path: Pat
 
 
 def test_an_indenter_wider_than_the_places_allow_for_is_refused() -> None:
-    with pytest.raises(InputError, match="wider than the probe of 10 mm"):
+    with refused("probe-too-wide", InputError, match="10 mm"):
         plan_from({"indenters": ["sphere:12"]})

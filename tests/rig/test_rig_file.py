@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from tests.fakes.grbl_parameters import GrblParameters
 from tests.fakes.netft_box import FakeNetFT
+from tests.refusals import refused
 from tests.rig.rigs import plan
 
 from palpate.core import MonotonicClock
@@ -144,7 +145,7 @@ def test_a_rigs_process_is_found_by_its_files_whole_path_however_long(tmp_path: 
     one, other = (path_of(f"/{first}{'x' * 300}/bench.toml", tmp_path).name for first in "ab")
     assert one != other
     assert len(one) < 120
-    with pytest.raises(InputError, match="no such file"):
+    with refused("rig-unknown", InputError):
         rig_name("nowhere.toml")
 
 
@@ -243,7 +244,7 @@ def test_a_value_too_small_to_record_with_is_refused_with_field_floor_and_unit(
 def test_a_region_without_a_size_or_outside_the_picture_is_refused(tmp_path: Path, box: list[int]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(REAL.format(rdt=1, http=1) + f'[[regions]]\nname = "part"\nbox_px = {box}\n')
-    with pytest.raises(InputError, match=r"box_px of 'part'"):
+    with refused("file-field", InputError, match="'part'"):
         read_rig(path)
 
 
@@ -251,7 +252,7 @@ def test_a_region_without_a_size_or_outside_the_picture_is_refused(tmp_path: Pat
 def test_a_host_that_is_none_is_refused_by_its_field(tmp_path: Path, host: str) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(REAL.format(rdt=1, http=1).replace("127.0.0.1", host))
-    with pytest.raises(InputError, match=r"force\.host: .* is no host"):
+    with refused("file-field", InputError):
         read_rig(path)
 
 

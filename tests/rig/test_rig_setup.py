@@ -14,6 +14,7 @@ import pytest
 from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.fakes.netft_box import FakeNetFT, FakePage
 from tests.fakes.video_capture import FakeVideoCapture
+from tests.refusals import refused
 from tests.rig.conftest import GrblBench
 from tests.rig.lab_files import pushed
 from typer.testing import CliRunner
@@ -269,8 +270,8 @@ def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_st
         assert one.bench.place_mm == pytest.approx((-49.5, -49.5, -5.0), abs=0.01)
     said = "\n".join(led.told)
     assert "[-49.5, 50.0" in said
-    assert "50 mm are the most" in said
-    assert "give three numbers" in said
+    assert "50 mm" in said
+    assert "three numbers" in said
 
 
 def test_a_step_in_a_file_of_answers_is_refused_after_it_and_not_repeated(tmp_path: Path) -> None:
@@ -355,7 +356,7 @@ def test_soft_limits_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
     limits = {"least_mm": [-10, 0, 0], "greatest_mm": [-20, 50, 50]}
     with lab() as one:
         answers = answers_of(one, may_move=False, **limits)
-        with pytest.raises(RangeError, match="x from -10 to -20 mm"):
+        with refused("soft-limits", RangeError, match="-20 mm"):
             set_up(tmp_path / "rig.toml", answers, lambda line: None)
     assert not (tmp_path / "rig.toml").exists()
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from tests.refusals import refused
 from tests.rig.rigs import SPEC, rig
 
 from palpate.core import InputError, RangeError
@@ -155,11 +156,11 @@ def test_frames_outside_or_in_a_gap_are_refused() -> None:
     t = np.concatenate([np.arange(0.0, 1.0, 0.008), np.arange(1.2, 2.0, 0.008)])
     kwargs = {"exposure_s": 0.01, "offset_s": 0.0}
     mean_over_exposures(t, t, np.array([0.5, 1.5]), **kwargs)
-    with pytest.raises(RangeError, match=r"0 of 2 frames lie outside.*and 1 in gaps"):
+    with refused("frames-without-force", RangeError):
         mean_over_exposures(t, t, np.array([0.5, 1.1]), **kwargs)
-    with pytest.raises(RangeError, match="1 of 1 frames lie outside"):
+    with refused("frames-without-force", RangeError):
         mean_over_exposures(t, t, np.array([0.005]), **kwargs)
-    with pytest.raises(RangeError, match="1 of 1 frames lie outside"):
+    with refused("frames-without-force", RangeError):
         mean_over_exposures(t, t, np.array([1.99]), exposure_s=0.01, offset_s=-0.01)
     with pytest.raises(InputError, match="finite"):
         mean_over_exposures(t, t, np.array([np.nan]), **kwargs)

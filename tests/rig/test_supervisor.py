@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.refusals import refused
 from tests.rig import supervised_bench
 from tests.slow_params import mostly_slow
 
@@ -152,7 +153,7 @@ def test_force_and_way_reach_who_subscribed_and_a_force_reached_ends_the_move(su
 def test_the_limit_of_force_is_the_supervisors_and_has_its_name_here(supervised) -> None:
     with opened(supervised()) as rig:
         guard = guarded(rig)
-        with pytest.raises(Tripped, match=r"6 N are allowed") as tripped:
+        with refused("force-limit", Tripped, match="6 N") as tripped:
             guard.towards((0.0, 0.0, 4 * MM), 2 * MM, step_m=4 * MM)
         assert tripped.value.reason is Reason.FORCE_LIMIT
         guard.lift()

@@ -25,6 +25,7 @@ from tests.fakes.ur_controller import (
     UrFaults,
     ur_modules,
 )
+from tests.refusals import refused
 
 from palpate.core import (
     DeviceError,
@@ -163,17 +164,17 @@ def test_into_the_skin_is_down_and_y_leads_to_the_viewer(opened) -> None:
 @pytest.mark.parametrize(
     ("rows", "tool", "says"),
     [
-        (((1, 0, 0), (0, -1, 0), (0, 0, -1.01)), TOOL, "orthonormal"),
-        (((1, 0, 0.02), (0, -1, 0), (0, 0, -1)), TOOL, "orthonormal"),
-        (((1, 0, 0), (0, 1, 0), (0, 0, -1)), TOOL, "mirrors"),
-        (((1, 0, 0), (0, 1, 0), (0, 0, 1)), TOOL, "180 degrees away"),  # z out of the skin
-        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), TOOL, "90 degrees away"),
-        (DOWN, (0.0, 0.0, 0.0), "180 degrees away"),
-        (((math.nan, 0, 0), (0, -1, 0), (0, 0, -1)), TOOL, "finite"),
+        (((1, 0, 0), (0, -1, 0), (0, 0, -1.01)), TOOL, "not-orthonormal"),
+        (((1, 0, 0.02), (0, -1, 0), (0, 0, -1)), TOOL, "not-orthonormal"),
+        (((1, 0, 0), (0, 1, 0), (0, 0, -1)), TOOL, "mirrored"),
+        (((1, 0, 0), (0, 1, 0), (0, 0, 1)), TOOL, "tool-direction"),  # z out of the skin
+        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), TOOL, "tool-direction"),
+        (DOWN, (0.0, 0.0, 0.0), "tool-direction"),
+        (((math.nan, 0, 0), (0, -1, 0), (0, 0, -1)), TOOL, "not-finite"),
     ],
 )
 def test_a_wrong_rotation_is_refused(rows, tool, says) -> None:
-    with pytest.raises(InputError, match=says):
+    with refused(says, InputError):
         ArmFrame(rows, ZERO, tool)
 
 
@@ -189,7 +190,7 @@ def test_opening_moves_nothing(bench) -> None:
 
 def test_another_orientation_is_refused_before_the_arm_is_taken(bench) -> None:
     rig = bench(pose=(*POSE[:3], math.pi - math.radians(0.6), 0.0, 0.0))
-    with pytest.raises(DeviceError, match=r"0\.60 degrees out"):
+    with refused("tool-orientation", DeviceError, match=r"0\.60 degrees"):
         rig.open()
     assert not rig.arm.uploads
 
@@ -211,7 +212,7 @@ def test_a_tool_that_is_turned_later_is_named(opened) -> None:
     rig.arm.led_to((*POSE[:3], math.pi, 0.05, 0.0))
     rig.clock.sleep(0.01)
     for call in (stage.moving, lambda: stage.move_to(LOW, SPEED)):
-        with pytest.raises(DeviceError, match="out of the orientation stated"):
+        with refused("tool-orientation", DeviceError):
             call()
     assert not rig.arm.moves
 
@@ -220,7 +221,7 @@ def test_an_arm_outside_its_box_is_not_sent_back_blindly(opened) -> None:
     rig, stage = opened()
     rig.arm.led_to((0.4, 0.16, 0.205, *TOOL))
     rig.clock.sleep(0.01)
-    with pytest.raises(DeviceError, match=r"y is -60.00 mm"):
+    with refused("outside-travel", DeviceError, match=r"-60\.00 mm"):
         stage.move_to(LOW, SPEED)
 
 
@@ -256,7 +257,7 @@ def test_a_stop_that_runs_on_too_far_is_told(opened, faults) -> None:
     rig, stage = opened(top_speed_m_s=0.25, acceleration_m_s2=2.0)
     rig.to_speed(stage, (0.05, 0.0, -0.005), 0.1)
     rig.arm.faults = faults
-    with pytest.raises(DeviceError, match=r"ran on .* mm after it was told to stop"):
+    with refused("stop-distance", DeviceError):
         stage.stop()
     assert rig.arm.true_speed() == 0.0
 
@@ -265,7 +266,7 @@ def test_an_arm_that_does_not_stop_is_told_to_be_stopped_by_its_button(opened) -
     rig, stage = opened(stop_s=0.5)
     rig.to_speed(stage, (0.05, 0.0, -0.005))
     rig.arm.faults = UrFaults(deaf=True)
-    with pytest.raises(DeviceError, match="press its emergency stop"):
+    with refused("stop-failed", DeviceError):
         stage.stop()
 
 
@@ -297,7 +298,7 @@ def test_a_stop_of_its_own_is_named_in_motion_and_at_opening(bench, name) -> Non
     rig.to_speed(stage, LOW)
     rig.arm.stop_for_safety(*bits, mode=mode)
     assert name in rig.fails(stage.moving, HardwareStopError, within_s=0.1)
-    with pytest.raises(HardwareStopError, match=f"stands, and .*{name}"):
+    with refused("hardware-stop", HardwareStopError, match=str(name)):
         stage.stop()
     with pytest.raises(HardwareStopError, match=name):
         stage.move_to(LOW, SPEED)
@@ -318,7 +319,7 @@ def test_a_released_arm_whose_programme_ended_is_opened_anew(opened) -> None:
     rig.arm.stop_for_safety(PROTECTIVE)
     rig.arm.released()
     rig.clock.sleep(0.01)
-    with pytest.raises(DeviceError, match=r"programme no longer runs.*open it anew"):
+    with refused("program-ended", DeviceError):
         stage.move_to(LOW, SPEED)
 
 
@@ -338,9 +339,9 @@ def test_a_lost_connection_is_told_and_a_stop_says_what_to_do(opened) -> None:
     rig.to_speed(stage, LOW)
     rig.arm.cut = True
     for call in (stage.position_m, stage.moving):
-        with pytest.raises(DeviceError, match="connection to the arm's controller is lost"):
+        with refused("connection-lost", DeviceError):
             call()
-    with pytest.raises(DeviceError, match=r"nothing shows that it did.*emergency stop"):
+    with refused("stop-not-confirmed", DeviceError):
         stage.stop()
     with pytest.raises(DeviceError, match="nothing shows"):  # closing an arm that may move says so
         stage.close()
@@ -381,7 +382,7 @@ def test_a_connection_that_fell_silent_in_a_long_pause_is_not_believed(opened) -
     stage.position_m()
     rig.arm.faults = UrFaults(silent=True)
     rig.clock.sleep(36e3)
-    with pytest.raises(DeviceError, match="no new status"):
+    with refused("status-stale", DeviceError):
         stage.position_m()
 
 
@@ -400,7 +401,7 @@ def test_a_refused_move_leaves_it_where_it_was(opened) -> None:
     rig, stage = opened()
     rig.arm.faults = UrFaults(refuse=True)
     before = rig.arm.true_pose()
-    with pytest.raises(DeviceError, match="refused to move"):
+    with refused("move-refused", DeviceError):
         stage.move_to(LOW, SPEED)
     assert np.array_equal(rig.arm.true_pose(), before)
     rig.arm.faults = UrFaults()
@@ -411,7 +412,7 @@ def test_a_refused_move_leaves_it_where_it_was(opened) -> None:
 def test_a_move_that_is_refused_and_begins_all_the_same_is_stopped(opened) -> None:
     rig, stage = opened()
     rig.arm.faults = UrFaults(refuse_late=True)
-    with pytest.raises(DeviceError, match="refused to move"):
+    with refused("move-refused", DeviceError):
         stage.move_to(LOW, SPEED)
     rig.clock.sleep(1.0)
     assert rig.arm.true_speed() == 0.0
@@ -421,7 +422,7 @@ def test_a_move_that_is_refused_and_begins_all_the_same_is_stopped(opened) -> No
 def test_an_exception_of_the_library_is_a_device_error(opened) -> None:
     rig, stage = opened()
     rig.arm.faults = UrFaults(raises=True)
-    with pytest.raises(DeviceError, match="Failed to send data"):
+    with refused("stop-unexpected", DeviceError):
         stage.move_to(LOW, SPEED)
 
 
@@ -429,11 +430,11 @@ def test_an_arm_that_stands_short_or_strays_is_told(opened) -> None:
     rig, stage = opened(still_s=0.2)
     rig.arm.faults = UrFaults(stuck_m=3e-3)
     stage.move_to(LOW, SPEED)
-    assert "7.00 mm short" in rig.fails(stage.moving, within_s=2.0)
+    assert "7.00 mm" in rig.fails(stage.moving, within_s=2.0)
     stage.stop()
     rig.arm.faults = UrFaults(aside_m=4e-3)
     stage.move_to(LOW, SPEED)
-    assert "off its straight way" in rig.fails(stage.moving, within_s=4.0)
+    assert "straight way" in rig.fails(stage.moving, within_s=4.0)
     stage.stop()
 
 
@@ -457,7 +458,7 @@ def test_a_move_that_was_stopped_before_it_began_never_does(opened, monkeypatch)
         return status
 
     monkeypatch.setattr(stage._watch, "look", stopped_meanwhile)
-    with pytest.raises(DeviceError, match="stopped before this move began"):
+    with refused("move-canceled", DeviceError):
         stage.move_to(LOW, SPEED)
     assert not rig.arm.moves
 
@@ -478,7 +479,7 @@ def test_a_stop_waits_until_a_move_is_handed_over_and_then_stops_it(opened) -> N
 
 def test_one_programme_at_a_time_has_an_arm(bench) -> None:
     rig = bench()
-    with rig.open(), pytest.raises(DeviceError, match=f"arm {HOST} is in use"):
+    with rig.open(), refused("device-held", DeviceError, match=str(HOST)):
         rig.open()
     rig.open().close()
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
+from tests.refusals import refused
 
 from palpate.core import Camera
 from palpate.core.device_protocols import FrameSource
@@ -186,7 +187,7 @@ def test_a_camera_without_white_balance_is_used_and_one_that_balances_by_itself_
 
 def test_a_camera_that_cannot_be_opened_is_told(source: FakeVideoCapture) -> None:
     source.opens = False
-    assert "cannot be opened" in refused_open(source)
+    assert "cannot be" in refused_open(source)
 
 
 # C1: dropped, duplicate, frozen, undecodable
@@ -212,7 +213,7 @@ def test_a_duplicate_frame_is_counted_and_never_handed_out(
 
 def test_a_camera_that_froze_is_told(camera: UvcCamera, source: FakeVideoCapture) -> None:
     source.frozen = True
-    assert "for 0.2 s were equal in every pixel" in failure(camera)
+    assert "0.2 s" in failure(camera)
     assert camera.counts.duplicate >= 3
 
 
@@ -224,7 +225,7 @@ def test_frames_that_cannot_be_decoded_are_passed_over_until_there_are_ten_in_a_
     camera.grab(PATIENCE_S)
     assert camera.counts.dropped == 0
     source.tear(10)
-    assert "10 frames in a row" in failure(camera)
+    assert "10 frames" in failure(camera)
 
 
 # C2: clocks that go back
@@ -268,7 +269,7 @@ def test_a_frame_of_another_size_or_format_ends_the_frames(
     camera: UvcCamera, source: FakeVideoCapture, shape: tuple[int, ...]
 ) -> None:
     source.shape = shape
-    assert "size or format changed" in failure(camera)
+    assert "format changed" in failure(camera)
 
 
 # C5: unplugged, hanging
@@ -299,7 +300,7 @@ def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(
     source.resume.clear()
     assert source.hangs.wait(PATIENCE_S)
     asked = time.monotonic()
-    with pytest.raises(DeviceError, match=r"no frame came within 0\.1 s"):
+    with refused("no-frames", DeviceError, match=r"0\.1 s"):
         camera.grab(0.1)
     assert time.monotonic() - asked < PATIENCE_S
     camera.close()
@@ -312,7 +313,7 @@ def test_a_reading_thread_that_ends_by_a_mistake_does_not_leave_an_old_frame_as_
     camera: UvcCamera, source: FakeVideoCapture
 ) -> None:
     source.error = ZeroDivisionError()
-    assert "its reading thread ended" in failure(camera)
+    assert "reading thread" in failure(camera)
 
 
 def test_a_closed_camera_says_so_and_closing_again_does_nothing(source: FakeVideoCapture) -> None:
@@ -407,7 +408,7 @@ def test_a_serial_number_that_is_not_there_is_refused_with_those_that_are(
     tmp_path: Path, serial: str
 ) -> None:
     folder = by_id(tmp_path, "usb-Maker_Eye_1234-video-index0")
-    with pytest.raises(DeviceError, match=r"0 cameras .*Maker_Eye_1234"):
+    with refused("camera-not-found", DeviceError, match="Maker_Eye_1234"):
         device(serial, folder)
     with pytest.raises(DeviceError, match="none"):
         device(serial, tmp_path / "nowhere")

@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ImageError, InputError, RangeError
 from palpate.sensing.image_health import edge_blur_px, image_health, lit_region, seen_frequency_hz
@@ -159,7 +160,7 @@ def test_a_good_picture_needs_nothing() -> None:
 
 
 def test_a_picture_out_of_focus_or_full_of_noise_says_so() -> None:
-    assert "focus on the skin" in image_health(movie(step(3.0), 8, noise=0.5), 30.0).advice[0]
+    assert "focus on" in image_health(movie(step(3.0), 8, noise=0.5), 30.0).advice[0]
     assert "less gain" in image_health(movie(SCENE, 8, noise=7.0), 30.0).advice[0]
 
 
@@ -169,15 +170,15 @@ def test_the_lit_part_is_the_skin_s_region() -> None:
     scene[5:10, 5:20] = 200.0  # a reflection
     found = lit_region(movie(scene, 3))
     assert np.abs(np.array(found) - [40, 30, 90, 60]).max() <= 2
-    with pytest.raises(ImageError, match="light the skin"):
+    with refused("no-bright-region", ImageError):
         lit_region([np.full((HEIGHT, WIDTH), 80, np.uint8)])
 
 
 def test_frames_that_tell_nothing_are_refused_with_what_to_give() -> None:
     frames = movie(SCENE, 4)
-    with pytest.raises(InputError, match="4 or more"):
+    with refused("too-few-frames", InputError):
         image_health(frames[:3], 30.0)
-    with pytest.raises(RangeError, match="above 0 Hz"):
+    with refused("frame-rate", RangeError, match="0 Hz"):
         image_health(frames, 0.0)
     with pytest.raises(RangeError, match="inside"):
         image_health(frames, 30.0, region=(0, 0, 500, 20))

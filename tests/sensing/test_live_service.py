@@ -9,6 +9,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+from tests.refusals import refused
 from tests.sensing.live_stand_ins import until
 
 from palpate.core import CertificateError, DeviceError, InputError, SafetyError
@@ -85,7 +86,7 @@ def test_a_recording_is_whole_when_it_has_ended_and_stays_in_its_folder(served) 
     assert kept["run"] == str(runs / "first")
     with pytest.raises(InputError, match="no slash"):
         client.record("../elsewhere")
-    with pytest.raises(SafetyError, match="nothing is being recorded"):
+    with refused("no-recording", SafetyError):
         client.record_stop()
 
 
@@ -131,12 +132,12 @@ def test_the_picture_is_looked_at_where_the_sensors_preset_says_its_skin_is(
 def test_presses_are_collected_beside_and_their_run_is_whole(served) -> None:
     _, _, client, runs = served
     client.wait_for(lambda status: status["state"] == "live", 10.0)
-    with pytest.raises(InputError, match="no force sensor"):
+    with refused("no-force-sensor", InputError):
         client.collect("presses")
     client.collect("presses", scale="typed", asked=3)
     status = client.wait_for(lambda status: status["collect"], 5.0)
     assert status["collect"]["asked"] == 3
-    with pytest.raises(InputError, match="above 0 N"):
+    with refused("weight-range", InputError):
         client.label(-1.0)
     assert client.collect_stop()["presses"] == 0
     assert not Run.open(runs / "presses").damage
@@ -174,9 +175,9 @@ def test_no_camera_and_a_calibration_that_is_none_have_a_name_each(tmp_path) -> 
     status = service.status()
     assert "serial number" in status["why"]
     assert any("lost" in line["text"] for line in status["log"])
-    with pytest.raises(SafetyError, match="not there now"):
+    with refused("camera-missing", SafetyError):
         LiveService.record(service_with_runs(service, tmp_path), "run")
-    with pytest.raises(CertificateError, match="not a calibration"):
+    with refused("card-missing", CertificateError):
         service.use(str(tmp_path))
     assert service.status()["state"] == "lost"
     service.close()
@@ -223,7 +224,7 @@ def test_the_process_outlives_its_clients_and_leaves_its_recording_whole(video, 
         with LiveClient("live process", tmp_path) as second:
             status = second.wait_for(lambda status: status["record"], 20.0)
             assert status["record"]["run"] == str(runs / "kept")
-            with pytest.raises(DeviceError, match="drives live process already"):
+            with refused("process-not-started", DeviceError):
                 launch_live("live process", options, folder=tmp_path)
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0

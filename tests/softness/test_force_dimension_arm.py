@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.fakes.fake_force_dimension import VELOCITY, ArmFaults, FakeForceDimension, _Dhd, _Expert
+from tests.refusals import refused
 
 from palpate.core import DeviceError, HapticArm, ManualClock, MissingExtraError, Position, RangeError
 from palpate.softness.real.force_dimension_arm import (
@@ -125,9 +126,9 @@ def test_a_number_that_no_arm_can_mean_is_refused(wrong: dict[str, Any]) -> None
 
 
 def test_where_there_is_no_arm_it_says_what_to_check() -> None:
-    with pytest.raises(DeviceError, match=r"no arm .*no device found.*power.*udev"):
+    with refused("arm-not-found", DeviceError):
         opened(faults=ArmFaults(absent=True))
-    with pytest.raises(DeviceError, match="serial number 41"):
+    with refused("arm-not-found", DeviceError, match="41"):
         opened(replace(SPEC, serial=41), faults=ArmFaults(absent=True))
 
 
@@ -147,7 +148,7 @@ def test_an_arm_whose_places_mean_nothing_is_refused_and_let_go() -> None:
 
 
 def test_a_limit_that_is_not_taken_is_found_by_reading_it_back() -> None:
-    with pytest.raises(DeviceError, match=r"force limit was set to 10 N and is -1"):
+    with refused("arm-fault", DeviceError, match="-1"):
         opened(faults=ArmFaults(deaf=True))
 
 
@@ -201,7 +202,7 @@ def test_a_force_that_may_not_be_is_refused_before_anything_is_sent(force_n: flo
     arm, fake, _ = opened()
     arm.release()
     before = len(fake.calls)
-    with pytest.raises(RangeError, match="-8 to 8 N"):
+    with refused("force", RangeError, match="8 N"):
         arm.set_force(force_n)
     assert len(fake.calls) == before
     assert fake.enabled
@@ -242,7 +243,7 @@ def test_the_guide_brings_the_display_to_its_axis_and_holds_it_still(mass_kg: fl
 def test_a_display_far_off_its_guide_is_a_fault() -> None:
     x, y, z = ZERO_M
     arm, _, _ = opened(place_m=(x + 3e-3, y - 4.1e-3, z))
-    assert "5.1 mm off its guide" in arm.latest().fault
+    assert "5.1 mm" in arm.latest().fault
     assert opened(place_m=(x + 3e-3, y - 3.9e-3, z))[0].latest().fault == ""
 
 
@@ -264,7 +265,7 @@ def test_motors_that_do_not_reach_the_force_are_a_fault_once_it_lasts() -> None:
 def test_an_arm_that_brakes_for_its_speed_says_so_and_takes_no_force_until_released() -> None:
     arm, fake, clock = opened()
     arm.release()
-    with pytest.raises(DeviceError, match="velocity limit: the arm brakes"):
+    with refused("arm-braked", DeviceError):
         pressed(arm, clock, 8.0, 0.2)  # 8 N on 0.3 kg are 1 m/s within 38 ms
     assert fake.cause in (VELOCITY, 4)
     assert arm.latest().fault == "velocity limit: the arm brakes"
@@ -329,7 +330,7 @@ def test_a_place_that_is_no_number_brakes_and_raises() -> None:
     arm, fake, _ = opened()
     arm.release()
     fake.faults.no_number = True
-    with pytest.raises(DeviceError, match=r"nan.*told to brake"):
+    with refused("arm-fault", DeviceError):
         arm.latest()
     assert fake.braked
     with pytest.raises(DeviceError, match="release"):
@@ -393,7 +394,7 @@ def test_one_call_that_fails_brakes_the_arm_and_says_which(name: str) -> None:
     arm.release()
     pressed(arm, clock, 1.0, 0.01)
     fake.faults.fails[name] = fake.counts[name] + 1
-    with pytest.raises(DeviceError, match=rf"{name} failed: com; it was told to brake"):
+    with refused("arm-fault", DeviceError, match=str(name)):
         pressed(arm, clock, 1.0, 0.01)
     assert fake.braked
     assert f"{name} failed" in arm.latest().fault
@@ -407,7 +408,7 @@ def test_a_brake_that_is_not_taken_raises_and_leaves_the_rest_to_the_watchdog() 
     arm.set_force(2.0)
     fake.faults.fails = {"stop": 1, "enableForce": 1}
     fake.faults.stays = True
-    with pytest.raises(DeviceError, match=r"did not take the brake.*20 ms"):
+    with refused("brake-refused", DeviceError, match="20 ms"):
         arm.brake()
     with pytest.raises(DeviceError):
         arm.set_force(2.0)
@@ -430,7 +431,7 @@ def test_a_brake_of_another_thread_wins_over_a_force_on_its_way(name: str) -> No
             arm.brake()
 
     fake.hook = once
-    with pytest.raises(DeviceError, match="as it was told to"):
+    with refused("arm-braked", DeviceError):
         arm.set_force(2.0)
     assert fake.braked
     assert arm.latest().fault == ""  # nothing is wrong with it
@@ -446,7 +447,7 @@ def test_a_brake_of_another_thread_wins_over_a_release_on_its_way(name: str) -> 
             arm.brake()
 
     fake.hook = once
-    with pytest.raises(DeviceError, match="told to brake"):
+    with refused("braked-in-release", DeviceError):
         arm.release()
     assert fake.braked
     assert not fake.enabled

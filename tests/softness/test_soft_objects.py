@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core import InputError, PalpateError, RangeError, UnitError
 from palpate.mechanics.half_space.hertz_pairs import Body
@@ -80,12 +81,12 @@ def test_tables_polynomials_and_bodies_are_read_in_their_units(tmp_path: Path) -
     [
         ("area_mm2", "area", UnitError, "area_mm2"),
         ("displacement_mm", "displacement_cm2", UnitError, "displacement_um"),
-        ("0.6, 1.6", "1.6, 0.6", InputError, r"force goes from 1.6 to 0.6 N after value 2"),
-        ("20.0, 60.0", "20.0, 20.0", InputError, r"area goes from 20 to 20 mm²"),
+        ("0.6, 1.6", "1.6, 0.6", InputError, r"1\.6 to"),
+        ("20.0, 60.0", "20.0, 20.0", InputError, "20 mm²"),
         ("[0.0, 0.5", "[-0.1, 0.5", RangeError, "below 0"),
         ("0.5, 1.3", "nan, 1.3", InputError, "finite"),
-        ("0.5, 1.3", '"a", 1.3', InputError, "list of numbers"),
-        ("0.5, 1.3", "1.3", InputError, "4 values and 3 forces"),
+        ("0.5, 1.3", '"a", 1.3', InputError, "of numbers"),
+        ("0.5, 1.3", "1.3", InputError, "3 forces"),
         ("[force_displacement]", "[force_depth]", InputError, "force_depth"),
         ('name = "foam ball"', "name = ", InputError, "not TOML"),
     ],
@@ -98,15 +99,15 @@ def test_files_that_say_no_object_are_refused_by_what_is_wrong(
 
 
 def test_fields_of_bodies_are_checked(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"0 to 0\.5"):
+    with refused("poisson", InputError):
         from_text(tmp_path, HERTZ.replace("poisson = 0.5", "poisson = 0.7", 1))
-    with pytest.raises(InputError, match="finger_modulus_kPa is None"):
+    with refused("not-a-number", InputError, match="finger_modulus_kPa"):
         from_text(tmp_path, HERTZ.replace("finger_modulus_kPa = 75", ""))
     with pytest.raises(InputError, match="measured curve"):
         from_text(tmp_path, HERTZ + TABLES.replace('name = "foam ball"', ""))
-    with pytest.raises(RangeError, match="above 0 N"):
+    with refused("force-range", RangeError):
         from_text(tmp_path, HERTZ.replace("until_N = 5", "until_N = 0"))
-    with pytest.raises(InputError, match="no object's file"):
+    with refused("file-missing", InputError):
         read_object(tmp_path / "none.toml")
 
 

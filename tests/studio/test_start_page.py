@@ -70,8 +70,8 @@ def test_from_the_first_page_to_live_newtons_on_a_virtual_palm(browser, served, 
     tab.press("#start-begin")
     tab.wait(f"{STEPS}.includes('6. Live newtons ready')", LONG_S)
     tab.wait("document.querySelector('#result').innerText.includes('errs by')", MAX_S)
-    assert "simulated, not measured" in tab.text()
-    assert "palpate collect --camera virtual:palm --scale virtual --presses 40" in tab.text()
+    assert "not measured" in tab.text()
+    assert "--camera virtual:palm" in tab.text()
     for size in (PHONE, DESK):
         tab.resize(*size)
         time.sleep(0.5)

@@ -12,6 +12,7 @@ pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 import httpx
 from fastapi import FastAPI
+from tests.refusals import refused
 from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError, PalpateError
@@ -53,7 +54,7 @@ def client(workspace):
 
 def test_a_file_is_no_workspace(tmp_path):
     (tmp_path / "taps.avi").touch()
-    with pytest.raises(InputError, match=r"the workspace .*taps.avi is a file; give a folder"):
+    with refused("not-a-folder", InputError, match=r"taps\.avi"):
         Workspace(tmp_path / "taps.avi")
 
 
@@ -92,7 +93,7 @@ def test_a_run_that_is_cut_is_said_to_be_so_and_a_damaged_one_why(workspace):
 def test_nothing_leads_out_of_the_workspace(workspace, tmp_path, name):
     write_small_run(tmp_path / "secret" / "run")
     (workspace.folder / "link").symlink_to(tmp_path / "secret")
-    with pytest.raises(InputError, match="nothing in the workspace"):
+    with refused("outside-workspace", InputError):
         workspace.resolve(name)
     assert workspace.found("run") == ["runs/one"]  # nor is what a link leads to listed
 
@@ -209,7 +210,7 @@ def test_a_curve_keeps_its_peak_and_marks_each_note(workspace):
     svg = run_drawing.curve_svg(curve, [RunNote(1.0, "<slip>", "")])
     assert "&lt;slip&gt;" in svg
     assert "<slip>" not in svg
-    assert "0.00 to 9.00 N" in svg
+    assert "9.00 N" in svg
 
 
 def test_the_bars_of_all_folds_hold_out_each_frame_once(workspace):

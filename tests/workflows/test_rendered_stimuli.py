@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.psychophysics.sitting_desks import NOW, Desk
+from tests.refusals import refused
 
 from palpate.core import DeviceError, InputError
 from palpate.psychophysics import Condition, read_judgements
@@ -76,7 +77,7 @@ def test_each_stimulus_is_its_own_object_under_its_code_in_its_condition_s_mode(
     design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
     with RenderedStimuli(design, read_bench(None)) as display:
         for condition, mode in ((BOTH_CUES, Mode.BOTH), (ARM, Mode.KINESTHETIC), (SKIN, Mode.CUTANEOUS)):
-            assert "nothing of it is touch" in display.prepare(condition)
+            assert "nothing of" in display.prepare(condition)
             display.show(condition, "SH1", "K")
             first = sessions[-1].soft
             display.show(condition, "SH5", "T")
@@ -87,7 +88,7 @@ def test_each_stimulus_is_its_own_object_under_its_code_in_its_condition_s_mode(
                 assert moved(sessions[-1].soft) > moved(first)
         assert len(sessions) == 3
         assert [one.closed for one in sessions] == [True, True, False]
-        with pytest.raises(InputError, match="nothing is rendered as Z in condition I"):
+        with refused("stimulus-not-rendered", InputError):
             display.show(BOTH_CUES, "SS1", "Z")
     assert sessions[-1].closed
 
@@ -95,11 +96,11 @@ def test_each_stimulus_is_its_own_object_under_its_code_in_its_condition_s_mode(
 def test_what_has_ended_is_told_of_and_begun_anew(sessions, tmp_path) -> None:
     design = make_experiment(tmp_path / "study", "threshold", 3)
     display = RenderedStimuli(design, read_bench(None))
-    with pytest.raises(DeviceError, match="nothing is rendered"):
+    with refused("nothing-rendered", DeviceError):
         display.check()
     display.show(BOTH_CUES, "F01", "K")
     sessions[0].why = "a wire is off"
-    with pytest.raises(DeviceError, match="has ended: a wire is off"):
+    with refused("rendering-ended", DeviceError):
         display.check()
     assert sessions[0].closed
     display.show(BOTH_CUES, "F02", "T")

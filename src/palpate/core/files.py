@@ -85,9 +85,12 @@ def storage_errors(path: Path) -> Iterator[None]:
             raise
         if e.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise StorageError(
-                f"no room left while writing {path} ({e.strerror}); free some space and run again"
+                f"no room left while writing {path} ({e.strerror}); free some space and run again",
+                code="disk-full",
             ) from e
-        raise StorageError(f"{path}: {e.strerror or e}; check the path and its permissions") from e
+        raise StorageError(
+            f"{path}: {e.strerror or e}; check the path and its permissions", code="file-access"
+        ) from e
 
 
 Opened = TypeVar("Opened", bound="Closing")

@@ -183,7 +183,8 @@ class Lens:
             (height, width), (tall, wide) = size_px, self.size_px
             raise ImageError(
                 f"the frame has {width}x{height} px, and lens {self.name or self.id} was calibrated on "
-                f"frames of {wide}x{tall} px; give frames of that size, or this camera's lens"
+                f"frames of {wide}x{tall} px; give frames of that size, or this camera's lens",
+                code="image-size",
             )
 
     def card(self) -> dict[str, Any]:

@@ -59,11 +59,14 @@ def in_parallel(
         RuntimeError: a job failed otherwise; the message names the item and the error.
     """
     if processes < 1:
-        raise InputError(f"{processes} processes; 1 or more work, as many as there are cores to spare")
+        raise InputError(
+            f"{processes} processes; 1 or more work, as many as there are cores to spare", code="processes"
+        )
     if scheduler is not None and processes > 1:
         raise InputError(
             f"{processes} processes as well as the scheduler {scheduler}; give one of them: a cluster's "
-            "workers are as many as it has"
+            "workers are as many as it has",
+            code="processes-and-scheduler",
         )
     if scheduler is not None:
         _distributed()
@@ -95,7 +98,7 @@ def _call(function: Callable[[T], R], i: int, item: T) -> R:
     try:
         return function(item)
     except PalpateError as e:
-        raise _kind(e)(f"item {i} ({_short(item)}): {e}") from e
+        raise _kind(e)(f"item {i} ({_short(item)}): {e}", code=e.code) from e
     except Exception as e:
         # Of a plain kind: an exception that cannot be rebuilt in this process would bring all workers down.
         raise RuntimeError(f"item {i} ({_short(item)}): {type(e).__name__}: {e}") from e

@@ -372,7 +372,7 @@ def driver_errors(what: str) -> Iterator[None]:
     except (PalpateError, OperatorInterrupt, KeyboardInterrupt):
         raise
     except BaseException as e:  # what is somebody else's may raise anything
-        raise DeviceError(f"{what}: {told(e)}") from e
+        raise DeviceError(f"{what}: {told(e)}", code="driver-failed") from e
 
 
 def _plain(sample: Wrench) -> Wrench:

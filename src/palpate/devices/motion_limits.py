@@ -57,12 +57,12 @@ class Tripped(SafetyError):  # noqa: N818 - a guard trips
     """A guard stopped a motion, or refused it.
 
     Attributes:
-        reason: which guard.
+        reason: which guard; its value is the code of the error.
         numbers: what was measured and what is allowed, by name with the unit.
     """
 
     def __init__(self, reason: Reason, message: str, numbers: Mapping[str, float] | None = None) -> None:
-        super().__init__(message)
+        super().__init__(message, code=reason.value)
         self.reason = reason
         self.numbers = dict(numbers or {})
 

@@ -249,4 +249,6 @@ def launch_process(
     output = log.read_text(errors="replace").strip()[-TAIL:]
     if process.poll() is None:
         process.terminate()
-    raise DeviceError(f"the process of {name} did not start: {output or 'it said nothing'}")
+    raise DeviceError(
+        f"the process of {name} did not start: {output or 'it said nothing'}", code="process-not-started"
+    )

@@ -217,7 +217,8 @@ def refuse_confounded(specimens: Sequence[str], groups: Mapping[str, Sequence[st
     if max(len(each) for each in held.values()) < 2:
         raise InputError(
             f"each {level} holds one specimen alone: whatever differs may be the specimen or the {level}. "
-            f"Press two specimens or more in each {level}, best all of them, in turn"
+            f"Press two specimens or more in each {level}, best all of them, in turn",
+            code="confounded",
         )
 
 
@@ -226,15 +227,23 @@ def _levels(
 ) -> dict[str, Int[ndarray, " n"]]:
     """Number of each trial's unit, of every level; units of a second level count within the first's."""
     if not 1 <= len(groups) <= MAX_LEVELS:
-        raise InputError(f"{len(groups)} levels of groups; give one, or two with the outer one first")
+        raise InputError(
+            f"{len(groups)} levels of groups; give one, or two with the outer one first", code="group-levels"
+        )
     if len({len(y), len(specimens), *map(len, groups.values())}) > 1 or not np.isfinite(y).all():
-        raise InputError("every trial needs one finite value, one specimen and one unit of every level")
+        raise InputError(
+            "every trial needs one finite value, one specimen and one unit of every level",
+            code="trial-incomplete",
+        )
     if len(set(specimens)) < 2:
         raise InputError(f"{len(set(specimens))} specimens; two or more can be compared")
     if WITHIN in groups:
         raise InputError(f"a level of groups cannot be called {WITHIN!r}; give its column another name")
     if next(iter(groups)) == SPECIMEN:
-        raise InputError("a specimen is what is compared; as a group it can only be the second, inner level")
+        raise InputError(
+            "a specimen is what is compared; as a group it can only be the second, inner level",
+            code="specimen-level",
+        )
     numbers: dict[str, Int[ndarray, " n"]] = {}
     for i in range(len(groups)):
         units = list(zip(*list(groups.values())[: i + 1], strict=True))
@@ -244,7 +253,8 @@ def _levels(
     if inner and inner[0][1] - outer[1] < MIN_UNITS - 1:
         raise InputError(
             f"{inner[0][1]} of {inner[0][0]} in {outer[1]} of {outer[0]}: their variances cannot be told "
-            f"apart; record more of {inner[0][0]} in each, or group by one of the two alone"
+            f"apart; record more of {inner[0][0]} in each, or group by one of the two alone",
+            code="confounded",
         )
     return numbers
 
@@ -265,7 +275,10 @@ def _spread(y: Values, X: Matrix) -> float:
     freedom = len(y) - X.shape[1]
     spread = float(np.sqrt(rest @ rest / freedom)) if freedom > 0 else 0.0
     if spread <= 1e-12 * np.abs(y).max():
-        raise InputError("trials do not scatter about their specimens' means; there is no variance to tell")
+        raise InputError(
+            "trials do not scatter about their specimens' means; there is no variance to tell",
+            code="no-variance",
+        )
     return spread
 
 
@@ -291,7 +304,8 @@ def _refuse_untold(X: Matrix, V: Sequence[Square], levels: Sequence[str]) -> Non
     if np.linalg.eigvalsh(info / np.outer(size, size)).min() < MIN_TOLD:
         raise InputError(
             f"these trials do not tell the variances of {', '.join([*levels, WITHIN])} apart; several trials "
-            f"of each specimen in each {levels[-1] if levels else 'group'} do"
+            f"of each specimen in each {levels[-1] if levels else 'group'} do",
+            code="not-identifiable",
         )
 
 

@@ -75,7 +75,8 @@ def checked_code(word: str, what: str) -> str:
     """
     if not CODE.match(word):
         raise InputError(
-            f"{what} {word!r}: {CODE_SAID} are allowed, and no person's name; give a code such as P01"
+            f"{what} {word!r}: {CODE_SAID} are allowed, and no person's name; give a code such as P01",
+            code="participant-code",
         )
     return word
 
@@ -142,7 +143,8 @@ class Judgement:
             raise InputError(f"{self.said}: block and trial count from 1")
         if not (math.isnan(self.seconds) or 0 <= self.seconds < math.inf):
             raise RangeError(
-                f"{self.said}: {self.seconds:g} s to the answer; 0 or more, or nothing, is allowed"
+                f"{self.said}: {self.seconds:g} s to the answer; 0 or more, or nothing, is allowed",
+                code="response-time",
             )
         if len(set(self.presented)) != len(self.presented) or len(self.presented) < 2:
             raise InputError(
@@ -154,12 +156,14 @@ class Judgement:
         ):
             raise InputError(
                 f"{self.said}: answer {' '.join(self.answer)!r} to the pair {' '.join(self.presented)!r}; "
-                "one of the two is needed"
+                "one of the two is needed",
+                code="answer-unknown",
             )
         if self.task is Task.RANK and sorted(self.answer) != sorted(self.presented):
             raise InputError(
                 f"{self.said}: answer {' '.join(self.answer)!r} is no order of {' '.join(self.presented)!r}; "
-                "each has to stand in it once"
+                "each has to stand in it once",
+                code="not-a-permutation",
             )
 
     @property
@@ -185,11 +189,16 @@ class Judgement:
         """The right answer, from the stimuli alone."""
         unknown = [one for one in self.presented if one not in stimuli]
         if unknown:
-            raise InputError(f"{self.said}: {', '.join(unknown)} not among the stimuli {', '.join(stimuli)}")
+            raise InputError(
+                f"{self.said}: {', '.join(unknown)} not among the stimuli {', '.join(stimuli)}",
+                code="stimulus-unknown",
+            )
         order = sorted(self.presented, key=lambda one: stimuli[one].softness)
         softness = [stimuli[one].softness for one in order]
         if len(set(softness)) < len(softness):
-            raise InputError(f"{self.said}: two stimuli of one softness have no right answer")
+            raise InputError(
+                f"{self.said}: two stimuli of one softness have no right answer", code="equal-levels"
+            )
         return (order[-1],) if self.task is Task.PAIR else tuple(order)
 
 
@@ -223,7 +232,7 @@ def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Ju
     if path.is_dir():
         tables = [path / RESPONSES] if (path / RESPONSES).is_file() else sorted(path.glob(f"*/{RESPONSES}"))
         if not tables:
-            raise LabelError(f"{path} holds no {RESPONSES}, nor do the folders in it")
+            raise LabelError(f"{path} holds no {RESPONSES}, nor do the folders in it", code="file-missing")
         return checked_judgements(one for table in tables for one in read_judgements(table, unanswered))
     judgements = []
     for i, row in enumerate(_rows(path, RESPONSE_COLUMNS), start=1):
@@ -233,7 +242,7 @@ def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Ju
         try:
             judgements.append(_judgement(row))
         except (ValueError, InputError) as e:
-            raise LabelError(f"{path}, row {i}: {e}") from e
+            raise LabelError(f"{path}, row {i}: {e}", code="table-row") from e
     return checked_judgements(judgements)
 
 
@@ -292,7 +301,7 @@ def read_stimuli(path: Path) -> dict[str, Stimulus]:
         try:
             one = Stimulus(row["stimulus"], _with_point(row["level"]), int(row["softer"]), row["unit"])
         except (ValueError, InputError) as e:
-            raise LabelError(f"{table}, row {i}: {e}") from e
+            raise LabelError(f"{table}, row {i}: {e}", code="table-number") from e
         if one.name in stimuli:
             raise LabelError(f"{table}, row {i}: {one.name} stands twice")
         stimuli[one.name] = one
@@ -329,14 +338,16 @@ def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
     if missing and any(";" in name for name in reader.fieldnames or ()):
         raise LabelError(
-            f"{path} has semicolons between its columns; save it with commas there, and points in numbers"
+            f"{path} has semicolons between its columns; save it with commas there, and points in numbers",
+            code="table-separator",
         )
     if missing:
         raise LabelError(f"{path} has no column {', '.join(missing)}; it needs {', '.join(columns)}")
     for i, row in enumerate(rows, start=1):
         if None in row or any(row[name] is None for name in columns):
             raise LabelError(
-                f"{path}, row {i}: {len(columns)} columns are needed; a number has a point, as 3.3, no comma"
+                f"{path}, row {i}: {len(columns)} columns are needed; a number has a point, as 3.3, no comma",
+                code="table-columns",
             )
     return rows
 

@@ -53,13 +53,16 @@ class RankObserver:
 
     def __post_init__(self) -> None:
         if len(self.places) < 2:
-            raise InputError(f"{len(self.places)} places; an observer ranks two stimuli or more")
+            raise InputError(
+                f"{len(self.places)} places; an observer ranks two stimuli or more", code="too-few-stimuli"
+            )
         if not np.isfinite(self.places).all():
             raise RangeError("a place that is not finite; places are in standard deviations of the noise")
         if min(self.lapse, self.reversal) < 0 or self.lapse + self.reversal > 1:
             raise RangeError(
                 f"lapses of {self.lapse:g} and reversals of {self.reversal:g}; each is 0 or more, and "
-                "together they are 1 at most"
+                "together they are 1 at most",
+                code="lapse-and-reversal",
             )
 
     @classmethod

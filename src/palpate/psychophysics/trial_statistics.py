@@ -104,7 +104,7 @@ def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
     """
     values = {name: _values(name, trials, pooled) for name, trials in groups.items()}
     if len(values) < 2:
-        raise InputError(f"{len(values)} groups; two or more can be compared")
+        raise InputError(f"{len(values)} groups; two or more can be compared", code="too-few-groups")
     same = np.ptp(np.concatenate(list(values.values()))) == 0
     h, p = (0.0, 1.0) if same else stats.kruskal(*values.values())
     plain = _dunn(values)
@@ -147,7 +147,10 @@ def mean_interval(
     """
     x = np.asarray(values, np.float64)
     if len(x) < 2 or not np.isfinite(x).all():
-        raise InputError(f"an interval of the mean needs two finite values or more, got {x.tolist()}")
+        raise InputError(
+            f"an interval of the mean needs two finite values or more, got {x.tolist()}",
+            code="too-few-values",
+        )
     mean, own = float(x.mean()), float(x.std(ddof=1)) / math.sqrt(len(x))
     together = math.hypot(own, known_sd)
     if together == 0:
@@ -169,7 +172,9 @@ def _values(name: str, trials: Sequence[Any], pooled: bool) -> Values:
         raise InputError(f"{name} has a trial without values, or one that is not finite; leave it out")
     values = np.concatenate(samples) if pooled else np.array([trial.mean() for trial in samples])
     if len(values) < 2:
-        raise InputError(f"{name} has {len(values)} values; tests need two trials or more")
+        raise InputError(
+            f"{name} has {len(values)} values; tests need two trials or more", code="too-few-values"
+        )
     return values
 
 

@@ -170,7 +170,8 @@ def _check_covered(sample_t: Series, begins: Series, ends: Series, most_gap_s: f
         raise RangeError(
             f"{outside} of {len(ends)} frames lie outside the samples' time, {sample_t[0]:.3f} to "
             f"{sample_t[-1]:.3f} s, and {np.count_nonzero(gap)} in gaps of more than {most_gap_s:g} s; leave "
-            "these frames out"
+            "these frames out",
+            code="frames-without-force",
         )
 
 
@@ -225,7 +226,8 @@ def _taps(force: Series) -> int:
     if greatest <= 0 or greatest - rest <= QUIET * noise:
         raise RangeError(
             f"no tap stands out: the force is {greatest:.3g} N at most, with a noise of {noise:.2g} N; "
-            "tap harder"
+            "tap harder",
+            code="no-tap",
         )
     touched = force > rest + TOUCHED * (greatest - rest)
     # A tap has to fall back, half as far down again, before the next begins.
@@ -247,7 +249,8 @@ def _best(signals: _TapSignals, most_s: float) -> tuple[float, float]:
     if not explained >= MIN_EXPLAINED:
         raise RangeError(
             f"at no offset up to {most_s:g} s does the signal follow the force: {explained:.0%} of its "
-            f"variance at best, {MIN_EXPLAINED:.0%} are needed; do the frames see the taps?"
+            f"variance at best, {MIN_EXPLAINED:.0%} are needed; do the frames see the taps?",
+            code="taps-not-seen",
         )
     if best in (0, len(offsets) - 1):
         raise RangeError(f"the offset is {most_s:g} s or more; look further, by most_s")
@@ -293,9 +296,12 @@ def _check_series(times: Series, values: Series, what: str) -> None:
     if len(times) != len(values) or len(times) < MIN_FRAMES:
         raise InputError(
             f"{len(times)} {what} times and {len(values)} values; give as many of each, and at least "
-            f"{MIN_FRAMES}"
+            f"{MIN_FRAMES}",
+            code="lengths-differ",
         )
     if not (np.isfinite(times).all() and np.isfinite(values).all()):
         raise InputError(f"{what} times or values are not finite; leave out what was not measured")
     if not (np.diff(times) > 0).all():
-        raise InputError(f"{what} times do not increase; sort them, and leave out what comes twice")
+        raise InputError(
+            f"{what} times do not increase; sort them, and leave out what comes twice", code="time-order"
+        )

@@ -229,7 +229,10 @@ def repair(run_path: PathText, new_path: PathText) -> RepairReport:
     """
     run = Run.open(run_path)
     if not run.segments:
-        raise RecordingError(f"{run_path} holds no segment, so there is nothing to repair; record a new run")
+        raise RecordingError(
+            f"{run_path} holds no segment, so there is nothing to repair; record a new run",
+            code="no-segments",
+        )
     lost = list(run.damage)
     frames = messages = 0
     with new_folder(Path(new_path)) as folder:

@@ -32,7 +32,7 @@ def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != (count,) or not np.isfinite(array).all():
-        raise InputError(f"{what} takes {count} finite numbers, got {values!r:.200}")
+        raise InputError(f"{what} takes {count} finite numbers, got {values!r:.200}", code="finite-numbers")
     return [float(value) for value in array]
 
 
@@ -49,7 +49,8 @@ def _value(name: str, value: object, kinds: Mapping[str, LabelKind]) -> Label:
     if name not in kinds:
         raise LabelError(
             f"label column {name!r} is not in the run's manifest, which lists {', '.join(kinds) or 'none'}; "
-            "name every column when the manifest is made"
+            "name every column when the manifest is made",
+            code="label-unknown",
         )
     match kinds[name]:
         case "flag" if isinstance(value, bool | np.bool_):
@@ -60,7 +61,8 @@ def _value(name: str, value: object, kinds: Mapping[str, LabelKind]) -> Label:
             return float(value)  # type: ignore[arg-type]
     raise LabelError(
         f"label {name!r} is a {kinds[name]} by the manifest, got {value!r:.80}; numbers are finite, and a "
-        "label that is not known is left out"
+        "label that is not known is left out",
+        code="label-kind",
     )
 
 
@@ -114,7 +116,9 @@ def read_labels(
     with storage_errors(path):
         data = path.read_bytes()
     if not data.strip():
-        raise LabelError(f"{path} is empty; a table of labels has a header and one row an image")
+        raise LabelError(
+            f"{path} is empty; a table of labels has a header and one row an image", code="table-empty"
+        )
     if data.startswith(b"PAR1"):
         columns = _parquet_columns(path, data)
     else:
@@ -220,7 +224,8 @@ def refuse_formulas(table: pd.DataFrame, path: Path) -> None:
             if _is_formula(str(cell)):
                 raise LabelError(
                     f"{path}, row {i + FIRST_ROW}: column {name!r} holds {str(cell)[:40]!r}, which a "
-                    "spreadsheet would run as a formula; write the value itself"
+                    "spreadsheet would run as a formula; write the value itself",
+                    code="spreadsheet-formula",
                 )
 
 
@@ -250,7 +255,8 @@ def _target(table: pd.DataFrame, name: str, source: str, constant: bool) -> np.n
     if bad.size:
         raise LabelError(
             f"{source}: target {name!r} holds no finite number in {rows_text(bad)}; "
-            "fill these in, or remove the rows and their images"
+            "fill these in, or remove the rows and their images",
+            code="not-finite",
         )
     if np.ptp(values) == 0 and not constant:
         raise LabelError(

@@ -159,7 +159,7 @@ class Manifest(BaseModel):
                 provenance=provenance,
             )
         except ValidationError as e:
-            raise InputError(f"these do not make a manifest: {_first(e)}") from e
+            raise InputError(f"these do not make a manifest: {_first(e)}", code="manifest-field") from e
 
     @classmethod
     def read(cls, run: PathText) -> Manifest:
@@ -211,7 +211,9 @@ class StoredManifest:
         """The one beside a run's segments; errors as of `Manifest.read`."""
         path = Path(run) / MANIFEST
         if not path.is_file():
-            raise RecordingError(f"{run} is not a run: it holds no {MANIFEST}; name a run's folder")
+            raise RecordingError(
+                f"{run} is not a run: it holds no {MANIFEST}; name a run's folder", code="not-a-run"
+            )
         with storage_errors(path):
             if path.stat().st_size > MAX_MANIFEST_BYTES:
                 raise RecordingError(f"{path} is no manifest: it is larger than {MAX_MANIFEST_BYTES} bytes")
@@ -221,7 +223,9 @@ class StoredManifest:
         except ValidationError as e:
             if version := needed_version(text, FORMAT):
                 raise RecordingError(f"{path} {version}") from e
-            raise RecordingError(f"{path} is damaged: {_first(e)}; restore it from a copy of the run") from e
+            raise RecordingError(
+                f"{path} is damaged: {_first(e)}; restore it from a copy of the run", code="manifest-damaged"
+            ) from e
 
     @classmethod
     def copied(cls, text: object, sha256: object) -> StoredManifest | None:

@@ -93,7 +93,9 @@ class PackedSet:
                 index = read_table(folder / name)
                 packed = cls(folder, card, index, _check_frames(folder / FRAMES_NAME, len(index), card))
             except (ValueError, KeyError, TypeError, AttributeError, FileNotFoundError) as e:
-                raise RecordingError(f"packed set {folder} is damaged ({e}); {_REMEDY}") from e
+                raise RecordingError(
+                    f"packed set {folder} is damaged ({e}); {_REMEDY}", code="packed-damaged"
+                ) from e
         for part in (FRAMES_NAME, name) if verify else ():
             if sha256_of(folder / part) != card["sha256"].get(part):
                 raise RecordingError(f"{folder / part} is not what its card says, by checksum; {_REMEDY}")
@@ -137,7 +139,8 @@ class PackedSet:
         wanted = np.asarray(rows, dtype=np.int64).reshape(-1)
         if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
             raise InputError(
-                f"rows {wanted.min()} to {wanted.max()} asked for; the set has rows 0 to {len(self) - 1}"
+                f"rows {wanted.min()} to {wanted.max()} asked for; the set has rows 0 to {len(self) - 1}",
+                code="index-range",
             )
         out = np.empty((len(wanted), *self.shape), dtype=np.uint8)
         size, handle = int(np.prod(self.shape)), self._handle
@@ -161,7 +164,9 @@ class PackedSet:
         while done < len(view):
             count = os.preadv(self._handle, [view[done:]], offset + done)
             if count == 0:
-                raise RecordingError(f"{self.folder / FRAMES_NAME} was cut while in use; {_REMEDY}")
+                raise RecordingError(
+                    f"{self.folder / FRAMES_NAME} was cut while in use; {_REMEDY}", code="file-truncated"
+                )
             done += count
 
 
@@ -246,9 +251,11 @@ def _read_card(folder: Path) -> dict[str, Any]:
     try:
         card = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as e:
-        raise RecordingError(f"{folder} is no packed set: its card cannot be read ({e}); {_REMEDY}") from e
+        raise RecordingError(
+            f"{folder} is no packed set: its card cannot be read ({e}); {_REMEDY}", code="not-a-packed-set"
+        ) from e
     if not isinstance(card, dict) or card.get("format") != _FORMAT:
-        raise RecordingError(f"{path} is no card of a {_FORMAT} set; {_REMEDY}")
+        raise RecordingError(f"{path} is no card of a {_FORMAT} set; {_REMEDY}", code="packed-card")
     return card
 
 

@@ -36,13 +36,17 @@ class Preparation:
 
     def __post_init__(self) -> None:
         if min(self.size_px) < 1 or max(self.size_px) > 4096:
-            raise InputError(f"size {self.size_px}: give height and width of 1 px or more, 4096 px at most")
+            raise InputError(
+                f"size {self.size_px}: give height and width of 1 px or more, 4096 px at most",
+                code="preparation-size",
+            )
         if self.channels not in (1, 3):
             raise InputError(f"channels is {self.channels}; it is 1 (grey) or 3 (RGB)")
         for crop in (self.crop_px, self.beside_px):
             if crop is not None and (min(crop[:2]) < 0 or min(crop[2:]) < 1):
                 raise InputError(
-                    f"crop {crop}: give x and y of 0 px or more, width and height of 1 px or more"
+                    f"crop {crop}: give x and y of 0 px or more, width and height of 1 px or more",
+                    code="preparation-crop",
                 )
         if self.beside_px is not None and (self.crop_px is None or self.size_px[1] % 2):
             raise InputError(
@@ -88,7 +92,8 @@ class Preparation:
         if x + width > columns or y + height > rows:
             raise ImageError(
                 f"crop x={x} y={y} {width}x{height} px does not lie inside the image of {columns}x{rows} px; "
-                "give a crop that does"
+                "give a crop that does",
+                code="crop-outside",
             )
         return image[y : y + height, x : x + width]
 

@@ -69,7 +69,9 @@ def add_note(run: PathText, time_s: float, text: str) -> RunNote:
     """
     path, text = Path(run) / NOTES, " ".join(text.split())
     if not (path.parent / MANIFEST).is_file():
-        raise RecordingError(f"{run} is not a run: it holds no {MANIFEST}; name a run's folder")
+        raise RecordingError(
+            f"{run} is not a run: it holds no {MANIFEST}; name a run's folder", code="not-a-run"
+        )
     if not 0 < len(text) <= MAX_NOTE or not math.isfinite(time_s):
         raise InputError(
             f"a note of {len(text)} characters at {time_s} s; it takes 1 to {MAX_NOTE} characters at a time "

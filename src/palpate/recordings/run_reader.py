@@ -153,7 +153,9 @@ class Run:
             RecordingError: the frame is damaged.
         """
         if not 0 <= index < len(self):
-            raise RangeError(f"{self.path} has frames 0 to {len(self) - 1}, and {index} was asked for")
+            raise RangeError(
+                f"{self.path} has frames 0 to {len(self) - 1}, and {index} was asked for", code="index-range"
+            )
         image = self._frames[index].image(check=not self._checked[index])
         self._checked[index] = 1
         return Frame(

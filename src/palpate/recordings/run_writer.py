@@ -357,7 +357,9 @@ class RunWriter:
             InputError: fields that JSON cannot hold, or the kind ``dropped``, which is the writer's own.
         """
         if kind == DROPPED:
-            raise InputError(f"events of kind {DROPPED!r} are the writer's own; choose another kind")
+            raise InputError(
+                f"events of kind {DROPPED!r} are the writer's own; choose another kind", code="event-kind"
+            )
         data = message_schema.encode_json({"kind": kind, "fields": fields})
         return self._put(EVENTS, None, lambda _: data)
 
@@ -444,14 +446,15 @@ class RunWriter:
             least = self._latest[channel] - self._opened.zero_ns
             raise InputError(
                 f"{channel.name} at {time_ns} ns, but time only goes forwards, to 2038 at most: give "
-                f"{least} ns or more here; sort what is recorded, or stamp it on the writer's own clock"
+                f"{least} ns or more here; sort what is recorded, or stamp it on the writer's own clock",
+                code="time-order",
             )
         self._latest[channel] = at_ns
         return at_ns
 
     def _raise_failure(self) -> None:
         if isinstance(self._failure, PalpateError):
-            raise type(self._failure)(str(self._failure)) from self._failure
+            raise type(self._failure)(str(self._failure), code=self._failure.code) from self._failure
         if self._failure is not None:
             raise RecordingError(f"the run could not be written: {self._failure!r}") from self._failure
 
@@ -524,6 +527,7 @@ def _now_s() -> float:
 def _buffer(queue_frames: int, overflow: Overflow) -> Buffer:
     if queue_frames < 1 or overflow not in ("drop", "wait"):
         raise InputError(
-            f"queue_frames={queue_frames!r}, overflow={overflow!r}: give 1 frame or more, and drop or wait"
+            f"queue_frames={queue_frames!r}, overflow={overflow!r}: give 1 frame or more, and drop or wait",
+            code="queue",
         )
     return Buffer(queue_frames, overflow)

@@ -144,13 +144,15 @@ def _by_session(table: pd.DataFrame, rng: np.random.Generator) -> Split:
     if SESSION not in table.columns:
         raise SplitError(
             "split 'session': all rows are of one session, so that none can be held out; give the runs of "
-            f"several days, or label the rows in a column {SESSION!r}"
+            f"several days, or label the rows in a column {SESSION!r}",
+            code="one-session",
         )
     groups = group_names(table, (SESSION,))
     if len(np.unique(groups)) < 2:
         raise SplitError(
             f"split 'session': all rows are of one session ({groups[0]}), so that none can be held out; give "
-            "the runs of several days, or split otherwise"
+            "the runs of several days, or split otherwise",
+            code="one-session",
         )
     parts = _parts(groups, SESSION, None, rng)
     return Split(SESSION, (SESSION,), groups, parts, "each session held out in turn, as asked")
@@ -165,7 +167,8 @@ def _by_blocks(table: pd.DataFrame, length: int | None, folds: int, rng: np.rand
     if count < folds:
         raise SplitError(
             f"{folds} folds of {len(table)} rows in blocks of {rows}: {count} blocks cannot fill them; ask "
-            "for shorter blocks or fewer folds"
+            "for shorter blocks or fewer folds",
+            code="too-few-blocks",
         )
     # In an order drawn anew in each round, so that no plan that repeats itself keeps step with the folds.
     rounds = [rng.permutation(folds) for _ in range(-(-count // folds))]

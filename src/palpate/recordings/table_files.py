@@ -62,7 +62,9 @@ def read_table(path: Path) -> pd.DataFrame:
             return pd.read_parquet(path)
         return _table(_unpacked(data).decode("utf-8"))
     except (ValueError, zlib.error) as e:
-        raise InputError(f"{path} cannot be read as a table ({e}); restore it") from e
+        raise InputError(
+            f"{path} cannot be read as a table ({e}); restore it", code="table-unreadable"
+        ) from e
 
 
 def pyarrow_for(path: Path) -> Any:
@@ -85,7 +87,7 @@ def _cell(value: object) -> str:
             return repr(value)
         case str():
             return '"' + value.replace('"', '""') + '"'
-    raise InputError(f"a table holds numbers, texts and flags, not {value!r:.80}")
+    raise InputError(f"a table holds numbers, texts and flags, not {value!r:.80}", code="cell-kind")
 
 
 def _line(cells: list[str] | tuple[str, ...]) -> bytes:

@@ -165,7 +165,8 @@ def compare_calibrations(first: PathText, second: PathText) -> CalibrationCompar
     if not both:
         raise InputError(
             f"{first} reads {', '.join(cards[0].columns)} and {second} {', '.join(cards[1].columns)}: no "
-            f"target in common{_other_units(cards)}; compare calibrations that read the same column"
+            f"target in common{_other_units(cards)}; compare calibrations that read the same column",
+            code="no-common-target",
         )
     tables = tuple(_by_frame(folder, card) for folder, card in zip(folders, cards, strict=True))
     obstacles = _obstacles(cards, tables, both)

@@ -546,7 +546,8 @@ def _check_same_seed(run: Run, rig: Rig) -> None:
     if None not in (begun, rig.seed) and begun != rig.seed:
         raise RecordingError(
             f"{run.path} was begun with seed {begun}, and this rig has seed {rig.seed}; give seed {begun}, "
-            "or name a new run"
+            "or name a new run",
+            code="seed-differs",
         )
 
 

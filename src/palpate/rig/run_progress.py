@@ -201,13 +201,15 @@ def _check_same_beginning(run: Run, manifest: Manifest) -> None:
     if "shot" in run.labels and run.labels["shot"].notna().any():
         raise RecordingError(
             f"{run.path} holds frames of a plan that cannot be read any more, so that nothing says which it "
-            "was; name a new run"
+            "was; name a new run",
+            code="plan-unreadable",
         )
     there, here = (one.model_dump(exclude=OWN_FIELDS) for one in (run.manifest, manifest))
     if other := [name for name in here if there[name] != here[name]]:
         raise RecordingError(
             f"{run.path} was not recorded by a plan, or by another: its {other[0]} is "
-            f"{there[other[0]]!r:.60}, and of this rig and plan it is {here[other[0]]!r:.60}; name a new run"
+            f"{there[other[0]]!r:.60}, and of this rig and plan it is {here[other[0]]!r:.60}; name a new run",
+            code="rig-differs",
         )
 
 

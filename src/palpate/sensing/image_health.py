@@ -119,7 +119,9 @@ def image_health(
     """
     stack = _stack(frames, region)
     if not (0 < rate_hz < math.inf):
-        raise RangeError(f"frames at {rate_hz} Hz; give the rate at which they were taken, above 0 Hz")
+        raise RangeError(
+            f"frames at {rate_hz} Hz; give the rate at which they were taken, above 0 Hz", code="frame-rate"
+        )
     grey = np.stack([_grey(one) for one in stack])
     mean = grey.mean(axis=0)
     noise = _noise(grey)
@@ -220,7 +222,8 @@ def lit_region(frames: Sequence[Shaped[ndarray, ...]]) -> tuple[int, int, int, i
     if even or float(smooth[lit > 0].mean()) - float(smooth[lit == 0].mean()) < DARK:
         raise ImageError(
             f"no part of the picture is brighter than the rest (around {level:.0f} of 255 grey levels): "
-            "light the skin, or give its region by hand"
+            "light the skin, or give its region by hand",
+            code="no-bright-region",
         )
     x, y, width, height = boxes[1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax()), :4]
     return int(x), int(y), int(width), int(height)
@@ -322,7 +325,9 @@ def _stack(
 ) -> list[Shaped[ndarray, ...]]:
     """Frames cut to the region."""
     if len(frames) < least:
-        raise InputError(f"{len(frames)} frames; {least} or more tell noise and flicker")
+        raise InputError(
+            f"{len(frames)} frames; {least} or more tell noise and flicker", code="too-few-frames"
+        )
     first = frames[0]
     for image in frames:
         if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):

@@ -226,7 +226,7 @@ class LiveService:
         with self._asking:
             recorder, self._recorder = self._recorder, None
             if recorder is None:
-                raise SafetyError("nothing is being recorded")
+                raise SafetyError("nothing is being recorded", code="no-recording")
             self.loop.unsubscribe(recorder)
             recorder.close()
             self._log.add("operator", "recording ended")
@@ -384,7 +384,8 @@ class LiveService:
         if kind == "beside" and source.force is None:
             raise InputError(
                 f"there is no force sensor beside {source.name}; type weights: scale 'typed', or give the "
-                "serial port of a scale"
+                "serial port of a scale",
+                code="no-force-sensor",
             )
         options = {k: request[k] for k in ("asked", "session", "region", "force_range_n") if k in request}
         options |= {k: tuple(options[k]) for k in ("region", "force_range_n") if options.get(k) is not None}
@@ -408,7 +409,8 @@ class LiveService:
         source = self.loop.source
         if source is None:
             raise SafetyError(
-                f"{self.options.camera} is not there now ({self.loop.why}); nothing is recorded"
+                f"{self.options.camera} is not there now ({self.loop.why}); nothing is recorded",
+                code="camera-missing",
             )
         return source
 

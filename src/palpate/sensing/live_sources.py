@@ -366,7 +366,9 @@ def open_live_source(
 
         return PipedFrames()
     if not _is_device(text) and ("/" in text or Path(text).suffix):
-        raise ImageError(f"{text} is not there; give a camera, an image, a folder, a run or a video")
+        raise ImageError(
+            f"{text} is not there; give a camera, an image, a folder, a run or a video", code="source-missing"
+        )
     return _usb_camera(address if isinstance(address, int) else text, settings)
 
 

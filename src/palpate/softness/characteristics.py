@@ -46,7 +46,8 @@ class Characteristic:
         if len(self.x) != len(self.force_n) or len(self.x) < 2:
             raise InputError(
                 f"force over {self.cue} of {len(self.x)} values and {len(self.force_n)} forces; give as many "
-                "of each, and 2 at least"
+                "of each, and 2 at least",
+                code="table-size",
             )
         if not (np.isfinite(self.x).all() and np.isfinite(self.force_n).all()):
             raise InputError(f"force over {self.cue}: all values must be finite numbers")
@@ -83,7 +84,8 @@ class Characteristic:
             factor, unit = SHOWN[self.cue]
             raise RangeError(
                 f"force is known from {self.x[0] * factor:g} to {self.x[-1] * factor:g} {unit} of "
-                f"{self.cue}, and was asked outside it"
+                f"{self.cue}, and was asked outside it",
+                code="cue-range",
             )
         return np.asarray(np.interp(given, self.x, self.force_n))
 
@@ -96,7 +98,8 @@ class Characteristic:
         given = np.asarray(force_n, float)
         if np.any((given < 0) | (given > self.greatest_n * (1 + 1e-12)) | np.isnan(given)):
             raise RangeError(
-                f"{self.cue} is known from 0 to {self.greatest_n:g} N, and was asked outside that"
+                f"{self.cue} is known from 0 to {self.greatest_n:g} N, and was asked outside that",
+                code="force-range",
             )
         return np.asarray(np.interp(given, self.force_n, self.x))
 
@@ -196,7 +199,9 @@ def hertz_object(name: str, ball: Body, finger: Body, greatest_n: float) -> Soft
         greatest_n: end of both curves [N].
     """
     if not 0 < greatest_n < np.inf:
-        raise RangeError(f"a greatest force of {greatest_n:g} N; give a finite one above 0 N")
+        raise RangeError(
+            f"a greatest force of {greatest_n:g} N; give a finite one above 0 N", code="force-range"
+        )
     both = ball.against(finger)
     ends = float(both.area_m2(greatest_n)), float(both.approach_m(greatest_n))
     return SoftObject(

@@ -87,7 +87,8 @@ class ConeDisplay:
         pushed = np.asarray(pushed_m, float)
         if np.any((pushed < 0) | (pushed > self.height_m * (1 + 1e-12)) | np.isnan(pushed)):
             raise RangeError(
-                f"the tip can be pushed in by 0 to {self.height_m * 1e3:g} mm, and another way was asked for"
+                f"the tip can be pushed in by 0 to {self.height_m * 1e3:g} mm, and another way was asked for",
+                code="way",
             )
         return np.asarray(pushed / self.height_m)
 

@@ -203,7 +203,8 @@ def run_bench_test(
     if plan.ways_m[-1] > shown.height_m or max(plan.pressures_pa) > shown.greatest_pa:
         raise RangeError(
             f"the plan goes to {plan.ways_m[-1] * 1e3:g} mm and {max(plan.pressures_pa) / 1e3:g} kPa; the "
-            f"display allows {shown.height_m * 1e3:g} mm and {shown.greatest_pa / 1e3:g} kPa"
+            f"display allows {shown.height_m * 1e3:g} mm and {shown.greatest_pa / 1e3:g} kPa",
+            code="display-limits",
         )
     points: list[BenchPoint] = []
     steps = [*((way, 1) for way in plan.ways_m), *((way, -1) for way in plan.ways_m[-2::-1])]
@@ -222,7 +223,8 @@ def run_bench_test(
                     raise DeviceError(
                         f"the tip is at {pushed * 1e3:.2f} mm where the probe was told {way * 1e3:.2f} mm; "
                         "they may differ by "
-                        f"{FAR_M * 1e3:g} mm: set the probe's zero at first touch, and check the Hall sensor"
+                        f"{FAR_M * 1e3:g} mm: set the probe's zero at first touch, and check the Hall sensor",
+                        code="tip-position",
                     )
                 points.append(BenchPoint(told, pressure, pushed, force, direction))
                 at = way

@@ -23,14 +23,17 @@ def table_of(name: str, fields: Any) -> Fields:
 def only(table: str, fields: Fields, known: set[str]) -> None:
     """Refuse a field that is not known."""
     if extra := sorted(set(fields) - known):
-        raise InputError(f"[{table}]: {extra[0]!r} is no field here; there are {', '.join(sorted(known))}")
+        raise InputError(
+            f"[{table}]: {extra[0]!r} is no field here; there are {', '.join(sorted(known))}",
+            code="field-unknown",
+        )
 
 
 def number(table: str, fields: Fields, key: str) -> float:
     """A number."""
     value = fields.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"[{table}]: {key} is {value!r}; give a number")
+        raise InputError(f"[{table}]: {key} is {value!r}; give a number", code="not-a-number")
     return float(value)
 
 
@@ -49,7 +52,7 @@ def poisson_of(table: str, fields: Fields, key: str = "poisson") -> float:
     """A Poisson's ratio."""
     nu = number(table, fields, key)
     if not 0 <= nu <= 0.5:
-        raise RangeError(f"[{table}]: {key} is {nu:g}; 0 to 0.5 are allowed")
+        raise RangeError(f"[{table}]: {key} is {nu:g}; 0 to 0.5 are allowed", code="poisson")
     return nu
 
 

@@ -61,18 +61,18 @@ def read_object(path: Path) -> SoftObject:
     """
     with storage_errors(path):
         if not path.exists():
-            raise InputError(f"there is no object's file {path}; {GIVES}")
+            raise InputError(f"there is no object's file {path}; {GIVES}", code="file-missing")
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} is no object's file: a TOML file of 1 MiB at most is needed; {GIVES}")
         raw = path.read_bytes()
     try:
         fields = tomllib.loads(raw.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
-        raise InputError(f"{path} is not TOML: {e}") from e
+        raise InputError(f"{path} is not TOML: {e}", code="toml") from e
     try:
         return object_from(fields, path.stem, path.parent)
     except InputError as e:
-        raise type(e)(f"{path}: {e}") from e
+        raise type(e)(f"{path}: {e}", code=e.code) from e
 
 
 def is_object_file(path: Path) -> bool:

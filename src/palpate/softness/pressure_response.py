@@ -103,7 +103,8 @@ def measure_pressure_response(
     if not 0 < amplitude_pa <= min(middle_pa, display.range.greatest_pa - middle_pa):
         raise RangeError(
             f"a sine of {amplitude_pa / 1e3:g} kPa about {middle_pa / 1e3:g} kPa; it has to be above 0 and "
-            f"to stay within 0 and {display.range.greatest_pa / 1e3:g} kPa"
+            f"to stay within 0 and {display.range.greatest_pa / 1e3:g} kPa",
+            code="pressure",
         )
     rising = len(frequencies_hz) > 1 and np.all(np.diff(frequencies_hz) > 0)
     if not rising or not 0 < frequencies_hz[0] <= frequencies_hz[-1] <= 200.0:
@@ -136,7 +137,7 @@ def _answer(
     while (time_s := 1e-9 * (clock.now_ns() - began_ns)) < cycle_s + fitted_s:
         said = display.latest()
         if said.fault:
-            raise DeviceError(f"the display says: {said.fault}")
+            raise DeviceError(f"the display says: {said.fault}", code="display-fault")
         times.append(time_s)
         seen.append(said.pressure_pa)
         wave = amplitude_pa * np.exp(1j * omega * time_s)

@@ -97,7 +97,8 @@ class DisplayBounds:
         if not -np.inf < low <= 0 <= high < np.inf:
             raise RangeError(
                 f"an arm from {low * 1e3:g} to {high * 1e3:g} mm; give finite ends around 0 mm, where the "
-                "finger touches first"
+                "finger touches first",
+                code="arm-range",
             )
 
 
@@ -152,7 +153,8 @@ class RenderingLaw:
         if self.display.greatest_m2 <= self.object.area.x[0]:
             raise RangeError(
                 f"{self.object.name}: force over area begins at {self.object.area.x[0] * 1e6:g} mm², and the "
-                f"display has {self.display.greatest_m2 * 1e6:.4g} mm² at most"
+                f"display has {self.display.greatest_m2 * 1e6:.4g} mm² at most",
+                code="area",
             )
         _ = self.onset
 
@@ -247,7 +249,8 @@ def find_onset(soft: SoftObject, pressure_pa: float, greatest_m2: float) -> Onse
             return Onset(alpha, area, c1, c2)
     raise RangeError(
         f"{soft.name}: its force over area needs more than {pressure_pa / 1e3:g} kPa at every area up to "
-        f"{greatest_m2 * 1e6:.4g} mm²; give a softer object, or a display of more pressure"
+        f"{greatest_m2 * 1e6:.4g} mm²; give a softer object, or a display of more pressure",
+        code="pressure",
     )
 
 

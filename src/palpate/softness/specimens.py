@@ -93,18 +93,23 @@ def specimens(
     E = [float(one) for one in moduli_pa]
     if len(E) != len(SOFTENER):
         raise InputError(
-            f"{len(E)} moduli; give five, with {', '.join(map(str, SOFTENER))} % of softener, in kPa"
+            f"{len(E)} moduli; give five, with {', '.join(map(str, SOFTENER))} % of softener, in kPa",
+            code="moduli-count",
         )
     if not (np.isfinite(E).all() and min(E) > 0):
-        raise RangeError("a modulus that is not above 0 kPa and finite; give five such moduli")
+        raise RangeError(
+            "a modulus that is not above 0 kPa and finite; give five such moduli", code="modulus"
+        )
     if not (np.diff(E) < 0).all():
         raise InputError(
             f"moduli of {', '.join(f'{1e-3 * one:g}' for one in E)} kPa do not fall; softener makes a "
-            "silicone softer: give them from 0 to 45 %"
+            "silicone softer: give them from 0 to 45 %",
+            code="moduli-order",
         )
     if not 0 <= poisson < 0.5:
         raise RangeError(
-            f"a Poisson's ratio of {poisson:g}; 0 to below 0.5 are allowed, a silicone has 0.499"
+            f"a Poisson's ratio of {poisson:g}; 0 to below 0.5 are allowed, a silicone has 0.499",
+            code="poisson",
         )
     last = len(E) - 1
     if kind == SpecimenClass.ALIKE:

@@ -56,7 +56,8 @@ class Cylinder:
         if not (0 < self.radius_m < math.inf and 0 < self.height_m < math.inf and 0 <= self.poisson <= 0.5):
             raise RangeError(
                 f"a cylinder of radius {1e3 * self.radius_m:g} mm, height {1e3 * self.height_m:g} mm and "
-                f"Poisson's ratio {self.poisson:g}; lengths above 0 mm and a ratio of 0 to 0.5 are allowed"
+                f"Poisson's ratio {self.poisson:g}; lengths above 0 mm and a ratio of 0 to 0.5 are allowed",
+                code="cylinder",
             )
         if self.ends not in ("bonded", "free"):
             raise InputError(f"ends {self.ends!r}; 'bonded' or 'free'")
@@ -132,11 +133,12 @@ def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) ->
         StorageError: it cannot be read.
     """
     if use not in CUES:
-        raise InputError(f"a flat by {use!r}; there are {', '.join(CUES)}")
+        raise InputError(f"a flat by {use!r}; there are {', '.join(CUES)}", code="flat-kind")
     quantity, unit, si = CUES[use]
     if (cylinder is None) != (use == "modulus"):
         raise InputError(
-            "a stiffness needs its cylinder's radius, height and Poisson's ratio; a modulus none"
+            "a stiffness needs its cylinder's radius, height and Poisson's ratio; a modulus none",
+            code="cylinder-missing",
         )
     one = _reading(path, quantity, unit)
     ends = " to ".join("inf" if end is None else f"{end:.4g}" for end in (one["low"], one["high"]))
@@ -174,16 +176,21 @@ def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
     if len(found) != 1:
         raise InputError(
             f"{path} has {len(found)} readings of {quantity}; one is needed, of a press read with a "
-            "calibration (and for a modulus with positions)"
+            "calibration (and for a modulus with positions)",
+            code="reading-count",
         )
     one = found[0]
     keys = ("value", "low", "high", "unit", "coverage", "valid", "calibration")
     if missing := [key for key in keys if key not in one]:
-        raise InputError(f"{path}: the reading of {quantity} has no {missing[0]!r}")
+        raise InputError(
+            f"{path}: the reading of {quantity} has no {missing[0]!r}", code="reading-incomplete"
+        )
     if one["unit"] != unit:
         raise UnitError(f"{path}: {quantity} is in {one['unit']!r}; {unit!r} is needed")
     if one["valid"] is not True:
-        raise InputError(f"{path}: the {quantity} is not valid ({one.get('why')}); press anew")
+        raise InputError(
+            f"{path}: the {quantity} is not valid ({one.get('why')}); press anew", code="reading-invalid"
+        )
     for key in ("value", "coverage"):
         if not _positive(one[key]):
             raise RangeError(f"{path}: {key} of {quantity} is {one[key]!r}; above 0 {unit} is allowed")

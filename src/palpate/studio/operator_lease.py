@@ -60,7 +60,8 @@ class RigLease:
             if holder is not None and holder.key != operator.key:
                 raise SafetyError(
                     f"the rig is held by another browser, at {holder.where}; it can be taken once that lets "
-                    f"go or is closed for {MAX_SILENT_S:g} s. The emergency stop works for everybody"
+                    f"go or is closed for {MAX_SILENT_S:g} s. The emergency stop works for everybody",
+                    code="rig-held",
                 )
             self._holder = operator
             self._seen_s = self._acted_s = self._now_s()

@@ -270,7 +270,7 @@ def check_port(port: int, host: str = HOST) -> None:
         with socket.create_server((host, port), family=family):
             pass
     except OSError as e:
-        raise DeviceError(_no_port_text(port, host, e)) from e
+        raise DeviceError(_no_port_text(port, host, e), code="address-unavailable") from e
 
 
 def _no_port_text(port: int, host: str, e: OSError) -> str:

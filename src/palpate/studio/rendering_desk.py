@@ -93,7 +93,8 @@ class RenderingDesk:
                 if now.status().mode is not mode:
                     raise InputError(
                         f"{now.status().mode.value} is rendered; stop it before {mode.value} begins, and "
-                        "take the finger away"
+                        "take the finger away",
+                        code="rendering-running",
                     )
                 now.show(soft)
                 return

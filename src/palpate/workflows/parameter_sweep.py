@@ -52,7 +52,7 @@ def sweep(
         [0, 0, 0]
     """
     if seed < 0:
-        raise InputError(f"seed {seed}; it is 0 or more")
+        raise InputError(f"seed {seed}; it is 0 or more", code="settings-range")
     chance = np.random.SeedSequence(seed).spawn(len(items))
 
     jobs = [_Seeded(item, own) for item, own in zip(items, chance, strict=True)]

@@ -70,7 +70,9 @@ class RenderedStimuli(Closing):
             PalpateError: a device refuses, or is gone.
         """
         if (condition, name) not in self._objects:
-            raise InputError(f"nothing is rendered as {code} in condition {condition.value}")
+            raise InputError(
+                f"nothing is rendered as {code} in condition {condition.value}", code="stimulus-not-rendered"
+            )
         soft = replace(self._objects[condition, name], name=code, source="")
         if self._session is not None and (
             self._mode is not MODES[condition] or self._session.status().state == "ended"
@@ -92,11 +94,11 @@ class RenderedStimuli(Closing):
             DeviceError: it has ended, and why.
         """
         if self._session is None:
-            raise DeviceError("nothing is rendered")
+            raise DeviceError("nothing is rendered", code="nothing-rendered")
         status = self._session.status()
         if status.state == "ended":
             self.close()
-            raise DeviceError(f"the rendering has ended: {status.why}")
+            raise DeviceError(f"the rendering has ended: {status.why}", code="rendering-ended")
 
     def close(self) -> None:
         """End what is shown; the chamber vents and the arm brakes."""

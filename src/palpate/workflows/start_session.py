@@ -198,7 +198,7 @@ class StartSession(StoredSession):
         """
         self._needs("camera")
         if more < 1:
-            raise InputError(f"{more} more presses; ask for 1 or more")
+            raise InputError(f"{more} more presses; ask for 1 or more", code="press-count")
         have = self.presses_held
         self.state.asked = more if self.presses_gone else (have or self.state.asked) + more
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
@@ -383,7 +383,8 @@ class StartSession(StoredSession):
         if self.state.unit not in ("", unit) and self._frames():
             raise InputError(
                 f"{self.folder} holds presses whose scale was read in {self.state.unit}; in "
-                f"{unit or 'what it prints'}, begin a session in another folder"
+                f"{unit or 'what it prints'}, begin a session in another folder",
+                code="unit-differs",
             )
 
     def _hand_seed(self) -> int:
@@ -440,4 +441,7 @@ def _folders_made(folder: Path) -> list[Path]:
 def _refuse_few(asked: int) -> None:
     """Refuse to ask for fewer presses than can be learnt from."""
     if asked < MIN_TO_LEARN:
-        raise InputError(f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one")
+        raise InputError(
+            f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one",
+            code="too-few-presses",
+        )

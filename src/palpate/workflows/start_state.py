@@ -63,7 +63,8 @@ def read_state(folder: Path) -> StartState:
         return checked_state(StartState(**json.loads(path.read_bytes())))
     except (ValueError, TypeError, RecursionError, InputError) as e:
         raise RecordingError(
-            f"{path} is no session's file ({e}); move it away, and the runs beside it stay"
+            f"{path} is no session's file ({e}); move it away, and the runs beside it stay",
+            code="session-damaged",
         ) from e
 
 

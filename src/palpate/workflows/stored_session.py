@@ -42,7 +42,8 @@ class StoredSession:
         if self.folder.exists() and not self.folder.is_dir():
             raise InputError(
                 f"{self.folder} is a file, and a session is a folder: give the name of one, such as "
-                f"{self.folder.with_suffix('') if self.folder.suffix else 'my-sensor'}"
+                f"{self.folder.with_suffix('') if self.folder.suffix else 'my-sensor'}",
+                code="not-a-folder",
             )
         self.state = read_state(self.folder)
 
@@ -190,7 +191,7 @@ class StoredSession:
         from palpate.recordings import Run
 
         if not (self.run / MANIFEST).is_file():
-            raise RecordingError(self.gone_text)
+            raise RecordingError(self.gone_text, code="run-missing")
         return Run.open(self.run)
 
     def _folds(self) -> int:

@@ -235,7 +235,7 @@ def record_press(
     normal, time_s = np.array([t.force_n[2] for t in touches]), np.array([t.time_s for t in touches])
     if normal.max() < MAX_N and not planned:
         what = "the table ends" if rig is None else f"rig {rig.name!r} or the table ends"
-        raise RangeError(f"{what} at {normal.max():.3g} N; a press goes to {MAX_N} N")
+        raise RangeError(f"{what} at {normal.max():.3g} N; a press goes to {MAX_N} N", code="force-range")
     world.clock.sleep(1.0)  # until the last sample has arrived
     samples = np.array([wrench.force_n[2] for wrench in force.drain()])[: len(touches)]
     end = len(normal) if planned else int(np.argmax(normal >= MAX_N)) + 1
@@ -269,7 +269,7 @@ def _check_press(rig: LinearRig | None, late_s: float, hold_s: float, *, back: b
     if not math.isfinite(late_s):
         raise RangeError(f"frames late by {late_s} s; give a time, 0 for none")
     if not 0 <= hold_s <= MAX_HOLD_S:
-        raise RangeError(f"a hold of {hold_s:g} s; 0 to {MAX_HOLD_S:g} s are allowed")
+        raise RangeError(f"a hold of {hold_s:g} s; 0 to {MAX_HOLD_S:g} s are allowed", code="hold")
     if (back or hold_s) and rig is not None:
         raise InputError(
             f"a press on the rig {rig.name!r} that comes back or holds; give that or the rig, not both"
@@ -365,13 +365,15 @@ def specimens_at(
         if not isinstance(stiffness, str) and not stiffness >= least * (1 - 1e-9):
             raise RangeError(
                 f"specimen {name} of {1e-3 * stiffness:g} N/mm; tip {spec.tip!r} has tables down to "
-                f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate"
+                f"{1e-3 * least:.3g} N/mm, up to inf for a rigid plate",
+                code="stiffness-range",
             )
     held = [name for name, body in pressed.items() if tilt_rad and _tabulated(spec, body, tilt_rad)]
     if held and len(held) < len(pressed):
         raise RangeError(
             f"without friction {', '.join(held)} would be of a table at finite strain, the rest of linear "
-            "bodies, which are not to be compared; press these alone, or give a friction above 0 for all"
+            "bodies, which are not to be compared; press these alone, or give a friction above 0 for all",
+            code="laws-mixed",
         )
     words: dict[str, str] = {}
     for name, body in pressed.items():

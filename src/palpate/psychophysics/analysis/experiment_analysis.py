@@ -205,7 +205,9 @@ def analyse_experiment(
         InputError: no judgements, or stimuli that are not in the table.
     """
     if not judgements:
-        raise InputError(f"no answers among {len(unanswered)} rows; there is nothing to analyse")
+        raise InputError(
+            f"no answers among {len(unanswered)} rows; there is nothing to analyse", code="no-answers"
+        )
     rng = np.random.default_rng(seed)
     groups: dict[tuple[Task, str], list[Judgement]] = {}
     for one in sorted(judgements, key=lambda one: (one.task, one.presentation, "IKC".index(one.condition))):

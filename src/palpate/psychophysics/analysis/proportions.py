@@ -198,5 +198,7 @@ def _checked(right: int, n: int) -> int:
 
 def _z(coverage: float) -> float:
     if not 0 < coverage < 1:
-        raise RangeError(f"a coverage of {coverage:g}; above 0 and below 1 are allowed, 0.95 is usual")
+        raise RangeError(
+            f"a coverage of {coverage:g}; above 0 and below 1 are allowed, 0.95 is usual", code="coverage"
+        )
     return float(stats.norm.ppf((1 + coverage) / 2))

@@ -211,14 +211,22 @@ def _checked(
     logarithmic: bool,
 ) -> tuple[Levels, Counts, Counts]:
     if len({len(levels), len(given), len(n)}) > 1:
-        raise InputError(f"{len(levels)} levels, {len(given)} counts and {len(n)} totals; one each is needed")
+        raise InputError(
+            f"{len(levels)} levels, {len(given)} counts and {len(n)} totals; one each is needed",
+            code="lengths-differ",
+        )
     x = as_counted(np.asarray(levels, np.float64), logarithmic=logarithmic)
     k, m = np.asarray(given, np.int64), np.asarray(n, np.int64)
     if (k < 0).any() or (k > m).any():
-        raise InputError("an answer was given more often than it was asked for, or less than never")
+        raise InputError(
+            "an answer was given more often than it was asked for, or less than never", code="counts"
+        )
     x, k, m = x[m > 0], k[m > 0], m[m > 0]
     if len(np.unique(x)) < 2:
-        raise InputError(f"{len(np.unique(x))} levels with answers; a function over levels needs two or more")
+        raise InputError(
+            f"{len(np.unique(x))} levels with answers; a function over levels needs two or more",
+            code="too-few-levels",
+        )
     return x, k, m
 
 

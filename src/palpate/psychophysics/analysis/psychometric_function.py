@@ -99,7 +99,9 @@ class PsychometricFunction:
     def __post_init__(self) -> None:
         checked_rates(self.guess, self.lapse)
         if not self.spread > 0:
-            raise RangeError(f"a spread of {self.spread:g}; above 0 is needed, in the level's unit")
+            raise RangeError(
+                f"a spread of {self.spread:g}; above 0 is needed, in the level's unit", code="spread"
+            )
         if self.shape is SigmoidShape.WEIBULL and not self.logarithmic:
             raise InputError("Weibull's function is one of logarithmic levels; ask for logarithmic=True")
         as_counted(np.array([self.threshold]), logarithmic=self.logarithmic)
@@ -120,7 +122,8 @@ def checked_rates(guess: float, lapse: float) -> None:
     """
     if guess < 0 or lapse < 0 or guess + lapse >= 1:
         raise RangeError(
-            f"guesses of {guess:g} and lapses of {lapse:g}; each is 0 or more, and together they are below 1"
+            f"guesses of {guess:g} and lapses of {lapse:g}; each is 0 or more, and together they are below 1",
+            code="guess-and-lapse",
         )
 
 
@@ -132,5 +135,7 @@ def as_counted(levels: ndarray, *, logarithmic: bool) -> ndarray:
     """
     if not np.isfinite(levels).all() or (logarithmic and (levels <= 0).any()):
         what = "above 0 and finite" if logarithmic else "finite"
-        raise RangeError(f"levels from {np.min(levels):g} to {np.max(levels):g}; all have to be {what}")
+        raise RangeError(
+            f"levels from {np.min(levels):g} to {np.max(levels):g}; all have to be {what}", code="levels"
+        )
     return np.asarray(np.log(levels)) if logarithmic else levels

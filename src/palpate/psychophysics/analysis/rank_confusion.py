@@ -47,13 +47,15 @@ class RankConfusion:
         if self.counts.shape != (len(self.names),) * 2 or len(self.names) < 2 or self.counts.min() < 0:
             raise InputError(
                 f"counts of shape {self.counts.shape} for {len(self.names)} stimuli; a square of counts from "
-                "0 is needed, two stimuli or more"
+                "0 is needed, two stimuli or more",
+                code="matrix-shape",
             )
         rows, columns = self.counts.sum(axis=1), self.counts.sum(axis=0)
         if len({*rows.tolist(), *columns.tolist()}) > 1:
             raise InputError(
                 f"rows sum to {', '.join(map(str, rows))} and columns to {', '.join(map(str, columns))}; "
-                "rankings give each stimulus one place, so that all of them sum to the number of rankings"
+                "rankings give each stimulus one place, so that all of them sum to the number of rankings",
+                code="matrix-sums",
             )
 
     @property
@@ -89,7 +91,10 @@ def confusion_of_places(names: Sequence[str], places: Int[ndarray, "n m"]) -> Ra
     """
     m = len(names)
     if not len(places) or not (np.sort(places, axis=1) == np.arange(m)).all():
-        raise InputError(f"a ranking of {m} stimuli gives each of the places 0 to {m - 1} once; one does not")
+        raise InputError(
+            f"a ranking of {m} stimuli gives each of the places 0 to {m - 1} once; one does not",
+            code="not-a-permutation",
+        )
     counts = np.zeros((m, m), np.int64)
     np.add.at(counts, (np.tile(np.arange(m), len(places)), places.ravel()), 1)
     return RankConfusion(tuple(names), counts)
@@ -108,7 +113,8 @@ def places_given(
     if len(sets) != 1:
         raise InputError(
             f"rankings of {len(sets)} different sets of stimuli; a confusion matrix is of one set, give "
-            "those of one condition and presentation"
+            "those of one condition and presentation",
+            code="stimuli-differ",
         )
     names = ranked[0].truth(stimuli)
     places = np.array([[one.answer.index(name) for name in names] for one in ranked])
@@ -154,7 +160,10 @@ def rank_correlation(places: Sequence[int] | ndarray) -> RankCorrelation:
     given = np.asarray(places)
     m = len(given)
     if m < 2 or not (np.sort(given) == np.arange(m)).all():
-        raise InputError(f"places {given.tolist()} are no order; each of 0 to {m - 1} is needed once")
+        raise InputError(
+            f"places {given.tolist()} are no order; each of 0 to {m - 1} is needed once",
+            code="not-a-permutation",
+        )
     tau_test = stats.kendalltau(np.arange(m), given, method="exact")
     rho = _rho(given)
     if m > MAX_COUNTED_ORDERS:

@@ -52,7 +52,8 @@ class PlannedStudy:
         if self.answers < 1 or min(self.intercept_sd, self.effect_sd) < 0 or not 0 < self.significance < 1:
             raise RangeError(
                 "a study has one answer or more a condition, scatters of 0 logits or more, and a "
-                "significance between 0 and 1"
+                "significance between 0 and 1",
+                code="study-design",
             )
 
 
@@ -109,7 +110,8 @@ def participants_needed(
         if high > MAX_PARTICIPANTS:
             raise RangeError(
                 f"shares of {study.first:g} and {study.second:g} are not told apart with a power of "
-                f"{power:g} by {MAX_PARTICIPANTS} participants of {study.answers} answers; plan more each"
+                f"{power:g} by {MAX_PARTICIPANTS} participants of {study.answers} answers; plan more each",
+                code="sample-size",
             )
     while high - low > 1:
         middle = (low + high) // 2

@@ -284,7 +284,7 @@ def read_design(folder: Path) -> ExperimentDesign:
     digests[STIMULI] = stimuli_digest(stimuli)
     for one in sorted({one for part in file.stimuli for one in part.objects}):
         if not (folder / one).is_file():
-            raise InputError(f"{path}: there is no object's file {folder / one}")
+            raise InputError(f"{path}: there is no object's file {folder / one}", code="object-path")
         digests[one] = sha256_of(folder / one)
     for part in file.stimuli:
         _check_moduli(folder, part, stimuli)
@@ -301,10 +301,14 @@ def _check_set(path: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -
     for name in part.names:
         checked_code(name, "stimulus")
         if name not in stimuli:
-            raise InputError(f"{at}: {name} is not in {STIMULI}, which has {', '.join(stimuli)}")
+            raise InputError(
+                f"{at}: {name} is not in {STIMULI}, which has {', '.join(stimuli)}", code="stimulus-unknown"
+            )
     softness = [stimuli[name].softness for name in part.names]
     if len(set(softness)) < len(softness):
-        raise LabelError(f"{at}: two of one level; of such a pair neither answer would be right")
+        raise LabelError(
+            f"{at}: two of one level; of such a pair neither answer would be right", code="equal-levels"
+        )
 
 
 def _check_moduli(folder: Path, part: StimuliPart, stimuli: Mapping[str, Stimulus]) -> None:
@@ -316,7 +320,8 @@ def _check_moduli(folder: Path, part: StimuliPart, stimuli: Mapping[str, Stimulu
         if isinstance(modulus, int | float) and not math.isclose(modulus, level.level, rel_tol=1e-4):
             raise InputError(
                 f"{folder / path}: modulus_kPa = {modulus:g}, and {STIMULI} has {name} at {level.level:g} "
-                "kPa; what is felt and what is counted have to be one: give both files the same"
+                "kPa; what is felt and what is counted have to be one: give both files the same",
+                code="object-level",
             )
 
 
@@ -329,7 +334,10 @@ def _check_words(path: Path, file: ExperimentFile, stimuli: Mapping[str, Stimulu
             if re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", words, re.IGNORECASE)
         ]
         if told:
-            raise InputError(f"{path}: {words!r} names the stimulus {told[0]}, so that nobody would be blind")
+            raise InputError(
+                f"{path}: {words!r} names the stimulus {told[0]}, so that nobody would be blind",
+                code="not-blind",
+            )
 
 
 def _digest(content: object) -> str:

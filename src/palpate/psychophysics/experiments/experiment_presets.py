@@ -59,17 +59,21 @@ def make_experiment(
         StorageError: it cannot be written.
     """
     if preset not in PRESETS:
-        raise InputError(f"preset {preset!r}; there are {', '.join(PRESETS)}")
+        raise InputError(f"preset {preset!r}; there are {', '.join(PRESETS)}", code="preset-unknown")
     if not 0 <= seed < 1 << 63:
         raise RangeError(f"seed {seed}; 0 to {(1 << 63) - 1} are allowed")
     if moduli_kpa is not None and preset != "bianchi-2010":
         raise InputError(f"moduli are for the preset bianchi-2010; {preset} has none: leave them out")
     moduli = tuple(moduli_kpa or MODULI_KPA)
     if len(moduli) != len(MODULI_KPA) or not all(0 < one < float("inf") for one in moduli):
-        raise InputError(f"moduli {moduli} kPa; five above 0 are needed, from 0 to 45 % of softener")
+        raise InputError(
+            f"moduli {moduli} kPa; five above 0 are needed, from 0 to 45 % of softener", code="moduli-count"
+        )
     if any(softer >= harder for harder, softer in pairwise(moduli)):
         said = " ".join(f"{one:g}" for one in moduli)
-        raise InputError(f"moduli {said} kPa; from 0 to 45 % of softener they have to fall")
+        raise InputError(
+            f"moduli {said} kPa; from 0 to 45 % of softener they have to fall", code="moduli-order"
+        )
     stimuli, files = PRESETS[preset](seed, moduli, moduli_kpa is not None)
     with new_folder(folder) as part:
         write_stimuli(part / STIMULI, stimuli)

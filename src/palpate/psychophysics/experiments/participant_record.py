@@ -71,7 +71,7 @@ def checked_age(text: str, asked: str) -> str:
         raise InputError(f"age {text!r}; " + ("whole years" if asked == "years" else "a band such as 20-29"))
     if years != sorted(years) or years[-1] > MAX_AGE:
         raise RangeError(
-            f"age {text!r}; 0 to {MAX_AGE} years are allowed, a band from the lower to the upper"
+            f"age {text!r}; 0 to {MAX_AGE} years are allowed, a band from the lower to the upper", code="age"
         )
     return text
 
@@ -84,10 +84,14 @@ def checked_participant(code: str) -> str:
     """
     checked_code(code, "participant")
     if code.lower().startswith("sub-"):
-        raise InputError(f"participant {code!r}: the folder's sub- comes by itself; give {code[4:] or 'P01'}")
+        raise InputError(
+            f"participant {code!r}: the folder's sub- comes by itself; give {code[4:] or 'P01'}",
+            code="participant-code",
+        )
     if not any(one.isdigit() for one in code):
         raise InputError(
-            f"participant {code!r}: a code has a digit, and no name has; give a code such as P01"
+            f"participant {code!r}: a code has a digit, and no name has; give a code such as P01",
+            code="participant-code",
         )
     return code
 
@@ -144,7 +148,9 @@ class ParticipantRecord:
         path = folder / PARTICIPANT
         with storage_errors(path):
             if folder.is_dir() and not path.exists():
-                raise LabelError(f"{path} is missing, which says who was asked what; put it back")
+                raise LabelError(
+                    f"{path} is missing, which says who was asked what; put it back", code="record-missing"
+                )
             data = path.read_bytes()
         try:
             record = cls(**json.loads(data))
@@ -154,7 +160,9 @@ class ParticipantRecord:
         wrong = [name for name, right in record._fields_right().items() if not right]
         if wrong:
             said = ", ".join(f"{name} {getattr(record, name)!r}" for name in wrong)
-            raise LabelError(f"{path} is damaged: {said}; put it back as it was written")
+            raise LabelError(
+                f"{path} is damaged: {said}; put it back as it was written", code="record-damaged"
+            )
         return record
 
     def _fields_right(self) -> dict[str, bool]:

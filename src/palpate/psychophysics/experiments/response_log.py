@@ -60,7 +60,8 @@ class ResponseLog(Closing):
             self._file = lock(self._path)
         except RecordingError as e:
             raise RecordingError(
-                f"{folder.name} is being run in another terminal; end that sitting first, by q or Ctrl-C"
+                f"{folder.name} is being run in another terminal; end that sitting first, by q or Ctrl-C",
+                code="session-in-use",
             ) from e
         try:
             self.torn = self._mend_tail()

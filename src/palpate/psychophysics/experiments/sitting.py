@@ -97,7 +97,8 @@ def participant_folder(design: ExperimentDesign, participant: str, simulated: bo
         if others:
             raise InputError(
                 f"participant {participant!r}; there is {others[0]!r} already, which differs by capitals, - "
-                "or _ alone: give another code"
+                "or _ alone: give another code",
+                code="participant-exists",
             )
     return folder
 
@@ -205,7 +206,9 @@ class Sitting(Closing):
         if self.record.simulated != simulated:
             raise InputError(f"{folder / PARTICIPANT} was changed: simulated; put it back as it was written")
         if self.record.consent not in ("yes", "simulated"):
-            raise InputError(f"participant {participant} has not consented, so that there is no trial")
+            raise InputError(
+                f"participant {participant} has not consented, so that there is no trial", code="no-consent"
+            )
         self.schedule: Schedule = schedule_of(design, self.record)
         self.codes: Mapping[Place, str] = letter_codes(design, self.record.number, simulated)
         self._check_schedule()
@@ -295,7 +298,8 @@ def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where:
             mend = f"delete the folder {REHEARSAL}, and rehearse again; or put it back as it was"
         raise InputError(
             f"{', '.join(changed)} of {where} changed since {record.participant} began, and a participant's "
-            f"answers belong to one design alone; {mend}"
+            f"answers belong to one design alone; {mend}",
+            code="design-changed",
         )
 
 
@@ -309,13 +313,15 @@ def check_owner(folder: Path, record: ParticipantRecord, judgements: Sequence[Ju
     if named.startswith(PREFIX) and named != f"{PREFIX}{record.participant}":
         raise LabelError(
             f"{folder / PARTICIPANT} is of {record.participant}: the folder was copied or renamed; put it "
-            "back, and enrol whoever is new by a code that has no folder yet"
+            "back, and enrol whoever is new by a code that has no folder yet",
+            code="folder-of-another",
         )
     others = sorted({one.participant for one in judgements} - {record.participant})
     if others:
         raise LabelError(
             f"{folder / RESPONSES} has answers of {', '.join(others)}, and the folder is of "
-            f"{record.participant}; put the table back as it was written"
+            f"{record.participant}; put the table back as it was written",
+            code="answers-of-another",
         )
 
 
@@ -336,6 +342,7 @@ def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule
     if record.group != schedule.group.name:
         raise InputError(
             f"{PARTICIPANT} of {record.participant} was changed: group {record.group!r}, where the schedule "
-            f"has {schedule.group.name!r}; put it back as it was written"
+            f"has {schedule.group.name!r}; put it back as it was written",
+            code="participant-changed",
         )
     return schedule

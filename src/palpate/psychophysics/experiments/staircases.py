@@ -50,7 +50,8 @@ class StaircaseRule:
         counts = (self.right, self.wrong, self.up_ratio, self.max_trials, *self.steps)
         if not self.steps or min(counts) < 1 or self.reversals < 2:
             raise InputError(
-                f"{self}: counts and steps are 1 or more, and reversals 2 or more; give such numbers"
+                f"{self}: counts and steps are 1 or more, and reversals 2 or more; give such numbers",
+                code="staircase-rule",
             )
 
     @property
@@ -107,7 +108,10 @@ def begin_staircase(places: int) -> StaircaseState:
         InputError: none.
     """
     if places < 1:
-        raise InputError("a staircase without a comparison; put a stimulus on that side of the standard")
+        raise InputError(
+            "a staircase without a comparison; put a stimulus on that side of the standard",
+            code="staircase-comparison",
+        )
     return StaircaseState(places - 1)
 
 
@@ -119,7 +123,8 @@ def step_staircase(rule: StaircaseRule, places: int, state: StaircaseState, righ
     """
     if state.ended:
         raise InputError(
-            f"an answer beyond the end of a staircase, at trial {state.trials + 1}; leave it out"
+            f"an answer beyond the end of a staircase, at trial {state.trials + 1}; leave it out",
+            code="staircase-ended",
         )
     in_row = max(state.in_row, 0) + 1 if right else min(state.in_row, 0) - 1
     place, way, reversals = state.place, state.way, state.reversals

@@ -140,11 +140,16 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
     enrolled = [one for one in records(design, simulated) if one.consent in ("yes", "simulated")]
     if not enrolled:
         where = home_of(design, simulated)
-        raise InputError(f"{where} has no participant yet; `palpate trial run` enrols one")
+        raise InputError(
+            f"{where} has no participant yet; `palpate trial run` enrols one", code="no-participants"
+        )
     labels = [label_of(one.participant) for one in enrolled]
     twice = [one.participant for one, label in zip(enrolled, labels, strict=True) if labels.count(label) > 1]
     if twice:
-        raise InputError(f"participants {', '.join(twice)} have one label in BIDS, which knows no - and _")
+        raise InputError(
+            f"participants {', '.join(twice)} have one label in BIDS, which knows no - and _",
+            code="equal-labels",
+        )
     everybody: list[Judgement] = []
     people: list[Row] = []
     with new_folder(out) as part:

@@ -310,7 +310,8 @@ class Schedule:
                         f"judgement {i + 1} of {judgements[i].participant} is not the one that the schedule "
                         f"asks for there, block {planned.block}, trial {planned.trial} of "
                         f"{planned.presentation.value} {planned.condition.value} {planned.task.value}: a row "
-                        "is missing, stands twice or was changed; put the table back as it was written"
+                        "is missing, stands twice or was changed; put the table back as it was written",
+                        code="schedule",
                     )
                 answers.append(" ".join(judgements[i].answer))
                 i += 1

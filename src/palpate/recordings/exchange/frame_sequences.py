@@ -75,7 +75,9 @@ class TiffFrames(Closing):
             ImageError: it is damaged, or not as the first is.
         """
         if not 0 <= index < len(self):
-            raise RangeError(f"{self.path} has pages 0 to {len(self) - 1}, and {index} was asked for")
+            raise RangeError(
+                f"{self.path} has pages 0 to {len(self) - 1}, and {index} was asked for", code="index-range"
+            )
         page = self._checked(index)
         if page.shape != self.shape:
             raise ImageError(
@@ -137,7 +139,7 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
     order = _ORDERS.get(file.read(2))
     magic = _number(file, order + "H", path) if order else 0
     if order is None or magic not in (42, 43):
-        raise ImageError(f"{path} is no TIFF; give a multi-page TIFF")
+        raise ImageError(f"{path} is no TIFF; give a multi-page TIFF", code="not-tiff")
     # classic: 4-byte offsets, 2-byte counts, 12-byte entries; BigTIFF: 8, 8 and 20
     offset_type, count_type, entry = ("I", "H", 12) if magic == 42 else ("Q", "Q", 20)
     if magic == 43:
@@ -148,12 +150,19 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
     while offset:
         if offset in visited:
             raise ImageError(
-                f"{path}: its pages run in a circle after page {len(offsets) - 1}; it is damaged"
+                f"{path}: its pages run in a circle after page {len(offsets) - 1}; it is damaged",
+                code="tiff-loop",
             )
         if not 0 < offset < size:
-            raise ImageError(f"{path}: page {len(offsets)} lies outside the file; it is cut off or damaged")
+            raise ImageError(
+                f"{path}: page {len(offsets)} lies outside the file; it is cut off or damaged",
+                code="tiff-offset",
+            )
         if len(offsets) >= most:
-            raise ImageError(f"{path} has more than {most} pages; split the recording, or raise the limit")
+            raise ImageError(
+                f"{path} has more than {most} pages; split the recording, or raise the limit",
+                code="too-many-pages",
+            )
         visited.add(offset)
         offsets.append(offset)
         file.seek(offset)
@@ -161,14 +170,16 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
         file.seek(entries * entry, 1)
         offset = _number(file, order + offset_type, path)
     if not offsets:
-        raise ImageError(f"{path} has no pages; export it again")
+        raise ImageError(f"{path} has no pages; export it again", code="no-pages")
     return offsets
 
 
 def _number(file: BinaryIO, kind: str, path: Path) -> int:
     data = file.read(struct.calcsize(kind))
     if len(data) < struct.calcsize(kind):
-        raise ImageError(f"{path} ends within a directory of pages; it is cut off: copy it again")
+        raise ImageError(
+            f"{path} ends within a directory of pages; it is cut off: copy it again", code="file-truncated"
+        )
     return int(struct.unpack(kind, data)[0])
 
 

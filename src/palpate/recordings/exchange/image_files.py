@@ -111,9 +111,14 @@ def _expected(data: np.ndarray) -> tuple[tuple[int, ...], int]:
     if signature != _SIGNATURE or length != 13 or name != b"IHDR":
         raise ImageError("the image is not a PNG")
     if depth != 8 or colour not in _READ_AS:
-        raise ImageError(f"the PNG is {depth}-bit of colour type {colour}; a run holds 8-bit grey or RGB")
+        raise ImageError(
+            f"the PNG is {depth}-bit of colour type {colour}; a run holds 8-bit grey or RGB",
+            code="pixel-format",
+        )
     if not 0 < width * height <= MAX_PIXELS:
-        raise ImageError(f"the PNG claims {width} x {height} pixels; 1 to {MAX_PIXELS} are read")
+        raise ImageError(
+            f"the PNG claims {width} x {height} pixels; 1 to {MAX_PIXELS} are read", code="image-size"
+        )
     return (height, width) if colour == 0 else (height, width, 3), _READ_AS[colour]
 
 
@@ -221,7 +226,8 @@ def _damage_explained(path: Path) -> Iterator[None]:
         if "unknown pixel mode" in str(e):  # Pillow's words of floating-point colour, and of other rare kinds
             raise ImageError(
                 f"{path} has pixels of a kind that is not read, such as floating-point colour; scale all "
-                "images alike to unsigned 8 bits first"
+                "images alike to unsigned 8 bits first",
+                code="pixel-format",
             ) from e
         raise ImageError(
             f"{path} is damaged or cut short ({type(e).__name__}: {e}); copy it again from where it came, "

@@ -165,7 +165,8 @@ def import_images(
         raise UnitError(
             f"{found.source}: columns of numbers without a unit: {', '.join(bare)}; give each one, as by "
             "--unit "
-            "depth=mm (a dimensionless one is a ratio), or import without strict and use them as groups only"
+            "depth=mm (a dimensionless one is a ratio), or import without strict and use them as groups only",
+            code="unit-missing",
         )
     pictures, digests = [], []
     for done, image in enumerate(_same_kind(found.paths), start=1):

@@ -112,7 +112,7 @@ def find_labelled_images(
         LabelError: labels are damaged, name an image twice, or one that is not there or outside the folder.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder of images; check the name")
+        raise InputError(f"{folder} is not a folder of images; check the name", code="folder-missing")
     if layout.name_pattern is not None:
         found = _by_names(folder, layout.name_pattern, allow_unlabelled=layout.allow_unlabelled)
     else:
@@ -367,7 +367,10 @@ def _existing(paths: Sequence[Path]) -> Path | None:
 def _only(paths: Sequence[Path], where: str) -> Path | None:
     there = [path for path in paths if path.is_file()]
     if len(there) > 1:
-        raise LabelError(f"{where} may mean {there[0].name} or {there[1].name}; write the suffix too")
+        raise LabelError(
+            f"{where} may mean {there[0].name} or {there[1].name}; write the suffix too",
+            code="image-ambiguous",
+        )
     return there[0] if there else None
 
 

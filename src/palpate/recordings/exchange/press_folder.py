@@ -119,12 +119,16 @@ def press_folder(path: Path) -> PressFolder:
     path = Path(path)
     path = path / PRESSES if (path / PRESSES).is_dir() and (path / MANIFEST).exists() else path
     if not path.is_dir():
-        raise InputError(f"{path} is no folder; give that of an experiment, with a folder for every specimen")
+        raise InputError(
+            f"{path} is no folder; give that of an experiment, with a folder for every specimen",
+            code="folder-missing",
+        )
     with storage_errors(path):
         folders = {p.name: p for p in sorted(path.iterdir()) if p.is_dir() and not p.name.startswith(".")}
         if not folders:
             raise InputError(
-                f"{path} holds no folders; put the presses of each specimen into one, e.g. S1/01.tif"
+                f"{path} holds no folders; put the presses of each specimen into one, e.g. S1/01.tif",
+                code="folder-empty",
             )
         table = path / SPECIMENS
         known = _known(table, folders) if table.exists() else dict.fromkeys(folders, (None, UNKNOWN_BODY))
@@ -205,7 +209,8 @@ def write_specimens(
     for name, stiffness in stiffness_n_m.items():
         if not _PLAIN.fullmatch(name):
             raise InputError(
-                f"specimen {name!r} cannot name a folder everywhere; use letters, digits, '.', '_' and '-'"
+                f"specimen {name!r} cannot name a folder everywhere; use letters, digits, '.', '_' and '-'",
+                code="folder-name",
             )
         if stiffness <= 0:
             raise InputError(f"specimen {name} of {stiffness:g} N/m; above 0, inf for a rigid plate")
@@ -248,26 +253,34 @@ def _known(path: Path, folders: Mapping[str, Path]) -> dict[str, tuple[float | N
     """Stiffness [N/m] and body of every specimen of the table, which are those that have a folder."""
     table = read_labels(path, kinds={NAME: "text"})
     if NAME not in table.columns:
-        raise LabelError(f"{path} has no column {NAME!r}; it has {', '.join(map(str, table.columns))}")
+        raise LabelError(
+            f"{path} has no column {NAME!r}; it has {', '.join(map(str, table.columns))}",
+            code="column-missing",
+        )
     names = [str(name).strip() for name in table[NAME]]
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise LabelError(f"{path} names specimen {twice[0]!r} more than once; a specimen has one row")
+        raise LabelError(
+            f"{path} names specimen {twice[0]!r} more than once; a specimen has one row", code="row-repeated"
+        )
     gone = [name for name in names if name not in folders]
     if gone:
         raise LabelError(
             f"{path} names {', '.join(map(repr, gone))}, without a folder of that name beside it; there are "
-            f"{', '.join(folders)}"
+            f"{', '.join(folders)}",
+            code="specimen-folder-missing",
         )
     left = [name for name in folders if name not in names]
     if left:
         raise LabelError(
-            f"{path} has no row for {', '.join(map(repr, left))}; add one, or move the folder away"
+            f"{path} has no row for {', '.join(map(repr, left))}; add one, or move the folder away",
+            code="specimen-row-missing",
         )
     stiffness = _quantity(path, table, STIFFNESS)
     if stiffness is None:
         raise LabelError(
-            f"{path} has no column {STIFFNESS!r}; add it: inf for a rigid plate, empty where not known"
+            f"{path} has no column {STIFFNESS!r}; add it: inf for a rigid plate, empty where not known",
+            code="column-missing",
         )
     unknown = [None] * len(names)
     moduli, radii = (_quantity(path, table, column) or unknown for column in (MODULUS, RADIUS))
@@ -285,13 +298,17 @@ def _quantity(path: Path, table: pd.DataFrame, usual: str) -> list[float | None]
     if column is None:
         return None
     if label_kinds(table)[column] != "number":
-        raise LabelError(f"{path}: {column!r} holds what is no number; write inf where it is without end")
+        raise LabelError(
+            f"{path}: {column!r} holds what is no number; write inf where it is without end",
+            code="table-number",
+        )
     values = table[column].to_numpy(np.float64)
     bad = np.flatnonzero(values <= 0)
     if bad.size:
         raise LabelError(
             f"{path}, row {bad[0] + FIRST_ROW}: a {what.replace('_', ' ')} of {values[bad[0]]:g}; it is "
-            f"above 0, and {WITHOUT_END[usual]}"
+            f"above 0, and {WITHOUT_END[usual]}",
+            code="stiffness",
         )
     to_si = split_column(column)[1].to_si
     return [None if np.isnan(value) else to_si(float(value)) for value in values]
@@ -313,10 +330,14 @@ def _presses(folder: Path) -> tuple[tuple[Path, Path], ...]:
         is_tiff = alone[0] in tiffs
         raise InputError(
             f"{(tiffs if is_tiff else tables)[alone[0]]} is without its {'table' if is_tiff else 'frames'} "
-            f"{alone[0]}{'.csv' if is_tiff else '.tif'}; a press is two files of one name"
+            f"{alone[0]}{'.csv' if is_tiff else '.tif'}; a press is two files of one name",
+            code="press-incomplete",
         )
     if not tiffs:
-        raise InputError(f"{folder} holds no presses; put e.g. 01.tif and 01.csv into it, or move it away")
+        raise InputError(
+            f"{folder} holds no presses; put e.g. 01.tif and 01.csv into it, or move it away",
+            code="no-presses",
+        )
     return tuple((tiffs[stem], tables[stem]) for stem in sorted(tiffs))
 
 
@@ -324,6 +345,9 @@ def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
     by_stem: dict[str, Path] = {}
     for path in files:
         if path.stem in by_stem:
-            raise InputError(f"{by_stem[path.stem]} and {path.name} are of one press; keep one of them")
+            raise InputError(
+                f"{by_stem[path.stem]} and {path.name} are of one press; keep one of them",
+                code="press-ambiguous",
+            )
         by_stem[path.stem] = path
     return by_stem

@@ -68,7 +68,9 @@ class PressTable:
             RangeError: a latency that is not finite, or as long as the press.
         """
         if not abs(latency_s) < self.time_s[-1] - self.time_s[0]:
-            raise RangeError(f"frames late by {latency_s} s in a press of {self.time_s[-1]:.3g} s")
+            raise RangeError(
+                f"frames late by {latency_s} s in a press of {self.time_s[-1]:.3g} s", code="latency"
+            )
         if latency_s == 0:
             return self
         at = self.time_s - latency_s
@@ -156,7 +158,10 @@ def press_rows(
     """
     rising = len(frame_sample) and frame_sample[0] == 0 and (np.diff(frame_sample) > 0).all()
     if not (rising and frame_sample[-1] < len(time_s)):
-        raise LabelError("each frame belongs to a later sample than the one before, the first to sample 0")
+        raise LabelError(
+            "each frame belongs to a later sample than the one before, the first to sample 0",
+            code="frame-order",
+        )
     raw = raw_n + 0.0  # no minus before a zero
     rows = {
         "time_s": time_s,
@@ -186,11 +191,13 @@ def _named(
     if column is None or column not in table.columns:
         raise LabelError(
             f"{path} has no column {' or '.join([wanted] if wanted else usual)}; name the column of {what}: "
-            f"{', '.join(map(str, table.columns))}"
+            f"{', '.join(map(str, table.columns))}",
+            code="force-missing",
         )
     if not has_unit(column) or split_column(column)[1].si != si:
         raise LabelError(
-            f"column {column!r} of {path} carries no unit of {what}; rename it, e.g. {usual[-1]!r}"
+            f"column {column!r} of {path} carries no unit of {what}; rename it, e.g. {usual[-1]!r}",
+            code="force-unit",
         )
     return column
 
@@ -206,7 +213,8 @@ def _areas(table: pd.DataFrame, path: Path, name: str) -> Samples:
         bad = np.flatnonzero((values < 0) | np.isinf(values))
     if bad.size:
         raise LabelError(
-            f"{path}, {rows_text(bad)}: {name!r} is no area, 0 or more, or an empty cell; repair them"
+            f"{path}, {rows_text(bad)}: {name!r} is no area, 0 or more, or an empty cell; repair them",
+            code="area",
         )
     return values * split_column(name)[1].factor
 
@@ -216,7 +224,9 @@ def _numbers(table: pd.DataFrame, path: Path, name: str) -> Samples:
     if label_kinds(table)[name] == "number":
         bad = np.flatnonzero(~np.isfinite(table[name].to_numpy(np.float64)))
     if bad.size:
-        raise LabelError(f"{path}, {rows_text(bad)}: {name!r} holds no finite number; repair them")
+        raise LabelError(
+            f"{path}, {rows_text(bad)}: {name!r} holds no finite number; repair them", code="not-finite"
+        )
     return table[name].to_numpy(np.float64)
 
 
@@ -224,12 +234,16 @@ def _times(table: pd.DataFrame, path: Path, rate_hz: float | None) -> Samples:
     name = next((name for name in TIMES if name in table.columns), None)
     if name is None:
         if rate_hz is None or not rate_hz > 0:
-            raise LabelError(f"{path} has no column {' or '.join(TIMES)}; give its rate [Hz]")
+            raise LabelError(
+                f"{path} has no column {' or '.join(TIMES)}; give its rate [Hz]", code="time-missing"
+            )
         return np.arange(len(table)) / rate_hz
     time = _numbers(table, path, name)
     late = np.flatnonzero(np.diff(time) <= 0) + 1
     if late.size:
-        raise LabelError(f"{path}, {rows_text(late)}: {name!r} does not rise; sort the rows")
+        raise LabelError(
+            f"{path}, {rows_text(late)}: {name!r} does not rise; sort the rows", code="time-order"
+        )
     return time - time[0]
 
 
@@ -238,18 +252,23 @@ def _frame_samples(table: pd.DataFrame, path: Path, frames: int) -> Int[ndarray,
         if len(table) != frames:
             raise LabelError(
                 f"{path} has {len(table)} rows and there are {frames} frames; give a row a frame, or a "
-                f"column {FRAME!r} that says which frame each sample belongs to"
+                f"column {FRAME!r} that says which frame each sample belongs to",
+                code="row-count",
             )
         return np.arange(frames)
     index = _numbers(table, path, FRAME)
     back = np.flatnonzero((np.diff(index) < 0) | (index[1:] % 1 != 0)) + 1
     if back.size:
-        raise LabelError(f"{path}, {rows_text(back)}: {FRAME!r} is not a whole number that never falls")
+        raise LabelError(
+            f"{path}, {rows_text(back)}: {FRAME!r} is not a whole number that never falls",
+            code="frame-numbers",
+        )
     kinds, first = np.unique(index.astype(np.int64), return_index=True)
     if len(kinds) != frames or kinds[0] != 0 or kinds[-1] != frames - 1:
         missing = np.setdiff1d(np.arange(frames), kinds)
         raise LabelError(
             f"{path} names {len(kinds)} frames, {kinds[0]} to {kinds[-1]}, and there are {frames}, 0 to "
-            f"{frames - 1}{f'; frame {missing[0]} has no row' if len(missing) else ''}: is it of this press?"
+            f"{frames - 1}{f'; frame {missing[0]} has no row' if len(missing) else ''}: is it of this press?",
+            code="frame-count",
         )
     return first

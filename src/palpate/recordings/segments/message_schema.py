@@ -120,7 +120,8 @@ def encode_json(fields: dict[str, Any]) -> bytes:
         text = json.dumps(fields, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError, RecursionError) as e:
         raise InputError(
-            f"{fields!r:.200} cannot be recorded as JSON ({e}); give text, finite numbers, flags, lists"
+            f"{fields!r:.200} cannot be recorded as JSON ({e}); give text, finite numbers, flags, lists",
+            code="not-json",
         ) from e
     return _encoded(_store().types[EVENTS.type](data=text), EVENTS)
 

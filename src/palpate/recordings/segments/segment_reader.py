@@ -347,7 +347,8 @@ class StoredFrame:
         """Error of a frame that cannot be read."""
         return RecordingError(
             f"{self.path} at byte {self.chunk.offset}: {reason}; `palpate repair` copies what is readable "
-            "into a new run"
+            "into a new run",
+            code="segment-damaged",
         )
 
     @property

@@ -111,7 +111,8 @@ class Bench(Closing):
             raise InputError(
                 f"the rig {self.name!r} has a Marlin stage, whose homing can drive its tool down to the bed; "
                 "nothing moved. Where its switches lie away from the skin, set home = true under [stage]; "
-                "else give --position touch-off or --position reference"
+                "else give --position touch-off or --position reference",
+                code="homing-not-confirmed",
             )
 
     def need_force(self) -> ForceSensor:

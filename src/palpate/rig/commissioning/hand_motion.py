@@ -435,7 +435,8 @@ def jog(
     target = _jog_target(stage, limits, axis, distance_m, speed_m_s, guarded=force is not None)
     if not (math.isfinite(stop_n) and 0 < stop_n <= limits.force_n):
         raise RangeError(
-            f"a jog stopped at {stop_n:g} N; the rig's limit of {limits.force_n:g} N is the greatest allowed"
+            f"a jog stopped at {stop_n:g} N; the rig's limit of {limits.force_n:g} N is the greatest allowed",
+            code="force-limit",
         )
     if force is None:
         hop_to(stage, clock, target, speed_m_s)
@@ -486,16 +487,20 @@ def _jog_target(
     stage: Stage, limits: Limits, axis: str, distance_m: float, speed_m_s: float, *, guarded: bool
 ) -> tuple[float, float, float]:
     if axis not in ("x", "y", "z"):
-        raise InputError(f"there is no axis {axis!r}; give x, y or z, and z leads into the skin")
+        raise InputError(
+            f"there is no axis {axis!r}; give x, y or z, and z leads into the skin", code="axis-unknown"
+        )
     if not 0 < abs(distance_m) <= MAX_JOG_M:
         raise RangeError(
-            f"a jog by {distance_m * 1e3:g} mm; {MAX_JOG_M * 1e3:g} mm are the most, and 0 mm is none"
+            f"a jog by {distance_m * 1e3:g} mm; {MAX_JOG_M * 1e3:g} mm are the most, and 0 mm is none",
+            code="jog-length",
         )
     fastest = MAX_JOG_M_S if guarded else MAX_UNGUARDED_M_S
     if not 0 < speed_m_s <= fastest:
         raise RangeError(
             f"a jog at {speed_m_s * 1e3:g} mm/s; {fastest * 1e3:g} mm/s are the most"
-            + ("" if guarded else " where no force sensor guards it")
+            + ("" if guarded else " where no force sensor guards it"),
+            code="jog-speed",
         )
     x, y, z = (a + distance_m * (axis == name) for name, a in zip("xyz", stage.position_m(), strict=True))
     limits.check_target((x, y, z))

@@ -361,7 +361,8 @@ def _check_above(least: Three, greatest: Three) -> None:
     for axis, low, high in zip("xyz", least, greatest, strict=True):
         if not low < high:
             raise RangeError(
-                f"soft limits of {axis} from {low:g} to {high:g} mm; the greatest has to be more"
+                f"soft limits of {axis} from {low:g} to {high:g} mm; the greatest has to be more",
+                code="soft-limits",
             )
 
 

@@ -141,7 +141,7 @@ def plan_from(fields: Mapping[str, Any], sensor: Sensor | None = None) -> Known:
         plan.places.places()
     except ValidationError as e:
         problems = "; ".join(f"{'.'.join(map(str, d['loc'][1:])) or 'plan'}: {d['msg']}" for d in e.errors())
-        raise InputError(problems) from e
+        raise InputError(problems, code="plan-field") from e
     return plan
 
 

@@ -126,7 +126,8 @@ class Grid(OnSkin):
         if not places:
             raise InputError(
                 f"no place of the grid, {self.pitch_mm:g} mm apart, lies within {reach:g} mm of the centre; "
-                "use an odd number of places a side, or a smaller pitch"
+                "use an odd number of places a side, or a smaller pitch",
+                code="no-positions",
             )
         return tuple(places)
 
@@ -162,7 +163,8 @@ class Scattered(OnSkin):
         if len(places) < self.count:
             raise InputError(
                 f"{self.count} places {self.apart_mm:g} mm apart do not fit within {reach:g} mm of the "
-                f"centre; {len(places)} were found"
+                f"centre; {len(places)} were found",
+                code="too-many-positions",
             )
         return tuple(places)
 
@@ -184,7 +186,8 @@ class Listed(OnSkin):
             if not self.holds(x, y):
                 raise InputError(
                     f"at ({x:g}, {y:g}) mm the probe reaches over the layer's rim; within {reach:g} mm of "
-                    "the centre it does not"
+                    "the centre it does not",
+                    code="position-outside",
                 )
         return tuple(Place(f"l{i}", x, y) for i, (x, y) in enumerate(self.at_mm))
 
@@ -211,12 +214,14 @@ class Around(OnSkin):
         (layer_mm, probe_mm), reach = self.sizes_mm(), self.reach_mm
         if self.inside_mm > reach + ROUNDING_MM:
             raise InputError(
-                f"inside_mm is {self.inside_mm:g}; the probe reaches over the rim from {reach:g}"
+                f"inside_mm is {self.inside_mm:g}; the probe reaches over the rim from {reach:g}",
+                code="position-outside",
             )
         if self.beyond_mm >= probe_mm / 2:
             raise InputError(
                 f"beyond_mm is {self.beyond_mm:g}: a ball of {probe_mm:g} mm passes the rim without "
-                f"touching it; give less than {probe_mm / 2:g}"
+                f"touching it; give less than {probe_mm / 2:g}",
+                code="rim-not-touched",
             )
         outside = layer_mm / 2 + self.beyond_mm
         return (
@@ -235,7 +240,9 @@ Places = Annotated[Grid | Scattered | Listed | Around, Field(discriminator="kind
 def reach_mm(layer_mm: float, probe_mm: float) -> float:
     """Greatest distance of the probe's axis from the layer's centre."""
     if probe_mm > layer_mm:
-        raise InputError(f"a probe of {probe_mm:g} mm is wider than the layer, {layer_mm:g} mm")
+        raise InputError(
+            f"a probe of {probe_mm:g} mm is wider than the layer, {layer_mm:g} mm", code="probe-too-wide"
+        )
     return (layer_mm - probe_mm) / 2
 
 

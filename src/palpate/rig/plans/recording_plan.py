@@ -139,7 +139,8 @@ def _check_width(indenters: tuple[str, ...], probe_mm: float) -> None:
         if wide and float(wide[1]) > probe_mm:
             raise InputError(
                 f"the indenter {indenter} is wider than the probe of {probe_mm:g} mm that places are clipped "
-                "for; give places.probe_mm as wide as the widest"
+                "for; give places.probe_mm as wide as the widest",
+                code="probe-too-wide",
             )
 
 

@@ -124,7 +124,7 @@ class SerialForceSensor(Closing):
         if not self._failure and silent_s > patience_s:
             self._failure = self.in_silence()
         if self._failure:
-            raise DeviceError(f"{self._what}: {self._failure}")
+            raise DeviceError(f"{self._what}: {self._failure}", code="no-samples")
 
     def _run(self) -> None:
         try:

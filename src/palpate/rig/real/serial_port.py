@@ -125,8 +125,10 @@ def find_port(name: str) -> str:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        raise DeviceError(f"{name!r} fits {', '.join(matching)}; name one by its path")
-    raise DeviceError(f"there is no port {name!r}, by path or by serial number; {_listed()}")
+        raise DeviceError(f"{name!r} fits {', '.join(matching)}; name one by its path", code="port-ambiguous")
+    raise DeviceError(
+        f"there is no port {name!r}, by path or by serial number; {_listed()}", code="port-not-found"
+    )
 
 
 def _listed() -> str:

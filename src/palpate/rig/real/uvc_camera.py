@@ -54,7 +54,8 @@ def device(address: str | int, by_id: Path = BY_ID) -> str | int:
         there = ", ".join(path.name for path in _cameras(by_id)) or "none"
         raise DeviceError(
             f"{len(matches)} cameras have the serial number {address!r}; {by_id} lists: {there}. "
-            "Give one of these serial numbers, a path such as /dev/video0, or a number"
+            "Give one of these serial numbers, a path such as /dev/video0, or a number",
+            code="camera-not-found",
         )
     return str(matches[0].resolve())
 
@@ -194,7 +195,8 @@ def refuse_absent(where: str | int, system: VideoSystem | None = None) -> None:
     there = ", ".join(f"{one.path} ({one.name}, serial number {one.serial or 'none'})" for one in cameras)
     raise DeviceError(
         f"the camera {where}: there is no {path}; "
-        + (f"there are {there}" if there else "no camera is to be seen: check that it is plugged in")
+        + (f"there are {there}" if there else "no camera is to be seen: check that it is plugged in"),
+        code="camera-not-found",
     )
 
 
@@ -360,7 +362,7 @@ class UvcCamera(Closing):
                 left_ns = until_ns - self._clock.now_ns()
                 if self._failure or left_ns <= 0:
                     why = self._failure or f"no frame came within {timeout_s:g} s; is it still plugged in?"
-                    raise DeviceError(f"the camera {self._name}: {why}")
+                    raise DeviceError(f"the camera {self._name}: {why}", code="no-frames")
                 self._new.wait(left_ns / NS_PER_S)
             self._kept.clear()
             return self._newest

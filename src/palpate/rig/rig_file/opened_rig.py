@@ -194,7 +194,8 @@ def read_rig(path: Path) -> RigFile:
     if not path.is_file():
         raise InputError(
             f"there is no rig {str(path)!r}: no such file, and by name there are "
-            f"{', '.join(VIRTUAL + name for name in SENSORS.names())}"
+            f"{', '.join(VIRTUAL + name for name in SENSORS.names())}",
+            code="rig-unknown",
         )
     file = validated(RigFile, path, read_toml(path))
     roles: dict[str, Role] = {"stage": "stage", "force": "force", "label_force": "force", "camera": "camera"}
@@ -203,7 +204,7 @@ def read_rig(path: Path) -> RigFile:
             try:
                 check_kind(role, part.kind, OWN[role])
             except InputError as e:
-                raise InputError(f"{path}: {name}.kind: {e}") from e
+                raise InputError(f"{path}: {name}.kind: {e}", code="driver-unknown") from e
     return file
 
 

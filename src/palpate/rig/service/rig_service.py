@@ -384,11 +384,14 @@ class RigService:
 
     def _check_released(self) -> None:
         if self._devices.stage.held:
-            raise SafetyError("the emergency stop holds the stage; look at the rig, release it, then start")
+            raise SafetyError(
+                "the emergency stop holds the stage; look at the rig, release it, then start",
+                code="emergency-stop",
+            )
 
     def _check_recording(self, what: str) -> None:
         if not self.recording:
-            raise SafetyError(f"there is no recording to {what}")
+            raise SafetyError(f"there is no recording to {what}", code="no-recording")
 
 
 MAX_SCATTERED = 1000  # random places, each of which is compared with all the others
@@ -411,7 +414,9 @@ def checked_plan(what: str | Mapping[str, Any], sensor: Sensor | None = None) ->
     """
     if isinstance(what, str):
         if what not in PLANS:
-            raise InputError(f"there is no plan {what[:SHOWN]!r}; there are {', '.join(PLANS)}")
+            raise InputError(
+                f"there is no plan {what[:SHOWN]!r}; there are {', '.join(PLANS)}", code="plan-unknown"
+            )
         return plan_of(what, sensor)
     places = what.get("places")
     count = places.get("count") if isinstance(places, Mapping) else None

@@ -222,7 +222,8 @@ class HandWorld(World):
         if not 0 < self.force_range_n[0] <= self.force_range_n[1] <= law.force_n[-1]:
             raise InputError(
                 f"a hand that presses with {self.force_range_n} N; the skin of {sensor.name} is known from 0 "
-                f"to {law.force_n[-1]:.3g} N: give a least and a greatest force within"
+                f"to {law.force_n[-1]:.3g} N: give a least and a greatest force within",
+                code="force-range",
             )
         self._margin_m = self.probe.radius_m if self.outline.contains(0.0, 0.0, self.probe.radius_m) else 0.0
         self._given: deque[HandPress] = deque()

@@ -192,10 +192,16 @@ class PressCollector:
                 f"{self._finder.scale.name} labels presses here; to type weights, collect with scale typed"
             )
         if not (np.isfinite(force_n) and force_n > 0):
-            raise RangeError(f"a weight of {force_n} N; give a finite force above 0 N (100 g are 0.981 N)")
+            raise RangeError(
+                f"a weight of {force_n} N; give a finite force above 0 N (100 g are 0.981 N)",
+                code="weight-range",
+            )
         with self._lock:
             if not self._image.touched:
-                raise InputError("nothing is seen to lie on the sensor; lay the weight on, then state it")
+                raise InputError(
+                    "nothing is seen to lie on the sensor; lay the weight on, then state it",
+                    code="nothing-pressed",
+                )
             self._typed_n = force_n
 
     @property
@@ -321,7 +327,8 @@ class PressCollector:
         if run.manifest.sensor != sensor or lacking:
             what = f"has no label {', '.join(lacking)}" if lacking else f"is of {run.manifest.sensor}"
             raise InputError(
-                f"{self.run} {what}, and presses of {sensor} were to go on in it; choose another run"
+                f"{self.run} {what}, and presses of {sensor} were to go on in it; choose another run",
+                code="run-differs",
             )
         self.presses = presses_in(run)
         return RunWriter.resume(self.run, clock=self._clock, overflow="wait")

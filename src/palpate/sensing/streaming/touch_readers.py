@@ -105,7 +105,8 @@ def _force_by_marks(path: Path) -> ShearCalibration:
     if path.is_dir():
         raise CertificateError(
             f"{path} is a folder, and no calibration of force by marks, which is one file (.npz): `palpate "
-            "force fit` makes it; without a calibration a patterned skin is read for touch alone"
+            "force fit` makes it; without a calibration a patterned skin is read for touch alone",
+            code="not-a-force-calibration",
         )
     return ShearCalibration.load(path)
 

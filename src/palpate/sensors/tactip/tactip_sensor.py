@@ -391,6 +391,7 @@ def _read(words: str) -> tuple[Specimen, float]:
         raise InputError(f"{words!r}: a {what} is pressed head-on; give it no tilt")
     if not 0 <= math.radians(tilt) <= MAX_TILT:
         raise InputError(
-            f"{words!r} is inclined by {tilt:g}; 0 to {math.degrees(MAX_TILT):g} degrees are modelled"
+            f"{words!r} is inclined by {tilt:g}; 0 to {math.degrees(MAX_TILT):g} degrees are modelled",
+            code="tilt",
         )
     return specimen, tilt

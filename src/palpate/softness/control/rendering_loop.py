@@ -251,7 +251,10 @@ class RenderingLoop:
             sizes = [(one.height_m, one.radius_m) for one in (shown, law.display)]
             if not np.allclose(sizes[0], sizes[1], rtol=0.0, atol=SAME_M):
                 mm = [f"{1e3 * height:g} mm high, {1e3 * radius:g} mm in radius" for height, radius in sizes]
-                raise SafetyError(f"the display is {mm[0]}, and the references are of one {mm[1]}")
+                raise SafetyError(
+                    f"the display is {mm[0]}, and the references are of one {mm[1]}",
+                    code="references-of-another",
+                )
         for name, watchdog_s in watchdogs:
             if not watchdog_s > self._limits.late_s:
                 raise SafetyError(

@@ -80,7 +80,9 @@ def run_paced(
         Exception: whatever `tick` raises, at once.
     """
     if not 0 < seconds <= MAX_S:
-        raise RangeError(f"a loop of {seconds:g} s; more than 0 s and a day at most are allowed")
+        raise RangeError(
+            f"a loop of {seconds:g} s; more than 0 s and a day at most are allowed", code="duration"
+        )
     with _undisturbed():
         next_s = time.perf_counter()
         end_s = next_s + seconds

@@ -193,7 +193,9 @@ def read_bench(path: Path | None) -> BenchFile:
         raise InputError(f"there is no bench's file {path}; leave it out for the virtual bench")
     file = validated(BenchFile, path, {"name": path.stem} | read_toml(path))
     if file.arm is None:
-        raise InputError(f"{path}: [arm] is missing; leave the file out for the virtual bench")
+        raise InputError(
+            f"{path}: [arm] is missing; leave the file out for the virtual bench", code="arm-missing"
+        )
     roles: list[tuple[Role, Any, str]] = [
         ("display", file.display, "labjack"), ("arm", file.arm, "force-dimension"),
     ]  # fmt: skip
@@ -202,7 +204,7 @@ def read_bench(path: Path | None) -> BenchFile:
             try:
                 check_kind(role, part.kind, (own,))
             except InputError as e:
-                raise InputError(f"{path}: {role}.kind: {e}") from e
+                raise InputError(f"{path}: {role}.kind: {e}", code="arm-unknown") from e
     return file
 
 

@@ -230,7 +230,8 @@ class ForceDimensionArm(Closing):
         """
         if not abs(force_n) <= self._spec.force_n:
             raise RangeError(
-                f"a force of {force_n} N; give -{self._spec.force_n:g} to {self._spec.force_n:g} N"
+                f"a force of {force_n} N; give -{self._spec.force_n:g} to {self._spec.force_n:g} N",
+                code="force",
             )
         self._check_open()
         self._check_takes_force()
@@ -263,7 +264,8 @@ class ForceDimensionArm(Closing):
         if not self._stopped():
             raise DeviceError(
                 f"the arm did not take the brake ({self._said()}); no force is sent any more, so its "
-                f"watchdog drops the last one within {1e3 * self.range.watchdog_s:g} ms. Switch it off"
+                f"watchdog drops the last one within {1e3 * self.range.watchdog_s:g} ms. Switch it off",
+                code="brake-refused",
             )
 
     def release(self) -> None:
@@ -280,7 +282,10 @@ class ForceDimensionArm(Closing):
         self._braked = False
         if halts != self._halts:  # another thread braked it meanwhile, and it was enabled after that
             self.brake()
-            raise DeviceError("the arm was told to brake while it was being released; release it again")
+            raise DeviceError(
+                "the arm was told to brake while it was being released; release it again",
+                code="braked-in-release",
+            )
         self.set_force(0.0)
 
     def close(self) -> None:
@@ -308,7 +313,8 @@ class ForceDimensionArm(Closing):
             which = "no arm" if serial is None else f"no arm with the serial number {serial}"
             raise DeviceError(
                 f"{which} could be opened ({self._said()}); check its power and cable, that no other "
-                "programme has it, and that you may use the USB device (on Linux by a udev rule)"
+                "programme has it, and that you may use the USB device (on Linux by a udev rule)",
+                code="arm-not-found",
             )
         return int(found)
 
@@ -406,7 +412,9 @@ class ForceDimensionArm(Closing):
 
     def _check_takes_force(self) -> None:
         if self._braked:
-            raise DeviceError(f"{self._fault or 'the arm brakes, as it was told to'}; release() it first")
+            raise DeviceError(
+                f"{self._fault or 'the arm brakes, as it was told to'}; release() it first", code="arm-braked"
+            )
 
     def _take(self, name: str, call: Any, *arguments: Any) -> None:
         if call(*arguments, self._id) != 0:
@@ -425,7 +433,7 @@ class ForceDimensionArm(Closing):
             if self._stopped()
             else "did not take the brake, and its watchdog drops the force"
         )
-        raise DeviceError(f"the arm's {name} {why}; it {did}. Check its power and cable")
+        raise DeviceError(f"the arm's {name} {why}; it {did}. Check its power and cable", code="arm-fault")
 
     def _stopped(self) -> bool:
         """Whether the brake was taken: by itself, or as what follows where forces are off."""

@@ -88,25 +88,31 @@ class LabJackSettings:
 
     def __post_init__(self) -> None:
         if self.board not in BOARDS:
-            raise RangeError(f"the board is {self.board!r}; give one of {', '.join(BOARDS)}")
+            raise RangeError(
+                f"the board is {self.board!r}; give one of {', '.join(BOARDS)}", code="board-unknown"
+            )
         self._check_pressure()
         if not 0 <= self.hall_ain <= INPUTS[self.board] - 2:
             raise RangeError(
                 f"the displacement at AIN{self.hall_ain} and the pressure at the next input; a {self.board} "
-                f"has AIN0 to AIN{INPUTS[self.board] - 1}"
+                f"has AIN0 to AIN{INPUTS[self.board] - 1}",
+                code="line",
             )
         if not 1 <= self.watchdog_s <= 3600:
             raise RangeError(
-                f"a watchdog of {self.watchdog_s} s; the board counts whole seconds, give 1 to 3600"
+                f"a watchdog of {self.watchdog_s} s; the board counts whole seconds, give 1 to 3600",
+                code="watchdog-time",
             )
         if not (0 < self.height_m < math.inf and 0 < self.radius_m < math.inf):
             raise RangeError(
-                f"a display {self.height_m} m high of {self.radius_m} m; both have to be above 0 m"
+                f"a display {self.height_m} m high of {self.radius_m} m; both have to be above 0 m",
+                code="display-size",
             )
         if not self.height_m * 1e3 <= self.hall.pushed_mm[-1] + self.hall.tolerance_mm:
             raise RangeError(
                 f"the Hall sensor's table ends at {self.hall.pushed_mm[-1]:g} mm and the tip can be pushed "
-                f"by {self.height_m * 1e3:g} mm; calibrate it over the whole way"
+                f"by {self.height_m * 1e3:g} mm; calibrate it over the whole way",
+                code="hall-table",
             )
         self._check_heartbeat()
 
@@ -115,29 +121,34 @@ class LabJackSettings:
         if not 0 < self.greatest_pa <= self.monitor.high_pa:
             raise RangeError(
                 f"a greatest pressure of {self.greatest_pa / 1e3:g} kPa; the sensor measures above 0 up to "
-                f"{self.monitor.high_pa / 1e3:g} kPa"
+                f"{self.monitor.high_pa / 1e3:g} kPa",
+                code="pressure",
             )
         if not (self.setpoint.low_v >= 0 and top_v <= MAX_DAC_V):
             raise RangeError(
                 f"the set-point goes from {self.setpoint.low_v:g} to {top_v:.3g} V at DAC0, which gives 0 to "
-                f"{MAX_DAC_V:g} V; take an amplifier and give the volts before it, or a lower pressure"
+                f"{MAX_DAC_V:g} V; take an amplifier and give the volts before it, or a lower pressure",
+                code="set-point",
             )
 
     def _check_heartbeat(self) -> None:
         if (self.heartbeat_dio is None) != (self.hardware_vent_s is None):
             raise RangeError(
                 "a timer in hardware needs both, the line that feeds it and the time [s] after which it was "
-                f"measured to open the vent; given are DIO {self.heartbeat_dio} and {self.hardware_vent_s} s"
+                f"measured to open the vent; given are DIO {self.heartbeat_dio} and {self.hardware_vent_s} s",
+                code="timer",
             )
         if self.heartbeat_dio is not None and self.heartbeat_dio not in DIGITAL[self.board]:
             lines = DIGITAL[self.board]
             raise RangeError(
                 f"the heartbeat at DIO{self.heartbeat_dio}; a {self.board} has DIO{lines[0]} to "
-                f"DIO{lines[-1]}"
+                f"DIO{lines[-1]}",
+                code="line",
             )
         if self.hardware_vent_s is not None and not 0 < self.hardware_vent_s < math.inf:
             raise RangeError(
-                f"a timer in hardware of {self.hardware_vent_s} s; give what was measured, above 0 s"
+                f"a timer in hardware of {self.hardware_vent_s} s; give what was measured, above 0 s",
+                code="timer",
             )
 
     @property
@@ -228,7 +239,8 @@ class LabJackDisplay(Closing):
         if not (0 <= pressure_pa <= self._settings.greatest_pa and math.isfinite(rate_pa_s)):
             raise RangeError(
                 f"{pressure_pa} Pa, changing by {rate_pa_s} Pa/s, were asked for; the display takes 0 to "
-                f"{self._settings.greatest_pa:g} Pa; the pressure stays as it is"
+                f"{self._settings.greatest_pa:g} Pa; the pressure stays as it is",
+                code="pressure",
             )
         with self._setting:
             self._refuse_closed()
@@ -398,7 +410,8 @@ class LabJackDisplay(Closing):
         except DeviceError as error:
             raise DeviceError(
                 f"the display could not be told to vent ({error}); its watchdog does within "
-                f"{self.range.watchdog_s:g} s: take the finger away and shut the air off"
+                f"{self.range.watchdog_s:g} s: take the finger away and shut the air off",
+                code="vent-failed",
             ) from error
 
     def _write_int(self, register: int, number: int) -> None:
@@ -419,7 +432,9 @@ class LabJackDisplay(Closing):
         with self._state:
             why = self._why
         if why:
-            raise DeviceError(f"the display takes no pressure since {why}; see why, and release it")
+            raise DeviceError(
+                f"the display takes no pressure since {why}; see why, and release it", code="watchdog"
+            )
 
     def _refuse_closed(self) -> None:
         if self._closed.is_set():

@@ -121,7 +121,8 @@ class ModbusTcp(Closing):
             self._drop()
             raise DeviceError(
                 f"{self.where} did not answer whole within {self._timeout_s:g} s; is it switched on, is the "
-                "cable in, does another program ask it for much?"
+                "cable in, does another program ask it for much?",
+                code="no-answer",
             ) from error
         except OSError as error:
             self._drop()

@@ -40,20 +40,25 @@ class HallTable:
         if len(self.volts) != len(self.pushed_mm) or len(self.volts) < 2:
             raise InputError(
                 f"a table of {len(self.volts)} voltages and {len(self.pushed_mm)} displacements; give as "
-                "many of each, two at least, measured on this display: no line is assumed"
+                "many of each, two at least, measured on this display: no line is assumed",
+                code="table-size",
             )
         if not all(map(math.isfinite, (*self.volts, *self.pushed_mm))):
-            raise InputError("the Hall sensor's table holds what is no finite number; give V and mm")
+            raise InputError(
+                "the Hall sensor's table holds what is no finite number; give V and mm", code="not-finite"
+            )
         if not (_rises(self.volts) or _rises(self.volts[::-1])) or not _rises(self.pushed_mm):
             raise InputError(
                 f"the Hall sensor's table is not monotone: {self.volts} V at {self.pushed_mm} mm; the "
                 "millimetres have to rise, and the volts to rise or to fall throughout: move the magnet, or "
-                "shorten the table"
+                "shorten the table",
+                code="not-monotone",
             )
         if not self.pushed_mm[0] <= 0 < self.pushed_mm[-1]:
             raise InputError(
                 f"the Hall sensor's table goes from {self.pushed_mm[0]:g} to {self.pushed_mm[-1]:g} mm; it "
-                "has to hold 0 mm, where nobody presses"
+                "has to hold 0 mm, where nobody presses",
+                code="no-zero",
             )
         if not 0 <= self.tolerance_mm < math.inf:
             raise RangeError(f"a tolerance of {self.tolerance_mm} mm; give 0 mm or more")

@@ -177,9 +177,11 @@ def transmit(
         InputError: too few draws.
     """
     if not MIN_PEAK_N <= peak_n < np.inf:
-        raise RangeError(f"a press to {peak_n:g} N; {MIN_PEAK_N:g} N and more are allowed, such as 0.3")
+        raise RangeError(
+            f"a press to {peak_n:g} N; {MIN_PEAK_N:g} N and more are allowed, such as 0.3", code="press-force"
+        )
     if draws < 20:
-        raise InputError(f"{draws} draws; 20 or more are needed for an interval")
+        raise InputError(f"{draws} draws; 20 or more are needed for an interval", code="too-few-draws")
     rng = np.random.default_rng(seed)
     at_nodes = touched.at(np.array(NODES))
     at_hz = frequency_hz * np.array([1 / FASTER, 1.0, FASTER])

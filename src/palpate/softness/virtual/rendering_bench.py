@@ -247,7 +247,8 @@ class VirtualDisplay:
             sample = self.latest()
             if self._vented:
                 raise DeviceError(
-                    f"the display is vented{self._why}; release it before it is to hold pressure"
+                    f"the display is vented{self._why}; release it before it is to hold pressure",
+                    code="display-vented",
                 )
             dt = 1e-3 if self._last_ns is None else (sample.time_ns - self._last_ns) / NS_PER_S
             if dt > 0:

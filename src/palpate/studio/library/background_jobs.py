@@ -103,7 +103,9 @@ class BackgroundJobs(Closing):
         """
         with self._turn:
             if sum(job.state == "running" for job in self._jobs.values()) >= MAX_RUNNING:
-                raise InputError(f"{MAX_RUNNING} jobs are running; wait for one, or cancel it")
+                raise InputError(
+                    f"{MAX_RUNNING} jobs are running; wait for one, or cancel it", code="too-many-jobs"
+                )
             number = next(self._numbers)
             made = out or Path(self._folder.name) / f"{do}-{number}{suffix}"
             process = subprocess.Popen(  # noqa: S603 - our own module, by our own interpreter

@@ -97,7 +97,10 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         if folder.exists() and not folder.is_dir():
-            raise InputError(f"the workspace {folder} is a file; give a folder, such as the one it lies in")
+            raise InputError(
+                f"the workspace {folder} is a file; give a folder, such as the one it lies in",
+                code="not-a-folder",
+            )
         self.folder = folder.resolve()
         if (tree := source_tree_of(self.folder)) is not None:
             raise SourceTreeError(

@@ -141,9 +141,12 @@ class StartDesk(Closing):
             going = [one for one in self._runs.values() if one.running]
             kept = self._runs.get(folder)
             if kept is not None and kept.running:
-                raise InputError(f"the session in {folder.name} goes on already; watch it, or stop it first")
+                raise InputError(
+                    f"the session in {folder.name} goes on already; watch it, or stop it first",
+                    code="session-running",
+                )
             if len(going) >= MAX_SESSIONS:
-                raise InputError(f"{MAX_SESSIONS} sessions go on; stop one first")
+                raise InputError(f"{MAX_SESSIONS} sessions go on; stop one first", code="too-many-sessions")
             words = [str(folder), "--camera", camera, "--scale", scale, "--presses", str(presses)]
             words += ["--seed", str(seed), *(["--unit", unit] if unit else [])]
             words += [*(["--real-time"] if real_time else []), *(["--more", str(more)] if more else [])]

@@ -41,7 +41,8 @@ def combined_sensitivity(kinesthetic: float, cutaneous: float, correlation: floa
     if min(kinesthetic, cutaneous) < 0 or not -1 < correlation < 1:
         raise RangeError(
             f"sensitivities {kinesthetic:g} and {cutaneous:g} with a correlation of {correlation:g}; 0 or "
-            "more are allowed, and a correlation above -1 and below 1"
+            "more are allowed, and a correlation above -1 and below 1",
+            code="correlation",
         )
     square = kinesthetic**2 + cutaneous**2 - 2 * correlation * kinesthetic * cutaneous
     return math.sqrt(square / (1 - correlation**2))

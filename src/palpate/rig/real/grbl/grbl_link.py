@@ -318,22 +318,22 @@ class GrblLink:
                 lambda: self.dead or until(), self._reply_s if timeout_s is None else timeout_s
             )
             if self.dead:
-                raise DeviceError(self.dead)
+                raise DeviceError(self.dead, code="port-failed")
             return bool(came)
 
     def _write(self, data: bytes) -> None:
         with self._writing:
             if self.dead:
-                raise DeviceError(self.dead)
+                raise DeviceError(self.dead, code="port-gone")
             try:
                 sent = self._port.write(data)
                 self.tail.send(data)
             except Exception as error:  # each system and adapter has its own kinds
                 self._bury(f"the stage's port failed on writing ({error}); check cable and power")
-                raise DeviceError(self.dead) from error
+                raise DeviceError(self.dead, code="port-failed") from error
             if sent != len(data):
                 self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
-                raise DeviceError(self.dead)
+                raise DeviceError(self.dead, code="port-failed")
 
     def _bury(self, why: str) -> None:
         with self._news:

@@ -92,7 +92,9 @@ class MoveSupervisor:
         if self.at_ns - self._changed_ns > self._patience_ns:
             kind = "has stopped" if idle else f"says {status.state} and does not move"
             raise DeviceError(
-                f"the stage {kind} {where}; stop() it, then see what blocks it, or who pressed its hold input"
+                f"the stage {kind} {where}; stop() it, then see what blocks it, or who pressed its "
+                "hold input",
+                code="stage-stalled",
             )
         return False
 

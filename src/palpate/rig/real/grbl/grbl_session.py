@@ -176,7 +176,7 @@ class GrblSession:
             stray = f"the stage stood at {shown(self._stood_mm)} and is now at {shown(place_mm)}"
         if stray:
             self.lose("it was found where no move had sent it")
-            raise DeviceError(f"{stray}; it may have lost steps: {_HOW}")
+            raise DeviceError(f"{stray}; it may have lost steps: {_HOW}", code="off-path")
 
     def settle(self, place_mm: Millimetres) -> None:
         """Note that it stands here, with no move in flight."""
@@ -334,7 +334,8 @@ class GrblSession:
             raise DeviceError(
                 f"the stage did not stop: it went on to its target, {self._left_mm:.3f} mm from where it was "
                 f"asked to; {allowed:.3f} mm are its bound. It stands there, at {shown(place_mm)} (machine "
-                "coordinates); do not rely on stop() before that is understood"
+                "coordinates); do not rely on stop() before that is understood",
+                code="stop-ignored",
             )
 
     def _takes_lines(self, state: GrblState | None) -> bool:
@@ -465,7 +466,10 @@ class GrblSession:
 
     def _check_restart(self) -> None:
         if self.note_restart():
-            raise DeviceError(f"the stage's controller restarted by itself; check its supply, then {_HOW}")
+            raise DeviceError(
+                f"the stage's controller restarted by itself; check its supply, then {_HOW}",
+                code="controller-restarted",
+            )
 
     def _check_state(self, status: GrblStatus) -> None:
         if status.state is GrblState.ALARM:

@@ -168,7 +168,8 @@ def check_range(travel: Travel, position_m: Position, speed_m_s: float) -> None:
     for name, value, low, high in zip("xyz", position_m, travel.least_m, travel.greatest_m, strict=True):
         if not low - _ROUNDING_M <= value <= high + _ROUNDING_M:
             raise RangeError(
-                f"{name} = {value} m lies outside the stage's travel, {low:g} to {high:g} m; not moved"
+                f"{name} = {value} m lies outside the stage's travel, {low:g} to {high:g} m; not moved",
+                code="outside-travel",
             )
     least, greatest = MIN_FEED_MM_MIN / MM_PER_M / S_PER_MIN, travel.top_speed_m_s
     if not least <= speed_m_s <= greatest * (1 + 1e-9):  # a rounding above the limit is the limit

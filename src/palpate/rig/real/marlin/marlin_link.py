@@ -134,7 +134,9 @@ class MarlinLink:
                 self._out_of_step = self.halts != halts
             for one in said:
                 if isinstance(one, Trouble):
-                    raise DeviceError(f"the stage's controller answered {line!r} with {one.text!r}")
+                    raise DeviceError(
+                        f"the stage's controller answered {line!r} with {one.text!r}", code="kinematics"
+                    )
             return tuple(said)
 
     def halt(self) -> None:

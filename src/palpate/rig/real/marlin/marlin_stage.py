@@ -276,7 +276,8 @@ class MarlinStage(Closing):
             raise RangeError(f"position {position_m} m must be finite")
         if self._spec.least_m is None:
             raise InputError(
-                "give least_m and greatest_m [m]: the machine's own box holds only once it is homed"
+                "give least_m and greatest_m [m]: the machine's own box holds only once it is homed",
+                code="travel-missing",
             )
         with self._lock:
             self._note_restart()
@@ -343,7 +344,8 @@ class MarlinStage(Closing):
                 raise DeviceError(
                     f"nothing at {self._spec.port} answers as Marlin does (M118 and M115), "
                     f"{self._link.tail.in_words()}; check that this is the stage's port, power, cable, baud "
-                    f"({self._spec.baud}), and whether the board needs dtr = true"
+                    f"({self._spec.baud}), and whether the board needs dtr = true",
+                    code="not-marlin",
                 ) from e
         if not any("Marlin" in text for text in about):
             raise DeviceError(f"what answers at {self._spec.port} does not call itself Marlin: {about[:1]}")
@@ -378,7 +380,8 @@ class MarlinStage(Closing):
         if spec.sudden_m_s is None and machine.jerk_mm_s is None:
             raise InputError(
                 "the stage's controller does not say from which speed it can stop dead (its M205 has no X, Y "
-                "and Z): give sudden_m_s [m/s], and try it with the load that it carries"
+                "and Z): give sudden_m_s [m/s], and try it with the load that it carries",
+                code="jerk-unknown",
             )
         sudden = spec.sudden_m_s or min(machine.jerk_mm_s or ()) / MM_PER_M
         fastest = min(machine.top_mm_s) / MM_PER_M
@@ -414,7 +417,7 @@ class MarlinStage(Closing):
         refused = [text for text in _texts(said) if "Unknown command" in text or "Home" in text]
         if refused:
             self._move = None
-            raise DeviceError(f"the stage's controller refused to move: {refused[0]!r}")
+            raise DeviceError(f"the stage's controller refused to move: {refused[0]!r}", code="move-refused")
 
     def _ask(self) -> StepReport:
         """Ask for the place; an answer that was damaged is asked for again."""
@@ -451,7 +454,8 @@ class MarlinStage(Closing):
         if math.dist(place.planned_mm, place_mm) > self._machine.tolerance_mm + 0.01:  # it states 0.01 mm
             raise DeviceError(
                 f"the stage states {shown(place.planned_mm)} and counts steps for {shown(place_mm)}: switch "
-                "bed levelling off (M420 S0) and undo offsets (G92, M206), then open it anew"
+                "bed levelling off (M420 S0) and undo offsets (G92, M206), then open it anew",
+                code="bed-leveling",
             )
 
     def _check_place(self, place_mm: Triple) -> None:

@@ -96,7 +96,9 @@ def calibration(page: bytes) -> NetFTCalibration:
     fields = _fields(page)
     for name in _REQUIRED:
         if not fields.get(name):
-            raise ProtocolError(f"the box's page has no {name}; is there a Net F/T box at this address?")
+            raise ProtocolError(
+                f"the box's page has no {name}; is there a Net F/T box at this address?", code="field-missing"
+            )
     force_n, torque_nm = _unit(fields, "scfgfu", FORCE_N), _unit(fields, "scfgtu", TORQUE_NM)
     rate, ranges = fields.get("comrdtrate"), fields.get("cfgmr")
     return NetFTCalibration(
@@ -118,9 +120,13 @@ def _fields(page: bytes) -> dict[str, str]:
 
     def start(name: str, _: dict[str, str]) -> None:
         if inside and inside[-1] in fields:
-            raise ProtocolError(f"the field {inside[-1]} of the box's page holds more than text")
+            raise ProtocolError(
+                f"the field {inside[-1]} of the box's page holds more than text", code="field-nested"
+            )
         if name in fields:
-            raise ProtocolError(f"the box's page has {name} twice; which one holds is not known")
+            raise ProtocolError(
+                f"the box's page has {name} twice; which one holds is not known", code="field-repeated"
+            )
         if name in _REQUIRED or name in _OPTIONAL:
             fields[name] = ""
         inside.append(name)
@@ -133,7 +139,9 @@ def _fields(page: bytes) -> dict[str, str]:
                 raise ProtocolError(f"{name} on the box's page is longer than {MAX_CHARACTERS} characters")
 
     def refuse(*_: object) -> None:
-        raise ProtocolError("the box's page declares a document type or an entity; a Net F/T page does not")
+        raise ProtocolError(
+            "the box's page declares a document type or an entity; a Net F/T page does not", code="xml-entity"
+        )
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
@@ -166,7 +174,8 @@ def _unit(fields: dict[str, str], name: str, known: dict[str, float]) -> float:
     if fields[name] not in known:
         raise ProtocolError(
             f"{name} on the box's page is {fields[name]!r}, which is no known unit; "
-            f"set the box to one of {', '.join(known)}"
+            f"set the box to one of {', '.join(known)}",
+            code="unit-unknown",
         )
     return known[fields[name]]
 
@@ -216,12 +225,14 @@ def fetch(host: str, port: int = 80, timeout_s: float = 2.0) -> NetFTCalibration
     except (OSError, HTTPException, DeviceError) as error:
         if late.is_set():
             raise DeviceError(
-                f"{page} did not answer whole within {timeout_s:g} s; is the network slow or the box busy?"
+                f"{page} did not answer whole within {timeout_s:g} s; is the network slow or the box busy?",
+                code="page-timeout",
             ) from error
         if isinstance(error, DeviceError):
             raise
         raise DeviceError(
-            f"{page} cannot be read ({error}); check the box's address, its power and the cable"
+            f"{page} cannot be read ({error}); check the box's address, its power and the cable",
+            code="page-unreachable",
         ) from error
 
 
@@ -238,5 +249,7 @@ def _body(connection: HTTPConnection, page: str) -> bytes:
             raise DeviceError(f"{page} answers {answer.status} {answer.reason}; it has to be 200")
         body = answer.read(MAX_PAGE_BYTES + 1)
         if len(body) <= MAX_PAGE_BYTES and answer.length:  # a bounded read does not complain of an early end
-            raise DeviceError(f"{page} ended {answer.length} bytes early; read it again")
+            raise DeviceError(
+                f"{page} ended {answer.length} bytes early; read it again", code="page-truncated"
+            )
         return body

@@ -82,7 +82,10 @@ class NetFTSettings:
         rate_hz = 1.0 if self.rate_hz is None else self.rate_hz
         numbers = (*seconds, *(self.range_n or ()), self.start_tries, self.keep, rate_hz)
         if not all(value > 0 and math.isfinite(value) for value in numbers):
-            raise RangeError(f"times [s], range [N], rate [Hz] and numbers have to be greater than 0: {self}")
+            raise RangeError(
+                f"times [s], range [N], rate [Hz] and numbers have to be greater than 0: {self}",
+                code="settings-range",
+            )
         if self.recovery not in ("stop", "reconnect"):
             raise RangeError(f"recovery is {self.recovery!r}; give 'stop' or 'reconnect'")
 
@@ -341,7 +344,8 @@ class NetFT(Closing):
                 lost, self._overflowed = self._overflowed, 0
                 raise DeviceError(
                     f"{lost} samples were overwritten: drain at least every "
-                    f"{self._settings.keep / self._rate_hz:.2g} s, or keep more than {self._settings.keep}"
+                    f"{self._settings.keep / self._rate_hz:.2g} s, or keep more than {self._settings.keep}",
+                    code="samples-overwritten",
                 )
             samples = list(self._kept)
             self._kept.clear()
@@ -365,7 +369,8 @@ class NetFT(Closing):
         if expected is not None and page != expected:
             raise _ChangedError(
                 f"its calibration, units or settings changed: {expected} became {page}; "
-                "put them back, or begin anew with a new no-load force"
+                "put them back, or begin anew with a new no-load force",
+                code="sensor-changed",
             )
         return page
 
@@ -376,7 +381,8 @@ class NetFT(Closing):
         if self._settings.silence_s * rate < 3:
             raise RangeError(
                 f"silence_s is {self._settings.silence_s:g} s, but the box sends only {rate:g} records a "
-                f"second; give at least {3 / rate:.2g} s, or set the box to a higher rate"
+                f"second; give at least {3 / rate:.2g} s, or set the box to a higher rate",
+                code="silence-too-short",
             )
         return rate
 
@@ -414,7 +420,8 @@ class NetFT(Closing):
             stream.close()
         raise DeviceError(
             f"the box at {self._host} sent no record though asked {s.start_tries} times; check that RDT is "
-            f"enabled on its page and that UDP port {s.rdt_port} is open"
+            f"enabled on its page and that UDP port {s.rdt_port} is open",
+            code="no-records",
         )
 
     def _run(self, begun: RdtStream) -> None:

@@ -120,7 +120,9 @@ def _weight(text: str) -> Weight:
     """A number, with headers, marks and a unit around it."""
     found = _LINE.fullmatch(text)
     if not found and _COMMA.search(text):
-        raise ProtocolError(f"{text!r} has a comma between digits, and a point alone is read: set it so")
+        raise ProtocolError(
+            f"{text!r} has a comma between digits, and a point alone is read: set it so", code="decimal-comma"
+        )
     if not found:
         raise ProtocolError(f"{text!r} holds no weight")
     headers = [part.strip() for part in found["headers"].split(",") if part.strip()]

@@ -47,23 +47,29 @@ class ArmFrame:
 
     def __post_init__(self) -> None:
         if not np.isfinite([*np.ravel(self.rotation), *self.zero_m, *self.tool_rad]).all():
-            raise InputError("rotation, zero and the tool's rotation vector of an arm must be finite numbers")
+            raise InputError(
+                "rotation, zero and the tool's rotation vector of an arm must be finite numbers",
+                code="not-finite",
+            )
         skew = np.abs(self._matrix @ self._matrix.T - np.eye(3)).max()
         if skew > MAX_SKEW:
             raise InputError(
                 f"rotation is not orthonormal: its rows are off unit length or square by {skew:.2g}, and "
-                f"{MAX_SKEW:g} is allowed; give the rig's x, y and z in the arm's base as its columns"
+                f"{MAX_SKEW:g} is allowed; give the rig's x, y and z in the arm's base as its columns",
+                code="not-orthonormal",
             )
         if np.linalg.det(self._matrix) < 0:
             raise InputError(
                 "rotation mirrors (its determinant is -1): the rig's frame is right-handed, x to the right, "
-                "y towards the viewer, z into the skin; one of its columns has the wrong sign"
+                "y towards the viewer, z into the skin; one of its columns has the wrong sign",
+                code="mirrored",
             )
         lean_deg = math.degrees(math.acos(np.clip(self._tool_matrix[:, 2] @ self._matrix[:, 2], -1, 1)))
         if lean_deg > MAX_LEAN_DEG:
             raise InputError(
                 f"the tool's z leads {lean_deg:.0f} degrees away from the rig's z, into the skin, and "
-                f"{MAX_LEAN_DEG:g} are allowed: rotation or tool_rotvec_rad is turned round"
+                f"{MAX_LEAN_DEG:g} are allowed: rotation or tool_rotvec_rad is turned round",
+                code="tool-direction",
             )
 
     @property

@@ -192,7 +192,8 @@ class ArmWatch:
         if not ask("say whether it is connected", self._receive.isConnected):
             raise DeviceError(
                 "the connection to the arm's controller is lost: it may move on to where it was sent. See "
-                "its power, cable and network, then open it anew"
+                "its power, cable and network, then open it anew",
+                code="connection-lost",
             )
         time_s = float(ask("tell its time", self._receive.getTimestamp))
         if not math.isfinite(time_s):
@@ -214,7 +215,8 @@ class ArmWatch:
             if self._now_s() - began_s > self._spec.stale_s:
                 raise DeviceError(
                     f"the arm sent no new status in {self._spec.stale_s:g} s: its connection is lost or its "
-                    "controller hangs"
+                    "controller hangs",
+                    code="status-stale",
                 )
             self._clock.sleep(0.25 / self._spec.rate_hz)
 

@@ -183,7 +183,7 @@ class UrArmStage(Closing):
             status = self._watch.look()
             self._check_ready(status)
             if halts != self._halts:
-                raise DeviceError("the arm was stopped before this move began")
+                raise DeviceError("the arm was stopped before this move began", code="move-canceled")
             target_m, now_s = self._spec.frame.base_m(position_m), self._now_s()
             self._move = ArmMove(status.place_m, target_m, speed_m_s, now_s, now_s)
             self._hand_over([*target_m, *self._tool_rad], speed_m_s)
@@ -225,14 +225,17 @@ class UrArmStage(Closing):
             if unseen is not None or asked is None:
                 raise DeviceError(
                     f"the arm was told to stop, and nothing shows that it did ({unseen}): press its "
-                    "emergency stop"
+                    "emergency stop",
+                    code="stop-not-confirmed",
                 ) from unseen
             stood = self._await_stand()
             self._move = None
             if stood.safety_stop:
                 raise HardwareStopError(f"the arm stands, and {stood.safety_stop}")
             if refused is not None:
-                raise DeviceError(f"the arm stands, but not because it was told to: {refused}") from refused
+                raise DeviceError(
+                    f"the arm stands, but not because it was told to: {refused}", code="stop-unexpected"
+                ) from refused
             if move is not None:
                 self._check_run_on(move, asked, stood)
 
@@ -262,7 +265,8 @@ class UrArmStage(Closing):
         """Give the arm its move; where that is not known to be taken, bring it to a stand."""
         refused = DeviceError(
             "the arm's controller refused to move: its pose may lie out of reach or beyond its safety "
-            "planes, or the library's programme has ended on it; see its pendant, then open it anew"
+            "planes, or the library's programme has ended on it; see its pendant, then open it anew",
+            code="move-refused",
         )
         acceleration = self._spec.acceleration_m_s2
         try:
@@ -292,7 +296,8 @@ class UrArmStage(Closing):
                     ask("end its programme", self._control.stopScript)
                 raise DeviceError(
                     f"the arm still moves {self._spec.stop_s:g} s after it was told to stop, and its "
-                    "programme was ended: press its emergency stop"
+                    "programme was ended: press its emergency stop",
+                    code="stop-failed",
                 )
             status = self._watch.next()
             still = status.speed_m_s <= STILL_M_S and math.dist(status.place_m, last.place_m) <= WITHIN_M
@@ -306,7 +311,8 @@ class UrArmStage(Closing):
         if went_m > allowed_m:
             raise DeviceError(
                 f"the arm stands, but ran on {went_m * 1e3:.2f} mm after it was told to stop; "
-                f"{allowed_m * 1e3:.2f} mm are stated. State a longer latency_s or a lower deceleration"
+                f"{allowed_m * 1e3:.2f} mm are stated. State a longer latency_s or a lower deceleration",
+                code="stop-distance",
             )
 
     def _check_open(self) -> None:
@@ -327,14 +333,16 @@ class UrArmStage(Closing):
                 raise DeviceError(
                     f"the arm stands outside its box: {axis} is {at * 1e3:.2f} mm, and {low * 1e3:g} to "
                     f"{high * 1e3:g} mm are allowed; lead it inside by its pendant, as nothing is known of "
-                    "the way"
+                    "the way",
+                    code="outside-travel",
                 )
         if not ask("say whether it is connected", self._control.isConnected):
             raise DeviceError("the connection that moves the arm is lost; open it anew")
         if not ask("say whether its programme runs", self._control.isProgramRunning):
             raise DeviceError(
                 "the library's programme no longer runs on the arm, as after a protective stop or a switch "
-                "to local control; open it anew"
+                "to local control; open it anew",
+                code="program-ended",
             )
 
     def _check_orientation(self, status: ArmStatus) -> None:
@@ -344,7 +352,8 @@ class UrArmStage(Closing):
             raise DeviceError(
                 f"the arm's tool is {tilt_deg:.2f} degrees out of the orientation stated, and "
                 f"{self._spec.tilt_deg:g} are allowed: its rotation vector is ({turned}) rad. Nothing turns "
-                "it here: turn it by its pendant, or state the right one"
+                "it here: turn it by its pendant, or state the right one",
+                code="tool-orientation",
             )
 
     def _check_way(self, status: ArmStatus, move: ArmMove) -> None:
