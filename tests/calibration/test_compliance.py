@@ -16,8 +16,8 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_nuisances import NONE
-from palpate.calibration.compliance.reading_reasons import ReasonCode
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
+from palpate.core.refusal import ReasonCode
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
