@@ -108,7 +108,7 @@ def validated(model: type[Of], path: Path, fields: dict[str, Any]) -> Of:
         return model.model_validate(fields)
     except ValidationError as e:
         problems = "; ".join(f"{_field(d['loc'])}: {d['msg']}" for d in e.errors())
-        raise InputError(f"{path}: {problems}") from e
+        raise InputError(f"{path}: {problems}", code="field") from e
 
 
 def _field(location: tuple[str | int, ...]) -> str:

@@ -258,7 +258,9 @@ class ColourReader:
         if share.min() < DIM * share.max():
             dark = " and ".join(c for c, s in zip(CHANNELS, share, strict=True) if s < DIM * share.max())
             raise InputError(
-                f"the frame has no light in {dark}: a lamp of one line or a filter; colours need a white lamp"
+                f"the frame has no light in {dark}: a lamp of one line or a filter; "
+                "colours need a white lamp",
+                code="one-color-only",
             )
         if self.isoclinics:
             return True
