@@ -37,7 +37,9 @@ class Frame:
                 "scale or convert the image first"
             )
         if image.ndim == 3 and image.shape[2] != 3:
-            raise ImageError(f"a colour Frame has 3 channels in RGB order, got {image.shape[2]}")
+            raise ImageError(
+                f"a colour Frame has 3 channels in RGB order, got {image.shape[2]}", code="channels"
+            )
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]
