@@ -19,7 +19,7 @@ from palpate.calibration.classes.prediction_sets import (
 )
 from palpate.cli import app
 from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError, UnitError
-from palpate.core.refusal import NONE, ImageCode, Refusal
+from palpate.core.refusal import NONE, ReasonCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.class_sets import class_readings, members_of
 from palpate.recordings import Manifest, Run, RunWriter
@@ -263,7 +263,7 @@ def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, va
     assert reading.valid is valid
     assert reading.code == code
     assert bool(reading.why) is not valid
-    frame = Refusal(ImageCode.OUT_OF_DISTRIBUTION, "another kind")
+    frame = Refusal(ReasonCode.OUT_OF_DISTRIBUTION, "another kind")
     refused = class_readings([card], np.array([outputs]), frame, **COMMON)["kind"]
     assert (refused.valid, refused.code, refused.why) == (False, *frame)
     assert json.loads(json.dumps(reading.to_dict()))["set"] == list(reading.members)

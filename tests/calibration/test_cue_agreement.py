@@ -16,7 +16,7 @@ from palpate.calibration.compliance.cue_agreement import (
     greatest_misfit,
 )
 from palpate.calibration.compliance.press_cues import reading_record
-from palpate.calibration.compliance.reading_reasons import ReasonCode
+from palpate.core.refusal import ReasonCode
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_specimens import shape_of
 from palpate.workflows.tactip_trials import record_press, specimens_at

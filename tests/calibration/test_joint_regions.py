@@ -11,7 +11,7 @@ from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.core import InputError, VectorReading
-from palpate.core.refusal import ImageCode, Refusal
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.intervals import component_names, mahalanobis
 
@@ -101,7 +101,7 @@ def test_a_vector_is_read_scored_and_told(record_spots, tmp_path) -> None:
     assert (len(held), np.mean(held)) == (found["n"], pytest.approx(found["covered"], abs=1e-9))
     assert 0.8 < found["covered"] <= 1
     assert json.dumps(readings["bump_mm"].to_dict())
-    blind = estimator.unread("lost", 0.0, Refusal(ImageCode.UNREADABLE, "damaged"))["bump_mm"]
+    blind = estimator.unread("lost", 0.0, Refusal(ReasonCode.UNREADABLE, "damaged"))["bump_mm"]
     assert (blind.valid, blind.code, blind.why) == (False, "unreadable_frame", "damaged")
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ExistsError, ImageError, InputError, Lens
 
@@ -134,7 +135,7 @@ def test_the_shape_of_what_is_given_is_kept():
     assert FISHEYE.project(points).shape == (3, 4, 2)
     assert FISHEYE.rays(FISHEYE.project(points)).shape == (3, 4, 3)
     np.testing.assert_array_equal(FISHEYE.project(points)[1, 2], FISHEYE.project(points[1, 2]))
-    with pytest.raises(InputError, match=r"give \[..., 3\]"):
+    with refused("shape", InputError, match=r"3\]"):
         FISHEYE.project(np.zeros((4, 2)))
 
 
@@ -158,21 +159,21 @@ def test_a_lens_file_is_read_as_it_was_written_and_not_overwritten(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema": "palpate-lens/9"}, "palpate-lens/1"),
-        ({"focal_px": [1.0, 2.0]}, "belong to lens"),
-        ({"focal_px": [0.0, 2.0]}, "above 0 px"),
-        ({"focal_px": [math.nan, 2.0]}, "finite"),
-        ({"model": "thin"}, "kannala-brandt"),
-        ({"distortion": [0.0]}, "k1, k2, k3, k4"),
-        ({"size_px": [0, 3]}, "1 to 20000 px"),
-        ({"max_angle_rad": 4.0}, "pi at most"),
-        ({"centre_px": None}, "lens"),
+        ({"schema": "palpate-lens/9"}, "schema"),
+        ({"focal_px": [1.0, 2.0]}, "lens-id"),
+        ({"focal_px": [0.0, 2.0]}, "lens-numbers"),
+        ({"focal_px": [math.nan, 2.0]}, "lens-numbers"),
+        ({"model": "thin"}, "lens-numbers"),
+        ({"distortion": [0.0]}, "lens-numbers"),
+        ({"size_px": [0, 3]}, "lens-numbers"),
+        ({"max_angle_rad": 4.0}, "lens-numbers"),
+        ({"centre_px": None}, "lens-numbers"),
     ],
 )
 def test_a_damaged_lens_file_is_refused(tmp_path, change, message):
     path = tmp_path / "lens.json"
     path.write_text(json.dumps({**FISHEYE.card(), **change}))
-    with pytest.raises(InputError, match=message):
+    with refused(message, InputError):
         Lens.read(path)
 
 
@@ -188,5 +189,5 @@ def test_what_is_no_lens_file_is_refused(tmp_path, text):
 
 def test_a_frame_of_another_size_is_refused():
     FISHEYE.check_size((480, 640))
-    with pytest.raises(ImageError, match=r"480x640 px.*640x480 px"):
+    with refused("image-size", ImageError, match="480x640"):
         FISHEYE.check_size((640, 480))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core.device_protocols import Wrench
 from palpate.core.errors import RangeError
@@ -72,7 +73,7 @@ def test_faulty_samples_have_no_part_in_the_tare(rng) -> None:
 
 def test_too_few_samples_are_refused_for_what_is_wrong_with_the_rest(rng) -> None:
     few = quiet(rng, MIN_SAMPLES - 1)
-    with pytest.raises(Tripped, match="is the sensor streaming") as missing:
+    with refused("force-stale", Tripped) as missing:
         ForceBias().measure(few)
     assert missing.value.reason is Reason.FORCE_STALE
     with pytest.raises(Tripped, match="saturated") as faulty:

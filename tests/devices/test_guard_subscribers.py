@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tests.refusals import refused
 from tests.rig.rigs import rig
 
 from palpate.core.clock import NS_PER_S, ManualClock
@@ -71,7 +72,7 @@ def test_where_one_subscriber_raises_the_others_still_hear_and_no_exception_is_l
 
     for callback in (full, broken, heard.append):
         events.subscribe(callback)
-    with pytest.raises(StorageError, match="no room for 7") as raised:
+    with refused("storage", StorageError) as raised:
         events.publish(7)
     assert heard == [7]
     assert raised.value.__notes__ == ["another subscriber raised ValueError: cannot draw 7"]
@@ -79,7 +80,7 @@ def test_where_one_subscriber_raises_the_others_still_hear_and_no_exception_is_l
 
 def test_a_callback_that_has_not_subscribed_cannot_leave() -> None:
     events: Subscribers[[]] = Subscribers()
-    with pytest.raises(ValueError, match="not in list"):
+    with pytest.raises(ValueError, match="list"):
         events.unsubscribe(lambda: None)
 
 
@@ -92,7 +93,7 @@ def test_a_subscriber_that_raises_stops_the_motion_it_hears_of() -> None:
         raise Tripped(Reason.CAMERA, "no frame came")
 
     guard.positions.subscribe(hear)
-    with pytest.raises(Tripped, match="no frame came"):
+    with refused("camera", Tripped):
         guard.away((x + 2e-3, y, z), 5e-3)
     assert not small.stage.moving()
     assert small.stage.position_m()[0] < x + 1e-3
@@ -164,7 +165,7 @@ def test_any_actuator_and_any_force_are_guarded_by_the_same_guard() -> None:
     assert not isinstance(spring, ForceSensor)
     limits = Limits(plunger.travel.least_m, plunger.travel.greatest_m, force_n=1.0)
     guard = MotionGuard(plunger, spring, limits, ForceBias(), clock, OperatorControl())
-    with pytest.raises(Tripped, match="1 N are allowed") as tripped:
+    with refused("force-limit", Tripped) as tripped:
         guard.towards((0.0, 0.0, 2e-3), 5e-3)
     assert tripped.value.reason is Reason.FORCE_LIMIT
     assert not plunger.moving()

@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from tests.refusals import refused
 
 from palpate.core.device_protocols import Travel
 from palpate.core.errors import RangeError
@@ -38,7 +39,7 @@ def test_the_fastest_speed_is_no_more_than_the_stage_s_own() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, -1e-3, math.nan, math.inf])
 def test_a_speed_that_is_none_is_refused(speed: float) -> None:
-    with pytest.raises(Tripped, match="give a positive number"):
+    with refused("too-fast", Tripped):
         LIMITS.check_speed(speed, travel())
 
 
@@ -63,7 +64,7 @@ def test_soft_limits_lie_within_the_travel(axis: int) -> None:
     LIMITS.check_within(travel())
     LIMITS.check_within(travel(low=moved(LOW, -1e-3), high=moved(HIGH, 1e-3)))
     for narrow in (travel(low=moved(LOW, 1e-6)), travel(high=moved(HIGH, -1e-6))):
-        with pytest.raises(RangeError, match=f"soft limits of {'xyz'[axis]}"):
+        with refused("limits-outside-travel", RangeError, match=f"of {'xyz'[axis]}"):
             LIMITS.check_within(narrow)
 
 
@@ -79,7 +80,7 @@ def test_a_limit_that_is_none_is_refused_by_name(name: str, value: float) -> Non
 
 @pytest.mark.parametrize("ends", [(1e-3, 1e-3), (2e-3, 1e-3), (math.nan, 1e-3), (-1e-3, math.inf)])
 def test_soft_limits_that_enclose_nothing_are_refused(ends) -> None:
-    with pytest.raises(RangeError, match="the first must be less"):
+    with refused("limits-order", RangeError):
         Limits((LOW[0], ends[0], LOW[2]), (HIGH[0], ends[1], HIGH[2]))
 
 
@@ -92,6 +93,6 @@ def test_a_force_sensor_guards_only_if_its_newest_sample_is_never_older_than_all
     LIMITS.check_sensor(sensor(80.0, delay_s=0.05))
     LIMITS.check_sensor(object())  # states no rate
     for slow in (sensor(9.9), sensor(80.0, delay_s=0.09), sensor(10.0, delay_s=0.4)):
-        with pytest.raises(Tripped, match="too slow to guard") as caught:
+        with refused("force-stale", Tripped) as caught:
             LIMITS.check_sensor(slow)
         assert caught.value.reason is Reason.FORCE_STALE

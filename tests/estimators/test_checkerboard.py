@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.refusals import refused
 from tests.rendered_boards import View, board, noisy
 
 from palpate.core import ImageError, InputError, RangeError
@@ -203,5 +204,5 @@ def test_a_corner_that_was_covered_is_followed_again() -> None:
 
 def test_a_frame_of_another_size_is_not_followed() -> None:
     frame = rendered(VIEW)
-    with pytest.raises(InputError, match="as the reference"):
+    with refused("frame-size", InputError):
         MarkTracker(frame, 20).follow(frame[:-1])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from tests.fringe_fields import LED, beam, colours, disc
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.fringe_light import one_line, tungsten
@@ -206,21 +207,21 @@ DISC = colours(SHARE * 1.2, 0.01)
 
 
 @pytest.mark.parametrize(
-    ("frame", "said"),
+    ("frame", "code", "said"),
     [
-        (DISC[..., 0], "grey"),
-        (np.repeat(DISC[..., :1], 3, axis=-1), "same"),
-        (DISC[..., ::-1], "blue, green, red"),
-        (DISC[..., [1, 0, 2]], "green, red, blue"),
-        (DISC * [1, 1, 0], "no light in blue"),
-        (np.where(np.arange(90)[:, None, None] == 3, np.nan, DISC), "NaN"),
-        (np.full((90, 90, 3), 255, np.uint8), "saturated"),
-        (one_line(589e-9).light(SHARE * 1.2), "same"),
+        (DISC[..., 0], "no-color-image", "grey"),
+        (np.repeat(DISC[..., :1], 3, axis=-1), "gray-image", "same"),
+        (DISC[..., ::-1], "channel-order", "blue, green"),
+        (DISC[..., [1, 0, 2]], "channel-order", "green, red"),
+        (DISC * [1, 1, 0], "one-color-only", "in blue"),
+        (np.where(np.arange(90)[:, None, None] == 3, np.nan, DISC), "not-finite", "NaN"),
+        (np.full((90, 90, 3), 255, np.uint8), "saturated", "saturated"),
+        (one_line(589e-9).light(SHARE * 1.2), "gray-image", "same"),
     ],
     ids=["grey", "equal", "bgr", "grb", "no-blue", "nan", "saturated", "one-line"],
 )
-def test_a_frame_that_colours_cannot_be_read_from_is_refused_with_the_reason(frame, said):
-    with pytest.raises(InputError, match=said):
+def test_a_frame_that_colours_cannot_be_read_from_is_refused_with_the_reason(frame, code, said):
+    with refused(code, InputError, match=said):
         order_from_colour(frame, TABLE, noise=0.01, mask=FACE)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
@@ -65,5 +66,5 @@ def test_a_demo_s_recording_is_made(at) -> None:
 
 
 def test_what_is_no_source_is_refused_alike(at) -> None:
-    with pytest.raises(palpate.PalpateError, match="holds no images"):
+    with refused("no-images", palpate.PalpateError):
         palpate.open_source(at())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core import ColumnError, InputError, Reading, Readings, UnitError
 from palpate.core.reading import (
@@ -122,7 +123,7 @@ def test_an_arc_without_ends_holds_every_angle_and_nothing_else() -> None:
 
 def test_an_arc_that_does_not_hold_its_value_is_refused() -> None:
     # 170 to -170 is written as 170 to 190: ends upwards.
-    with pytest.raises(InputError, match="run on beyond half a period"):
+    with refused("arc-without-value", InputError):
         CircularReading(
             quantity="twist",
             unit="deg",
@@ -158,7 +159,7 @@ def test_one_component_holds_at_least_as_often_as_all_together(rng: np.random.Ge
     for z in rng.standard_normal((2000, 3)):
         truth = reading.value + root @ z
         assert x.contains(truth[0]) or not reading.contains(truth)
-    with pytest.raises(ColumnError, match="x, y, z"):
+    with refused("no-component", ColumnError):
         reading.component("w")
 
 
@@ -191,7 +192,7 @@ def test_what_is_no_covariance_is_refused(covariance: np.ndarray) -> None:
 @pytest.mark.usefixtures("shapes_unchecked")
 @pytest.mark.parametrize("shape", [(2,), (3, 2), (2, 2)])
 def test_a_vector_s_range_has_a_least_and_a_greatest_of_each_component(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"calibrated range .* \(2, 3\)"):
+    with refused("range-shape", InputError, match=r"\(2"):
         replace(force(AlignedBox(np.ones(3))), calibrated_range=np.zeros(shape))
 
 
@@ -236,7 +237,7 @@ def flat(told, name: str = "") -> dict[str, float]:
 
 @pytest.mark.parametrize("reading", ALL, ids=["scalar", "circular", "vector"])
 def test_a_unit_of_another_quantity_is_refused(reading) -> None:
-    with pytest.raises(UnitError, match="cannot be shown in kPa"):
+    with refused("unit-conversion", UnitError):
         reading.in_unit("kPa")
 
 
@@ -262,9 +263,9 @@ def test_a_key_says_the_unit_of_its_value() -> None:
 
 def test_a_key_without_a_reading_is_refused_with_those_there_are() -> None:
     readings = Readings({"x_mm": scalar("x"), "x_deg": scalar("x", "rad"), "depth_mm": scalar()})
-    with pytest.raises(ColumnError, match="there is no reading 'force_N'; there are x_mm, x_deg, depth_mm"):
+    with refused("no-reading", ColumnError, match="'force_N'"):
         readings["force_N"]
-    with pytest.raises(ColumnError, match="2 readings are called 'x'"):
+    with refused("no-reading", ColumnError, match="'x'"):
         readings["x"]
     assert readings["x_rad"].value == 6.2e-4
     assert "force_N" not in readings

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import j0
+from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space import hertz, sneddon
@@ -189,13 +190,13 @@ def test_what_lies_outside_the_law_is_refused(law, bad):
 def test_every_range_has_its_name_in_the_refusal():
     with pytest.raises(RangeError, match="sqrt"):
         layer.dimitriadis_force(1e-3, R, 6e-3, E, 0.49)
-    with pytest.raises(RangeError, match="fifth of the layer"):
+    with refused("strain-limit", RangeError):
         layer.sphere_force(1.1e-3, R, 5e-3, E, 0.49)
-    with pytest.raises(RangeError, match=r"a/R <= 0\.99"):
+    with refused("outside-law", RangeError, match=r"0\.99"):
         layer.sphere_force(14e-3, R, 0.1, E, 0.49)
-    with pytest.raises(RangeError, match=r"a/R <= 0\.5"):
+    with refused("outside-law", RangeError, match=r"0\.5"):
         layer.dimitriadis_force(1.3e-3, R, 1e-1, E, 0.49)
-    with pytest.raises(RangeError, match="0 to 10"):
+    with refused("outside-law", RangeError, match="10"):
         layer.punch_factor(11.0, 0.3)
     with pytest.raises((InputError, TypeError)):
         layer.punch_factor(1.0, 0.3, "floating")

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.mechanics.half_space.hertz_pairs import Body
@@ -101,7 +101,7 @@ def test_small_strain_ends_at_half_the_ball_or_a_fifth_of_the_stack() -> None:
     soft = press_course(layers(2e3, 2e3, thickness_m=3e-3), FINGER, count=2)
     assert_allclose(soft.sunk_m[-1], 0.2 * 6e-3)
     for force in (0.0, 1.01 * soft.force_n[-1], math.nan):
-        with pytest.raises(RangeError, match="above 0 and at most"):
+        with refused("outside-law", RangeError):
             press_course(layers(2e3, 2e3, thickness_m=3e-3), FINGER, until_n=force)
-    with pytest.raises(RangeError, match=r"0 to 7\.5 mm"):
+    with refused("outside-law", RangeError, match=r"7\.5"):
         press_to_radius(layers(2e5), FINGER, 8e-3)

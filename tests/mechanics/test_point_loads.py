@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space import point_loads as loads
@@ -153,16 +154,16 @@ def test_a_poissons_ratio_out_of_range_is_refused(bad):
         lambda: loads.mindlin_stress(1.0, 0.0, 1.0, 1.0, 1.0, "x", bad),
         lambda: loads.mindlin_displacement(1.0, 0.0, 1.0, 1.0, 1.0, "x", E, bad),
     ):
-        with pytest.raises(RangeError, match=r"0 to 0\.5"):
+        with refused("poisson-ratio", RangeError, match=r"0\.5"):
             ask()
 
 
 def test_places_and_forces_without_a_field_are_refused():
-    with pytest.raises(RangeError, match="z >= 0"):
+    with refused("above-surface", RangeError):
         loads.boussinesq_stress(0.0, 0.0, -1.0, 1.0, 0.3)
-    with pytest.raises(RangeError, match="on the force"):
+    with refused("singular-point", RangeError):
         loads.cerruti_stress(np.zeros(2), np.zeros(2), np.arange(2.0), 1.0, 0.3)
-    with pytest.raises(RangeError, match="on the force"):
+    with refused("singular-point", RangeError):
         loads.mindlin_stress(0.0, 0.0, C, C, 1.0, "z", 0.3)
     with pytest.raises(RangeError, match="finite"):
         loads.boussinesq_stress(0.0, 0.0, 1.0, math.inf, 0.3)

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.mechanics.viscoelastic import KelvinVoigt, Prony
@@ -139,7 +140,7 @@ def test_a_kelvin_voigt_skin_refuses_a_step_and_a_hold():
     t = np.linspace(0, 1, 11)
     skin = KelvinVoigt(0.3e6, 1e3)
     for strain in (np.ones(11), np.minimum(t, 0.5)):
-        with pytest.raises(RangeError, match="use a Prony series"):
+        with refused("no-step-response", RangeError):
             skin.stress(t, strain)
     with pytest.raises(RangeError):
         skin.stress(t[:2], t[:2])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.punch_table import (
@@ -217,21 +218,21 @@ def test_a_punch_is_not_a_ball_of_its_radius():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"depth_m": -1e-3}, "-1 mm"),
-        ({"depth_m": math.nan}, "nan mm"),
-        ({"thickness_m": 12e-3}, "3 R thick .* 2 R .* 2.5 R"),
-        ({"friction": 0.3}, "friction 0.3 .* friction 0"),
-        ({"poisson_ratio": 0.5}, "0.5; .* 0.49"),
-        ({"disc_radius_m": 20e-3}, "20 mm .* 28.5 mm"),
-        ({"youngs_modulus_pa": -1.0}, "Young"),
-        ({"x_m": 25e-3}, "25 mm .* rim at 28.5 mm; press within"),
+        ({"depth_m": -1e-3}, "outside-table"),
+        ({"depth_m": math.nan}, "outside-table"),
+        ({"thickness_m": 12e-3}, "no-table"),
+        ({"friction": 0.3}, "no-table"),
+        ({"poisson_ratio": 0.5}, "no-table"),
+        ({"disc_radius_m": 20e-3}, "disc-too-small"),
+        ({"youngs_modulus_pa": -1.0}, "not-positive"),
+        ({"x_m": 25e-3}, "contact-over-rim"),
     ],
 )
 def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
     asked = {"x_m": 0.0, "depth_m": 2e-3, "youngs_modulus_pa": E, "thickness_m": H, "disc_radius_m": DISC}
     asked |= change
     pose = Pose(asked.pop("x_m"), 0.0, asked.pop("depth_m"))
-    with pytest.raises(RangeError, match=message):
+    with refused(message, RangeError):
         press_punch(PUNCH, pose, **asked)
 
 
@@ -253,5 +254,5 @@ def test_other_shapes_and_a_leaning_punch_are_refused():
         with pytest.raises(InputError, match="upright punch"):
             press_punch(probe, Pose(0.0, 0.0, 1e-3), E, H, DISC)
     assert not is_punch_tabled(3.0, 0.0, 0.49)
-    with pytest.raises(RangeError, match="choose a punch radius R"):
+    with refused("no-table", RangeError):
         punch_table_for(3.0, 0.0, 0.49)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
 from palpate.mechanics.axisymmetric.shape_table import SCALARS, shape_table
@@ -87,14 +88,14 @@ def test_other_directions_than_the_tables_would_be_seen(table) -> None:
 
 
 def test_what_was_not_solved_is_named(table) -> None:
-    with pytest.raises(RangeError, match="20 mm and larger"):
+    with refused("radius-outside-table", RangeError, match="20"):
         table.dome(15e-3, np.inf)
     with pytest.raises(RangeError, match="stiffer"):
         table.dome(30e-3, 1e4)
-    with pytest.raises(RangeError, match="1 to 8 mm"):
+    with refused("thickness-outside-table", RangeError):
         table.layer(0.5e-3, 0.1e6)
-    with pytest.raises(RangeError, match=r"0\.03 MPa and stiffer"):
+    with refused("modulus-outside-table", RangeError, match=r"0\.03"):
         table.layer(2e-3, 1e4)
-    with pytest.raises(InputError, match="flat cylinders only"):
+    with refused("no-table", InputError):
         shape_table("even")
     assert replace(table).least_radius_m == pytest.approx(20e-3)

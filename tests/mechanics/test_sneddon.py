@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.mechanics.half_space import hertz, sneddon
@@ -116,7 +117,7 @@ def test_what_lies_outside_the_law_is_refused(ask, bad):
 
 
 def test_a_depth_beyond_the_equator_names_the_limit_and_its_unit():
-    with pytest.raises(RangeError, match=r"20 m lies outside 0 to 0\.0131\d* m"):
+    with refused("outside-law", RangeError, match="20"):
         sneddon.sphere_force_from_depth(20.0, R, E, NU)
-    with pytest.raises(RangeError, match=r"d/a <= 0\.5"):
+    with refused("outside-law", RangeError, match=r"0\.5"):
         sneddon.punch_force(0.6 * R, R, E, NU)

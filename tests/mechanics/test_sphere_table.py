@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.sphere_table import (
@@ -177,7 +178,7 @@ def test_between_thicknesses_a_table_reads_what_is_solved_there():
 def test_a_thickness_outside_those_solved_is_refused_and_friction_has_its_own():
     for asked in ((1.7, 0.0, 0.49), (3.0, 0.0, 0.49), (2.1, 0.5, 0.49), (2.1, 0.0, 0.45)):
         assert not is_tabled(*asked)
-        with pytest.raises(RangeError, match="no table is solved"):
+        with refused("no-table", RangeError):
             table_for(*asked)
     thin, thick = (table_for(h, 0.0, 0.49).at(0.8).force for h in (1.9, 2.1))
     assert thin > SphereTable.load("sphere-h2-mu0").at(0.8).force > thick, "a thinner disc is stiffer"
@@ -273,19 +274,19 @@ def test_friction_on_the_skin_points_to_the_centre():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"depth_m": 6.1e-3}, "6.1 mm .* 0 to 6 mm"),
-        ({"depth_m": -1e-3}, "-1 mm"),
-        ({"depth_m": math.nan}, "nan mm"),
-        ({"thickness_m": 15e-3}, "3 R thick .* 2 R .* 4 R"),
-        ({"thickness_m": 0.0}, "thickness"),
-        ({"friction": 0.3}, "friction 0.3 .* friction 0.5"),
-        ({"friction": math.nan}, "friction nan"),
-        ({"poisson_ratio": 0.5}, "0.5; .* 0.49"),
-        ({"disc_radius_m": 20e-3}, "20 mm .* 28.5 mm"),
-        ({"youngs_modulus_pa": -1.0}, "Young"),
-        ({"youngs_modulus_pa": math.inf}, "Young"),
-        ({"radius_m": 0.0}, "radius"),
-        ({"x_m": 25e-3}, "25 mm .* rim at 28.5 mm; press within"),
+        ({"depth_m": 6.1e-3}, "outside-table"),
+        ({"depth_m": -1e-3}, "outside-table"),
+        ({"depth_m": math.nan}, "outside-table"),
+        ({"thickness_m": 15e-3}, "no-table"),
+        ({"thickness_m": 0.0}, "not-positive"),
+        ({"friction": 0.3}, "no-table"),
+        ({"friction": math.nan}, "no-table"),
+        ({"poisson_ratio": 0.5}, "no-table"),
+        ({"disc_radius_m": 20e-3}, "disc-too-small"),
+        ({"youngs_modulus_pa": -1.0}, "not-positive"),
+        ({"youngs_modulus_pa": math.inf}, "not-positive"),
+        ({"radius_m": 0.0}, "not-positive"),
+        ({"x_m": 25e-3}, "contact-over-rim"),
     ],
 )
 def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
@@ -300,7 +301,7 @@ def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
     }
     probe = Probe("sphere", asked.pop("radius_m"))
     pose = Pose(asked.pop("x_m"), 0.0, asked.pop("depth_m"))
-    with pytest.raises(RangeError, match=message):
+    with refused(message, RangeError):
         press_finite_strain(probe, pose, **asked)
 
 
@@ -312,7 +313,7 @@ def test_other_shapes_names_and_places_are_refused():
     with pytest.raises(InputError, match="sphere-h2-mu0"):
         SphereTable.load("sphere-h3-mu0")
     for depth in (-0.1, 1.3, math.nan, math.inf):
-        with pytest.raises(RangeError, match=r"0 to 1.2 R"):
+        with refused("outside-table", RangeError, match="1.2"):
             SphereTable.load("sphere-h2-mu0").at(depth)
 
 

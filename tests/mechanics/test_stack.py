@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.layers.stack import ElasticLayer, Stack, climb, surface_compliance
@@ -137,19 +138,19 @@ def test_a_layer_that_cannot_be_is_refused(layer):
 
 
 def test_a_stack_whose_thicknesses_do_not_fit_its_base_is_refused():
-    with pytest.raises(InputError, match="one ElasticLayer or more"):
+    with refused("no-layers", InputError):
         Stack(())
-    with pytest.raises(InputError, match="belongs to the last layer"):
+    with refused("half-space-thickness", InputError):
         Stack((ElasticLayer(ENDLESS, E, 0.3),))
-    with pytest.raises(InputError, match="belongs to the last layer"):
+    with refused("half-space-thickness", InputError):
         Stack((ElasticLayer(1e-3, E, 0.3),), "half-space")
-    with pytest.raises(InputError, match="belongs to the last layer"):
+    with refused("half-space-thickness", InputError):
         Stack((ElasticLayer(ENDLESS, E, 0.3), ElasticLayer(ENDLESS, E, 0.3)), "half-space")
 
 
 def test_wavenumbers_without_an_answer_are_refused():
     half_space = Stack((ElasticLayer(ENDLESS, E, 0.3),), "half-space")
-    with pytest.raises(RangeError, match="above 0 1/m"):
+    with refused("wavenumber", RangeError, match="1/m"):
         surface_compliance(half_space, np.array([0.0]))
     for k in (-1.0, math.nan, math.inf):
         with pytest.raises(RangeError, match="finite numbers"):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.installed_packages import lay_package
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 import palpate
@@ -138,16 +139,16 @@ def test_a_sensor_of_no_name_brings_its_plans_by_its_path(installed: Path) -> No
     own = plan_of_sensor(pad)
     assert own == plan_of(path) == plan_of(path, pad) == plan_of("pad", pad)
     assert (own.name, own.indenters) == ("pad", ("sphere:8",))
-    with pytest.raises(InputError, match="does not import"):
+    with refused("plugin-import", InputError):
         plan_of("rubber_pad:Mat")
 
 
 def test_going_around_a_layer_is_refused_on_a_skin_that_is_not_round(installed: Path) -> None:
     words = ["record", "--rig", "virtual:pad", "--plan", "layer", "--out", str(installed / "run"), "--quiet"]
-    refused = CliRunner().invoke(app, words)
-    assert refused.exit_code == 2
-    assert "'layer' does not suit the sensor of virtual:pad: only a round skin" in refused.stderr
-    assert "its own plans are pad" in refused.stderr
+    caught = CliRunner().invoke(app, words)
+    assert caught.exit_code == 2
+    assert "'layer' does not suit the sensor of virtual:pad: only a round skin" in caught.stderr
+    assert "its own plans are pad" in caught.stderr
 
 
 def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(installed: Path) -> None:

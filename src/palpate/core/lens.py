@@ -205,7 +205,7 @@ class Lens:
         """
         if not isinstance(card, Mapping) or card.get("schema") != SCHEMA:
             found = card.get("schema") if isinstance(card, Mapping) else type(card).__name__
-            raise InputError(f"{where}: schema is {found!r}; a lens file states {SCHEMA!r}")
+            raise InputError(f"{where}: schema is {found!r}; a lens file states {SCHEMA!r}", code="schema")
         try:
             focal, centre, distortion, size = (
                 tuple(card[field]) for field in ("focal_px", "centre_px", "distortion", "size_px")
@@ -222,11 +222,12 @@ class Lens:
         except KeyError as error:
             raise InputError(f"{where}: {error} is missing from the lens file") from error
         except (TypeError, ValueError) as error:
-            raise InputError(f"{where}: {error}") from error
+            raise InputError(f"{where}: {error}", code="lens-numbers") from error
         if card.get("id") != lens.id:
             raise InputError(
                 f"{where}: its numbers belong to lens {lens.id}, and it states {card.get('id')}; a lens file "
-                "is not edited by hand: write it anew, by palpate lens calibrate or Lens.write"
+                "is not edited by hand: write it anew, by palpate lens calibrate or Lens.write",
+                code="lens-id",
             )
         return lens
 
@@ -290,7 +291,7 @@ class Lens:
 def _of_width(values: Any, width: int, what: str) -> np.ndarray:
     array = np.asarray(values, dtype=float)
     if array.ndim < 1 or array.shape[-1] != width:
-        raise InputError(f"{what} have shape {array.shape}; give [..., {width}]")
+        raise InputError(f"{what} have shape {array.shape}; give [..., {width}]", code="shape")
     return array
 
 

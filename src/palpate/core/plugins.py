@@ -68,11 +68,15 @@ class PluginRegistry:
         paths = [own] * bool(own) + sorted(claims - {own})
         if not paths:
             names = ", ".join(self.names()) or "none"
-            raise InputError(f"there is no {self.kind} {name!r}; there are {names}, or give module:Name")
+            raise InputError(
+                f"there is no {self.kind} {name!r}; there are {names}, or give module:Name",
+                code="unknown-name",
+            )
         if len(paths) > 1:
             raise PluginError(
                 f"{self.kind} {name!r} of {paths[1]} takes the name of {paths[0]}; a name stands for one "
-                f"{self.kind}: rename it in its package's entry points, or remove the package"
+                f"{self.kind}: rename it in its package's entry points, or remove the package",
+                code="name-taken",
             )
         return paths[0]
 
@@ -87,7 +91,8 @@ class PluginRegistry:
         thing = import_path(path, self.kind, name)
         if not callable(thing):
             raise PluginError(
-                f"{_label(self.kind, name, path)} is no class and no function; name what makes a {self.kind}"
+                f"{_label(self.kind, name, path)} is no class and no function; name what makes a {self.kind}",
+                code="not-callable",
             )
         return thing
 
@@ -192,7 +197,7 @@ def plugin_calls(
     except passed:
         raise
     except (Exception, SystemExit) as e:  # what is somebody else's may raise anything
-        raise PluginError(message.replace(ERROR, told(e), 1)) from e
+        raise PluginError(message.replace(ERROR, told(e), 1), code="plugin-import") from e
 
 
 def told(error: BaseException) -> str:

@@ -98,7 +98,10 @@ class MeasurementResult:
             return self
         old, new = unit(self.unit), unit(symbol)
         if old.si != new.si:
-            raise UnitError(f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}")
+            raise UnitError(
+                f"{self.quantity} is in {self.unit}, which cannot be shown in {symbol}",
+                code="unit-conversion",
+            )
 
         def convert(part: Any) -> Any:
             if isinstance(part, tuple | list):
@@ -195,7 +198,7 @@ class Readings(Mapping[str, MeasurementResult]):
             alike = [one for one in alike if one.quantity == key or unit(one.unit).si == target.si]
         if len(alike) != 1:
             several = f"{len(alike)} readings are called" if alike else "there is no reading"
-            raise ColumnError(f"{several} {key!r}; there are {', '.join(self)}")
+            raise ColumnError(f"{several} {key!r}; there are {', '.join(self)}", code="no-reading")
         (one,) = alike
         return one.in_unit(target.symbol if target is not None and one.quantity != key else unit(one.unit).si)
 
@@ -262,7 +265,8 @@ class CircularReading(MeasurementResult):
         if self.low > self.value or self.value > self.high:
             raise InputError(
                 f"{self.quantity}: the arc from {self.low} to {self.high} {self.unit} does not hold its "
-                f"value {self.value} {self.unit}; let its ends run on beyond half a period"
+                f"value {self.value} {self.unit}; let its ends run on beyond half a period",
+                code="arc-without-value",
             )
 
     def distance(self, other: float) -> float:
@@ -375,7 +379,8 @@ class VectorReading(MeasurementResult):
         if np.shape(self.calibrated_range) != (2, k):
             raise InputError(
                 f"{self.quantity}: a calibrated range {np.shape(self.calibrated_range)}; {k} components need "
-                f"the least and the greatest of each, {(2, k)}"
+                f"the least and the greatest of each, {(2, k)}",
+                code="range-shape",
             )
 
     def contains(self, truth: Float[np.ndarray, " k"]) -> bool:
@@ -389,7 +394,10 @@ class VectorReading(MeasurementResult):
             ColumnError: there is no such component.
         """
         if name not in self.components:
-            raise ColumnError(f"{self.quantity} has no component {name!r}: {', '.join(self.components)}")
+            raise ColumnError(
+                f"{self.quantity} has no component {name!r}: {', '.join(self.components)}",
+                code="no-component",
+            )
         at = self.components.index(name)
         value, half = float(self.value[at]), float(self.region.half_widths[at])
         least, greatest = (float(end) for end in self.calibrated_range[:, at])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
 
-class ImageCode(StrEnum):
-    """Codes of invalid readings of a calibration of images."""
+class ReasonCode(StrEnum):
+    """Codes of invalid readings in JSON; the last ones are of presses on an object."""
 
     UNREADABLE = "unreadable_frame"
     IMAGE_SIZE = "image_size"
@@ -22,9 +23,21 @@ class ImageCode(StrEnum):
     NO_CLASS = "no_class"
     ALL_CLASSES = "all_classes"
     CLASS_NOT_IN_SET = "class_not_in_set"
+    FLAWED_PRESS = "flawed_press"
+    DRIFTED = "drifted"
+    SPEED = "speed_outside_range"
+    REPEATED_FRAMES = "repeated_frames"
+    OFF_CENTER = "off_center"
+    CUES_DISAGREE = "cues_disagree"
+    TWO_REFERENCES = "two_references"
+    CURVED = "curved_object"
+    TOO_STIFF = "too_stiff"
+    INCLINED = "inclined"
+    NOT_HERTZ = "not_hertz"
+    SHAPE_OUTSIDE_RANGE = "shape_outside_range"
 
 
-OF_ALL_FRAMES = frozenset({ImageCode.IMAGE_SIZE, ImageCode.NO_REFERENCE_IMAGE})
+OF_ALL_FRAMES = frozenset({ReasonCode.IMAGE_SIZE, ReasonCode.NO_REFERENCE_IMAGE})
 """Codes that hold for every frame of a source alike until the source or the reference image changes."""
 
 
@@ -44,3 +57,14 @@ class Refusal(NamedTuple):
 
 
 NONE = Refusal()
+SEPARATOR = "; "  # between the reasons of one reading
+
+
+def joined(reasons: Iterable[Refusal]) -> dict[str, str | bool]:
+    """Return the fields `valid`, `why`, and `code` of a reading; each text and each code occurs once."""
+    listed = list(reasons)
+    return {
+        "valid": not listed,
+        "why": SEPARATOR.join(dict.fromkeys(one.why for one in listed)),
+        "code": SEPARATOR.join(dict.fromkeys(str(one.code) for one in listed)),
+    }

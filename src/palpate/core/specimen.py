@@ -83,25 +83,36 @@ class Specimen:
         except ValueError:
             stiffness_n_m = math.nan
         if not (name and stiffness_n_m > 0 and (equals or name == RIGID)):
-            raise InputError(f"{words!r} is no specimen; give {WORDS_OF_SPECIMENS}")
+            raise InputError(f"{words!r} is no specimen; give {WORDS_OF_SPECIMENS}", code="specimen-syntax")
         return cls(name, stiffness_n_m)
 
 
 def _shaped(cls: type[Specimen], words: str, name: str, kind: str, numbers: str) -> Specimen:
     """A specimen of a kind."""
     if kind not in NUMBERS:
-        raise InputError(f"{words!r}: there is no specimen {kind!r}; give {WORDS_OF_SPECIMENS}")
+        raise InputError(
+            f"{words!r}: there is no specimen {kind!r}; give {WORDS_OF_SPECIMENS}", code="specimen-kind"
+        )
     given = _numbers(words, kind, numbers)
     needed = NUMBERS[kind][:1] if kind == SPHERE else NUMBERS[kind]
     missing = [key for key in needed if key not in given]
     if missing:
-        raise InputError(f"{words!r}: a {kind} needs {' and '.join(missing)}, as in {EXAMPLES[kind]}")
+        raise InputError(
+            f"{words!r}: a {kind} needs {' and '.join(missing)}, as in {EXAMPLES[kind]}",
+            code="missing-parameter",
+        )
     branches = _branches(words, given)
     if kind == VISCOUS and not branches:
-        raise InputError(f"{words!r}: a viscous specimen needs E1_MPa and tau1_s, as in {EXAMPLES[VISCOUS]}")
+        raise InputError(
+            f"{words!r}: a viscous specimen needs E1_MPa and tau1_s, as in {EXAMPLES[VISCOUS]}",
+            code="viscous-needs-term",
+        )
     modulus = given.get(MODULUS, math.inf)
     if branches and not math.isfinite(modulus):
-        raise InputError(f"{words!r}: a rigid sphere does not relax; give its E_MPa after a long time")
+        raise InputError(
+            f"{words!r}: a rigid sphere does not relax; give its E_MPa after a long time",
+            code="rigid-relaxes",
+        )
     return cls(
         name,
         None,
@@ -121,17 +132,19 @@ def _numbers(words: str, kind: str, numbers: str) -> dict[str, float]:
         if key not in allowed and not _BRANCH.fullmatch(key):
             raise InputError(
                 f"{words!r}: a {kind} has no {key!r}; it has {', '.join(allowed)}, and E1_MPa with tau1_s "
-                "where it is viscous"
+                "where it is viscous",
+                code="unknown-parameter",
             )
         if key in given:
-            raise InputError(f"{words!r} gives {key} twice")
+            raise InputError(f"{words!r} gives {key} twice", code="repeated-parameter")
         try:
             given[key] = float(text) if equals else math.nan
         except ValueError:
             given[key] = math.nan
         if not (given[key] > 0 and math.isfinite(given[key])):
             raise InputError(
-                f"{words!r}: {key} of {text or 'nothing'}; give a finite number above 0 in that unit"
+                f"{words!r}: {key} of {text or 'nothing'}; give a finite number above 0 in that unit",
+                code="number-range",
             )
     return given
 
@@ -143,5 +156,8 @@ def _branches(words: str, given: Mapping[str, float]) -> tuple[tuple[float, floa
     times = {one[2]: given[one[0]] for one in found if one[1] == "tau"}
     alone = sorted(moduli.keys() ^ times.keys())
     if alone:
-        raise InputError(f"{words!r}: E{alone[0]}_MPa and tau{alone[0]}_s come together; give both")
+        raise InputError(
+            f"{words!r}: E{alone[0]}_MPa and tau{alone[0]}_s come together; give both",
+            code="relaxation-terms",
+        )
     return tuple((moduli[i], times[i]) for i in sorted(moduli))

@@ -104,7 +104,8 @@ def split_column(name: str) -> tuple[str, Unit]:
             return quantity, UNITS[symbol]
     raise UnitError(
         f"column {name!r} carries no unit; name it quantity_unit, as in depth_mm, force_N or tilt_deg "
-        f"(a dimensionless one ends in _ratio); known units are {', '.join(UNITS)}"
+        f"(a dimensionless one ends in _ratio); known units are {', '.join(UNITS)}",
+        code="no-unit",
     )
 
 

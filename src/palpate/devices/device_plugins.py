@@ -73,7 +73,9 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
     if fault is not None:
         with suppress(Exception, SystemExit):  # what lacks a method may well fail to close
             device.close()
-        raise PluginError(f"{role} {kind!r} breaks the law {fault.name!r}: {fault.message}")
+        raise PluginError(
+            f"{role} {kind!r} breaks the law {fault.name!r}: {fault.message}", code="protocol-broken"
+        )
     return device
 
 
@@ -90,7 +92,8 @@ def _call(
         pass
     except TypeError as e:
         raise InputError(
-            f"{role} {kind!r} cannot be opened with these options: {e}; it takes {signature}"
+            f"{role} {kind!r} cannot be opened with these options: {e}; it takes {signature}",
+            code="device-options",
         ) from e
     with plugin_calls(f"{role} {kind!r} breaks the law 'opens, or raises DeviceError': {ERROR}"):
         return factory(**arguments)

@@ -104,7 +104,8 @@ class Limits:
         for axis, low, high in zip(AXES, self.least_m, self.greatest_m, strict=True):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise RangeError(
-                    f"soft limits of {axis}: {low * 1e3:g} to {high * 1e3:g} mm; the first must be less"
+                    f"soft limits of {axis}: {low * 1e3:g} to {high * 1e3:g} mm; the first must be less",
+                    code="limits-order",
                 )
 
     def check_within(self, travel: Travel) -> None:
@@ -118,7 +119,8 @@ class Limits:
                 raise RangeError(
                     f"soft limits of {axis}, {self.least_m[i] * 1e3:g} to {self.greatest_m[i] * 1e3:g} mm, "
                     f"lie outside the stage's travel, {travel.least_m[i] * 1e3:g} to "
-                    f"{travel.greatest_m[i] * 1e3:g} mm"
+                    f"{travel.greatest_m[i] * 1e3:g} mm",
+                    code="limits-outside-travel",
                 )
 
     def check_range(self, range_n: float) -> None:
@@ -134,7 +136,8 @@ class Limits:
             raise RangeError(
                 f"the rig's limit of force is {self.force_n:g} N, and its sensor measures to {range_n:g} N "
                 f"along the press: it would saturate before anything stops; give force_N of {range_n:g} or "
-                f"less"
+                f"less",
+                code="limit-above-sensor",
             )
 
     def check_sensor(self, sensor: object) -> None:

@@ -34,7 +34,7 @@ from palpate.core import (
     unit,
 )
 from palpate.core.parsing import parser
-from palpate.core.refusal import NONE, ImageCode, Refusal
+from palpate.core.refusal import NONE, ReasonCode, Refusal
 from palpate.estimators.admission import admit_model
 from palpate.estimators.card_ground import FileCard, sealed_from
 from palpate.estimators.class_sets import class_count, class_readings
@@ -228,11 +228,11 @@ class Estimator:
         verdict = self._novelty.judge(prepared)
         why = NONE
         if verdict.atypicality > 1:
-            why = Refusal(ImageCode.OUT_OF_DISTRIBUTION, verdict.reason)
+            why = Refusal(ReasonCode.OUT_OF_DISTRIBUTION, verdict.reason)
         if not why and self._copies is not None and self._copies.is_of_former(prepared):
-            why = Refusal(ImageCode.FORMER_UNIT, _copy_reason(self.card))
+            why = Refusal(ReasonCode.FORMER_UNIT, _copy_reason(self.card))
         if self._coloured and _is_grey(frame.image):
-            why = Refusal(ImageCode.GRAY_IMAGE, "the image is grey, and the calibration is of colour")
+            why = Refusal(ReasonCode.GRAY_IMAGE, "the image is grey, and the calibration is of colour")
         outputs = self._outputs(prepared, zero)
         return self._readings(frame, outputs, why, zero), outputs
 
@@ -373,7 +373,7 @@ class Estimator:
         height, width = self.card.input.frame_px
         rows, columns = image.shape[:2]
         text = f"the image is {columns}x{rows} px, the calibration is for {width}x{height} px"
-        return Refusal(ImageCode.IMAGE_SIZE, text)
+        return Refusal(ReasonCode.IMAGE_SIZE, text)
 
 
 def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscriminator | None:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from palpate.core import Bool, ClassReading, Float
-from palpate.core.refusal import NONE, ImageCode, Refusal
+from palpate.core.refusal import NONE, ReasonCode, Refusal
 from palpate.estimators.card_ground import CardPart
 
 ClassOutputs = Float[np.ndarray, "n k"]
@@ -162,14 +162,14 @@ def _doubt(card: ClassCard, value: str, members: tuple[str, ...]) -> Refusal:
     """Reason not to trust a class; false where there is none."""
     if not members:
         why = f"not told: this frame is like no class of {card.column}, their set is empty"
-        return Refusal(ImageCode.NO_CLASS, why)
+        return Refusal(ReasonCode.NO_CLASS, why)
     if len(members) == len(card.names):
         why = f"not told: this frame leaves all classes of {card.column} open ({', '.join(members)})"
-        return Refusal(ImageCode.ALL_CLASSES, why)
+        return Refusal(ReasonCode.ALL_CLASSES, why)
     if value not in members:
         why = (
             f"not told: the likeliest class of {card.column}, {value}, is not in the set of those that "
             f"cannot be ruled out ({', '.join(members)})"
         )
-        return Refusal(ImageCode.CLASS_NOT_IN_SET, why)
+        return Refusal(ReasonCode.CLASS_NOT_IN_SET, why)
     return NONE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from palpate.core.refusal import NONE, ImageCode, Refusal
+from palpate.core.refusal import NONE, ReasonCode, Refusal
 from palpate.estimators.model_card import RangeCard, TargetCard
 from palpate.estimators.reference_uncertainty import with_reference
 
@@ -24,10 +24,10 @@ def doubt(target: TargetCard, value: float, low: float, high: float) -> Refusal:
             unit; NaN where none.
     """
     if target.is_never_valid:
-        return Refusal(ImageCode.NOT_LEARNED, _not_read(target))
+        return Refusal(ReasonCode.NOT_LEARNED, _not_read(target))
     ends = with_reference(target, value, low, high)
     if untold(target, *ends):
-        return Refusal(ImageCode.UNDETERMINED, _tells_nothing(target, ends[1] - ends[0]))
+        return Refusal(ReasonCode.UNDETERMINED, _tells_nothing(target, ends[1] - ends[0]))
     if target.circular is not None:
         return _outside(_outside_arc(target, value, (high - low) / 2, target.circular.period))
     if target.over_range is None:
@@ -36,7 +36,7 @@ def doubt(target: TargetCard, value: float, low: float, high: float) -> Refusal:
 
 
 def _outside(why: str) -> Refusal:
-    return Refusal(ImageCode.OUTSIDE_RANGE, why) if why else NONE
+    return Refusal(ReasonCode.OUTSIDE_RANGE, why) if why else NONE
 
 
 def untold(target: TargetCard, low: float, high: float) -> bool:
@@ -65,7 +65,7 @@ def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float,
             return _outside(_beyond(target, f"{what} lies", estimate, usual))
         if end > usual_end:
             why = _beyond(target, f"the interval of {what} reaches", end, usual_end)
-            return Refusal(ImageCode.INTERVAL_OUTSIDE_RANGE, why)
+            return Refusal(ReasonCode.INTERVAL_OUTSIDE_RANGE, why)
     return NONE
 
 

@@ -81,7 +81,8 @@ class Fingertip:
         if not np.all((force >= 0) & (force <= self.greatest_n * (1 + 1e-12))):
             raise RangeError(
                 f"a fingertip of the model {self.name!r} is known from 0 to {self.greatest_n:.4g} N, and was "
-                "asked outside that; press less, or take a model that reaches further"
+                "asked outside that; press less, or take a model that reaches further",
+                code="outside-law",
             )
         return np.asarray(law(np.minimum(np.atleast_1d(force), self.greatest_n))).reshape(force.shape)
 
@@ -89,7 +90,9 @@ class Fingertip:
 def hertz_fingertip(ball: Body) -> Fingertip:
     """An elastic ball on a rigid flat, to a contact radius of half its own."""
     if not ball.radius_m < math.inf:
-        raise RangeError("a fingertip of infinite radius; give a finite one, in mm, such as 15")
+        raise RangeError(
+            "a fingertip of infinite radius; give a finite one, in mm, such as 15", code="not-finite"
+        )
     widest = MAX_SLOPE * ball.radius_m
     return Fingertip(
         "hertz",
@@ -125,12 +128,14 @@ def exponential_fingertip(
     if not 0 < area_exponent <= HERTZ_EXPONENT + 1e-12:
         raise RangeError(
             f"area grows as force to the power {area_exponent:g}; above 0 and at most 2/3, which is Hertz's, "
-            "are allowed"
+            "are allowed",
+            code="exponent-range",
         )
     if not 0 < greatest_n <= EXPONENTIAL_TO_N:
         raise RangeError(
             f"an exponential fingertip to {greatest_n:g} N; above 0 and at most {EXPONENTIAL_TO_N:g} N, "
-            "where it was found, are allowed"
+            "where it was found, are allowed",
+            code="outside-law",
         )
     return Fingertip(
         "exponential",
@@ -193,7 +198,7 @@ def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
         flat_pa: the flat's Young's modulus over 1 - nu^2; infinite for a rigid one [Pa].
     """
     if not flat_pa > 0:
-        raise RangeError(f"a flat of {flat_pa:g} Pa; give more than 0 Pa")
+        raise RangeError(f"a flat of {flat_pa:g} Pa; give more than 0 Pa", code="not-positive")
 
     def growth(force: Forces) -> Forces:
         d, A = tip.approach(force), tip.area(force)

@@ -82,7 +82,8 @@ def press_probe(
     if not 0.0 <= pose.depth_m <= table.greatest_depth * h * (1 + SAME):
         raise RangeError(
             f"depth {pose.depth_m * 1e3:.7g} mm of a {probe.shape} lies outside 0 to "
-            f"{table.greatest_depth * h * 1e3:g} mm, where its table was solved; press less"
+            f"{table.greatest_depth * h * 1e3:g} mm, where its table was solved; press less",
+            code="outside-table",
         )
     depth = min(pose.depth_m / h, table.greatest_depth)
     share = float(share_of_table(depth))
@@ -160,5 +161,6 @@ def _check_within(touching: Mask, x_m: ndarray, y_m: ndarray, radius_m: float) -
     if furthest > radius_m:
         raise RangeError(
             f"the contact reaches {furthest * 1e3:.1f} mm from the membrane's axis, over its rim at "
-            f"{radius_m * 1e3:g} mm; press nearer to the middle"
+            f"{radius_m * 1e3:g} mm; press nearer to the middle",
+            code="contact-over-rim",
         )

@@ -187,7 +187,8 @@ class KelvinVoigt:
         if strain[0] != 0.0 or np.any(np.diff(strain) == 0.0):
             raise RangeError(
                 "the history starts with a step or holds the strain; a Kelvin-Voigt skin has infinite stress "
-                "at a step and does not relax in a hold: use a Prony series"
+                "at a step and does not relax in a hold: use a Prony series",
+                code="no-step-response",
             )
         rate = np.gradient(strain, time_s, edge_order=2)
         return np.asarray(self.modulus_pa * strain + self.viscosity_pa_s * rate)

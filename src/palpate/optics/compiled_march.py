@@ -50,7 +50,8 @@ def march_colour(
     check_bands(half_phase, weight, amplitude)
     if difference.shape != shear.shape or difference.ndim < 2 or len(difference) < 1:
         raise InputError(
-            f"slices of shapes {difference.shape} and {shear.shape}; give two equal ones [slices, rays]"
+            f"slices of shapes {difference.shape} and {shear.shape}; give two equal ones [slices, rays]",
+            code="shape",
         )
     from palpate.optics import march_kernels  # here: compiling is for those who march
 

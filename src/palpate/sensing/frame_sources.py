@@ -114,7 +114,10 @@ def open_source(path: PathText) -> FrameStream:
     if path.is_dir():
         images = tuple(sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES))
         if not images:
-            raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
+            raise InputError(
+                f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run",
+                code="no-images",
+            )
         return ImageFiles(images)
     if path.suffix.lower() in VIDEO_SUFFIXES:
         from palpate.recordings.exchange.frame_sequences import VideoFrames  # loads tables, as above

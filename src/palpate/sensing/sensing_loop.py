@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from palpate.core import Readings
-from palpate.core.refusal import ImageCode, Refusal
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.frame_sources import FrameStream, RunFrames, Unreadable
 
@@ -66,7 +66,7 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
     for i, frame in enumerate(source):
         started = time.perf_counter()
         if isinstance(frame, Unreadable):
-            readings = estimator.unread(frame.name, frame.time_s, Refusal(ImageCode.UNREADABLE, frame.why))
+            readings = estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.why))
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)

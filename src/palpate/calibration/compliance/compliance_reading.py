@@ -20,9 +20,9 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.cue_agreement import greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
-from palpate.calibration.compliance.reading_reasons import SEPARATOR, ReadingReason, ReasonCode, joined
 from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
+from palpate.core.refusal import SEPARATOR, ReasonCode, Refusal, joined
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
 from palpate.estimators.compliance.contact_region import RigidPlateStretch
 from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
@@ -159,7 +159,7 @@ def _judged(
     if curved:
         assert read.radius is not None
         text = CURVED.format(*(1e3 * x for x in (read.radius.value, read.radius.low, read.radius.high)))
-        flat = [ReadingReason(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
+        flat = [Refusal(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
         everywhere = []
     else:
         flat = [] if calibration.shape is None else _not_flat(calibration, presses, read)
@@ -174,7 +174,7 @@ def _judged(
 
 def _not_flat(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
-) -> list[ReadingReason]:
+) -> list[Refusal]:
     """Return why presses that may be on a flat object tell no quantity of one."""
     misfit = worst_misfit(calibration, presses, flat=True)
     return _reasons_of(read.radius) + misfit_reasons(misfit, greatest_misfit(calibration, flat=True))
@@ -184,13 +184,13 @@ def _curved(read: PressReading) -> bool:
     return read.radius is not None and bool(np.isfinite(read.radius.high))
 
 
-def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[ReadingReason]:
+def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[Refusal]:
     """Return why an interval is not inside what was calibrated."""
     if one is None or name == "radius":
         return []
     if name == "modulus" and calibration.shape is not None:
         too_stiff = np.isinf(one.high) or one.low > EDGE * moduli_pa(calibration.shape)[1]
-        return [ReadingReason(ReasonCode.TOO_STIFF, TOO_STIFF.format(1e-6 * one.low))] if too_stiff else []
+        return [Refusal(ReasonCode.TOO_STIFF, TOO_STIFF.format(1e-6 * one.low))] if too_stiff else []
     unit, scale = UNITS[one.unit]
     low, high = one.calibrated_range
     reasons = []
@@ -199,14 +199,14 @@ def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading |
         least, most = float(known.min()), float(known[np.isfinite(known)].max())
         if one.low > most * EDGE or one.high < least / EDGE:
             text = OUTSIDE.format(scale * one.value, unit, scale * least, scale * most, unit)
-            reasons.append(ReadingReason(ReasonCode.OUTSIDE_RANGE, text))
+            reasons.append(Refusal(ReasonCode.OUTSIDE_RANGE, text))
     if one.low < low or one.high > high or np.isinf(one.high):
         ends = scale * one.low, scale * one.high, unit, scale * low, scale * high, unit
-        reasons.append(ReadingReason(ReasonCode.INTERVAL_OUTSIDE_RANGE, REACHES.format(*ends)))
+        reasons.append(Refusal(ReasonCode.INTERVAL_OUTSIDE_RANGE, REACHES.format(*ends)))
     return reasons
 
 
-def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[ReadingReason]:
+def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Refusal]:
     """Return the first quantity whose interval contains nothing that the stiffness allows.
 
     The stiffness is that by both cues, or by touch where there is no position. What it allows of the other
@@ -224,7 +224,7 @@ def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> li
             one.quantity, scale * one.low, scale * one.high, unit, 1e-3 * base.low, 1e-3 * base.high,
             scale * allowed.min(), scale * allowed.max(), unit,
         )  # fmt: skip
-        return [ReadingReason(ReasonCode.CUES_DISAGREE, text)]
+        return [Refusal(ReasonCode.CUES_DISAGREE, text)]
     return []
 
 
@@ -244,15 +244,15 @@ def _on_flat(
     return np.asarray(np.exp(np.polyval(np.polyfit(known, np.log(fit.means), len(known) - 1), asked)))
 
 
-def _reasons_of(reading: Reading | None) -> list[ReadingReason]:
+def _reasons_of(reading: Reading | None) -> list[Refusal]:
     """Return the reasons that a reading carries."""
     if reading is None or reading.valid:
         return []
     texts, codes = reading.why.split(SEPARATOR), reading.code.split(SEPARATOR)
-    return [ReadingReason(ReasonCode(codes[min(i, len(codes) - 1)]), text) for i, text in enumerate(texts)]
+    return [Refusal(ReasonCode(codes[min(i, len(codes) - 1)]), text) for i, text in enumerate(texts)]
 
 
-def _refused(reading: Reading | None, reasons: Sequence[ReadingReason]) -> Reading | None:
+def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | None:
     """Return a reading with further reasons why it is not valid."""
     if reading is None or not reasons:
         return reading
@@ -368,7 +368,7 @@ class _Verdict:
 
     calibration: ComplianceCalibration
     drift: Drift
-    reasons: Sequence[ReadingReason]
+    reasons: Sequence[Refusal]
     name: str
 
 
@@ -382,7 +382,7 @@ class _PressReader:
 
     def reading(
         self, quantity: str, value: tuple[float, float, float], unit: str, range_: tuple[float, float],
-        why: Sequence[ReadingReason] = (), coverage: float = COVERAGE,
+        why: Sequence[Refusal] = (), coverage: float = COVERAGE,
     ) -> Reading:  # fmt: skip
         return Reading(
             quantity=quantity, value=value[0], low=value[1], high=value[2], unit=unit, coverage=coverage,
@@ -436,9 +436,9 @@ class _PressReader:
         range_ = _known(self.calibration.rate) or (0.0, float((high - low) / (levels[-1] - levels[0])))
         return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
 
-    def _between(self, error: float) -> list[ReadingReason]:
+    def _between(self, error: float) -> list[Refusal]:
         """Return why two references are not enough."""
-        return [] if np.isfinite(error) else [ReadingReason(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
+        return [] if np.isfinite(error) else [Refusal(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
 
     def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:
         levels = self.calibration.levels_n
@@ -460,11 +460,11 @@ class _PressReader:
             for good in [one.force_n >= self.calibration.levels_n[0]]
         ]
         contact = invert_hertz(presses, finger, np.random.default_rng(0), COVERAGE)
-        why = [ReadingReason(ReasonCode.TOO_STIFF, contact.why)] if contact.why else []
+        why = [Refusal(ReasonCode.TOO_STIFF, contact.why)] if contact.why else []
         why += self._between(self._fit.spread)
         if self.calibration.tilt_rad > HEAD_ON_RAD:
-            why.append(ReadingReason(ReasonCode.INCLINED, INCLINED))
-        no_hertz = ReadingReason(ReasonCode.NOT_HERTZ, NO_HERTZ.format(finger.misfit, MISFIT))
+            why.append(Refusal(ReasonCode.INCLINED, INCLINED))
+        no_hertz = Refusal(ReasonCode.NOT_HERTZ, NO_HERTZ.format(finger.misfit, MISFIT))
         round_ = [no_hertz] if finger.misfit > MISFIT else []
         beyond = (0.0, float("inf"))
         return (

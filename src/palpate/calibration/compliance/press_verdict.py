@@ -21,8 +21,8 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.cue_agreement import CueMisfit, greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
-from palpate.calibration.compliance.reading_reasons import ReadingReason, ReasonCode
 from palpate.core import Drift
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.compliance.contact_seat import sideways_px
 from palpate.estimators.compliance.pin_press import PinPress
 from palpate.estimators.compliance.stiffness_curve import SmallSpace, Vector
@@ -78,7 +78,7 @@ def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) ->
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
 
-def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[ReadingReason]:
+def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Refusal]:
     """Why no quantity of these presses is valid; empty where they are as the references' were.
 
     Raises:
@@ -86,21 +86,21 @@ def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress
         RangeError: one that does not reach the calibrated forces.
     """
     flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
-    reasons = [ReadingReason(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
+    reasons = [Refusal(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
-        reasons.append(ReadingReason(ReasonCode.DRIFTED, DRIFTED))
+        reasons.append(Refusal(ReasonCode.DRIFTED, DRIFTED))
     rows = [touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses]
     for code, ask in ASKED.items():
         answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
-        reasons += [ReadingReason(code, why) for why in answers if why][:1]
+        reasons += [Refusal(code, why) for why in answers if why][:1]
     return reasons + misfit_reasons(worst_misfit(calibration, presses), greatest_misfit(calibration))
 
 
-def misfit_reasons(misfit: CueMisfit, limit: CueMisfit) -> list[ReadingReason]:
+def misfit_reasons(misfit: CueMisfit, limit: CueMisfit) -> list[Refusal]:
     """Return why the cues of a press do not belong to one object; empty where they do."""
     found = ((PINS_APART, misfit.pins, limit.pins), (APPROACH_APART, misfit.approach, limit.approach))
     return [
-        ReadingReason(ReasonCode.CUES_DISAGREE, text.format(value, most))
+        Refusal(ReasonCode.CUES_DISAGREE, text.format(value, most))
         for text, value, most in found
         if not value <= most  # NaN does not agree
     ]

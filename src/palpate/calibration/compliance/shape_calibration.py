@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.calibration.compliance.reading_reasons import ReadingReason, ReasonCode
 from palpate.core import Float, Int, ndarray
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.compliance.shape_surface import Roundness, ShapeSurface, fit_shape_surface
 from palpate.recordings.exchange.press_folder import KnownBody
 
@@ -56,7 +56,7 @@ def errors_between(surface: ShapeSurface) -> dict[str, float]:
     return {"modulus": of_modulus, "curvature_per_m": of_c / surface.turning_m}
 
 
-def shape_reasons(surface: ShapeSurface, found: Roundness) -> list[ReadingReason]:
+def shape_reasons(surface: ShapeSurface, found: Roundness) -> list[Refusal]:
     """Why neither modulus nor radius is valid."""
     s, c = found.place
     least, _ = moduli_pa(surface)
@@ -67,4 +67,4 @@ def shape_reasons(surface: ShapeSurface, found: Roundness) -> list[ReadingReason
         why.append(OUTSIDE_RADIUS.format(1e3 * found.radius_m[0], 1e3 * smallest))
     if c + found.half[1] < 0:
         why.append(HOLLOW.format(-1e3 * surface.turning_m / c))
-    return [ReadingReason(ReasonCode.SHAPE_OUTSIDE_RANGE, text) for text in why]
+    return [Refusal(ReasonCode.SHAPE_OUTSIDE_RANGE, text) for text in why]

@@ -65,7 +65,9 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
         True
     """
     if frames < MIN_FRAMES:
-        raise RangeError(f"{frames} frames say too little about a rate; grab {MIN_FRAMES} or more")
+        raise RangeError(
+            f"{frames} frames say too little about a rate; grab {MIN_FRAMES} or more", code="too-few-frames"
+        )
     findings = [*gather("the protocol", camera_interface(camera))]
     if isinstance(camera, Camera) and all(one.ok for one in findings):
         findings += gather("grabbing", _grabbing(camera, clock, frames))

@@ -119,12 +119,15 @@ class Walker:
             if not (math.isfinite(low) and math.isfinite(high) and first <= low and high <= last):
                 raise RangeError(
                     f"the box spans {axis} from {low * 1e3:g} to {high * 1e3:g} mm, and the stage's travel "
-                    f"is {first * 1e3:g} to {last * 1e3:g} mm; state a box inside it"
+                    f"is {first * 1e3:g} to {last * 1e3:g} mm; state a box inside it",
+                    code="box-outside-travel",
                 )
             if high - low < least:
                 raise RangeError(
                     f"the box is {(high - low) * 1e3:g} mm long along {axis}; at {speed_m_s * 1e3:g} mm/s, "
-                    f"with room to stop, {least * 1e3:.3g} mm are needed: state a longer one or a lower speed"
+                    f"with room to stop, {least * 1e3:.3g} mm are needed: state a longer one or a "
+                    "lower speed",
+                    code="box-too-short",
                 )
 
     def low(self, axis: int) -> Position:
@@ -250,10 +253,13 @@ def spread_m(places: list[Position]) -> float:
 def _check_speed(speed_m_s: float, within_m: float, top_m_s: float) -> None:
     if not 0 < speed_m_s <= top_m_s:
         raise RangeError(
-            f"a speed of {speed_m_s} m/s; give one above 0 and at most the stage's own {top_m_s:g} m/s"
+            f"a speed of {speed_m_s} m/s; give one above 0 and at most the stage's own {top_m_s:g} m/s",
+            code="speed-range",
         )
     if not (math.isfinite(within_m) and within_m > 0):
-        raise RangeError(f"within_m is {within_m} m; give how exactly the stage stands, above 0")
+        raise RangeError(
+            f"within_m is {within_m} m; give how exactly the stage stands, above 0", code="not-positive"
+        )
 
 
 def _mm(place: Position) -> str:

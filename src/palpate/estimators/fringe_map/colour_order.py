@@ -130,7 +130,9 @@ class ColourReader:
         standard, saturated = self._standard(image)
         seen = inside & ~saturated
         if seen.sum() < inside.sum() / 2:
-            raise InputError(f"{saturated[inside].mean():.0%} of the specimen is saturated; expose less")
+            raise InputError(
+                f"{saturated[inside].mean():.0%} of the specimen is saturated; expose less", code="saturated"
+            )
         if not self._judged:
             self._judged = self._judge(self._light(image)[seen])
         return self._map(standard.reshape(-1, 3), size, inside, saturated, before)
@@ -225,10 +227,13 @@ class ColourReader:
         if image.ndim != 3 or image.shape[2] != len(CHANNELS):
             raise InputError(
                 f"a frame of shape {image.shape} is grey or no RGB image; one wavelength repeats its light "
-                "each order, so colours need a white lamp and a colour camera (or give phase-stepped frames)"
+                "each order, so colours need a white lamp and a colour camera (or give phase-stepped frames)",
+                code="no-color-image",
             )
         if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise InputError("the frame holds NaN or infinity; give finite linear light, or 8-bit codes")
+            raise InputError(
+                "the frame holds NaN or infinity; give finite linear light, or 8-bit codes", code="not-finite"
+            )
         others = {"mask": self.mask, "white image": self._white if self._white.ndim == 3 else None}
         others["frame before"] = None if before is None else before.order
         for name, other in others.items():
@@ -249,7 +254,8 @@ class ColourReader:
         if np.ptp(bright, axis=1).max() < ALIKE:
             raise InputError(
                 "all three channels of the frame are the same: it is a grey picture stored as colour, and "
-                "grey repeats itself each order; give colour frames, or phase-stepped ones"
+                "grey repeats itself each order; give colour frames, or phase-stepped ones",
+                code="gray-image",
             )
         as_given, row = self._misfit(bright, (0, 1, 2))
         if as_given < STRANGE and not self.isoclinics:
@@ -258,7 +264,9 @@ class ColourReader:
         if share.min() < DIM * share.max():
             dark = " and ".join(c for c, s in zip(CHANNELS, share, strict=True) if s < DIM * share.max())
             raise InputError(
-                f"the frame has no light in {dark}: a lamp of one line or a filter; colours need a white lamp"
+                f"the frame has no light in {dark}: a lamp of one line or a filter; "
+                "colours need a white lamp",
+                code="one-color-only",
             )
         if self.isoclinics:
             return True
@@ -269,7 +277,8 @@ class ColourReader:
             raise InputError(
                 "the frame's channels are in another order than the calibration's: its colours fit when "
                 f"taken as {names} (misfit {swapped[best]:.2g} instead of {as_given:.2g}); give red, green, "
-                "blue"
+                "blue",
+                code="channel-order",
             )
         return True
 

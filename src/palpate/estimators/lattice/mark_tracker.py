@@ -89,7 +89,8 @@ class MarkTracker:
         if frame.dtype != np.uint8 or frame.shape != self._shape:
             raise InputError(
                 f"a frame {frame.dtype} {list(frame.shape)}; points are followed in 8-bit frames of "
-                f"{list(self._shape)}, as the reference: give frames of that camera and crop"
+                f"{list(self._shape)}, as the reference: give frames of that camera and crop",
+                code="frame-size",
             )
         if self._noisier is None:
             self._noisier = self._noise_over_the_references(frame)

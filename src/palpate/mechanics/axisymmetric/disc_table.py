@@ -141,7 +141,8 @@ class DiscTable:
         if not 0.0 <= depth <= self.greatest_depth * (1.0 + SAME):
             raise RangeError(
                 f"depth {depth:g} R lies outside 0 to {self.greatest_depth:g} R, where the table was solved; "
-                f"press less deeply or use a larger {self.INDENTER}"
+                f"press less deeply or use a larger {self.INDENTER}",
+                code="outside-table",
             )
         depth = min(depth, self.greatest_depth)
         force, radius, pressure = (
@@ -240,7 +241,8 @@ def disc_table_for(kind: type[AnyTable], ratio: float, friction: float, poisson_
     raise RangeError(
         f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
         f"{poisson_ratio:g}; choose a {kind.INDENTER} radius R and a friction among: {choices}"
-        f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other"
+        f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other",
+        code="no-table",
     )
 
 
@@ -349,12 +351,14 @@ def check_fits(table: DiscTable, pose: Pose, R: float, disc_radius_m: float) -> 
         raise RangeError(
             f"depth {pose.depth_m * 1e3:g} mm of a {table.INDENTER} of radius {R * 1e3:g} mm lies outside "
             f"0 to {table.greatest_depth * R * 1e3:g} mm, where its table was solved; press less deeply or "
-            f"use a larger {table.INDENTER}"
+            f"use a larger {table.INDENTER}",
+            code="outside-table",
         )
     if disc_radius_m < table.disc_radius * R * (1.0 - SAME):
         raise RangeError(
             f"a disc of radius {disc_radius_m * 1e3:g} mm is smaller than the table's, "
-            f"{table.disc_radius * R * 1e3:g} mm ({table.disc_radius:g} R); press a wider disc"
+            f"{table.disc_radius * R * 1e3:g} mm ({table.disc_radius:g} R); press a wider disc",
+            code="disc-too-small",
         )
     centre = math.hypot(pose.x_m, pose.y_m)
     reach = table.contact_radius_at(min(pose.depth_m / R, table.greatest_depth)) * R
@@ -362,5 +366,6 @@ def check_fits(table: DiscTable, pose: Pose, R: float, disc_radius_m: float) -> 
         raise RangeError(
             f"a contact of radius {reach * 1e3:.3g} mm, {centre * 1e3:.4g} mm from the centre, reaches over "
             f"the rim at {disc_radius_m * 1e3:g} mm; press within {(disc_radius_m - reach) * 1e3:.4g} mm of "
-            "the centre"
+            "the centre",
+            code="contact-over-rim",
         )

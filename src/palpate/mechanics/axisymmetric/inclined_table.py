@@ -101,7 +101,8 @@ class InclinedTable:
             each = zip(self.softest_pa, np.rad2deg(self.tilt_rad).round(6), strict=True)
             raise RangeError(
                 f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):g} degrees; the table holds "
-                + ", ".join(f"{pa:g} Pa and stiffer at {tilt:g} degrees" for pa, tilt in each)
+                + ", ".join(f"{pa:g} Pa and stiffer at {tilt:g} degrees" for pa, tilt in each),
+                code="outside-table",
             )
         which, upright = int(np.argmin(np.abs(self.tilt_rad - tilt_rad))), self.head_on.press(specimen_pa)
         columns = {name: curve(_place(upright)) for name, curve in self._curves[which].items()}

@@ -156,7 +156,8 @@ class PulledSphereTable:
             raise RangeError(
                 f"no pull of a sphere on a disc {thickness:g} R thick was solved; solved were {least:g} to "
                 f"{most:g} R "
-                f"and {', '.join(f'{h:g} R' for h in self.thickness if h > most)}"
+                f"and {', '.join(f'{h:g} R' for h in self.thickness if h > most)}",
+                code="no-table",
             )
         return between
 
@@ -217,11 +218,12 @@ def pulled(
     Q, most = math.hypot(*pull_n), friction * contact.force_n
     R = contact.probe.radius_m
     if not contact.force_n > 0.0:
-        raise RangeError(f"a lateral load of {Q:g} N on a probe that does not press")
+        raise RangeError(f"a lateral load of {Q:g} N on a probe that does not press", code="no-normal-force")
     if not most > Q:
         raise RangeError(
             f"a force of {Q:g} N makes the whole contact slip; give less than friction times the normal "
-            f"force, {most:g} N"
+            f"force, {most:g} N",
+            code="sliding",
         )
     table, unit = pulled_sphere_table(), youngs_modulus_pa * R**2
     added = table.at(press, Q / unit, friction)
@@ -229,7 +231,8 @@ def pulled(
         raise RangeError(
             f"a lateral load of {Q:g} N takes the ball {added.shift * R * 1e3:.3g} mm along the skin; to "
             f"{MAX_SHIFT * R * 1e3:g} mm the first order holds: give "
-            f"{table.force_of(press, MAX_SHIFT, friction) * unit:.4g} N or less, or press deeper"
+            f"{table.force_of(press, MAX_SHIFT, friction) * unit:.4g} N or less, or press deeper",
+            code="displacement-limit",
         )
     x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
     r, cos, sin = np.hypot(x, y) / R, *angle_from(x, y, pull_n)

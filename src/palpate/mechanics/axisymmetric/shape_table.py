@@ -96,7 +96,8 @@ class ShapeTable:
         if not radius_m >= self.least_radius_m * (1 - 1e-9):
             raise RangeError(
                 f"a sphere of {1e3 * radius_m:g} mm; {1e3 * self.least_radius_m:g} mm and larger are solved, "
-                "the tip's own size"
+                "the tip's own size",
+                code="radius-outside-table",
             )
         return self._changed(modulus_pa, self.domes.at(1 / radius_m, modulus_pa))
 
@@ -114,12 +115,14 @@ class ShapeTable:
         if not low * (1 - 1e-9) <= thickness_m <= high * (1 + 1e-9):
             raise RangeError(
                 f"a layer of {1e3 * thickness_m:g} mm; {1e3 * low:g} to {1e3 * high:g} mm are solved: a "
-                "thinner one is nearly a rigid plate, a thicker one a cylinder"
+                "thinner one is nearly a rigid plate, a thicker one a cylinder",
+                code="thickness-outside-table",
             )
         least = float(self.layers.modulus_pa.min())
         if not modulus_pa >= least * (1 - 1e-9):
             raise RangeError(
-                f"a layer of {1e-6 * modulus_pa:g} MPa; {1e-6 * least:g} MPa and stiffer are solved"
+                f"a layer of {1e-6 * modulus_pa:g} MPa; {1e-6 * least:g} MPa and stiffer are solved",
+                code="modulus-outside-table",
             )
         change = self.layers.at(float(np.log(thickness_m)), modulus_pa)
         return self._changed(np.inf, change)
@@ -142,7 +145,8 @@ def shape_table(name: str) -> ShapeTable:
     if not path.is_file():
         raise InputError(
             f"the tip {name!r} has been solved on flat cylinders only; spheres and layers are of "
-            "the tip 'base'"
+            "the tip 'base'",
+            code="no-table",
         )
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         data = {key: arrays[key].astype(np.float64) for key in arrays.files}

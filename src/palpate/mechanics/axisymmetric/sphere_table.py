@@ -221,7 +221,8 @@ def _corrections(thickness: float) -> RegularGridInterpolator:
     tables = _off_centre()
     if thickness not in tables:
         raise RangeError(
-            f"no press off the centre of a disc {thickness:g} R thick was solved; 2 R and 4 R were"
+            f"no press off the centre of a disc {thickness:g} R thick was solved; 2 R and 4 R were",
+            code="outside-table",
         )
     return tables[thickness]
 

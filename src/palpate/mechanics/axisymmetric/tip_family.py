@@ -61,7 +61,8 @@ def tip_between(log_ratio: float) -> TipBetween:
     if not low * (1 - 1e-9) <= math.exp(log_ratio) <= high * (1 + 1e-9):
         raise RangeError(
             f"a skin {math.exp(log_ratio):.3g} times as stiff as the gel; there are tables from {low:.3g} to "
-            f"{high:.3g} times"
+            f"{high:.3g} times",
+            code="outside-table",
         )
     plate = _plate()
     weights = _weights(plate.log_ratio, log_ratio)

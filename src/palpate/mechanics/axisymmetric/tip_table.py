@@ -44,7 +44,9 @@ class ForceColumns:
         force = np.asarray(force_n, np.float64)
         if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
             raise RangeError(
-                f"forces of {force.min():g} to {force.max():g} N; the table holds 0 to {self.force_n[-1]:g} N"
+                f"forces of {force.min():g} to {force.max():g} N; "
+                f"the table holds 0 to {self.force_n[-1]:g} N",
+                code="outside-table",
             )
         return np.asarray(self._curves[column](np.cbrt(force)))
 
@@ -152,7 +154,7 @@ def shipped_tips() -> tuple[str, ...]:
 def tip_table(name: str) -> TipTable:
     """The table of a tip."""
     if name not in shipped_tips():
-        raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}")
+        raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}", code="unknown-name")
     path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         data = {key: arrays[key].astype(np.float64) for key in arrays.files}

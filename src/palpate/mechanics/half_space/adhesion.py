@@ -141,6 +141,7 @@ class AdhesiveSphere:
         if not 0.0 <= a <= limit * (1 + 1e-12):
             raise RangeError(
                 f"contact radius {a:g} m lies outside 0 to {limit:g} m, where JKR's law holds "
-                f"(a/R <= {MAX_SLOPE}); use a larger sphere or a smaller load"
+                f"(a/R <= {MAX_SLOPE}); use a larger sphere or a smaller load",
+                code="outside-law",
             )
         return a

@@ -37,7 +37,8 @@ def reduced_modulus(youngs_modulus_pa: float, poisson_ratio: float) -> float:
     positive("Young's modulus", youngs_modulus_pa, "Pa")
     if not 0.0 <= poisson_ratio <= 0.5:
         raise RangeError(
-            f"Poisson's ratio {poisson_ratio} lies outside 0 to 0.5; an elastomer has 0.45 to 0.5"
+            f"Poisson's ratio {poisson_ratio} lies outside 0 to 0.5; an elastomer has 0.45 to 0.5",
+            code="poisson-ratio",
         )
     return youngs_modulus_pa / (1.0 - poisson_ratio**2)
 
@@ -68,7 +69,8 @@ def contact_radius(depth_m: float, radius_m: float) -> float:
     if not 0.0 <= depth_m <= limit * (1 + 1e-12):  # a rounding above the limit is the limit
         raise RangeError(
             f"depth {depth_m:g} m of a sphere of radius {radius_m:g} m lies outside 0 to {limit:g} m, where "
-            f"Hertz's law holds (a/R <= {MAX_SLOPE}); press less deeply or use a larger sphere"
+            f"Hertz's law holds (a/R <= {MAX_SLOPE}); press less deeply or use a larger sphere",
+            code="outside-law",
         )
     return math.sqrt(radius_m * depth_m)
 
@@ -195,7 +197,7 @@ def positive(name: str, value: float, unit: str) -> None:
         RangeError: names the quantity, its value and its unit.
     """
     if not (value > 0.0 and math.isfinite(value)):
-        raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}")
+        raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}", code="not-positive")
 
 
 def in_skin(*places_m: RayPoints) -> None:
@@ -205,7 +207,10 @@ def in_skin(*places_m: RayPoints) -> None:
         RangeError: some are.
     """
     if not (all(np.isfinite(place).all() for place in places_m) and np.all(np.asarray(places_m[-1]) >= 0)):
-        raise RangeError("the skin lies at finite places with z >= 0 m; a negative z is in the air above it")
+        raise RangeError(
+            "the skin lies at finite places with z >= 0 m; a negative z is in the air above it",
+            code="above-surface",
+        )
 
 
 SURFACE = 1e-12  # contact radii that stand for z -> 0, where the edge circle's 1/S would be infinite

@@ -251,7 +251,8 @@ def _below(x: Points, y: Points, z: Points, c: float) -> None:
     in_skin(x, y, z)
     if np.any((np.asarray(x) == 0) & (np.asarray(y) == 0) & (np.asarray(z) == c)):
         raise RangeError(
-            f"a point lies on the force, at depth {c} m, where the field is infinite; move it away"
+            f"a point lies on the force, at depth {c} m, where the field is infinite; move it away",
+            code="singular-point",
         )
 
 

@@ -186,7 +186,10 @@ def _tangent(half_angle_rad: float) -> float:
 
 def _within(name: str, value: float, limit: float, unit: str, law: str) -> None:
     if not (0.0 <= value <= limit * (1 + 1e-12) and math.isfinite(value)):
-        raise RangeError(f"{name} {value:g} {unit} lies outside 0 to {limit:g} {unit}, where {law} holds")
+        raise RangeError(
+            f"{name} {value:g} {unit} lies outside 0 to {limit:g} {unit}, where {law} holds",
+            code="outside-law",
+        )
 
 
 def _root(excess: Callable[[float], float], upper: float) -> float:

@@ -75,10 +75,16 @@ def hertz_stress(
     positive("contact radius", contact_radius_m, "m")
     positive("peak pressure", peak_pressure_pa, "Pa")
     if not -2.0 <= friction <= 2.0:
-        raise RangeError(f"friction {friction} lies outside -2 to 2, where a coefficient of friction may lie")
+        raise RangeError(
+            f"friction {friction} lies outside -2 to 2, where a coefficient of friction may lie",
+            code="friction-range",
+        )
     x, y, z = (np.asarray(v, dtype=float) / contact_radius_m for v in (x_m, y_m, z_m))
     if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(z).all() and (z >= 0).all()):
-        raise RangeError("the skin lies at finite places with z >= 0 m; a negative z is in the air above it")
+        raise RangeError(
+            "the skin lies at finite places with z >= 0 m; a negative z is in the air above it",
+            code="above-surface",
+        )
     z = np.maximum(z, SURFACE)
     K = hertz_potentials(np.hypot(x, y), z)
     s = stress_of_normal_load(K, x, y, z, poisson_ratio)

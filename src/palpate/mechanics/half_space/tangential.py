@@ -87,6 +87,7 @@ def _share(pull_n: float, force_n: float, friction: float) -> float:
     if not 0.0 <= pull_n <= limit * (1 + 1e-12):
         raise RangeError(
             f"pull {pull_n:g} N lies outside 0 to {limit:g} N, the friction that holds it; beyond it the "
-            "whole contact slides"
+            "whole contact slides",
+            code="sliding",
         )
     return min(pull_n / limit, 1.0)

@@ -131,7 +131,8 @@ def sphere_force(
     if depth_m > limit * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside 0 to {limit:g} m, where a/R <= {MAX_RADIUS} and "
-            f"a/h <= {MAX_RATIO:g}; press less deeply or use a larger sphere"
+            f"a/h <= {MAX_RATIO:g}; press less deeply or use a larger sphere",
+            code="outside-law",
         )
     if depth_m == 0.0:
         return 0.0
@@ -212,7 +213,8 @@ def _ratio(ratio: float) -> float:
     if not 0.0 < ratio <= MAX_RATIO * (1 + 1e-12):
         raise RangeError(
             f"contact radius over thickness, {ratio:g}, lies outside 0 to {MAX_RATIO:g}, where this was "
-            "verified; a still thinner layer is no longer a contact problem"
+            "verified; a still thinner layer is no longer a contact problem",
+            code="outside-law",
         )
     return ratio
 
@@ -223,5 +225,6 @@ def _strain(depth_m: float, thickness_m: float) -> None:
     if not 0.0 <= depth_m <= limit * (1 + 1e-12):
         raise RangeError(
             f"depth {depth_m:g} m lies outside 0 to {limit:g} m, a fifth of the layer's thickness of "
-            f"{thickness_m:g} m, where small strain holds; press less deeply or use a finite-strain model"
+            f"{thickness_m:g} m, where small strain holds; press less deeply or use a finite-strain model",
+            code="strain-limit",
         )

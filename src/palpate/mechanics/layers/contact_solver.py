@@ -200,7 +200,9 @@ def press_stack(
         raise InputError("give exactly one of depth_m and force_n")
     for name, value, unit in (("depth_m", depth_m, "m"), ("force_n", force_n, "N")):
         if value is not None and not 0.0 <= value < math.inf:
-            raise RangeError(f"{name} is {value} {unit}; give a number of {unit} from 0 up")
+            raise RangeError(
+                f"{name} is {value} {unit}; give a number of {unit} from 0 up", code="not-positive"
+            )
     if not (depth_m or force_n):
         return _untouched(stack, x_m, y_m)
     _check_depth(depth_m, stack, gap_m)
@@ -255,7 +257,8 @@ def _check_depth(depth_m: float | None, stack: Stack, gap_m: Field) -> None:
     if depth_m is not None and not depth_m > gap_m.min():
         raise RangeError(
             f"at a depth of {depth_m:g} m no point of the grid is under the indenter, whose lowest one lies "
-            f"at {gap_m.min():g} m; give a finer grid, or one with a point at the tip"
+            f"at {gap_m.min():g} m; give a finer grid, or one with a point at the tip",
+            code="depth-below-grid",
         )
 
 
@@ -263,7 +266,8 @@ def _check_touching(touching: Mask, x_m: Float[ndarray, " nx"], y_m: Float[ndarr
     if np.any(touching[[0, -1]]) or np.any(touching[:, [0, -1]]):
         raise RangeError(
             f"the contact reaches the border of the grid, {x_m[0]:g} to {x_m[-1]:g} m along x and "
-            f"{y_m[0]:g} to {y_m[-1]:g} m along y; give a larger grid, a smaller indenter, or press less"
+            f"{y_m[0]:g} to {y_m[-1]:g} m along y; give a larger grid, a smaller indenter, or press less",
+            code="contact-reaches-border",
         )
     inner = binary_erosion(touching)  # cells with four touching neighbours
     if np.count_nonzero(inner) < MIN_INNER * np.count_nonzero(touching):

@@ -97,7 +97,8 @@ def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
     if not 0.0 <= radius_m <= widest * (1 + 1e-12):
         raise RangeError(
             f"a contact of {radius_m * 1e3:g} mm lies outside 0 to {widest * 1e3:g} mm, half of the ball's "
-            "radius, where Hertz's ball holds; press less, or take a larger ball"
+            "radius, where Hertz's ball holds; press less, or take a larger ball",
+            code="outside-law",
         )
     if radius_m == 0.0:
         return BallPress(0.0, 0.0, 0.0, 0.0)
@@ -144,7 +145,8 @@ def press_course(stack: Stack, ball: Body, count: int = 40, until_n: float | Non
         if not 0 < until_n <= most * (1 + 1e-9):
             raise RangeError(
                 f"a press to {until_n:g} N; above 0 and at most {most:.4g} N are allowed, where the contact "
-                "has half of the ball's radius or the stack is pressed in by a fifth of its thickness"
+                "has half of the ball's radius or the stack is pressed in by a fifth of its thickness",
+                code="outside-law",
             )
         if until_n < most:
             widest = brentq(

@@ -60,7 +60,10 @@ def flat_punch(
     """
     positive("the punch's radius", radius_m, "m")
     if not 0.0 <= edge_radius_m <= radius_m:
-        raise RangeError(f"the edge's radius {edge_radius_m} m lies outside 0 to the punch's {radius_m} m")
+        raise RangeError(
+            f"the edge's radius {edge_radius_m} m lies outside 0 to the punch's {radius_m} m",
+            code="edge-radius",
+        )
     r = _from_centre(x_m, y_m, centre_m)
     past_flat = np.maximum(r - (radius_m - edge_radius_m), 0.0)
     rounded = _ball(past_flat, edge_radius_m) if edge_radius_m else np.zeros_like(r)
@@ -103,7 +106,10 @@ def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float,
     if not heights:
         raise InputError("a holder without spheres; give one place (x, y, height) in m or more")
     if min(heights) != 0.0:
-        raise RangeError(f"the spheres are {heights} m above the skin; the lowest is at 0 m, at first touch")
+        raise RangeError(
+            f"the spheres are {heights} m above the skin; the lowest is at 0 m, at first touch",
+            code="spheres-above-surface",
+        )
     return together(*(sphere(x_m, y_m, radius_m, (x, y)) + up for x, y, up in places_m))
 
 
@@ -135,7 +141,9 @@ def lean(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 
 
 def _check_tilt(tilt_rad: float) -> None:
     if not abs(tilt_rad) <= MAX_TILT:
-        raise RangeError(f"a tilt of {tilt_rad} rad lies outside -{MAX_TILT:.4f} to {MAX_TILT:.4f} rad")
+        raise RangeError(
+            f"a tilt of {tilt_rad} rad lies outside -{MAX_TILT:.4f} to {MAX_TILT:.4f} rad", code="tilt-range"
+        )
 
 
 def _ball(r: Field, R: float) -> Field:
@@ -160,5 +168,8 @@ def _along_and_across(x_m: Axis, y_m: Axis, turn_rad: float, centre_m: Place) ->
 
 def _slope(slope_rad: float) -> float:
     if not 0.0 < slope_rad < math.pi / 2:
-        raise RangeError(f"a side's slope of {slope_rad} rad against the skin lies outside 0 to 1.5708 rad")
+        raise RangeError(
+            f"a side's slope of {slope_rad} rad against the skin lies outside 0 to 1.5708 rad",
+            code="side-slope",
+        )
     return math.tan(slope_rad)

@@ -131,7 +131,8 @@ def _changes(stack: Stack, grid: Cells, parts: Parts, orders: tuple[int, ...]) -
     if max(grid.dx, grid.dy) > h:
         raise RangeError(
             f"cells of {grid.dx:g} x {grid.dy:g} m do not resolve a top layer of {h:g} m; give cells of at "
-            "most its thickness, or leave the layer out"
+            "most its thickness, or leave the layer out",
+            code="grid-too-coarse",
         )
     k, weights = _wavenumbers(stack, grid.diagonal_m)
     below = Stack((replace(stack.layers[0], thickness_m=np.inf),), "half-space")

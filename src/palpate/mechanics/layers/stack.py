@@ -219,14 +219,17 @@ class Stack:
 
     def __post_init__(self) -> None:
         if not self.layers:
-            raise InputError("a stack of no layers has no surface; give one ElasticLayer or more")
+            raise InputError(
+                "a stack of no layers has no surface; give one ElasticLayer or more", code="no-layers"
+            )
         if self.base not in get_args(Base):
             raise InputError(f"a stack's base is 'bonded' or 'half-space', not {self.base!r}")
         endless = [layer.endless for layer in self.layers]
         if any(endless[:-1]) or endless[-1] != (self.base == "half-space"):
             raise InputError(
                 "thickness math.inf belongs to the last layer of a stack on a half-space, and to no other: "
-                f"base {self.base!r} has thicknesses {[layer.thickness_m for layer in self.layers]} m"
+                f"base {self.base!r} has thicknesses {[layer.thickness_m for layer in self.layers]} m",
+                code="half-space-thickness",
             )
 
     @property
@@ -286,7 +289,10 @@ def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
     if not np.all((k >= 0.0) & (k < math.inf)):
         raise RangeError(f"wavenumbers reach from {k.min()} to {k.max()} 1/m; give finite numbers from 0 up")
     if stack.base == "half-space" and not np.all(k > 0.0):
-        raise RangeError("a half-space yields without end to a uniform load; give wavenumbers above 0 1/m")
+        raise RangeError(
+            "a half-space yields without end to a uniform load; give wavenumbers above 0 1/m",
+            code="wavenumber",
+        )
     if stack.base == "bonded":
         k = np.maximum(k, LONG_WAVE / stack.thickness_m)
     in_plane, across = climb(stack.slabs, stack.below, k)

@@ -51,7 +51,9 @@ class StackField:
     def stress(self, name: str) -> Float[ndarray, "nz ny nx"]:
         """One stress by its name, as of ``STRESSES`` [Pa]."""
         if name not in STRESSES:
-            raise InputError(f"no stress is called {name!r}; there are {', '.join(STRESSES)}")
+            raise InputError(
+                f"no stress is called {name!r}; there are {', '.join(STRESSES)}", code="unknown-name"
+            )
         return self.stress_pa[:, STRESSES.index(name)]
 
 
@@ -121,7 +123,8 @@ def _check_depths(depths: ndarray, stack: Stack) -> None:
     if depths.ndim != 1 or not len(depths) or not inside.all():
         raise RangeError(
             f"depths {np.ravel(depths)[~np.ravel(inside)]} m lie outside the stack; give a list of "
-            f"depths from 0 to {stack.thickness_m:g} m"
+            f"depths from 0 to {stack.thickness_m:g} m",
+            code="outside-stack",
         )
 
 

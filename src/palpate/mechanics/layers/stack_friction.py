@@ -101,9 +101,14 @@ def shear_stack(
         RangeError: a contact without force, a friction that is not positive, or a load at which all slips.
     """
     if not contact.force_n > 0.0:
-        raise RangeError(f"a contact of {contact.force_n} N carries no shear; press with more than 0 N")
+        raise RangeError(
+            f"a contact of {contact.force_n} N carries no shear; press with more than 0 N",
+            code="no-normal-force",
+        )
     if not 0.0 < friction < math.inf:
-        raise RangeError(f"the coefficient of friction is {friction}; give a positive number")
+        raise RangeError(
+            f"the coefficient of friction is {friction}; give a positive number", code="not-positive"
+        )
     by_motion = shift_m is not None or turn_rad is not None
     by_load = force_n is not None or moment_nm is not None
     if by_motion == by_load:
@@ -165,13 +170,15 @@ class _Problem:
         if not force < greatest:
             raise RangeError(
                 f"a force of {force:g} N makes the whole contact slip; give less than friction "
-                f"times the normal force, {greatest:g} N"
+                f"times the normal force, {greatest:g} N",
+                code="sliding",
             )
         around = float((self.limit * np.hypot(*self.modes[2])).sum()) * self.grid.area_m2 * self.radius
         if not moment < around:
             raise RangeError(
                 f"a moment of {moment:g} N m makes the whole contact slip; give less than friction times "
-                f"the pressure's distance from the axis, {around:g} N m"
+                f"the pressure's distance from the axis, {around:g} N m",
+                code="twisting-slip",
             )
 
     def solve(self, motion: Motion, q: Fields, limit: Field, tolerance: float = TOLERANCE) -> Fields:
@@ -267,5 +274,6 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
     raise RangeError(
         f"no shift and turn were found for a force of {math.hypot(*load[:2]):g} N and a moment of "
         f"{load[2] * problem.radius:g} N m, within {FORCE_TOLERANCE:g}; together they may make the whole "
-        f"contact slip: give less of one, or of both, than what friction holds of each alone"
+        f"contact slip: give less of one, or of both, than what friction holds of each alone",
+        code="combined-slip",
     )

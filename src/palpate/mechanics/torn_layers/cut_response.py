@@ -71,7 +71,8 @@ def strip_mesh(stack: Stack, cut_m: float, finer: float = 1.0) -> StripMesh:
     if not (total < np.inf and MIN_CUT_SHARE * total <= cut_m < total):
         raise InputError(
             f"a cut of {1e3 * cut_m:g} mm in a stack of {1e3 * total:g} mm; a cut is "
-            f"{MIN_CUT_SHARE:.0%} of the stack's thickness or more and ends above its floor"
+            f"{MIN_CUT_SHARE:.0%} of the stack's thickness or more and ends above its floor",
+            code="cut-depth",
         )
     faces = np.concatenate([[0.0], np.cumsum([slab.thickness_m for slab in stack.slabs])])
     edges = np.unique(np.append(faces, cut_m))

@@ -164,7 +164,7 @@ def open_rig(text: str, *, seed: int = 0, supervised: bool = True, position: Pos
     try:
         return rig_from(file, supervised=supervised, name=str(path.resolve()), position=position)
     except InputError as e:
-        raise InputError(f"{path}: {e}") from e
+        raise InputError(f"{path}: {e}", code=e.code) from e
 
 
 def sensor_named(text: str) -> str:
@@ -204,7 +204,7 @@ def read_rig(path: Path) -> RigFile:
             try:
                 check_kind(role, part.kind, OWN[role])
             except InputError as e:
-                raise InputError(f"{path}: {name}.kind: {e}", code="driver-unknown") from e
+                raise InputError(f"{path}: {name}.kind: {e}", code=e.code) from e
     return file
 
 

@@ -69,7 +69,10 @@ def virtual_rig(
     design = for_rig(sensor_of(sensor)) if isinstance(sensor, str) else sensor
     violations = frame_faults(design)
     if violations:
-        raise InputError(f"{name} cannot be driven, it breaks its contract: {'; '.join(violations)}")
+        raise InputError(
+            f"{name} cannot be driven, it breaks its contract: {'; '.join(violations)}",
+            code="contract-broken",
+        )
     clock = clock or ManualClock()
     vary = default_variation(design, name) if variation is None else variation
     travel = TRAVEL if design.moves == "probe" else CARRYING

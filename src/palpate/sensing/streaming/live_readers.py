@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
-from palpate.core.refusal import ImageCode, Refusal
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.live_sources import LiveFrame, LiveSource
 from palpate.sensing.streaming.sensor_names import refuse_other_sensor, stated_sensor
@@ -16,7 +16,7 @@ from palpate.sensing.streaming.sensor_names import refuse_other_sensor, stated_s
 Zeros = dict[int, Zero]
 """Untouched images of single frames, by their numbers."""
 NO_ZERO = Refusal(
-    ImageCode.NO_REFERENCE_IMAGE,
+    ReasonCode.NO_REFERENCE_IMAGE,
     "this calibration reads the difference to the untouched sensor, and there is no image of it yet: take "
     "everything off the skin and zero it",
 )
@@ -106,7 +106,7 @@ class CalibrationReader:
         """Readings of a frame, those of `Estimator.read`."""
         frame = live.frame
         if live.why:
-            return self.estimator.unread(frame.name, frame.time_s, Refusal(ImageCode.UNREADABLE, live.why))
+            return self.estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, live.why))
         zero = self._zero or self._zeros.get(live.number)
         if zero is None and self.differential:
             return self.estimator.unread(frame.name, frame.time_s, NO_ZERO)

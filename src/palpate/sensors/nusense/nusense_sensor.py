@@ -144,20 +144,28 @@ class NuSense:
             RangeError: deeper than is known, beside the pad, or a specimen that yields.
         """
         if not is_rigid(specimen):
-            raise RangeError("NUSense is pressed by rigid indenters; a specimen that yields is not modelled")
+            raise RangeError(
+                "NUSense is pressed by rigid indenters; a specimen that yields is not modelled",
+                code="soft-specimen",
+            )
         if not self.outline.contains(float(pose.x_m), float(pose.y_m)):
             half = [500 * side for side in self.spec.effective_m]
             raise RangeError(
                 f"a press at ({1e3 * pose.x_m:.4g}, {1e3 * pose.y_m:.4g}) mm is beside the pad; press within "
-                f"{half[0]:g} mm of its centre along x and {half[1]:g} mm along y"
+                f"{half[0]:g} mm of its centre along x and {half[1]:g} mm along y",
+                code="outside-pad",
             )
         known = self.known_depth_m(probe)
         if not pose.depth_m <= known * BEYOND:
             raise RangeError(
-                f"a press of {1e3 * pose.depth_m:.6g} mm; this indenter is known to {1e3 * known:.6g} mm"
+                f"a press of {1e3 * pose.depth_m:.6g} mm; this indenter is known to {1e3 * known:.6g} mm",
+                code="outside-table",
             )
         if not 0 < history.stiffening < math.inf:
-            raise RangeError(f"a stiffening of {history.stiffening}; give a number above 0, 1 for relaxed")
+            raise RangeError(
+                f"a stiffening of {history.stiffening}; give a number above 0, 1 for relaxed",
+                code="not-positive",
+            )
         spec = self.spec
         if self.live and spec.tear is None and pose.depth_m > 0 and goes_straight_down(probe, history):
             return replace(self._levels(probe).contact(pose, history), specimen=specimen)
@@ -297,6 +305,7 @@ def nusense(preset: str = "") -> NuSense:
         return NuSense(fabricated(int(preset), spec))
     if preset:
         raise InputError(
-            f"there is no NUSense {preset!r}; there are soft, torn, and copies by number, as 7 or torn-7"
+            f"there is no NUSense {preset!r}; there are soft, torn, and copies by number, as 7 or torn-7",
+            code="unknown-name",
         )
     return NuSense(spec)

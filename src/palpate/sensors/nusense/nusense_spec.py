@@ -204,7 +204,8 @@ class NuSenseSpec:
             if not 0 < count * self.pattern.cast_pitch_m <= side:
                 raise RangeError(
                     f"{count} tiles of {1e3 * self.pattern.cast_pitch_m:g} mm on a pad of {1e3 * side:g} mm; "
-                    "give tiles that lie on the pad"
+                    "give tiles that lie on the pad",
+                    code="outside-pad",
                 )
         if not self.camera_m > self.layers.gel_m + self.layers.clear_m + self.layers.pdms_m:
             raise RangeError(f"the camera is {1e3 * self.camera_m:g} mm below the pattern, inside the pad")

@@ -48,7 +48,8 @@ def parse_indenter(words: str) -> Probe:
     ):
         raise InputError(
             f"indenter {words!r}; NUSense knows {', '.join([*NAMES, *WORDS.values()])}, sizes above 0 to "
-            f"{MAX_MM:g} mm"
+            f"{MAX_MM:g} mm",
+            code="unknown-name",
         )
     turn = math.radians(numbers[-1]) if turns else 0.0
     if shape == "edge":
@@ -63,7 +64,9 @@ def gap_under(probe: Probe, x_m: Axis, y_m: Axis) -> Field:
         InputError: a shape that NUSense does not know, or a probe that leans.
     """
     if probe.tilt_rad:
-        raise InputError("an indenter that leans on NUSense is not modelled; hold it upright")
+        raise InputError(
+            "an indenter that leans on NUSense is not modelled; hold it upright", code="inclined-indenter"
+        )
     R = probe.radius_m
     if probe.shape == "sphere":
         return indenters.sphere(x_m, y_m, R)
