@@ -487,7 +487,7 @@ def test_the_check_ends_when_the_watch_raises_and_the_stage_stands() -> None:
         (((-2e-3, -2e-3, -5.01e-3), (2e-3, 2e-3, -5e-3)), {}, "box-too-short"),
         (BOX, {"speed_m_s": math.nan}, "speed-range"),
         (BOX, {"speed_m_s": 1.0}, "speed-range"),
-        (BOX, {"not-positive": 0.0}, "within_m"),
+        (BOX, {"within_m": 0.0}, "not-positive"),
     ],
 )
 def test_a_box_or_speed_that_does_not_do_is_refused_before_anything_moves(

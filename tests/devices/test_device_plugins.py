@@ -294,8 +294,8 @@ def test_the_same_devices_are_named_from_python(bench: Path) -> None:
         ("bench_devices:Camera", "bench_broken:Camera", "plugin-import", "'bench_broken:Camera'"),
         ("bench_devices:Camera", "webcam", "unknown-name", "camera.kind:"),
         ('port = "COM7"', "prot = 1", "device-options", "'prot'"),
-        ('axes = ["x", "-y", "-z"]', 'axes = ["x", "-y"]', "field", "force.axes"),
-        ('kind = "bench_devices:Stage"', 'kind = "grbl"\nspeed = 3', "field", "stage.speed"),
+        ('axes = ["x", "-y", "-z"]', 'axes = ["x", "-y"]', "file-field", "force.axes"),
+        ('kind = "bench_devices:Stage"', 'kind = "grbl"\nspeed = 3', "file-field", "stage.speed"),
     ],
 )
 def test_a_file_that_names_a_device_wrongly_is_refused_and_nothing_stays_open(

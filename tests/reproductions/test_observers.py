@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
+from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.psychophysics.analysis import RankConfusion, confusion_of_places

@@ -52,8 +52,8 @@ def test_more_presses_are_collected_beside_the_old_ones_and_all_are_learnt_from(
     assert calibration_in(session.folder) == session.calibration, "a session's folder means its newest"
     assert calibration_in(first) == first
     assert shlex.split(session.commands()[-1])[2] == str(session.calibration)
-    beside = f"the newest; beside it, as before: {first.name}."
-    assert f"Calibration: {session.calibration}, {beside}" in session.newest_text
+    assert str(session.calibration) in session.newest_text
+    assert first.name in session.newest_text
     with palpate.live(session.folder, camera="virtual:tactip", max_frames=1) as live:
         assert next(iter(live)).to_dict()["calibration"] == session.state.trained["id"]
     with refused("press-count", InputError):

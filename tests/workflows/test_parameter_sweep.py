@@ -81,8 +81,8 @@ def test_a_failing_job_names_its_item_and_an_expected_error_keeps_its_kind(proce
         list(in_parallel(picky, [1.0, 2.0, 3.5, 4.0], processes=processes))
     with pytest.raises(RuntimeError, match=r"\(0\.0\): ZeroDivisionError"):
         list(in_parallel(clumsy, [1.0, 0.0], processes=processes))
-    with refused("device", DeviceError, match="item 0"):
-        list(in_parallel(refused, [1.0, 2.0], processes=processes))
+    with refused("two-part", DeviceError, match="item 0"):
+        list(in_parallel(rejects, [1.0, 2.0], processes=processes))
 
 
 def test_a_failing_item_of_a_sweep_is_shown_without_its_chance_and_cut_short() -> None:
