@@ -298,7 +298,7 @@ class ShearCalibration:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        save_record(self, path)
+        save_record(self, path, "shear force")
 
     @classmethod
     def load(cls, path: Path) -> ShearCalibration:
@@ -308,7 +308,7 @@ class ShearCalibration:
             CertificateError: it is no such file, or a damaged one.
             StorageError: it cannot be read.
         """
-        return load_record(cls, path, "shear force", "palpate force")
+        return load_record(cls, path, "shear force", "palpate calibrate --method shear-force")
 
 
 class ForceFollower:
