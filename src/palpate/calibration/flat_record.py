@@ -20,7 +20,7 @@ from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
 from palpate.core.parsing import parser
 from palpate.version import __version__
 
-FORMAT = 2
+FORMAT = 1
 Kept = TypeVar("Kept")
 
 
@@ -32,16 +32,15 @@ def contents_id(record: Any, kind: str) -> str:
     return f"{kind}-{digest.hexdigest()[:12]}"
 
 
-def save_record(record: Any, path: Path, kind: str) -> None:
-    """Write one ``.npz`` that names its kind, whole or not at all.
+def save_record(record: Any, path: Path) -> None:
+    """Write one ``.npz``, whole or not at all.
 
     Raises:
         ExistsError: `path` exists.
         StorageError: the disk refused.
     """
     with new_file(path) as building, building.open("wb") as file:
-        arrays = flat_arrays(record) | {"format": np.array(FORMAT), "kind": np.array(kind)}
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, **flat_arrays(record), format=np.array(FORMAT))  # type: ignore[arg-type]
 
 
 @parser("calibration record", CertificateError, max_bytes=MAX_ARRAY_BYTES)
@@ -66,8 +65,6 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
                 f"{path} has format {layout}, and palpate {__version__} reads format {FORMAT}: open it "
                 "with the version of palpate that wrote it, or calibrate anew"
             )
-        if (written := str(data.pop("kind"))) != what:
-            raise CertificateError(f"{path} is a calibration of {written}, not of {what}")
         record = from_flat_arrays(kind, data)
     except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
         raise CertificateError(
@@ -75,20 +72,6 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
         ) from e
     assert isinstance(record, kind)
     return record
-
-
-def kind_in(path: Path) -> str:
-    """Return the kind that a file of `save_record` names; empty where it names none.
-
-    Raises:
-        StorageError: it cannot be read.
-    """
-    with storage_errors(path):
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                return str(data["kind"])
-        except (KeyError, ValueError, BadZipFile, EOFError):
-            return ""
 
 
 def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:

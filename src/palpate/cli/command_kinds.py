@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -17,7 +18,7 @@ from typer.main import get_command
 
 from palpate.core.errors import InputError
 
-__all__ = ["CommandOfKinds", "Kinds", "alone", "by_option", "by_word", "word_after"]
+__all__ = ["CommandOfKinds", "Kinds", "alone", "by_calibration", "by_option", "by_word", "words_of"]
 
 Chosen = tuple[str, list[str]]
 
@@ -68,6 +69,35 @@ def words_of(summary: str, module: str, *words: str) -> Kinds:
     """Describe a command whose first word names a function of a module of `palpate.cli`."""
     places = {word: f"palpate.cli.{module}:{word.replace('-', '_')}" for word in words}
     return Kinds(summary, places, by_word, "KIND")
+
+
+HINTS = {"--force": "compliance", "--sensor": "shear-force", "--skin": "shear-force"}
+"""Options that choose a kind where no calibration is given."""
+
+
+def by_calibration(words: list[str]) -> Chosen:
+    """Choose the kind of the calibration after ``--with``; without one, by `HINTS`.
+
+    Raises:
+        InputError: neither is given, or the calibration is of no known kind.
+    """
+    kind, words = by_option("--kind", "")(words)
+    if kind or not words:
+        return kind, words or ["--help"]
+    if given := word_after("--with", words):
+        from palpate.estimators.session_folder import calibration_kind
+
+        return calibration_kind(Path(given)), words
+    if "--help" in words:
+        return "", words
+    for option, hinted in HINTS.items():
+        if word_after(option, words) is not None:
+            return hinted, words
+    raise InputError(
+        "give the calibration: --with PATH. Without one, --force TABLE reads a press in relative numbers, "
+        "and --sensor NAME reads a patterned skin",
+        code="calibration-missing",
+    )
 
 
 def word_after(option: str, words: list[str]) -> str | None:

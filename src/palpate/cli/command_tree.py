@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.main import get_command
 
-from palpate.cli.calibration_kinds import by_calibration
-from palpate.cli.command_kinds import Kinds, alone, by_option, by_word, words_of
+from palpate.cli.command_kinds import Kinds, alone, by_calibration, by_option, by_word, words_of
 from palpate.cli.verb_support import OUTPUT_OPTIONS, Group, take_output_options
 from palpate.version import __version__
 
@@ -35,7 +34,7 @@ CALIBRATE = Kinds(
     "--method KIND",
 )
 READ = Kinds(
-    "Read frames by a calibration of any kind, which describes itself.",
+    "Read frames by a calibration of any kind.",
     {
         "image": "palpate.cli.calibrate.calibrate_verbs:read",
         "palm-unit": "palpate.cli.sense.palm_verbs:read",
@@ -81,7 +80,7 @@ EXPERIMENT = Kinds(
     "KIND",
 )
 COMPLIANCE = words_of(
-    "Measure softness from presses: latency of the camera, rigid plate, comparison.",
+    "Measure camera latency and stiffness; compare specimens.",
     "sense.compliance_verbs",
     "latency", "plate", "compare",
 )  # fmt: skip

@@ -162,7 +162,7 @@ class ComplianceCalibration:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        save_record(self, path, "compliance")
+        save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ComplianceCalibration:

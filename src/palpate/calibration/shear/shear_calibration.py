@@ -298,7 +298,7 @@ class ShearCalibration:
             ExistsError: `path` exists.
             StorageError: the disk refused.
         """
-        save_record(self, path, "shear force")
+        save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ShearCalibration:

@@ -29,7 +29,7 @@ Peak = Annotated[float | None, Option(help="Force at the end of a press [N]; els
 
 def press(
     readings: Annotated[
-        list[str], Argument(help="readings.json of `palpate compliance`, or NAME=PATH; more to compare.")
+        list[str], Argument(help="readings.json of `palpate read`, or NAME=PATH; more to compare.")
     ],
     finger: Finger,
     out: Annotated[Path, Option(help="Folder to make: transmission.html, summary.json, an object each.")],

@@ -96,7 +96,7 @@ def record(
 
     Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
     Ends with status 1 where shots are still missing. Presses on specimens are also written as the folder
-    `presses` within the run, for `palpate compliance`.
+    `presses` within the run, for `palpate read`.
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
@@ -145,7 +145,7 @@ def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...]) -> None:
 
 
 def _write_presses(out: Path, indenters: tuple[str, ...], result: dict[str, Any]) -> str:
-    """Write presses on specimens into the run's folder, as `palpate compliance` reads them."""
+    """Write presses on specimens into the run's folder, as `palpate read` reads them."""
     if not any(_is_specimen(words) for words in indenters):
         return ""
     from palpate.recordings.exchange.press_export import export_presses

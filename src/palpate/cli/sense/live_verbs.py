@@ -86,7 +86,7 @@ def live(
     fps: Annotated[float | None, Option(help="Frames a second of a USB camera [Hz]; default 30.")] = None,
     exposure_ms: Annotated[float | None, Option(help="Exposure of a USB camera [ms]; default 10.")] = None,
 ) -> None:
-    """Read a sensor live: value, interval and verdict as frames come.
+    """Read a sensor live: value, interval and verdict.
 
     Without a calibration it shows rate, noise, focus and the difference to the untouched sensor. With --json,
     one object a line, at times with shapes to draw over the picture in "overlay". Ctrl-C ends it; what is

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def cameras(
     all_: Annotated[bool, Option("--all", help="Tell every size and rate, and a udev rule.")] = False,
 ) -> None:
-    """List the cameras of this machine: sizes, rates, and who uses them.
+    """List the cameras of this machine: sizes, rates, users.
 
     Example: palpate cameras
     """
@@ -60,7 +60,7 @@ def _camera_text(one: ListedCamera, everything: bool) -> str:
     lines = [f"{one.path}  {one.name}"]
     lines.append(f"  palpate live --camera {one.serial or one.path}{_live_options(preset)}")
     if preset is not None:
-        lines.append(f"  of a sensor that is known: palpate sensors show {preset.name}")
+        lines.append(f"  of a sensor that is known: palpate sensors {preset.name}")
     if not one.serial:
         lines.append("  it tells no serial number, so that its path may change when cables are swapped")
     best: dict[str, list[str]] = {}

@@ -35,7 +35,7 @@ app = Typer(
 def list_presets(
     sensor: Annotated[str, Argument(help="Name of a preset, or a TOML file of one; by default all.")] = "",
 ) -> None:
-    """List sensors that people own, or say what is known of one; what `palpate sensors` does by itself.
+    """List sensors that people own, or say what is known of one.
 
     Each has frame sizes, the skin's region, settings of its camera and its marks, from published sources.
 
