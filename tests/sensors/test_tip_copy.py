@@ -212,7 +212,7 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         assert_allclose(getattr(again, name), getattr(fitted.copy, name))
     with pytest.raises(InputError, match="has seen no press"):
         write_tip_copy(DESIGN, "127", tmp_path / "d.json")
-    with pytest.raises(InputError, match="tip calibrate"):
+    with pytest.raises(InputError, match="calibrate --method tip-unit"):
         load_tip_copy(tmp_path / "none.json")
     record = json.loads((tmp_path / "c.json").read_text())
     record["covariance"][0][0] = -1.0

@@ -72,27 +72,27 @@ def words_of(summary: str, module: str, *words: str) -> Kinds:
 
 
 HINTS = {"--force": "compliance", "--sensor": "shear-force", "--skin": "shear-force"}
-"""Options that choose a kind where no calibration is given."""
+"""Options that only one kind takes."""
 
 
 def by_calibration(words: list[str]) -> Chosen:
-    """Choose the kind of the calibration after ``--with``; without one, by `HINTS`.
+    """Choose the kind by `HINTS`, or of the calibration after ``--with``.
 
     Raises:
         InputError: neither is given, or the calibration is of no known kind.
     """
     kind, words = by_option("--kind", "")(words)
     if kind or not words:
-        return kind, words or ["--help"]
+        return kind, words if kind else ["--help"]
+    for option, hinted in HINTS.items():
+        if word_after(option, words) is not None:
+            return hinted, words
     if given := word_after("--with", words):
         from palpate.estimators.session_folder import calibration_kind
 
         return calibration_kind(Path(given)), words
     if "--help" in words:
         return "", words
-    for option, hinted in HINTS.items():
-        if word_after(option, words) is not None:
-            return hinted, words
     raise InputError(
         "give the calibration: --with PATH. Without one, --force TABLE reads a press in relative numbers, "
         "and --sensor NAME reads a patterned skin",

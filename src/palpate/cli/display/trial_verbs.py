@@ -286,7 +286,7 @@ def _text(answer: dict[str, Any], folder: Path) -> str:
     said += "all is answered" if answer["complete"] else f"paused: {answer['paused']}"
     if answer["complete"]:
         analysed = folder / "rehearsal" if answer["simulated"] else folder
-        said += f"\n  palpate experiment analyse {analysed} --out PAGE.html says what was found so far"
+        said += f"\n  palpate experiment analyze {analysed} --out PAGE.html says what was found so far"
     else:
         said += f"\n  palpate experiment run {folder} --participant {code} goes on, with the same options"
     return said + ("\nsimulated: no measurement" if answer["simulated"] else "")
