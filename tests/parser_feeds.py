@@ -300,6 +300,10 @@ FEEDS: dict[str, Feed] = {
         "estimators.guard.copy_discriminator:CopyDiscriminator.load", "a.npz",
         data("a.npz", lambda: npz_bytes(axis=np.ones(4), offset=np.zeros(()), limit=np.ones(()))), 4,
     ),
+    "calibration kind": simple(
+        "estimators.session_folder:calibration_kind", "a.json",
+        text("a.json", '{"format": "palpate palm copy 3"}'),
+    ),
     "session folder": Feed(
         text("start.json", '{"trained": {"folder": "calibration"}}'), "start.json",
         call("estimators.session_folder:calibration_in"),

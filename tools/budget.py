@@ -170,7 +170,10 @@ def _names_of(call: ast.Call) -> set[str]:
 
 
 def commands() -> tuple[list[str], list[str]]:
-    """Commands of the command line, and their options with the command before each."""
+    """Commands of the command line, and their options with the command before each.
+
+    A command of several kinds counts once, with each option that any kind takes.
+    """
     from typer.main import get_command
 
     from palpate.cli import app
@@ -182,12 +185,14 @@ def commands() -> tuple[list[str], list[str]]:
         for name, one in (inner or {}).items():
             yield from walk(one, f"{path} {name}".strip())
 
-    found = list(walk(get_command(app), ""))
+    def options_of(command: object) -> set[str]:
+        parameters = [one for _, kind in getattr(command, "kinds", [("", command)]) for one in kind.params]
+        return {one.opts[0] for one in parameters if type(one).__name__.endswith("Option")}
+
+    root = get_command(app)
+    found = list(walk(root, ""))
     options = [
-        f"{path} {one.opts[0]}"
-        for path, command in found
-        for one in command.params  # type: ignore[attr-defined]
-        if type(one).__name__.endswith("Option")
+        f"{path} {one}" for path, command in [("", root), *found] for one in sorted(options_of(command))
     ]
     return [path for path, _ in found], options
 

@@ -1,6 +1,7 @@
 """How well poses of real taps are read, over how many known taps there are; beside regression without a tip.
 
-From a clone, with the folder of taps that `palpate tip fit` takes twice, to learn from and to be judged by:
+From a clone, with the folder of taps that `palpate calibrate --method tip-pose` takes twice, to learn from
+and to be judged by:
 
     python tools/tip_readings.py taps/train taps/val
 

@@ -1,4 +1,4 @@
-"""Single-frame latency of the compact CNN as `palpate sense` runs it, beside torch eager, in one run.
+"""Single-frame latency of the compact CNN as `palpate read` runs it, beside torch eager, in one run.
 
 The network's weights are those of one epoch on random images: its speed does not depend on them. Frames
 are 445 x 440 px grey, in memory; reading includes the guard, scaling, inference and the intervals.

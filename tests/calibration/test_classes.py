@@ -401,7 +401,7 @@ def test_the_verbs_show_classes(blobs, tmp_path) -> None:
     page = (tmp_path / "cal" / "report.html").read_text()
     assert "said middle" in page
     assert "promised in each class" in page
-    sensed = runner.invoke(app, ["sense", str(tmp_path / "cal"), str(run.path), "--json"])
+    sensed = runner.invoke(app, ["read", str(run.path), "--with", str(tmp_path / "cal"), "--json"])
     first = json.loads(sensed.output.splitlines()[0])["readings"]["kind"]
     assert set(first) == {"value", "set", "classes", "valid", "why"}
     scored = runner.invoke(app, ["evaluate", str(folder / "cal"), str(run.path), "--no-keep", "--quiet"])

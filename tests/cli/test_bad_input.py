@@ -280,7 +280,7 @@ def test_a_certificate_of_a_newer_version_says_which_version_opens_it(
     (card,) = (tmp_path / "cal").glob("card.json")
     fields = json.loads(card.read_text()) | change
     card.write_text(json.dumps(fields))
-    for words in (["sense", tmp_path / "cal", run.path], ["report", tmp_path / "cal"]):
+    for words in (["read", run.path, "--with", tmp_path / "cal"], ["report", tmp_path / "cal"]):
         line = refusal(*words, *(["--out", tmp_path / "page.html"] if words[0] == "report" else []))
         writer = fields["software"]["palpate"]
         assert f"which reads palpate-calibration/1: open it with palpate {writer}" in line
@@ -288,9 +288,7 @@ def test_a_certificate_of_a_newer_version_says_which_version_opens_it(
 
 def test_a_calibration_of_compliance_in_another_format_says_which_is_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "tip.npz", format=np.array(9))
-    line = refusal(
-        "compliance", tmp_path / "press.tif", "--force", "force.csv", "--calibration", tmp_path / "tip.npz"
-    )
+    line = refusal("read", tmp_path / "press.tif", "--force", "force.csv", "--with", tmp_path / "tip.npz")
     assert f"has format 9, and palpate {__version__} reads format 1: open it with the version" in line
 
 

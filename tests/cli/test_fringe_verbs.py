@@ -6,22 +6,19 @@ import json
 import numpy as np
 import pytest
 import tifffile
-import typer
 from PIL import Image
 from tests.fringe_fields import beam, colours, disc, phases
 from typer.testing import CliRunner
 
-from palpate.cli.sense.optics_verbs import app
+from palpate.cli import app
 from palpate.estimators.fringe_map import CAMERA, SIX_STEPS
 from palpate.optics.colour import encode_srgb
 
-PARENT = typer.Typer(rich_markup_mode=None)
-PARENT.add_typer(app, name="optics")
 SHARE, AXIS, FACE = disc()
 
 
 def optics(*words, status=0):
-    result = CliRunner().invoke(PARENT, ["optics", *map(str, words)])
+    result = CliRunner().invoke(app, ["optics", *map(str, words)])
     assert result.exit_code == status, result.output + result.stderr
     return result
 

@@ -74,7 +74,7 @@ def test_from_import_to_comparison(split, tmp_path) -> None:
     assert found["frames_scored"] == 48
     palpate("report", cal, "--out", tmp_path / "page.html")
     assert json.loads(palpate("compare", cal, small, "--json"))["comparable"]
-    lines = palpate("sense", cal, tmp_path / "other", "--json").splitlines()
+    lines = palpate("read", tmp_path / "other", "--with", cal, "--json").splitlines()
     assert len(lines) == 48
     if split != "group:frame":
         palpate("adapt", cal, tmp_path / "other", "--out", tmp_path / "adapted", "--quiet")

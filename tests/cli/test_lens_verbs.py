@@ -98,16 +98,20 @@ def test_a_calibration_keeps_its_lens_and_reads_by_it(record_spots, tmp_path):
     # Whoever says the lens of the frames is refused where it is another one than the calibration's.
     other = Lens("kannala-brandt", (40.5, 40.5), (31.5, 23.5), (0.05, 0, 0, 0), (48, 64), 0.7)
     other.write(tmp_path / "other.json")
-    for verb, more in (("sense", []), ("evaluate", ["--no-keep"]), ("adapt", ["--out", tmp_path / "own"])):
-        refused = run_verb(verb, tmp_path / "cal", run.path, *more, "--lens", tmp_path / "other.json")
+
+    def given(verb, calibration):
+        return (run.path, "--with", calibration) if verb == "read" else (calibration, run.path)
+
+    for verb, more in (("read", []), ("evaluate", ["--no-keep"]), ("adapt", ["--out", tmp_path / "own"])):
+        refused = run_verb(verb, *given(verb, tmp_path / "cal"), *more, "--lens", tmp_path / "other.json")
         assert refused.exit_code == 2, refused.output
         assert other.id in refused.output
         assert lens.id in refused.output
-        without = run_verb(verb, plain, run.path, *more, "--lens", tmp_path / "lens.json")
+        without = run_verb(verb, *given(verb, plain), *more, "--lens", tmp_path / "lens.json")
         assert without.exit_code == 2
         assert "without a lens" in without.output
     assert not (tmp_path / "own").exists()
-    same = run_verb("sense", tmp_path / "cal", run.path, "--lens", tmp_path / "lens.json")
+    same = run_verb("read", *given("read", tmp_path / "cal"), "--lens", tmp_path / "lens.json")
     assert same.exit_code == 0, same.output
 
 

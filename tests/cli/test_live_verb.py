@@ -76,7 +76,7 @@ def test_once_it_is_over_all_that_was_loaded_is_searched_for_unused_objects_agai
 def test_a_run_that_its_writer_did_not_close_is_read_named_and_ends_with_status_1(spots) -> None:
     calibration, run, _ = spots
     for words in (
-        ("sense", calibration, cut(run.path)),
+        ("read", cut(run.path), "--with", calibration),
         ("live", calibration, "--camera", run.path, "--wait", 0.2),
     ):
         found = typed(*words, "--json", status=1)
@@ -117,7 +117,7 @@ def test_frames_of_another_size_than_the_calibration_s_end_it_by_a_message_with_
 
 def test_a_video_is_read_live_as_by_sense_frame_by_frame(spots) -> None:
     calibration, _, video = spots
-    sensed = readings_of(typed("sense", calibration, video, "--threads", 1, "--json").stdout)
+    sensed = readings_of(typed("read", video, "--with", calibration, "--json").stdout)
     found = readings_of(typed("live", calibration, "--camera", video, "--json").stdout)
     assert len(found) == 12
     assert [{key: one[key] for key in SENSED} for one in found] == sensed

@@ -47,7 +47,7 @@ def test_a_camera_of_a_sensor_that_is_known_is_opened_as_its_preset_says(monkeyp
     monkeypatch.setattr(camera_listing, "list_cameras", lambda: (mini, CAMERA))
     text = typed("cameras")
     assert "palpate live --camera 2BNN4ZE7 --size 3280x2464 --fps 25 --exposure-ms 18\n" in text
-    assert "palpate sensors show gelsight-mini" in text
+    assert "palpate sensors gelsight-mini" in text
     assert "palpate live --camera 4B2D\n" in text
     assert [one["preset"] for one in json.loads(typed("cameras", "--json"))] == ["gelsight-mini", None]
 

@@ -3,22 +3,18 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from palpate.cli.sense.optics_verbs import app
+from palpate.cli import app
 from palpate.optics import encode_srgb
 
-# The sub-app under a parent, as palpate has it.
-PARENT = typer.Typer(rich_markup_mode=None)
-PARENT.add_typer(app, name="optics")
 LOADS_N = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0])
 C = 8e-11
 
 
 def fit_c(*words, status=0):
-    result = CliRunner().invoke(PARENT, ["optics", "fit-c", *map(str, words)])
+    result = CliRunner().invoke(app, ["optics", "fit-c", *map(str, words)])
     assert result.exit_code == status, result.output + result.stderr
     return result
 

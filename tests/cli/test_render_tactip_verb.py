@@ -28,7 +28,7 @@ def test_a_press_is_made_and_said_to_be_virtual(tmp_path) -> None:
 
 def test_a_rigid_plate_other_pins_and_runs_in_json(tmp_path) -> None:
     out = tmp_path / "presses"
-    words = (str(out), "--rigid", "--pins", "331", "--runs", "--json", "--quiet", *FAST)
+    words = (str(out), "--rigid", "--preset", "331", "--runs", "--json", "--quiet", *FAST)
     said = json.loads(render(*words).stdout)
     assert said == {
         "out": str(out),
@@ -87,7 +87,7 @@ def test_the_example_of_the_help_is_of_this_verb() -> None:
         (["--tilt-deg", "60"], "0 to 50 degrees"),
         (["--tilt-deg", "-1"], "0 to 50 degrees"),
         (["--tilt-deg", "nan"], "0 to 50 degrees"),
-        (["--pins", "128"], "127 and 331"),
+        (["--preset", "128"], "127 and 331"),
         (["--tip", "hard"], "no tip 'hard'"),
     ],
 )

@@ -141,7 +141,7 @@ def test_a_rig_records_its_sensors_own_plan_where_none_is_named(
     code, said, error = typed("record", "--rig", "virtual:tactip", "--out", out, "--quiet")
     assert code == 0, error
     assert "presses on 3 specimens, as compliance reads them" in said
-    assert typed("compliance", "calibrate", out, "--out", tmp_path / "tip.npz", "--quiet")[0] == 0
+    assert typed("calibrate", "--method", "compliance", out, "--out", tmp_path / "tip.npz", "--quiet")[0] == 0
 
 
 @pytest.mark.parametrize(

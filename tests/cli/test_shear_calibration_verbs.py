@@ -17,7 +17,10 @@ LABELS = {"force_N": "number", "press": "text", "indenter": "text", "reference":
 
 
 def verb(*words, status=0):
-    result = CliRunner().invoke(app, ["force", *map(str, words)])
+    fit = ["calibrate", "--method", "shear-force"]
+    result = CliRunner().invoke(
+        app, [*(fit if words[0] == "fit" else ["check-weight"]), *map(str, words[1:])]
+    )
     assert result.exit_code == status, result.output + result.stderr
     return result
 
@@ -75,13 +78,22 @@ def test_weigh_tells_a_copys_stiffness(calibrated, tmp_path):
         for i in range(2):
             image = rendered(pad, contact, 10 + i)
             cv2.imwrite(str(tmp_path / name / f"{i}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    words = ("weigh", out, "--reference", tmp_path / "rest", "--out", tmp_path / "copy.npz", "--json")
-    on = ("--loaded", tmp_path / "on", "--weight-n", f"{weight.force_n:.4f}")
+    words = (
+        "weigh",
+        "--with",
+        out,
+        "--reference",
+        tmp_path / "rest",
+        "--out",
+        tmp_path / "copy.npz",
+        "--json",
+    )
+    on = (tmp_path / "on", "--mass-g", f"{weight.force_n / 9.80665e-3:.2f}")
     found = json.loads(verb(*words, *on).stdout)
     assert found["of"] == record["calibration"]
     assert found["scale"] > 1.02  # this copy is 9 % stiffer
     assert abs(found["scale"] - 1.09) < 2 * found["scale_error"] < 0.1
-    nothing = ("--loaded", tmp_path / "rest", "--weight-n", "4.0")
+    nothing = (tmp_path / "rest", "--mass-g", "400")
     other = (*words[:-2], tmp_path / "none.npz")
     assert "weight" in verb(*other, *nothing, status=2).stderr
     assert not (tmp_path / "none.npz").exists()
@@ -104,7 +116,7 @@ def test_shear_adds_newtons_with_a_calibration_and_refuses_one_of_another_lens(c
     for i, contact in enumerate(contacts):
         image = pad.sensor.render(contact, rng).image
         cv2.imwrite(str(frames / f"{i}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    words = ["shear", str(frames), "--reference", str(frames / "0.png"), "--calibration", str(out)]
+    words = ["read", str(frames), "--reference", str(frames / "0.png"), "--with", str(out)]
     told = CliRunner().invoke(app, [*words, "--json", "--quiet"])
     assert told.exit_code == 0, told.output
     lines = [json.loads(line) for line in told.stdout.splitlines()]

@@ -34,7 +34,8 @@ def place(tmp_path_factory):
 
 
 def run(*words):
-    return CliRunner().invoke(app, ["shear", *map(str, words)])
+    sensor = () if "--sensor" in words else ("--sensor", "nusense")
+    return CliRunner().invoke(app, ["read", *map(str, words), *sensor])
 
 
 def test_one_json_line_a_frame_with_the_place_where_it_is(place):

@@ -63,7 +63,7 @@ def test_a_contact_too_wide_for_hertz_is_told(tmp_path: Path) -> None:
         (("thermal", "20:30", 20, "--finger", "100:15"), "kinesthetic, cutaneous, compare, specimens"),
         (("compare", "20:30", "--finger", "100:15"), "two objects"),
         (("cutaneous", "20:30", "soft", "--finger", "100:15"), "no number of kPa"),
-        (("compare", "20:30", "20:30"), "needs --finger"),
+        (("compare", "20:30", "20:30"), "Missing option '--finger'"),
         (("cutaneous", "20:30", 2000, "--finger", "100:15"), "hollow"),
         (("compare", "20:30", "20:30", "--finger", "100:15", "--force-n", "nan"), "above 0 N"),
         (("compare", "20:30", "20:30", "--finger", "100:15", "--poisson", 0.6), "0 to 0.5"),

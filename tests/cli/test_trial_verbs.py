@@ -43,39 +43,45 @@ def child(*words: object, **pipes: Any) -> subprocess.Popen[str]:
 
 def test_five_cups_are_judged_paused_gone_on_with_and_exported(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    made = palpate("trial", "new", folder, "--seed", 7, "--json")
+    made = palpate("experiment", "new", folder, "--seed", 7, "--json")
     assert json.loads(made.stdout)["judgements_of_the_first"] == 13
-    first = palpate("trial", "run", folder, "--participant", "P01", typed="yes\n" + "\n1\n" * 5 + "\nq\n")
+    first = palpate(
+        "experiment", "run", folder, "--participant", "P01", typed="yes\n" + "\n1\n" * 5 + "\nq\n"
+    )
     assert first.exit_code == 0, first.stderr
     assert "5 judgements are kept; paused" in first.stdout
     assert "key.csv" in first.stderr
-    again = palpate("trial", "run", folder, "--participant", "P01", "--json", typed="\n2\n" * 7 + "\n54321\n")
+    again = palpate(
+        "experiment", "run", folder, "--participant", "P01", "--json", typed="\n2\n" * 7 + "\n54321\n"
+    )
     answer = json.loads(again.stdout)
     assert answer["complete"]
-    after = palpate("trial", "run", folder, "--participant", "P01").stdout
-    assert f"palpate trial analyse {folder} --out" in after
-    assert palpate("trial", "analyse", folder).exit_code == 0
+    after = palpate("experiment", "run", folder, "--participant", "P01").stdout
+    assert f"palpate experiment analyze {folder} --out" in after
+    assert palpate("experiment", "analyze", folder).exit_code == 0
     assert answer["judgements"] == 13
     assert not answer["simulated"]
-    done = palpate("trial", "export", folder, tmp_path / "bids", "--json")
+    done = palpate("experiment", "export", folder, tmp_path / "bids", "--json")
     assert json.loads(done.stdout)["complete"] == ["P01"]
-    assert palpate("trial", "export", folder, tmp_path / "bids").exit_code == 2
+    assert palpate("experiment", "export", folder, tmp_path / "bids").exit_code == 2
 
 
 def test_a_new_design_says_what_of_it_is_to_be_made_one_s_own(tmp_path: Path) -> None:
-    assert "levels in" in palpate("trial", "new", tmp_path / "a").stdout
-    rendered = palpate("trial", "new", tmp_path / "b", "--preset", "threshold").stdout
+    assert "levels in" in palpate("experiment", "new", tmp_path / "a").stdout
+    rendered = palpate("experiment", "new", tmp_path / "b", "--preset", "threshold").stdout
     assert "change both or none" in rendered
     assert "--bench FILE" in rendered
-    assert "by --moduli-kpa" in palpate("trial", "new", tmp_path / "c", "--preset", "bianchi-2010").stdout
+    assert (
+        "by --moduli-kpa" in palpate("experiment", "new", tmp_path / "c", "--preset", "bianchi-2010").stdout
+    )
     given = ("--preset", "bianchi-2010", "--moduli-kpa", "800,500,300,150,100")
-    assert "moduli" not in palpate("trial", "new", tmp_path / "d", *given).stdout
+    assert "moduli" not in palpate("experiment", "new", tmp_path / "d", *given).stdout
 
 
 def test_whoever_does_not_consent_has_no_trial(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder)
-    refused = palpate("trial", "run", folder, "--participant", "P01", typed="no\n")
+    palpate("experiment", "new", folder)
+    refused = palpate("experiment", "run", folder, "--participant", "P01", typed="no\n")
     assert refused.exit_code == 2
     assert "has not consented" in refused.stderr
     assert not (folder / "sub-P01" / "responses.csv").exists()
@@ -83,17 +89,17 @@ def test_whoever_does_not_consent_has_no_trial(tmp_path: Path) -> None:
 
 def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder)
-    closed = palpate("trial", "run", folder, "--participant", "P01")
+    palpate("experiment", "new", folder)
+    closed = palpate("experiment", "run", folder, "--participant", "P01")
     assert closed.exit_code == 2
     assert "nobody can consent" in closed.stderr
     assert not (folder / "sub-P01").exists()
-    closed = palpate("trial", "run", folder, "--participant", "P01", typed="y\n\n1\n\n2\n")
+    closed = palpate("experiment", "run", folder, "--participant", "P01", typed="y\n\n1\n\n2\n")
     assert closed.exit_code == 2
     assert "2 judgements are kept" in closed.stdout
     assert "input is closed" in closed.stderr
     with child(
-        "palpate.cli", "trial", "run", folder, "--participant", "P01", stdin=subprocess.DEVNULL,
+        "palpate.cli", "experiment", "run", folder, "--participant", "P01", stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         told, _ = process.communicate(timeout=60)
@@ -122,9 +128,9 @@ def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None
 )
 def test_bad_input_is_one_line_and_makes_nothing(words, said: str, tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder, "--seed", 1)
+    palpate("experiment", "new", folder, "--seed", 1)
     before = sorted(tmp_path.rglob("*"))
-    refused = palpate("trial", *(word.replace("{}", str(folder)) for word in words), typed="yes\n")
+    refused = palpate("experiment", *(word.replace("{}", str(folder)) for word in words), typed="yes\n")
     assert refused.exit_code == 2, refused.stdout
     assert said in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
@@ -133,30 +139,30 @@ def test_bad_input_is_one_line_and_makes_nothing(words, said: str, tmp_path: Pat
 
 def test_answers_of_a_file_and_a_simulated_observer_are_a_rehearsal(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder, "--seed", 1)
+    palpate("experiment", "new", folder, "--seed", 1)
     script = tmp_path / "answers.txt"
     script.write_text("1\n2\n" * 6 + "1 2 3 4 4\n1 2 3 4 5\n")
-    scripted = palpate("trial", "run", folder, "--participant", "R01", "--answers", script, "--json")
+    scripted = palpate("experiment", "run", folder, "--participant", "R01", "--answers", script, "--json")
     assert json.loads(scripted.stdout) | {"group": ""} == {
         "participant": "R01", "group": "", "complete": True, "judgements": 13, "paused": None,
         "simulated": True,
     }  # fmt: skip
-    observed = palpate("trial", "run", folder, "--participant", "R02", "--noise", 0.3)
+    observed = palpate("experiment", "run", folder, "--participant", "R02", "--noise", 0.3)
     assert "simulated: no measurement" in observed.stdout
-    assert f"palpate trial analyse {folder / 'rehearsal'} --out" in observed.stdout
+    assert f"palpate experiment analyze {folder / 'rehearsal'} --out" in observed.stdout
     assert len(read_judgements(folder / "rehearsal")) == 26
     assert not list(folder.glob("sub-*"))
     short = tmp_path / "short.txt"
     short.write_text("1\n")
-    ended = palpate("trial", "run", folder, "--participant", "R03", "--answers", short)
+    ended = palpate("experiment", "run", folder, "--participant", "R03", "--answers", short)
     assert ended.exit_code == 2
     assert "1 judgements are kept" in ended.stdout
 
 
 def test_a_person_is_never_asked_about_a_display_that_nobody_can_feel(tmp_path: Path) -> None:
     folder = tmp_path / "study"
-    palpate("trial", "new", folder, "--preset", "threshold", "--seed", 1)
-    refused = palpate("trial", "run", folder, "--participant", "P01", typed="yes\n")
+    palpate("experiment", "new", folder, "--preset", "threshold", "--seed", 1)
+    refused = palpate("experiment", "run", folder, "--participant", "P01", typed="yes\n")
     assert refused.exit_code == 2
     assert "--bench" in refused.stderr
     assert "first" not in refused.stderr, "no trial was begun"
@@ -199,9 +205,9 @@ def test_kill_9_loses_at_most_the_judgement_being_given(seed: int, tmp_path: Pat
 
 def test_ctrl_c_at_consent_makes_nothing_and_says_so(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder, "--seed", 1)
+    palpate("experiment", "new", folder, "--seed", 1)
     with child(
-        "palpate.cli", "trial", "run", folder, "--participant", "P01",
+        "palpate.cli", "experiment", "run", folder, "--participant", "P01",
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stderr is not None
@@ -220,13 +226,13 @@ def test_a_terminal_that_takes_nothing_more_ends_it_by_one_line_and_answers_are_
     full: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder, "--seed", 1)
-    palpate("trial", "run", folder, "--participant", "P01", typed="yes\n\n1\n\n2\nq\n")
+    palpate("experiment", "new", folder, "--seed", 1)
+    palpate("experiment", "run", folder, "--participant", "P01", typed="yes\n\n1\n\n2\nq\n")
     pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with (
         Path("/dev/full").open("w") as taken,
         child(
-            "palpate.cli", "trial", "run", folder, "--participant", "P01", **pipes | {full: taken}
+            "palpate.cli", "experiment", "run", folder, "--participant", "P01", **pipes | {full: taken}
         ) as process,
     ):
         told, complained = process.communicate("\n1\nq\n", timeout=60)
@@ -237,14 +243,14 @@ def test_a_terminal_that_takes_nothing_more_ends_it_by_one_line_and_answers_are_
         assert "palpate: nothing more can be printed: " in complained.splitlines()[-1]
     kept = 3 if full == "stdout" else 2
     assert len(read_judgements(folder)) == kept
-    assert palpate("trial", "run", folder, "--participant", "P01", typed="q\n").exit_code == 0
+    assert palpate("experiment", "run", folder, "--participant", "P01", typed="q\n").exit_code == 0
 
 
 def test_ctrl_c_leaves_all_whole_and_says_how_to_go_on(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
-    palpate("trial", "new", folder, "--seed", 1)
+    palpate("experiment", "new", folder, "--seed", 1)
     with child(
-        "palpate.cli", "trial", "run", folder, "--participant", "P01",
+        "palpate.cli", "experiment", "run", folder, "--participant", "P01",
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stdin is not None
@@ -255,7 +261,7 @@ def test_ctrl_c_leaves_all_whole_and_says_how_to_go_on(tmp_path: Path) -> None:
         while not table.is_file() or table.read_text().count("\n") < 3:
             assert time.monotonic() < end_s
             time.sleep(0.05)
-        second = palpate("trial", "run", folder, "--participant", "P01")
+        second = palpate("experiment", "run", folder, "--participant", "P01")
         assert second.exit_code == 2
         assert "is being run in another terminal" in second.stderr
         process.send_signal(signal.SIGINT)

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from palpate.core.optional_imports import EXTRAS
 
 VALUES: dict[object, str] = {int: "3", float: "1", str: "virtual:palm"}
-TOO_LONG = {"demo", "record", "reproduce palm", "reproduce tactip", "reproduce nusense", "reproduce softness"}
+TOO_LONG = {"demo", "record", "reproduce"}
 """Commands that compute for minutes; with plausible arguments they are tried elsewhere."""
 
 GRBL = 'name = "a"\n[stage]\nkind = "grbl"\nport = "/dev/null"\n'
@@ -61,6 +61,8 @@ def commands(group: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
         yield (*words, name), command
         if hasattr(command, "commands"):
             yield from commands(command, (*words, name))
+        for chosen, kind in getattr(command, "kinds", ()):
+            yield (*words, name, *chosen.split()), kind
 
 
 def plausible(words: tuple[str, ...], command: Any) -> list[str]:
@@ -111,7 +113,12 @@ def main(out: Path, missing: list[str], only: str = "") -> None:
         calls += [["studio", "--workspace", "."], ["start", "--folder", "session"]]
     for words, command in commands(root):
         calls += [[*words, "--help"], list(words)]
-        if not hasattr(command, "commands") and " ".join(words) not in TOO_LONG | {"studio", "start", "live"}:
+        if (
+            not hasattr(command, "commands")
+            and not hasattr(command, "kinds")
+            and not TOO_LONG & {words[0]}
+            and " ".join(words) not in {"studio", "start", "live"}
+        ):
             calls.append([*words, *plausible(words, command)])
     with out.open("w") as file:
         for call in calls:

@@ -48,7 +48,7 @@ def stored(path: Path):
 
 
 def test_what_sense_prints_of_a_certificate_of_before_is_the_same_but_for_later_fields(before) -> None:
-    printed = CliRunner().invoke(app, ["sense", str(before / "cal"), str(before / "run"), "--json"])
+    printed = CliRunner().invoke(app, ["read", str(before / "run"), "--with", str(before / "cal"), "--json"])
     assert printed.exit_code == 0, printed.output
     found = [json.loads(line) for line in printed.stdout.splitlines()]
     for line in found:

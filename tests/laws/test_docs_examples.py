@@ -16,7 +16,9 @@ import pytest
 from typer.main import get_command
 
 from palpate.cli import app
-from palpate.cli.sense.compliance_verbs import READ, ReadsByDefault
+from palpate.cli.command_kinds import CommandOfKinds
+from palpate.cli.sense.preset_verbs import LIST, ListedGroup
+from palpate.cli.verb_support import OUTPUT_OPTIONS
 from palpate.devices.device_plugins import GROUPS
 
 PROGRAM: Any = get_command(app)
@@ -196,6 +198,8 @@ def fault_of_line(line: str) -> str:
     command = PROGRAM
     for word in shlex.split(line, comments=True):
         members = getattr(command, "commands", None)
+        if isinstance(command, CommandOfKinds) and command.usage == "KIND" and members is None:
+            members = {kind: command.of(kind) for kind in command.places}
         if word in ("|", ">", "&&", ";", "…", "..."):
             break
         if word.startswith("--"):
@@ -203,17 +207,18 @@ def fault_of_line(line: str) -> str:
                 return word
         elif members is not None and word in members:
             command = members[word]
-        elif isinstance(command, ReadsByDefault):
-            command = command.commands[READ]
+        elif isinstance(command, ListedGroup):
+            command = command.commands[LIST]
         elif members is not None:
             return word
     return ""
 
 
 def known_options(command: Any) -> set[str]:
-    return {
-        option for one in command.params for option in (*one.opts, *one.secondary_opts) if option[:1] == "-"
-    }
+    kinds = [one for _, one in getattr(command, "kinds", [("", command)])]
+    chosen = {command.usage.split()[0]} if isinstance(command, CommandOfKinds) else set()
+    options = {word for kind in kinds for one in kind.params for word in (*one.opts, *one.secondary_opts)}
+    return {option for option in options | chosen if option[:1] == "-"} | set(OUTPUT_OPTIONS)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if list(lines_typed(page))])

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.cli import HEADINGS, app
-from palpate.cli.verb_support import phases
+from palpate.cli.verb_support import phases, take_output_options
 from palpate.estimators.model_card import ScoreCard
 from palpate.reports import scores_table
 
@@ -47,7 +47,7 @@ def test_sensing_one_image_loads_no_tables_no_training_and_no_plots(record_spots
     run = record_spots("run", 12)
     calibrate(run, CalibrationPlan(("height_mm",), split="group:press", size_px=(12, 16)), tmp_path / "cal")
     cv2.imwrite(str(tmp_path / "frame.png"), run.frame(3).image)
-    loaded = loaded_by(tmp_path, "sense", tmp_path / "cal", tmp_path / "frame.png", "--timing")
+    loaded = loaded_by(tmp_path, "read", tmp_path / "frame.png", "--with", tmp_path / "cal", "--timing")
     assert "onnxruntime" in loaded
     assert not NEVER_TO_SENSE & loaded
 
@@ -108,8 +108,9 @@ def test_the_table_of_scores_fits_80_columns() -> None:
 
 
 def test_in_a_pipe_each_phase_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for quiet, lines in ((False, ["recording", "pca-ridge: fold 1 of 5", "evaluating"]), (True, [])):
-        show = phases(quiet)
+    for words, lines in (([], ["recording", "pca-ridge: fold 1 of 5", "evaluating"]), (["--quiet"], [])):
+        take_output_options(words)
+        show = phases()
         for what in ("recording", "recording", "pca-ridge: fold 1 of 5: projecting", "evaluating"):
             show(what, 1, 2)
         assert capsys.readouterr().err.splitlines() == lines

@@ -194,7 +194,7 @@ def study(tmp_path) -> Path:
 
 def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path) -> None:
     page = tmp_path / "study.html"
-    said = palpate("trial", "analyse", study, "--out", page)
+    said = palpate("experiment", "analyze", study, "--out", page)
     assert said.startswith("Pairs: ")
     assert "alone, pairs" in said
     assert "both cues" in said
@@ -209,34 +209,34 @@ def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path)
     assert "both cues" in text
     assert "four answers" in text
     assert "these numbers" in text
-    found = json.loads(CliRunner().invoke(app, ["trial", "analyse", str(study), "--json"]).output)
+    found = json.loads(CliRunner().invoke(app, ["experiment", "analyze", str(study), "--json"]).output)
     assert found["judgements"] == 3 * 3 * 27
     assert found["accuracies"][0]["share"] > 0.9
-    assert "exists" in palpate("trial", "analyse", study, "--out", page, status=2)
+    assert "exists" in palpate("experiment", "analyze", study, "--out", page, status=2)
 
 
 def test_rehearsed_answers_are_said_to_be_no_measurement(study: Path, tmp_path) -> None:
-    assert "nothing here is a measurement" not in palpate("trial", "analyse", study)
+    assert "nothing here is a measurement" not in palpate("experiment", "analyze", study)
     (study / "sub-P02" / "participant.json").write_text(
         '{"participant": "P02", "consent": "simulated", "simulated": true}'
     )
-    assert "nothing here" in palpate("trial", "analyse", study, "--out", tmp_path / "p.html")
+    assert "nothing here" in palpate("experiment", "analyze", study, "--out", tmp_path / "p.html")
     page = (tmp_path / "p.html").read_text()
     assert "<b>Simulated.</b>" in page
     (study / "sub-P02" / "participant.json").write_text("{")
-    assert "participant.json is" in palpate("trial", "analyse", study, status=2)
+    assert "participant.json is" in palpate("experiment", "analyze", study, status=2)
 
 
 def test_the_verb_refuses_what_is_wrong_in_a_line_and_counts_rows_without_an_answer(study: Path) -> None:
     table = study / "sub-P01" / "responses.csv"
     rows = table.read_text().splitlines()
     table.write_text("\n".join([*rows, rows[1]]) + "\n")
-    assert "stands twice" in palpate("trial", "analyse", study, status=2)
+    assert "stands twice" in palpate("experiment", "analyze", study, status=2)
     blank = rows[1].split(",")
     blank[7] = ""
     table.write_text("\n".join([rows[0], ",".join(blank), *rows[2:]]) + "\n")
-    said = palpate("trial", "analyse", study)
+    said = palpate("experiment", "analyze", study)
     assert "1 rows" in said
     assert "balanced, 1" in said
-    assert "gaussian, logistic" in palpate("trial", "analyse", study, "--shape", "step", status=2)
-    assert "no folder" in palpate("trial", "analyse", study / "none", status=2)
+    assert "gaussian, logistic" in palpate("experiment", "analyze", study, "--shape", "step", status=2)
+    assert "no folder" in palpate("experiment", "analyze", study / "none", status=2)

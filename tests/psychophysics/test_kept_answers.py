@@ -72,7 +72,7 @@ def test_a_design_that_was_edited_since_is_not_what_answers_are_scored_by(
     for folder in (study.folder, study.folder / "sub-P02"):
         with refused("design-changed", InputError, match=str(name)):
             read_kept_answers(folder)
-    assert "since P01" in told("trial", "analyse", study.folder, status=2)
+    assert "since P01" in told("experiment", "analyze", study.folder, status=2)
 
 
 def test_a_table_of_stimuli_that_was_edited_is_noticed_where_the_design_was_left_behind(
@@ -110,7 +110,7 @@ def test_an_exported_rehearsal_is_said_to_be_simulated_before_anything_else(
         at = tmp_path / folder
         assert is_rehearsal(at / "sourcedata") is simulated
         assert read_kept_answers(at).simulated is simulated
-        assert told("trial", "analyse", at).startswith("Simulated: ") is simulated
+        assert told("experiment", "analyze", at).startswith("Simulated: ") is simulated
     assert read_kept_answers(tmp_path / "real").stimuli == study.stimuli
     assert len(read_kept_answers(tmp_path / "real").judgements) == 26
 
@@ -122,7 +122,7 @@ def test_whose_consent_does_not_stand_is_left_out_and_counted(
     kept = read_kept_answers(study.folder)
     assert {one.participant for one in kept.judgements} == {"P02"}
     assert kept.withdrawn == ("P01",)
-    assert "answers whose" in told("trial", "analyse", study.folder)
+    assert "answers whose" in told("experiment", "analyze", study.folder)
     assert export_trials(study, tmp_path / "bids").participants == ("P02",)
     changed(study.folder / "sub-P01" / "participant.json", '"consent": "no"', '"consent": "withdrawn"')
     for read in (read_kept_answers, lambda folder: export_trials(study, tmp_path / "again")):
@@ -147,7 +147,7 @@ def test_a_record_of_wrong_types_is_one_line_that_names_the_field(
     path = study.folder / "sub-P01" / "participant.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {field: value}))
     for words in (("export", study.folder, tmp_path / "bids"), ("run", study.folder, "--participant", "P01")):
-        said = told("trial", *words, status=2)
+        said = told("experiment", *words, status=2)
         assert said.count("\n") == 1
         assert field in said
         assert "it back" in said

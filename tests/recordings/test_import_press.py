@@ -69,7 +69,7 @@ def test_the_verb_says_what_it_made(press) -> None:
     _, folder = press
     typed = [
         "import",
-        "tiff",
+        "press",
         str(folder / "press.tif"),
         str(folder / "r"),
         "--force",

@@ -97,7 +97,7 @@ def test_a_range_from_a_run_finds_the_gain_that_changed_after_it(tmp_path: Path)
     file = RigFile.model_validate({"name": "bench", **tables})
     (part,) = file.stiffness
     assert part.range().least_n_m == pytest.approx(found.range.least_n_m, rel=1e-3)
-    said = CliRunner().invoke(app, ["rig", "stiffness", str(tmp_path / "good")])
+    said = CliRunner().invoke(app, ["rig", "fit", str(tmp_path / "good")])
     assert said.exit_code == 0, said.output
     assert tomllib.loads(said.stdout)["stiffness"][0]["force_N"] == tables["stiffness"][0]["force_N"]
     stated = {part.indenter: part.range()}

@@ -212,7 +212,7 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         assert_allclose(getattr(again, name), getattr(fitted.copy, name))
     with pytest.raises(InputError, match="has seen no press"):
         write_tip_copy(DESIGN, "127", tmp_path / "d.json")
-    with pytest.raises(InputError, match="tip calibrate"):
+    with pytest.raises(InputError, match="calibrate --method tip-unit"):
         load_tip_copy(tmp_path / "none.json")
     record = json.loads((tmp_path / "c.json").read_text())
     record["covariance"][0][0] = -1.0
@@ -260,7 +260,7 @@ def test_verbs_calibrate_a_folder_and_a_run_read_a_force_and_weigh(tmp_path: Pat
     with pytest.raises(InputError, match="7 presses of 6 frames"):
         known_presses([folder], 7, 127)
     out = tmp_path / "copy.json"
-    words = ["tip", "calibrate", str(folder), "--presses", "5", "--out", str(out), "--quiet"]
+    words = ["calibrate", "--method", "tip-unit", str(folder), "--presses", "5", "--out", str(out), "--quiet"]
     said = CliRunner().invoke(app, [*words, "--json"])
     assert said.exit_code == 0, said.output
     told = json.loads(said.output)
@@ -270,12 +270,12 @@ def test_verbs_calibrate_a_folder_and_a_run_read_a_force_and_weigh(tmp_path: Pat
     weight_n = 0.2 * GRAVITY_M_S2
     for name, image in zip(("rest", "w"), tip.frames(tip.depth_m(weight_n), rng), strict=True):
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
-    common = ["--reference", str(tmp_path / "rest.png"), "--copy", str(out), "--quiet"]
-    read = CliRunner().invoke(app, ["tip", "force", str(tmp_path / "w.png"), *common, "--json"])
+    common = ["--reference", str(tmp_path / "rest.png"), "--with", str(out), "--quiet"]
+    read = CliRunner().invoke(app, ["read", str(tmp_path / "w.png"), *common, "--json"])
     assert abs(json.loads(read.output)["force_N"] / weight_n - 1) < 0.04
     for mass, words in (("200", "as calibrated"), ("240", "changed: stiffness")):
         weighed = CliRunner().invoke(
-            app, ["tip", "weigh", str(tmp_path / "w.png"), *common, "--mass-g", mass]
+            app, ["check-weight", str(tmp_path / "w.png"), *common, "--mass-g", mass]
         )
         assert words in weighed.output, weighed.output
 

@@ -298,8 +298,17 @@ def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monke
     places = TIP.places_px(TRUE, at)
     drawn(tmp_path / "train", at[::2], places[::2])
     drawn(tmp_path / "val", at[1::2], places[1::2])
-    words = ["tip", "fit", str(tmp_path / "train"), "--judge", str(tmp_path / "val"), "--pins", "91"]
-    words += ["--count", "20"]
+    words = [
+        "calibrate",
+        "--method",
+        "tip-pose",
+        str(tmp_path / "train"),
+        "--judge",
+        str(tmp_path / "val"),
+        "--preset",
+        "91",
+    ]
+    words += ["--presses", "20"]
     said = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--json", "--quiet"])
     assert said.exit_code == 0, said.output
     told = json.loads(said.output)
@@ -309,16 +318,16 @@ def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monke
     again = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--quiet"])
     assert again.exit_code == 2
     images = [str(tmp_path / "val" / "images" / f"{i}.png") for i in (4, 20)]
-    read = CliRunner().invoke(app, ["tip", "read", str(tmp_path / "out"), *images, "--json", "--quiet"])
+    read = CliRunner().invoke(app, ["read", *images, "--with", str(tmp_path / "out"), "--json", "--quiet"])
     for row, true in zip(json.loads(read.output)["readings"], at[1::2][[4, 20]], strict=True):
         away = np.abs(np.array(list(row["pose"].values())) - true)
         assert (away < 4 * np.array(list(row["half_width"].values()))).all()
     blank = tmp_path / "blank.png"
     cv2.imwrite(str(blank), np.zeros((300, 320), np.uint8))
-    read = CliRunner().invoke(app, ["tip", "read", str(tmp_path / "out"), str(blank), "--quiet"])
+    read = CliRunner().invoke(app, ["read", str(blank), "--with", str(tmp_path / "out"), "--quiet"])
     assert "not valid: 0 of 91 pins could be named" in read.output
     cv2.imwrite(str(blank), np.zeros((100, 100), np.uint8))
-    read = CliRunner().invoke(app, ["tip", "read", str(tmp_path / "out"), str(blank), "--quiet"])
+    read = CliRunner().invoke(app, ["read", str(blank), "--with", str(tmp_path / "out"), "--quiet"])
     assert read.exit_code == 2
     assert "100 x 100 px; this tip was fitted to 320 x 300 px" in " ".join(read.output.split())
     (tmp_path / "out" / "reader.json").write_text('{"format": "other"}')

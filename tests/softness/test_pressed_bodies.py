@@ -87,7 +87,7 @@ MODULUS, STIFFNESS = reading("modulus", "Pa", 0.2e6), reading("stiffness", "N_pe
 
 
 def touched(folder: Path, *readings: Reading, **changes: Any) -> None:
-    """What `palpate compliance` writes of these readings, with values put in."""
+    """What `palpate read` writes of these readings, with values put in."""
     (folder / "press").mkdir(exist_ok=True)
     record = {"readings": [reading_record(one) | changes for one in readings], "flags": []}
     (folder / "press" / "readings.json").write_text(json.dumps(record))

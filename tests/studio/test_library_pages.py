@@ -37,8 +37,8 @@ def workspace(tmp_path_factory):
     for words in (
         (*calibrate, "--model", "pca-ridge", "--out", "cal-one"),
         (*calibrate, "--model", "mean", "--out", "cal-two"),
-        ("trial", "new", "jelly", "--seed", "3"),
-        ("trial", "run", "jelly", "--participant", "R01", "--noise", "0.3"),
+        ("experiment", "new", "jelly", "--seed", "3"),
+        ("experiment", "run", "jelly", "--participant", "R01", "--noise", "0.3"),
     ):
         code = f"import sys; sys.argv[1:] = {list(words)!r}; from palpate.cli import main; main()"
         subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, capture_output=True, timeout=300)
@@ -127,7 +127,7 @@ def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own
 
 def test_a_trial_is_listed_with_its_commands_and_analysed(browser, served):
     tab = opened(browser, served, "/trials")
-    tab.wait("document.body.innerText.includes('palpate trial run jelly --participant P01')", MAX_S)
+    tab.wait("document.body.innerText.includes('palpate experiment run jelly --participant P01')", MAX_S)
     assert "most 13" in tab.text()
     tab.press("#analyse")
     tab.wait("!!document.querySelector('#analysis-job a')", 2 * MAX_S)

@@ -8,12 +8,18 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.command_kinds import Kinds, by_word
+from palpate.cli.verb_support import print_found, progress_bar
 
-app = group("Reproduce published studies on virtual sensors.")
+HERE = "palpate_reproductions.reproduce_verbs"
+app = Kinds(
+    "Reproduce published studies on virtual sensors.",
+    {study: f"{HERE}:{study}" for study in ("palm", "tactip", "nusense", "softness")},
+    by_word,
+    "KIND",
+)
 
 
-@app.command()
 def palm(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
     scale: Annotated[
@@ -21,8 +27,6 @@ def palm(
     ] = "small",
     part: Annotated[str, Option(help="all, headline, or one stage: leakage, mirror, noise, …")] = "all",
     seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Compare the palm's four networks with ours and with what needs none.
 
@@ -33,19 +37,16 @@ def palm(
     """
     from palpate_reproductions.palm import reproduce_palm, scale_of
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         entries = reproduce_palm(out, scale_of(scale), seed=seed, part=part, progress=progress)
     warning = "Virtual sensor: models compared on one simulator, not how good a sensor is."
-    print_found(entries, _beside_the_source(warning, entries, out), json_)
+    print_found(entries, _beside_the_source(warning, entries, out))
 
 
-@app.command()
 def tactip(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
     seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
     trials: Annotated[int, Option(help="Trials of each specimen at each tilt; the report has 5.")] = 5,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Set the report on compliance by touch beside our numbers.
 
@@ -55,13 +56,12 @@ def tactip(
     """
     from palpate_reproductions.tactip import reproduce_tactip
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         entries = reproduce_tactip(out, seed=seed, trials=trials, progress=progress)
     warning = "Virtual sensor: what the estimators recover of a model, not how good a sensor is."
-    print_found(entries, _beside_the_source(warning, entries, out), json_)
+    print_found(entries, _beside_the_source(warning, entries, out))
 
 
-@app.command()
 def nusense(
     out: Annotated[Path, Option(help="Folder to make; must not exist. Recordings stay in it.")],
     scale: Annotated[
@@ -71,8 +71,6 @@ def nusense(
         str, Option(help="all, or force, places, hysteresis, cycles, edges, damage, controls alone.")
     ] = "all",
     seed: Annotated[int, Option(min=0, help="Seed of everything random.")] = 0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Set the thesis on NUSense, a patterned pad, beside our numbers.
 
@@ -83,18 +81,15 @@ def nusense(
     """
     from palpate_reproductions.nusense import reproduce_nusense, scale_named
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         entries = reproduce_nusense(out, scale_named(scale), seed=seed, part=part, progress=progress)
     warning = "Virtual sensor: what the estimators recover of a model, not how good a sensor is."
-    print_found(entries, _beside_the_source(warning, entries, out), json_)
+    print_found(entries, _beside_the_source(warning, entries, out))
 
 
-@app.command()
 def softness(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
     seed: Annotated[int, Option(min=0, help="Seed of the sensors' noise.")] = 0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Set the report on softness rendered by two cues beside our numbers.
 
@@ -105,10 +100,10 @@ def softness(
     """
     from palpate_reproductions.softness import reproduce_softness
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         entries = reproduce_softness(out, seed=seed, progress=progress)
     warning = "Virtual bench: what a loop does with assumed parts, not what a hand feels."
-    print_found(entries, _beside_the_source(warning, entries, out), json_)
+    print_found(entries, _beside_the_source(warning, entries, out))
 
 
 def _beside_the_source(warning: str, entries: Sequence[Mapping[str, Any]], out: Path) -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.main import get_command
 
-from palpate.cli.verb_support import Group
+from palpate.cli.command_kinds import Kinds, alone, by_calibration, by_option, by_word, words_of
+from palpate.cli.verb_support import OUTPUT_OPTIONS, Group, take_output_options
 from palpate.version import __version__
 
 if TYPE_CHECKING:
@@ -18,7 +19,98 @@ if TYPE_CHECKING:
 
 __all__ = ["HEADINGS", "Root", "Verbs", "app", "start"]
 
-HEADINGS: dict[str, dict[str, str]] = {
+CALIBRATE = Kinds(
+    "Calibrate an estimator, or find one sensor's own constants.",
+    {
+        "image": "palpate.cli.calibrate.calibrate_verbs:calibrate",
+        "palm-unit": "palpate.cli.sense.palm_verbs:fit",
+        "palm-known": "palpate.cli.sense.palm_verbs:known",
+        "tip-unit": "palpate.cli.sense.tip_copy_verbs:calibrate",
+        "tip-pose": "palpate.cli.sense.tip_verbs:fit",
+        "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:fit",
+        "compliance": "palpate.cli.sense.compliance_verbs:calibrate",
+    },
+    by_option("--method", "image"),
+    "--method KIND",
+)
+READ = Kinds(
+    "Read frames by a calibration of any kind.",
+    {
+        "image": "palpate.cli.calibrate.calibrate_verbs:read",
+        "palm-unit": "palpate.cli.sense.palm_verbs:read",
+        "tip-unit": "palpate.cli.sense.tip_copy_verbs:force",
+        "tip-pose": "palpate.cli.sense.tip_verbs:read",
+        "shear-force": "palpate.cli.sense.shear_verbs:shear",
+        "compliance": "palpate.cli.sense.compliance_verbs:read",
+    },
+    by_calibration,
+    "--kind KIND",
+)
+CHECK_WEIGHT = Kinds(
+    "Check a calibration by a known weight.",
+    {
+        "palm-unit": "palpate.cli.sense.palm_verbs:weigh",
+        "tip-unit": "palpate.cli.sense.tip_copy_verbs:weigh",
+        "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:weigh",
+    },
+    by_calibration,
+    "--kind KIND",
+)
+RENDER = words_of("Draw what a virtual sensor would see.", "study.render_verbs", "palm", "tactip")
+LENS = Kinds(
+    "A camera's lens: its numbers, and images without its bending.",
+    {
+        "calibrate": "palpate.cli.calibrate.lens_verbs:calibrate",
+        "board": "palpate.cli.calibrate.lens_verbs:board_picture",
+        "show": "palpate.cli.calibrate.lens_verbs:show",
+        "undistort": "palpate.cli.calibrate.lens_verbs:undistort",
+    },
+    by_word,
+    "KIND",
+)
+EXPERIMENT = Kinds(
+    "Run an experiment on softness with people, and analyze it.",
+    {
+        "new": "palpate.cli.display.trial_verbs:new",
+        "run": "palpate.cli.display.trial_verbs:run",
+        "analyze": "palpate.cli.display.trial_analysis_verbs:analyze",
+        "export": "palpate.cli.display.trial_verbs:export",
+    },
+    by_word,
+    "KIND",
+)
+COMPLIANCE = words_of(
+    "Measure camera latency and stiffness; compare specimens.",
+    "sense.compliance_verbs",
+    "latency", "plate", "compare",
+)  # fmt: skip
+TRANSMIT = words_of(
+    "Let a virtual finger feel what a TacTip has touched.", "display.transmit_verbs", "press", "study"
+)
+OPTICS = Kinds(
+    "Light, stress and what a material makes of them.",
+    {
+        "fringe-order": "palpate.cli.sense.fringe_verbs:fringe_order",
+        "colour-table": "palpate.cli.sense.fringe_verbs:colour_table",
+        "fit-c": "palpate.cli.sense.optics_verbs:fit_c",
+    },
+    by_word,
+    "KIND",
+)
+IMPORT = words_of(
+    "Bring a recording from elsewhere into a run.", "record.recording_verbs", "images", "palm", "press"
+)
+PAIRS = words_of(
+    "Find objects that feel alike to the arm or to the skin.",
+    "display.softness_verbs",
+    "kinesthetic", "cutaneous", "compare", "specimens",
+)  # fmt: skip
+MECHANICS = words_of(
+    "Compute force, depth, radius, and pressure by a contact law.",
+    "study.mechanics_verbs",
+    "hertz", "sphere", "punch", "cone", "layer", "jkr", "ting",
+)  # fmt: skip
+HEADINGS: dict[str, dict[str, str | Kinds]] = {
     "Record": {
         "start": "record.start_verbs:start",
         "collect": "record.start_verbs:collect",
@@ -26,43 +118,39 @@ HEADINGS: dict[str, dict[str, str]] = {
         "record": "record.rig_verbs:record",
         "rig": "record.rig_hand_verbs:rig_app",
         "studio": "study.study_verbs:studio",
-        "import": "record.recording_verbs:import_run",
+        "import": IMPORT,
         "check": "record.recording_verbs:check",
-        "repair": "record.recording_verbs:repair",
         "export": "record.recording_verbs:export",
     },
     "Calibrate": {
-        "calibrate": "calibrate.calibrate_verbs:calibrate",
+        "calibrate": CALIBRATE,
         "evaluate": "calibrate.calibrate_verbs:evaluate",
         "report": "calibrate.calibrate_verbs:report",
         "compare": "calibrate.calibrate_verbs:compare",
         "adapt": "calibrate.calibrate_verbs:adapt",
-        "lens": "calibrate.lens_verbs:app",
-        "force": "calibrate.shear_calibration_verbs:app",
+        "lens": LENS,
+        "check-weight": CHECK_WEIGHT,
     },
     "Sense": {
         "live": "sense.live_verbs:live",
         "cameras": "sense.machine_verbs:cameras",
         "doctor": "sense.machine_verbs:doctor",
         "sensors": "sense.preset_verbs:app",
-        "sense": "calibrate.calibrate_verbs:sense",
-        "compliance": "sense.compliance_verbs:app",
+        "read": READ,
+        "compliance": COMPLIANCE,
         "flow": "sense.optics_verbs:flow",
-        "palm": "sense.palm_verbs:app",
-        "tip": "sense.tip_verbs:app",
-        "shear": "sense.shear_verbs:shear",
     },
     "Display": {
-        "pairs": "display.softness_verbs:pairs",
+        "pairs": PAIRS,
         "display": "display.softness_verbs:display_app",
-        "trial": "display.trial_verbs:trial_app",
-        "transmit": "display.transmit_verbs:app",
+        "experiment": EXPERIMENT,
+        "transmit": TRANSMIT,
     },
     "Study": {
         "demo": "study.study_verbs:demo",
-        "render": "study.render_verbs:app",
-        "mechanics": "study.mechanics_verbs:mechanics",
-        "optics": "sense.optics_verbs:app",
+        "render": RENDER,
+        "mechanics": MECHANICS,
+        "optics": OPTICS,
     },
 }
 """Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""
@@ -106,9 +194,10 @@ class Verbs(UserDict[str, Any]):
             self.data[name] = self._added(name)
         if isinstance(self.data[name], tuple):
             heading, place = self.data[name]
-            module, _, member = place.partition(":")
-            verb = getattr(import_module(f"palpate.cli.{module}"), member)
-            self.data[name] = built(name, heading, verb)
+            if not isinstance(place, Kinds):
+                module, _, member = place.partition(":")
+                place = getattr(import_module(f"palpate.cli.{module}"), member)
+            self.data[name] = built(name, heading, place)
         return self.data[name]
 
     def _added(self, name: str) -> Any:
@@ -123,15 +212,22 @@ class Verbs(UserDict[str, Any]):
 
 
 def built(name: str, heading: str, verb: Any) -> Any:
-    """Return the command of a function, or of a group of them."""
-    if not isinstance(verb, typer.Typer):
-        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(name)(verb)
-        verb = alone
-    command: Any = get_command(verb)
+    """Return the command of a function, of a group of them, or of one with several kinds."""
+    if isinstance(verb, Kinds):
+        command: Any = verb(name)
+    else:
+        command = get_command(verb) if isinstance(verb, typer.Typer) else alone(name, verb)
     command.name = name
     command.rich_help_panel = heading
+    _show_output_options(command)
     return command
+
+
+def _show_output_options(command: Any) -> None:
+    """End the help of a command, and of each in a group, by the options that all take."""
+    command.epilog = "Every command takes --json (print JSON) and --quiet (no progress bar)."
+    for one in getattr(command, "commands", {}).values():
+        _show_output_options(one)
 
 
 def help_of_added(name: str) -> tuple[str, str]:
@@ -146,6 +242,10 @@ class Root(Group):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         self.commands = Verbs()
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the options that every command has from wherever they stand."""
+        return super().parse_args(ctx, take_output_options(args))
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return all names; importing what they stand for is left to whoever needs it."""
@@ -193,6 +293,8 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def start(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help=OUTPUT_OPTIONS["--json"])] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help=OUTPUT_OPTIONS["--quiet"])] = False,
 ) -> None:
     """Camera-based touch you can trust: record, calibrate, certify, sense."""
     if version:

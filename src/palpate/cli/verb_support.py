@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import inspect
 import json
 import math
 import os
@@ -23,8 +22,9 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from palpate.core.provenance import Provenance
 
-Json = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
-Quiet = Annotated[bool, Option("--quiet", help="Show no progress bar.")]
+OUTPUT_OPTIONS = {"--json": "Print JSON instead of text.", "--quiet": "Show no progress bar."}
+"""Options of every command, which may stand anywhere before ``--``."""
+_output_given: set[str] = set()
 NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
 ProvenanceName = Annotated[
@@ -48,6 +48,24 @@ PIPE_CLOSED = 141  # as a shell tells of a program that SIGPIPE has ended
 ONCE_S = 2.0  # after a signal, in which another must not cut short the stop that the first began
 MOVING = ("home", "jog", "zero", "check", "setup")
 """Verbs of the group `rig` that move a stage."""
+
+
+def take_output_options(words: list[str]) -> list[str]:
+    """Remember which of `OUTPUT_OPTIONS` the words of a command line hold, and return the others."""
+    end = words.index("--") if "--" in words else len(words)
+    _output_given.clear()
+    _output_given.update(set(words[:end]) & set(OUTPUT_OPTIONS))
+    return [word for word in words[:end] if word not in OUTPUT_OPTIONS] + words[end:]
+
+
+def as_json() -> bool:
+    """Whether the command prints JSON instead of text."""
+    return "--json" in _output_given
+
+
+def is_quiet() -> bool:
+    """Whether the command shows no progress."""
+    return "--quiet" in _output_given
 
 
 def say(text: str, err: bool = False, nl: bool = True) -> None:
@@ -74,7 +92,6 @@ class Group(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a verb; an expected error is printed as one line and ends with status 2, Ctrl-C with 130."""
-        as_json = "--json" in (*ctx._protected_args, *ctx.args)
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as e:
@@ -92,7 +109,7 @@ class Group(TyperGroup):
                 raise
             message = " ".join(str(e).split())
             say(f"palpate: {message}", err=True)
-            if as_json:
+            if as_json():
                 say(json.dumps({"error": {"code": e.code, "message": message, "log": None}}))
             raise typer.Exit(2) from e
 
@@ -169,14 +186,14 @@ def group(help_text: str) -> typer.Typer:
     return app
 
 
-def phases(quiet: bool) -> Callable[[str, int, int], None]:
+def phases() -> Callable[[str, int, int], None]:
     """A line on stderr for each phase as it begins, for a log or a pipe, where no bar can be drawn."""
     last = ""
 
     def show(what: str, done: int, total: int) -> None:
         nonlocal last
         phase = ": ".join(what.split(": ")[:2])
-        if phase != last and not quiet:
+        if phase != last and not is_quiet():
             print(phase, file=sys.stderr, flush=True)
         last = phase
 
@@ -184,14 +201,16 @@ def phases(quiet: bool) -> Callable[[str, int, int], None]:
 
 
 @contextmanager
-def progress_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """A bar on stderr, where somebody is looking; what is being done, how far, how long it may take."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
+    with Progress(
+        *columns, console=console, disable=is_quiet() or not console.is_terminal, transient=True
+    ) as bar:
         tasks: dict[str, Any] = {}
 
         def show(what: str, done: int, total: int) -> None:
@@ -330,33 +349,6 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
     return vectors
 
 
-def arguments_for(function: Callable[..., Any], command: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of the function that a command with several kinds selects, from the options given.
-
-    Args:
-        function: its keyword parameters are the options that this kind takes.
-        command: command and kind as typed, for messages.
-        options: value of each option, None or False where it was left out.
-
-    Raises:
-        InputError: an option was given that the kind does not take, or one that it needs is missing.
-    """
-    from palpate.core.errors import InputError
-
-    parameters = inspect.signature(function).parameters
-    given = {name: value for name, value in options.items() if value is not None and value is not False}
-    needed = [name for name, one in parameters.items() if one.default is inspect.Parameter.empty]
-    for problem, names in (
-        ("does not take", [name for name in given if name not in parameters]),
-        ("needs", [name for name in needed if name not in given]),
-    ):
-        if names:
-            listed = ", ".join(f"--{name.replace('_', '-')}" for name in names)
-            allowed = ", ".join(f"--{name.replace('_', '-')}" for name in parameters)
-            raise InputError(f"palpate {command} {problem} {listed}; its options are {allowed}")
-    return given
-
-
-def print_found(result: Any, text: str, as_json: bool) -> None:
+def print_found(result: Any, text: str) -> None:
     """Print what was found, as text or as JSON."""
-    say(json.dumps(result, indent=1, allow_nan=False) if as_json else text)
+    say(json.dumps(result, indent=1, allow_nan=False) if as_json() else text)

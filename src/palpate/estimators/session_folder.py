@@ -1,11 +1,12 @@
-"""Folder of a first session where a calibration is asked for: the newest that was made there is meant."""
+"""What a path that is given as a calibration stands for: the newest of a session, and its kind."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from zipfile import BadZipFile, ZipFile
 
-from palpate.core import InputError, PathText, plain_name
+from palpate.core import InputError, PathText, plain_name, storage_errors
 from palpate.core.parsing import parser
 
 SESSION_FILE = "start.json"
@@ -26,3 +27,49 @@ def calibration_in(folder: PathText) -> Path:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, InputError):
         return folder
     return newest if newest.is_dir() else folder
+
+
+UNIT_FORMATS = {"palpate palm copy": "palm-unit", "palpate tip copy": "tip-unit"}
+"""Beginning of the format in a unit's JSON file, and its kind."""
+ARRAYS = {"layout_px.npy": "compliance", "lens_json.npy": "shear-force"}
+"""An array that only the ``.npz`` files of one kind hold."""
+
+
+@parser("calibration kind", InputError)
+def calibration_kind(path: Path) -> str:
+    """Return the kind of a calibration: image, palm-unit, tip-unit, tip-pose, shear-force, or compliance.
+
+    Raises:
+        InputError: the file is of no known kind. Whether a calibration is sound is for its reader to say.
+        StorageError: it cannot be read.
+    """
+    if path.is_dir():
+        return "tip-pose" if (path / "reader.json").is_file() else "image"
+    if not path.exists():
+        raise InputError(f"there is no calibration {path}", code="calibration-missing")
+    kind = _array_kind(path) if path.suffix == ".npz" else _unit_kind(path)
+    if not kind:
+        raise InputError(
+            f"{path} is no calibration: a folder, a unit's JSON, or an .npz made by `palpate calibrate`",
+            code="calibration-unknown",
+        )
+    return kind
+
+
+def _array_kind(path: Path) -> str:
+    with storage_errors(path), path.open("rb") as file:
+        try:
+            names = set(ZipFile(file).namelist())
+        except BadZipFile:
+            names = set()
+    return next((kind for name, kind in ARRAYS.items() if name in names), "")
+
+
+def _unit_kind(path: Path) -> str:
+    with storage_errors(path):
+        content = path.read_bytes()
+    try:
+        form = str(json.loads(content)["format"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return ""
+    return next((kind for start, kind in UNIT_FORMATS.items() if form.startswith(start)), "")

@@ -137,7 +137,7 @@ def check_text(report: CheckReport) -> str:
             "counts them, and a plan that goes on records them anew"
         )
     lines += [f"damage: {d.file} at byte {d.at_byte}: {d.what}" for d in report.damage]
-    remedy = "damaged: `palpate repair` copies what can be read into a new run"
+    remedy = "damaged: `palpate check --repair` copies what can be read into a new run"
     if any("cut" in d.what for d in report.damage):
         remedy += ", and the command that recorded it goes on in this one"
     lines.append("sound" if report.sound else remedy)

@@ -43,6 +43,12 @@ class SkinPlacement:
     off_plane_mm: float
 
 
+def goes_around(run: Run) -> bool:
+    """Whether a run is of a plan that touches a layer inside and beyond its rim."""
+    plans = fields_of(run, PLAN)
+    return bool(plans) and isinstance(plan_from(plans[0]["plan"]).places, Around)  # type: ignore[arg-type]
+
+
 def locate_skin(run: Run) -> SkinPlacement:
     """The layer that a run of the plan "layer" has touched.
 

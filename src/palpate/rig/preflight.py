@@ -91,7 +91,7 @@ def notes_of(rig: Rig, indenters: Sequence[str] | None = None) -> list[str]:
         weighed = f"weighed on {rig.weighed_on}" if rig.weighed_on else "never weighed"
         notes.append(
             f"the gain of the force is not checked in the first press ({weighed}): weigh the sensor, record "
-            "a run, and append what 'palpate rig stiffness RUN' prints to the rig's file"
+            "a run, and append what 'palpate rig fit RUN' prints to the rig's file"
         )
     return [one for one in notes if one]
 

@@ -146,7 +146,7 @@ def live(
         idle_s: a folder or run that is being written has ended when nothing came for so long [s].
         threads: of the inference engine; 0 lets it choose.
         shear: a sensor with a patterned skin, such as "nusense:7", or a file of one: touch is read from its
-            marks, with newtons where the calibration is one of `palpate force fit`.
+            marks, with newtons where the calibration is one of `palpate calibrate --method shear-force`.
         subscribers: whoever else is told of frames, readings and forces.
         max_frames: after which it ends; None goes on until the source ends or it is closed.
 

@@ -89,7 +89,7 @@ class LiveReading:
     stats: LiveStatistics
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for one JSON object; those of `palpate sense` and the loop's own."""
+        """Plain values for one JSON object; those of `palpate read` and the loop's own."""
         readings = self.readings
         first = None if readings is None else next(iter(readings.values()), None)
         drift = None if first is None or first.drift is None else first.drift.to_dict()

@@ -77,7 +77,7 @@ class LiveOptions:
         runs: folder that recordings go into; "" where none may be made.
         reference: image file of the untouched sensor; "" for none.
         shear: sensor or file of a patterned skin, as `live` takes it: touch is read from its marks, by
-            `calibration` in newtons where that is one of `palpate force fit`.
+            `calibration` in newtons where that is one of `palpate calibrate --method shear-force`.
         compliance: calibration of a tip, an .npz: softness of each press as it ends; "" for none.
         preset: of the sensor, or its TOML file, by which its picture is looked at; "" for that of its camera.
         zero: take the first frames as those of the untouched sensor; None does so of cameras alone.

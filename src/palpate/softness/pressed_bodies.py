@@ -1,7 +1,7 @@
 """Objects that a named fingertip presses, from the tables of an object's file.
 
 ``[fingertip]`` alone is the finger on a rigid flat; with ``[material]`` it is on a thick flat of a named
-Young's modulus, and with ``[compliance]`` on one that `palpate compliance` has read. ``[specimen]`` is one of
+Young's modulus, and with ``[compliance]`` on one that `palpate read` has read. ``[specimen]`` is one of
 the report's silicone specimens, with a finger of its own.
 """
 
@@ -109,7 +109,7 @@ def _material(fields: Fields) -> tuple[float, str]:
 
 
 def _compliance(fields: Fields, folder: Path) -> tuple[float, str]:
-    """A thick flat by a reading of `palpate compliance`: E / (1 - nu^2) [Pa], and words."""
+    """A thick flat by a reading of `palpate read`: E / (1 - nu^2) [Pa], and words."""
     use = word("compliance", fields, "use", *CUES)
     shape = set() if use == "modulus" else {"specimen_radius_mm", "specimen_height_mm", "poisson", "ends"}
     only("compliance", fields, {"readings", "use", *shape})

@@ -1,6 +1,6 @@
 """A thick elastic flat as a tactile sensor has read it: a modulus with its interval, from a record on disk.
 
-`palpate compliance` reads a modulus, or the stiffness of a cylinder between two plates. Of the latter
+`palpate read` reads a modulus, or the stiffness of a cylinder between two plates. Of the latter
 
     E = kappa h / (pi r^2)                             ends free to slide
     E from `specimens.bonded_disc_n_m`                 ends that stick to their plates
@@ -119,7 +119,7 @@ class TouchedFlat:
 
 @parser("touched flat", InputError)
 def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) -> TouchedFlat:
-    """A flat from a record of `palpate compliance`.
+    """A flat from a record of `palpate read`.
 
     Args:
         path: its readings.json, or what ``--json`` printed.
@@ -162,17 +162,17 @@ def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) ->
 
 
 def _reading(path: Path, quantity: str, unit: str) -> Mapping[str, Any]:
-    """A valid reading of one quantity in a record of `palpate compliance`."""
+    """A valid reading of one quantity in a record of `palpate read`."""
     with storage_errors(path):
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
             raise InputError(
-                f"{path} is no record of `palpate compliance`; give its readings.json, or what --json printed"
+                f"{path} is no record of `palpate read`; give its readings.json, or what --json printed"
             )
         raw = path.read_bytes()
     try:
         found = [one for one in json.loads(raw)["readings"] if one["quantity"] == quantity]
     except (ValueError, KeyError, TypeError, RecursionError) as e:
-        raise InputError(f"{path} is no record of `palpate compliance`: it has no readings ({e})") from e
+        raise InputError(f"{path} is no record of `palpate read`: it has no readings ({e})") from e
     if len(found) != 1:
         raise InputError(
             f"{path} has {len(found)} readings of {quantity}; one is needed, of a press read with a "

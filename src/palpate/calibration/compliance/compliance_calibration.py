@@ -172,7 +172,7 @@ class ComplianceCalibration:
             CertificateError: it is no such file, or a damaged one.
             StorageError: it cannot be read.
         """
-        return load_record(cls, path, "compliance", "palpate compliance calibrate")
+        return load_record(cls, path, "compliance", "palpate calibrate --method compliance")
 
 
 def calibrate_compliance(

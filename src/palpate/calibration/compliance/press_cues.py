@@ -35,7 +35,7 @@ UNITS = {
 }  # fmt: skip
 UNCALIBRATED = (
     "no calibration was given: areas are relative and stiffness is that of sensor and specimen in series; "
-    "calibrate with `palpate compliance calibrate`"
+    "calibrate with `palpate calibrate --method compliance`"
 )
 
 

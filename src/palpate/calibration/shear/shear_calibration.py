@@ -308,7 +308,7 @@ class ShearCalibration:
             CertificateError: it is no such file, or a damaged one.
             StorageError: it cannot be read.
         """
-        return load_record(cls, path, "shear force", "palpate force")
+        return load_record(cls, path, "shear force", "palpate calibrate --method shear-force")
 
 
 class ForceFollower:

@@ -12,9 +12,8 @@ from typer import Argument, Option
 
 import palpate
 from palpate.cli.verb_support import (
-    Json,
     NewCalibration,
-    Quiet,
+    as_json,
     classes_of,
     names_of,
     numbers_of,
@@ -128,8 +127,6 @@ def calibrate(
         Path | None,
         Option(help="Lens file, by palpate lens calibrate; crops then count in the rectified image."),
     ] = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Calibrate an estimator and certify it.
 
@@ -180,9 +177,9 @@ def calibrate(
     if not ProcessGroup.of_environment().first:
         palpate.calibrate(recorded, plan, out)
         return
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         card = palpate.certify(recorded, plan, out, progress)
-    print_found(card.model_dump(mode="json"), _card_text(card, out), json_)
+    print_found(card.model_dump(mode="json"), _card_text(card, out))
 
 
 def _labelled(path: Path) -> palpate.Run:
@@ -226,8 +223,6 @@ def evaluate(
     keep: Annotated[
         bool, Option("--keep/--no-keep", help="Keep the scores in the calibration's folder, too.")
     ] = True,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Score a calibration on a labelled run.
 
@@ -245,46 +240,46 @@ def evaluate(
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     scored = _labelled(run)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         scores = palpate.evaluate(estimator, scored, zero=zero, progress=progress)
     if out is not None:
         with new_file(out) as path:
             path.write_text(json.dumps(scores, indent=1, allow_nan=False) + "\n")
-    print_found(scores, _scores_text(scores, estimator.card, scored.manifest), json_)
+    print_found(scores, _scores_text(scores, estimator.card, scored.manifest))
     if keep:
         kept = keep_evaluation(calibration, scores, reference=reference is not None)
-        say(f"kept in {kept}", err=json_)
+        say(f"kept in {kept}", err=as_json())
 
 
-def sense(
-    calibration: GivenCalibration,
+def read(
     source: Annotated[Path, Argument(help="An image, a folder of images, or a run.")],
+    calibration: Annotated[
+        Path, Option("--with", help="Calibration folder, or a session's, whose newest is taken.")
+    ],
     reference: Annotated[Path | None, Option(help="Image of the untouched sensor.")] = None,
     lens: CameraLens = None,
     timing: Annotated[bool, Option("--timing", help="Print the latency at the end, to stderr.")] = False,
-    threads: Annotated[int, Option(help="Threads of the inference engine; 0 lets it choose.")] = 0,
-    json_: Json = False,
 ) -> None:
     """Read images: a value, an interval and a verdict for each target. With --json, one object a line.
 
     A run that its writer did not close is read, named, and ends with status 1. Of a virtual sensor the first
     line, or "simulated" in each object, says that it was not measured.
 
-    Example: palpate sense cal images --json
+    Example: palpate read images --with cal --json
     """
-    estimator = palpate.Estimator.open(calibration_in(calibration), threads=threads)
+    estimator = palpate.Estimator.open(calibration_in(calibration))
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies, frames = [], palpate.open_source(source)
     about = frames.run.manifest if hasattr(frames, "run") else None
     simulated = estimator.card.is_simulated or (about is not None and about.is_simulated)
-    if simulated and not json_:
+    if simulated and not as_json():
         from palpate.reports.evaluation_text import simulated_text  # loads tables, which no image needs
 
         say(simulated_text(estimator.card, about))
     for sensed in palpate.sense(estimator, frames, zero):
         latencies.append(sensed.latency_s)
-        if json_:
+        if as_json():
             more = {"simulated": True} if simulated else {}
             say(json.dumps(sensed.to_dict() | more, allow_nan=False))
         else:
@@ -298,7 +293,7 @@ def sense(
 
         if why := unfinished(frames.run.path):
             say(why, err=True)
-            if json_:
+            if as_json():
                 say(json.dumps({"source": str(source), "state": "ended", "why": why}))
             raise typer.Exit(1)
 
@@ -312,7 +307,6 @@ def report(
     steps: Annotated[
         bool, Option("--steps", help="Print every step from pixels to a reading instead; make no page.")
     ] = False,
-    json_: Json = False,
 ) -> None:
     """Write a calibration's report as one self-contained HTML page.
 
@@ -330,21 +324,20 @@ def report(
         if card.steps is not None and card.steps.rule == found.rule:
             found = card.steps
         words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
-        print_found(found.model_dump(mode="json"), "\n".join(words), json_)
+        print_found(found.model_dump(mode="json"), "\n".join(words))
         return
     from palpate.reports.sections import ReportedCalibration
 
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
     palpate.write_report(calibration, page)
     _tell_left_out(ReportedCalibration(calibration, read_card(calibration)).refused_evaluations)
-    print_found({"report": str(page)}, str(page), json_)
+    print_found({"report": str(page)}, str(page))
 
 
 def compare(
     first: GivenCalibration,
     second: Annotated[Path, Argument(help="Another one, that reads some of the same targets.")],
     out: Annotated[Path | None, Option(help="HTML file to make; must not exist.")] = None,
-    json_: Json = False,
 ) -> None:
     """Set two calibrations side by side.
 
@@ -362,7 +355,7 @@ def compare(
         write_comparison(comparison, out)
     _tell_left_out(comparison.left_out)
     page = {"page": None if out is None else str(out)}
-    print_found(comparison.to_dict() | page, comparison_text(comparison), json_)
+    print_found(comparison.to_dict() | page, comparison_text(comparison))
 
 
 def _tell_left_out(why: tuple[str, ...]) -> None:
@@ -506,8 +499,6 @@ def adapt(
     ] = False,
     instruments: Instruments = None,
     lens: CameraLens = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Adapt a calibration to your own copy of its sensor.
 
@@ -524,13 +515,13 @@ def adapt(
     stated = {} if instruments is None else read_instruments(instruments)
     _check_lens(read_card(calibration), lens)
     if intervals_only:
-        _set_intervals_anew(calibration, run, out, stated, json_, quiet)
+        _set_intervals_anew(calibration, run, out, stated)
         return
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         card = take_over(calibration, _labelled(run), out, progress, instruments=stated)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
-    print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE), json_)
+    print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE))
 
 
 def _check_lens(card: Card, lens: Path | None) -> None:
@@ -540,17 +531,15 @@ def _check_lens(card: Card, lens: Path | None) -> None:
         card.input.check_lens(Lens.read(lens))
 
 
-def _set_intervals_anew(
-    calibration: Path, run: Path, out: Path, instruments: dict[str, Any], json_: bool, quiet: bool
-) -> None:
+def _set_intervals_anew(calibration: Path, run: Path, out: Path, instruments: dict[str, Any]) -> None:
     from palpate.calibration.sessions import reset_intervals
     from palpate.workflows.certification import REPORT_FILE
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         card = reset_intervals(calibration, _labelled(run), out, progress, instruments=instruments)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
-    print_found(card.model_dump(mode="json"), _reset_text(card, out, REPORT_FILE), json_)
+    print_found(card.model_dump(mode="json"), _reset_text(card, out, REPORT_FILE))
 
 
 def _reset_text(card: Any, out: Path, report: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
+from palpate.cli.verb_support import numbers_of, print_found, progress_bar
 from palpate.core import ImageError, Lens
 
 if TYPE_CHECKING:
@@ -17,14 +17,11 @@ if TYPE_CHECKING:
 
     from palpate.calibration.lens import Board, LensFit
 
-app = group("A camera's lens: its numbers, and images without its bending.")
-
 BoardSize = Annotated[str, Option("--board", help="COLUMNSxROWS of inner corners, one less than squares.")]
 SquareMm = Annotated[float, Option(help="Side of a square [mm].")]
 Charuco = Annotated[str | None, Option(help="Marker dictionary of a ChArUco board, e.g. 4X4_50.")]
 
 
-@app.command("calibrate")
 def calibrate(
     folder: Annotated[Path, Argument(help="Folder of photographs of the board, all of one camera.")],
     board: BoardSize,
@@ -33,8 +30,6 @@ def calibrate(
     model: Annotated[str, Option(help="fisheye, pinhole, or auto: by views held out.")] = "auto",
     charuco: Charuco = None,
     name: Annotated[str, Option(help="What the lens shall be called.")] = "",
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Calibrate a lens from photographs of a board.
 
@@ -51,21 +46,19 @@ def calibrate(
     for path in (out, picture):
         refuse_existing(path)
     chosen = cast("Literal['auto', 'fisheye', 'pinhole']", model)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         fit = calibrate_lens(folder, _board(board, square_mm, charuco), chosen, name=name, progress=progress)
     write_lens_figure(fit, picture)
     with new_file(out) as building:
         building.write_text(json.dumps(fit.card(), indent=1) + "\n", encoding="utf-8")
-    print_found(fit.card() | {"picture": str(picture)}, _fit_text(fit, out, picture), json_)
+    print_found(fit.card() | {"picture": str(picture)}, _fit_text(fit, out, picture))
 
 
-@app.command("board")
 def board_picture(
     board: BoardSize,
     out: Annotated[Path, Option(help="PNG to make, for print; must not exist.")],
     charuco: Charuco = None,
     square_px: Annotated[int, Option(help="Side of a square in the picture [px].", min=8, max=400)] = 120,
-    json_: Json = False,
 ) -> None:
     """Draw a board for print.
 
@@ -76,13 +69,11 @@ def board_picture(
     picture = _board(board, 25.0, charuco).picture(square_px)
     _write_png(out, picture)
     height, width = picture.shape
-    print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px", json_)
+    print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px")
 
 
-@app.command("show")
 def show(
     lens: Annotated[Path, Argument(help="Lens file.")],
-    json_: Json = False,
 ) -> None:
     """Say a lens's numbers, its field and its id.
 
@@ -90,10 +81,9 @@ def show(
     """
     found = Lens.read(lens)
     field = math.degrees(found.field_rad)
-    print_found(found.card() | {"field_deg": field}, _lens_text(found), json_)
+    print_found(found.card() | {"field_deg": field}, _lens_text(found))
 
 
-@app.command("undistort")
 def undistort(
     image: Annotated[Path, Argument(help="Image of the lens's camera, uncut and unscaled.")],
     lens: Annotated[Path, Option(help="Lens file.")],
@@ -101,7 +91,6 @@ def undistort(
     focal_px: Annotated[
         float | None, Option(help="Focal length of the rectified image [px]; smaller shows more of the rim.")
     ] = None,
-    json_: Json = False,
 ) -> None:
     """Take the bending of a lens out of an image.
 
@@ -119,7 +108,7 @@ def undistort(
     except ImageError as error:
         raise ImageError(f"{image}: {error}") from error
     _write_png(out, picture)
-    print_found({"image": str(out), "lens": found.id, "onto": flat.card()}, str(out), json_)
+    print_found({"image": str(out), "lens": found.id, "onto": flat.card()}, str(out))
 
 
 def _write_png(path: Path, image: np.ndarray) -> None:

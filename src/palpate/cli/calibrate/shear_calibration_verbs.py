@@ -7,14 +7,13 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
+from palpate.estimators.unit_fit import GRAVITY_M_S2
 
-app = group("Normal force in newtons for a patterned skin.")
-
+N_PER_G = 1e-3 * GRAVITY_M_S2
 NewFile = Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")]
 
 
-@app.command("fit")
 def fit(
     runs: Annotated[list[Path], Argument(help="Runs of one pad, with force, presses and reference frames.")],
     out: NewFile,
@@ -23,44 +22,37 @@ def fit(
     hysteresis: Annotated[bool, Option("--hysteresis", help="Fit the skin's memory too.")] = False,
     coverage: Annotated[float, Option(help="Of the intervals.")] = 0.90,
     note: Annotated[str, Option(help="Free words to keep with it.")] = "",
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Fit a calibration of normal force to runs.
 
     Errors and intervals are of presses that were held out.
 
-    Example: palpate force fit run --out pad.npz --hysteresis
+    Example: palpate calibrate --method shear-force run --out pad.npz --hysteresis
     """
     from palpate.calibration.shear import calibrate_runs
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         record = calibrate_runs(
             runs, out, sensor=sensor, law=law, hysteresis=hysteresis,
             coverage=coverage, note=note, progress=progress,
         )  # fmt: skip
-    print_found(record, _fit_text(record), json_)
+    print_found(record, _fit_text(record))
 
 
-@app.command("weigh")
 def weigh(
-    calibration: Annotated[Path, Argument(help="Calibration (.npz) of a pad of the same make.")],
-    reference: Annotated[Path, Option(help="This pad at rest: folder of images, video or run.")],
-    loaded: Annotated[Path, Option(help="This pad with the weight on it: the same.")],
-    weight_n: Annotated[float, Option("--weight-n", help="The weight [N], within the calibrated range.")],
+    loaded: Annotated[Path, Argument(help="This pad with the weight on it: folder of images, video or run.")],
+    calibration: Annotated[Path, Option("--with", help="Calibration (.npz) of a pad of the same make.")],
+    reference: Annotated[Path, Option(help="This pad at rest: the same.")],
+    mass_g: Annotated[float, Option(help="Mass of the weight, within the calibrated range [g].")],
     out: NewFile,
-    error_n: Annotated[float, Option("--error-n", help="Standard error of the weight [N].")] = 0.0,
+    error_g: Annotated[float, Option(help="Standard error of the mass [g].")] = 0.0,
     lays: Annotated[int, Option(help="How often it was laid on, each time at another place.")] = 1,
-    pitch_px: Annotated[
-        float | None, Option(help="About the side of a tile [px]; by default that of the first pad.")
-    ] = None,
-    json_: Json = False,
 ) -> None:
     """Take a calibration to another copy by a known weight.
 
     An image tells no stiffness; one weight does.
 
-    Example: palpate force weigh pad.npz --reference rest --loaded on --weight-n 4.9 --out copy.npz
+    Example: palpate check-weight on --with pad.npz --reference rest --mass-g 500 --out copy.npz
     """
     from palpate.calibration.shear import weigh_copy
     from palpate.recordings.exchange.frame_sequences import open_sequence
@@ -68,11 +60,11 @@ def weigh(
     with open_sequence(reference) as rest, open_sequence(loaded) as on:
         record = weigh_copy(
             calibration, out, untouched=list(rest), loaded=list(on),
-            weight_n=weight_n, weight_error_n=error_n, lays=lays, pitch_px=pitch_px,
+            weight_n=N_PER_G * mass_g, weight_error_n=N_PER_G * error_g, lays=lays,
         )  # fmt: skip
     scale, error = record["scale"], record["scale_error"]
     text = f"{out}: {record['calibration']}, {record['pad']}: {scale:.3f} ± {error:.3f} of {record['of']}"
-    print_found(record, text, json_)
+    print_found(record, text)
 
 
 def _fit_text(record: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from palpate.cli.verb_support import Json, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
 
 AGREES = 0.05  # of c from 1, as the wiring guide has it
 
@@ -16,7 +16,6 @@ def bench_test(
     table: Annotated[Path | None, Option(help="CSV of the points; must not exist.")] = None,
     figure: Annotated[Path | None, Option(help="PNG to draw; must not exist.")] = None,
     seed: Annotated[int, Option(help="Of the sensors' noise.")] = 0,
-    json_: Json = False,
 ) -> None:
     """Press a virtual display at several pressures, as a bench test.
 
@@ -33,7 +32,7 @@ def bench_test(
     for path in (table, figure):
         if path is not None:
             refuse_existing(path)
-    with progress_bar(json_) as tell:
+    with progress_bar() as tell:
         test = virtual_bench_test(seed=seed, progress=tell)
     fit = test.fit()
     answer: dict[str, Any] = {
@@ -63,4 +62,4 @@ def bench_test(
         f"  fitted: {fit.scale:.4f} ± {fit.scale_error:.4f} of p A(s), a sleeve of {fit.sleeve_n_m:.1f} N/m, "
         f"friction {fit.friction_n * 1e3:.1f} mN\n{answer['model']}"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)

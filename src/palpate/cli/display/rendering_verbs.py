@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Exit, Option
 
 from palpate.cli.stop_command import DEFAULT_BENCH, stop_display
-from palpate.cli.verb_support import Json, Quiet, print_found
+from palpate.cli.verb_support import as_json, is_quiet, print_found
 
 if TYPE_CHECKING:
     from palpate.softness import RenderingLaw
@@ -48,8 +48,6 @@ def run(
     peak_n: Annotated[float, Option(help="Force of the virtual bench's finger [N].")] = 1.0,
     frequency_hz: Annotated[float, Option(help="Its presses a second, 0.1 to 5 [Hz].")] = 1.0,
     samples: Annotated[Path | None, Option(help="CSV of samples, 100 a second; must not exist.")] = None,
-    quiet: Quiet = False,
-    json_: Json = False,
 ) -> None:
     """Render an object on a display and an arm, now.
 
@@ -71,7 +69,7 @@ def run(
         ending = stack.enter_context(_ended_by_signals())
         keep = stack.enter_context(_kept(samples))
         session = stack.enter_context(RenderingSession(file, soft, Mode(mode), peak_n, frequency_hz))
-        say = stack.enter_context(_told(quiet or json_))
+        say = stack.enter_context(_told())
 
         def take(more: Sequence[LoopSample]) -> None:
             seen.extend(more)
@@ -80,7 +78,7 @@ def run(
 
         status = _watch(session, seconds, ending, take)
     answer = _answer(status, session.law, seen, samples)
-    print_found(answer, _text(answer), json_)
+    print_found(answer, _text(answer))
     if answer["ended_by_fault"]:
         raise SafetyError(f"the rendering ended by itself: {status.why}")
 
@@ -152,13 +150,13 @@ def _kept(path: Path | None) -> Iterator[Callable[[Sequence[LoopSample]], None]]
 
 
 @contextmanager
-def _told(quiet: bool) -> Iterator[Callable[[RenderingSession, Sequence[LoopSample]], None]]:
+def _told() -> Iterator[Callable[[RenderingSession, Sequence[LoopSample]], None]]:
     """A line on stderr that shows how it goes, where somebody is looking."""
     from rich.console import Console
     from rich.live import Live
 
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
+    if is_quiet() or as_json() or not console.is_terminal:
         yield lambda session, more: None
         return
     with Live("opens", console=console, transient=True, refresh_per_second=10) as live:
@@ -250,10 +248,9 @@ def _text(answer: dict[str, Any]) -> str:
 
 def stop(
     name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = DEFAULT_BENCH,
-    json_: Json = False,
 ) -> None:
     """Stop a rendering, from any terminal: vent and brake.
 
     Example: palpate display stop --name "desk bench"
     """
-    raise Exit(stop_display(name, json_))
+    raise Exit(stop_display(name, as_json()))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +12,7 @@ from typer import Argument, Option
 
 from palpate.cli.display import rendering_verbs
 from palpate.cli.display.bench_test_verb import bench_test
-from palpate.cli.verb_support import Json, arguments_for, group, print_found, progress_bar
+from palpate.cli.verb_support import group, print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz_pairs import Body
@@ -30,52 +29,67 @@ Finger = Annotated[
 ]
 Poisson = Annotated[float, Option(help="Poisson's ratio of objects and finger, 0 to 0.5.")]
 Figure = Annotated[Path | None, Option(help="PNG to draw; must not exist.")]
+Objects = Annotated[
+    list[str],
+    Argument(
+        metavar="OBJECT...",
+        help="MODULUS_KPA:RADIUS_MM of an object (a flat's radius is inf), then of the other; where that is "
+        "to be found, its MODULUS_KPA alone.",
+    ),
+]
+PairForce = Annotated[float, Option(help="Force at which both are compared [N].")]
 
 
 def kinesthetic(
-    words: list[str],
-    json_: bool,
-    finger: str,
-    poisson: float = 0.5,
-    force_n: float = 2.0,
-    figure: Path | None = None,
+    words: Objects,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: PairForce = 2.0,
+    figure: Figure = None,
 ) -> None:
-    """Find the ball of another modulus that feels alike to the arm."""
+    """Find the ball of another modulus that feels alike to the arm.
+
+    Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
+    """
     from palpate.mechanics.half_space.hertz_pairs import alike_to_the_arm
 
-    _tell_partner("kinesthetic", alike_to_the_arm, words, finger, poisson, force_n, figure, json_)
+    _tell_partner("kinesthetic", alike_to_the_arm, words, finger, poisson, force_n, figure)
 
 
 def cutaneous(
-    words: list[str],
-    json_: bool,
-    finger: str,
-    poisson: float = 0.5,
-    force_n: float = 2.0,
-    figure: Path | None = None,
+    words: Objects,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: PairForce = 2.0,
+    figure: Figure = None,
 ) -> None:
-    """Find the ball of another modulus that feels alike to the skin."""
+    """Find the ball of another modulus that feels alike to the skin.
+
+    Example: palpate pairs cutaneous 200:30 20 --finger 100:15
+    """
     from palpate.mechanics.half_space.hertz_pairs import alike_to_the_skin
 
-    _tell_partner("cutaneous", alike_to_the_skin, words, finger, poisson, force_n, figure, json_)
+    _tell_partner("cutaneous", alike_to_the_skin, words, finger, poisson, force_n, figure)
 
 
 def compare(
-    words: list[str],
-    json_: bool,
-    finger: str,
-    poisson: float = 0.5,
-    force_n: float = 2.0,
-    figure: Path | None = None,
+    words: Objects,
+    finger: Finger,
+    poisson: Poisson = 0.5,
+    force_n: PairForce = 2.0,
+    figure: Figure = None,
 ) -> None:
-    """Compute how far two objects differ to each cue under a finger."""
+    """Compute how far two objects differ to each cue under a finger.
+
+    Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
+    """
     one, other = _objects(words, 2, "two objects, each MODULUS_KPA:RADIUS_MM")
     bodies = [
         ball_of_words("object", one, poisson),
         ball_of_words("object", other, poisson),
         ball_of_words("--finger", finger, poisson),
     ]
-    _tell(None, bodies, poisson, force_n, figure, json_)
+    _tell(None, bodies, poisson, force_n, figure)
 
 
 def _objects(words: list[str], count: int, what: str) -> list[str]:
@@ -94,7 +108,6 @@ def _tell_partner(
     poisson: float,
     force_n: float,
     figure: Path | None,
-    json_: bool,
 ) -> None:
     from palpate.core import InputError, RangeError
 
@@ -109,7 +122,7 @@ def _tell_partner(
         raise RangeError(f"a modulus of {other_modulus_kpa:g} kPa for the other object; give one above 0 kPa")
     first, tip = ball_of_words("object", one, poisson), ball_of_words("--finger", finger, poisson)
     other = partner(first, tip, 1e3 * other_modulus_kpa / (1 - poisson**2))
-    _tell(cue, [first, other, tip], poisson, force_n, figure, json_)
+    _tell(cue, [first, other, tip], poisson, force_n, figure)
 
 
 def ball_of_words(what: str, text: str, poisson: float) -> Body:
@@ -128,9 +141,7 @@ def ball_of_words(what: str, text: str, poisson: float) -> Body:
         raise InputError(f"{what} {text!r} is not MODULUS_KPA:RADIUS_MM, as in 100:15") from None
 
 
-def _tell(
-    cue: str | None, bodies: list[Body], poisson: float, force_n: float, figure: Path | None, json_: bool
-) -> None:
+def _tell(cue: str | None, bodies: list[Body], poisson: float, force_n: float, figure: Path | None) -> None:
     from palpate.core import RangeError
 
     if not 0 < force_n < float("inf"):
@@ -166,7 +177,7 @@ def _tell(
         }
         write_pair_figure(named, finger, force_n, figure)
         answer["figure"] = str(figure)
-    print_found(answer, _pair_text(answer), json_)
+    print_found(answer, _pair_text(answer))
 
 
 def _pair_text(answer: dict[str, Any]) -> str:
@@ -193,21 +204,26 @@ def _two(values: list[float], digits: int) -> str:
     return " and ".join(f"{value:.{digits}f}" for value in values)
 
 
-def stacked(
-    words: list[str],
-    json_: bool,
-    moduli_kpa: str,
-    finger: str,
-    poisson: float = 0.499,
-    finger_poisson: float = 0.5,
-    force_n: float = 1.0,
-    figure: Path | None = None,
+def specimens(
+    moduli_kpa: Annotated[
+        str, Option(help="Five Young's moduli, with 0, 10, 20, 35 and 45 % of softener: E,E,E,E,E [kPa].")
+    ],
+    finger: Finger,
+    kind: Annotated[str, Argument(help="CL1, CL2, CL3, or all.")] = "all",
+    poisson: Annotated[float, Option(help="Poisson's ratio of the silicones, 0 to 0.5.")] = 0.499,
+    finger_poisson: Annotated[float, Option(help="Poisson's ratio of the finger, 0 to 0.5.")] = 0.5,
+    force_n: PairForce = 1.0,
+    figure: Figure = None,
 ) -> None:
-    """Compute what the report's silicone specimens show each cue."""
-    from palpate.core import ExistsError, InputError
-    from palpate.softness import SpecimenClass, specimen_object, specimens
+    """Compute what the report's silicone specimens show each cue.
 
-    (kind,) = _objects(words or ["all"], 1, f"one of {', '.join(SpecimenClass)}, and all")
+    Cylinders of 7 mm, of one silicone (CL1), a plate on silicone (CL2), two silicones (CL3).
+
+    Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
+    """
+    from palpate.core import ExistsError, InputError
+    from palpate.softness import SpecimenClass, specimen_object, specimens as stacks_of
+
     if kind not in ("all", *SpecimenClass):
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
     if figure is not None and figure.exists():
@@ -215,7 +231,7 @@ def stacked(
     tip = ball_of_words("--finger", finger, finger_poisson)
     moduli = _moduli(moduli_kpa)
     classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
-    stacks = {one: specimens(one, moduli, poisson) for one in classes}
+    stacks = {one: stacks_of(one, moduli, poisson) for one in classes}
     felt = {one: [specimen_object(each, tip, force_n) for each in stacks[one]] for one in classes}
     answer: dict[str, Any] = {
         "force_N": force_n,
@@ -228,70 +244,7 @@ def stacked(
 
         write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
         answer["figure"] = str(figure)
-    print_found(answer, _specimen_text(answer), json_)
-
-
-CUES: dict[str, Callable[..., None]] = {
-    "kinesthetic": kinesthetic,
-    "cutaneous": cutaneous,
-    "compare": compare,
-    "specimens": stacked,
-}
-
-
-def pairs(
-    cue: Annotated[str, Argument(help="kinesthetic, cutaneous, compare, or specimens.", metavar="CUE")],
-    objects: Annotated[
-        list[str] | None,
-        Argument(
-            help="MODULUS_KPA:RADIUS_MM of an object (a flat's radius is inf), then MODULUS_KPA of the other "
-            "(compare: MODULUS_KPA:RADIUS_MM); specimens: CL1, CL2, CL3, or all."
-        ),
-    ] = None,
-    finger: Annotated[
-        str | None,
-        Option(help="MODULUS_KPA:RADIUS_MM of the fingertip; 7 to 33 kPa and 15 mm are reported."),
-    ] = None,
-    poisson: Annotated[
-        float | None,
-        Option(help="Poisson's ratio of objects and finger, else 0.5; specimens: of silicones, else 0.499."),
-    ] = None,
-    finger_poisson: Annotated[
-        float | None, Option(help="specimens: Poisson's ratio of the finger, 0 to 0.5; else 0.5.")
-    ] = None,
-    force_n: Annotated[
-        float | None, Option(help="Force at which both are compared, else 2; specimens: else 1 [N].")
-    ] = None,
-    moduli_kpa: Annotated[
-        str | None,
-        Option(
-            help="specimens: five Young's moduli, with 0, 10, 20, 35 and 45 % of softener: E,E,E,E,E [kPa]."
-        ),
-    ] = None,
-    figure: Figure = None,
-    json_: Json = False,
-) -> None:
-    """Find objects that feel alike to the arm or to the skin.
-
-    kinesthetic, cutaneous: the ball of another modulus that feels alike to the arm, or to the skin. compare:
-    how far two objects differ to each cue. specimens: cylinders of 7 mm, of one silicone (CL1), a plate on
-    silicone (CL2), two silicones (CL3).
-
-    Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
-
-    Example: palpate pairs cutaneous 200:30 20 --finger 100:15
-
-    Example: palpate pairs compare 1000:2.5 150:7.32 --finger 20:15
-
-    Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
-    """
-    options = {name: value for name, value in locals().items() if name not in ("cue", "objects", "json_")}
-    from palpate.core import InputError
-
-    if cue not in CUES:
-        raise InputError(f"cue {cue!r} is not known; there are {', '.join(CUES)}")
-    find = partial(CUES[cue], objects or [], json_)
-    find(**arguments_for(find, f"pairs {cue}", options))
+    print_found(answer, _specimen_text(answer))
 
 
 def _moduli(text: str) -> list[float]:
@@ -366,7 +319,6 @@ def envelope(
     force_n: Annotated[float, Option(help="Greatest force on the finger [N].")] = 10.0,
     arm_mm: Annotated[float, Option(help="Travel of the arm, to either side [mm].")] = 15.0,
     figure: Figure = None,
-    json_: Json = False,
 ) -> None:
     """Say which part of an object can be rendered.
 
@@ -400,7 +352,7 @@ def envelope(
 
         write_envelope_figure(law, figure)
         answer["figure"] = str(figure)
-    print_found(answer, _envelope_text(answer), json_)
+    print_found(answer, _envelope_text(answer))
 
 
 def _spans(state: Rendered) -> list[dict[str, Any]]:
@@ -451,7 +403,6 @@ def simulate(
     presses: Annotated[int, Option(help="How many, 2 or more; the first is not scored.", min=2)] = 3,
     seed: Annotated[int, Option(help="Of the sensors' noise.")] = 0,
     figure: Figure = None,
-    json_: Json = False,
 ) -> None:
     """Press an object on a virtual display and arm.
 
@@ -475,7 +426,7 @@ def simulate(
     soft = read_object(object_)
     if not 0 < peak_n <= soft.greatest_n:
         raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
-    with progress_bar(json_) as tell:
+    with progress_bar() as tell:
         felt = press(
             soft, Mode(mode), peak_n=peak_n, frequency_hz=frequency_hz, seed=seed, presses=presses,
             servo=PidServo() if servo == "pid" else None, progress=tell,
@@ -486,7 +437,7 @@ def simulate(
 
         write_tracking_figure(felt, figure)
         answer["figure"] = str(figure)
-    print_found(answer, _simulated_text(answer), json_)
+    print_found(answer, _simulated_text(answer))
 
 
 def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli.display.softness_verbs import Finger, Poisson, ball_of_words
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.fingertip_laws import Fingertip
     from palpate.softness.touched_flat import Cylinder
     from palpate.softness.transmission import CueNoise, Transmission
 
-app = group("Let a virtual finger feel what a TacTip has touched.")
 
 Weber = Annotated[
     str, Option(help="Weber fractions of an observer's cues, ARM:SKIN; assumed, give your participants' own.")
@@ -28,10 +27,9 @@ Frequency = Annotated[
 Peak = Annotated[float | None, Option(help="Force at the end of a press [N]; else the greatest for all.")]
 
 
-@app.command()
 def press(
     readings: Annotated[
-        list[str], Argument(help="readings.json of `palpate compliance`, or NAME=PATH; more to compare.")
+        list[str], Argument(help="readings.json of `palpate read`, or NAME=PATH; more to compare.")
     ],
     finger: Finger,
     out: Annotated[Path, Option(help="Folder to make: transmission.html, summary.json, an object each.")],
@@ -50,8 +48,6 @@ def press(
     live_s: Annotated[
         float, Option(help="Also render the first object live on the virtual bench [s].")
     ] = 0.0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Render what was touched to a finger, and say what each stage loses.
 
@@ -74,7 +70,7 @@ def press(
     known = _known(true_kpa, len(flats))
     peak = shared_peak_n(tip, list(flats.values())) if peak_n is None else peak_n
     found = []
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         for i, (name, flat) in enumerate(flats.items()):
             found.append(
                 transmit(
@@ -88,10 +84,9 @@ def press(
                     progress=progress,
                 )
             )
-    _keep(out, found, tip, finger, noise, json_, live_s=live_s)
+    _keep(out, found, tip, finger, noise, live_s=live_s)
 
 
-@app.command()
 def study(
     finger: Finger,
     out: Annotated[Path, Option(help="Folder to make: transmission.html of the first seed, summary.json.")],
@@ -103,8 +98,6 @@ def study(
     peak_n: Peak = None,
     frequency_hz: Frequency = 1.0,
     weber: Weber = "0.15:0.15",
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Touch and render four virtual specimens on virtual rigs.
 
@@ -118,7 +111,7 @@ def study(
 
     refuse_existing(out)
     tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         found = transmission_study(
             tip,
             range(seeds),
@@ -128,11 +121,11 @@ def study(
             progress=progress,
         )
     first = list(found[0].transmissions.values())
-    _keep(out, first, tip, finger, noise, json_, study_=study_record(found, tip))
+    _keep(out, first, tip, finger, noise, study_=study_record(found, tip))
 
 
 def _keep(
-    out: Path, found: Sequence[Transmission], tip: Fingertip, finger: str, noise: CueNoise, json_: bool, *,
+    out: Path, found: Sequence[Transmission], tip: Fingertip, finger: str, noise: CueNoise, *,
     live_s: float = 0.0, study_: dict[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write page, numbers and objects; then say them."""
@@ -153,7 +146,7 @@ def _keep(
         for one in found:
             (folder / f"{one.name}.toml").write_text(object_file(one), encoding="utf-8")
     record["out"] = str(out)
-    print_found(record, _text(record), json_)
+    print_found(record, _text(record))
 
 
 def _text(record: dict[str, Any]) -> str:

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, print_found
+from palpate.cli.verb_support import print_found
 
 
-def analyse(
+def analyze(
     folder: Annotated[Path, Argument(help="Folder of stimuli.csv and responses.csv, or of participants'.")],
     out: Annotated[Path | None, Option(help="HTML page to make; must not exist.")] = None,
     shape: Annotated[
@@ -21,13 +21,12 @@ def analyse(
         float | None, Option(min=0.0, max=0.4, help="Share of slips; found from the answers unless given.")
     ] = None,
     seed: Annotated[int, Option(min=0, help="Seed of draws.")] = 0,
-    json_: Json = False,
 ) -> None:
     """Say which conditions differ, how often answers were right.
 
     Thresholds too, all with their intervals.
 
-    Example: palpate trial analyse STUDY --out study.html
+    Example: palpate experiment analyze STUDY --out study.html
     """
     from dataclasses import replace
 
@@ -54,4 +53,4 @@ def analyse(
     told = [*said, *analysis_answers(found), f"({LEGEND}.)", *(f"Note: {one}." for one in found.caveats)]
     if out is not None:
         told.append(f"page: {out}")
-    print_found(found.to_dict() | {"answers": list(analysis_answers(found))}, "\n".join(told), json_)
+    print_found(found.to_dict() | {"answers": list(analysis_answers(found))}, "\n".join(told))

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.display.trial_analysis_verbs import analyse
-from palpate.cli.verb_support import Json, group, print_found, say
+from palpate.cli.verb_support import print_found, say
 
 if TYPE_CHECKING:
     from palpate.psychophysics.experiments import (
@@ -25,12 +24,9 @@ if TYPE_CHECKING:
         StimulusPresenter,
     )
 
-trial_app = group("Run an experiment on softness with people, and analyse it.")
-trial_app.command()(analyse)
 Folder = Annotated[Path, Argument(help="Folder of the experiment.")]
 
 
-@trial_app.command()
 def new(
     folder: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     preset: Annotated[str, Option(help="jelly, bianchi-2010 or threshold.")] = "jelly",
@@ -38,7 +34,6 @@ def new(
     moduli_kpa: Annotated[
         str | None, Option(help="Of bianchi-2010's five silicones, 0 to 45 % softener [kPa].")
     ] = None,
-    json_: Json = False,
 ) -> None:
     """Make an experiment's folder from a ready design.
 
@@ -47,7 +42,7 @@ def new(
     jelly: five cups, pairs and a ranking, ten minutes. bianchi-2010: three conditions, direct and rendered,
     fifteen participants. threshold: staircases and Bayesian placement on a display.
 
-    Example: palpate trial new jelly --preset jelly
+    Example: palpate experiment new jelly --preset jelly
     """
     from palpate.psychophysics.experiments import make_experiment, make_schedule
 
@@ -65,12 +60,11 @@ def new(
         f"{folder}: {design.file.name}, seed {chosen}, {answer['participants']} participants, "
         f"{answer['judgements_of_the_first']} judgements at most of the first\n"
         f"  {_levels_said(folder, preset, moduli_kpa is not None)}then: "
-        f"palpate trial run {folder} --participant P01{' --bench FILE' if preset == 'threshold' else ''}"
+        f"palpate experiment run {folder} --participant P01{' --bench FILE' if preset == 'threshold' else ''}"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
-@trial_app.command()
 def run(
     folder: Folder,
     participant: Annotated[str, Option(help="Code, such as P01; no name of a person.")],
@@ -84,7 +78,6 @@ def run(
     noise: Annotated[
         float | None, Option(help="Spread of a simulated observer, in the levels' unit: a rehearsal.")
     ] = None,
-    json_: Json = False,
 ) -> None:
     """Run a participant's sitting, or go on with it.
 
@@ -94,9 +87,9 @@ def run(
     the same command goes on where it was. Rendered stimuli need --bench; with --rehearse the display may be
     virtual, which nobody can feel, and with --answers or --noise alone nothing is rendered at all.
 
-    Example: palpate trial run jelly --participant P01
+    Example: palpate experiment run jelly --participant P01
 
-    Example: palpate trial run jelly --participant R01 --noise 0.3
+    Example: palpate experiment run jelly --participant R01 --noise 0.3
     """
     from palpate.psychophysics.experiments import read_design
 
@@ -115,23 +108,21 @@ def run(
         "paused": outcome.why or None,
         "simulated": sitting.record.simulated,
     }
-    print_found(answer, _text(answer, folder), json_)
+    print_found(answer, _text(answer, folder))
     if outcome.fault is not None:
         raise outcome.fault
 
 
-@trial_app.command()
 def export(
     folder: Folder,
     out: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     rehearsal: Annotated[bool, Option("--rehearsal", help="Simulated participants instead.")] = False,
-    json_: Json = False,
 ) -> None:
     """Write all participants' judgements in the layout of BIDS.
 
     Tables have their columns described.
 
-    Example: palpate trial export jelly jelly-bids
+    Example: palpate experiment export jelly jelly-bids
     """
     from dataclasses import asdict
 
@@ -144,7 +135,7 @@ def export(
     )
     if found.simulated:
         text += "\nsimulated: no measurement"
-    print_found(asdict(found) | {"folder": str(out)}, text, json_)
+    print_found(asdict(found) | {"folder": str(out)}, text)
 
 
 class _Terminal:
@@ -295,7 +286,7 @@ def _text(answer: dict[str, Any], folder: Path) -> str:
     said += "all is answered" if answer["complete"] else f"paused: {answer['paused']}"
     if answer["complete"]:
         analysed = folder / "rehearsal" if answer["simulated"] else folder
-        said += f"\n  palpate trial analyse {analysed} --out PAGE.html says what was found so far"
+        said += f"\n  palpate experiment analyze {analysed} --out PAGE.html says what was found so far"
     else:
-        said += f"\n  palpate trial run {folder} --participant {code} goes on, with the same options"
+        said += f"\n  palpate experiment run {folder} --participant {code} goes on, with the same options"
     return said + ("\nsimulated: no measurement" if answer["simulated"] else "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,12 +12,11 @@ from typer import Argument, Option
 import palpate
 from palpate.cli.verb_support import (
     ForceColumn,
-    Json,
+    ForceRate,
+    ForceTable,
     NewRun,
     PositionColumn,
     ProvenanceName,
-    Quiet,
-    arguments_for,
     given_provenance,
     names_of,
     pairs_of,
@@ -31,21 +29,30 @@ if TYPE_CHECKING:
     from palpate.recordings import ImportReport
 
 
+Sensor = Annotated[str, Option(help="What was recorded.")]
+License = Annotated[str, Option(help="License of the data.")]
+Origin = Annotated[str, Option(help="Where the data come from.")]
+Unlabelled = Annotated[bool, Option("--allow-unlabelled", help="Skip images without a row.")]
+
+
 def palm(
-    folder: Path,
-    run: Path,
-    json_: bool,
-    quiet: bool,
-    sensor: str = "palm",
-    licence: str = "",
-    origin: str = "",
-    provenance: str | None = None,
-    allow_unlabelled: bool = False,
+    folder: Annotated[Path, Argument(help="Folder of the dataset.")],
+    run: NewRun,
+    sensor: Sensor = "palm",
+    licence: License = "",
+    origin: Origin = "",
+    provenance: ProvenanceName = None,
+    allow_unlabelled: Unlabelled = False,
 ) -> None:
-    """Import the photoelastic palm's own tables and photographs."""
+    """Import the photoelastic palm's own tables and photographs.
+
+    Tables are Cycle_Indent5mm_r{row}c{col}_{cycle}.csv.
+
+    Example: palpate import palm dataset run --licence CC-BY-4.0
+    """
     from palpate.sensors.palm.palm_import import import_palm
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         report = import_palm(
             folder,
             run,
@@ -56,27 +63,30 @@ def palm(
             allow_unlabelled=allow_unlabelled,
             progress=partial(progress, "importing"),
         )
-    _print_import(run, report, json_)
+    _print_import(run, report)
 
 
 def press(
-    frames: Path,
-    run: Path,
-    json_: bool,
-    quiet: bool,
-    force: Path,
-    force_column: str | None = None,
-    position_column: str | None = None,
-    rate_hz: float | None = None,
-    sensor: str = "",
-    licence: str = "",
-    origin: str = "",
-    provenance: str | None = None,
+    frames: Annotated[Path, Argument(help="TIFF, video, or folder of the frames of one press.")],
+    run: NewRun,
+    force: ForceTable,
+    force_column: ForceColumn = None,
+    position_column: PositionColumn = None,
+    rate_hz: ForceRate = None,
+    sensor: Sensor = "",
+    licence: License = "",
+    origin: Origin = "",
+    provenance: ProvenanceName = None,
 ) -> None:
-    """Import the frames of one press, of a TIFF or a video, with its table of force."""
+    """Import the frames of one press, of a TIFF or a video, with its table of force.
+
+    Example: palpate import press PRESS.tif RUN --force force.csv
+
+    Example: palpate import press press.avi RUN --force force.csv --rate-hz 30
+    """
     from palpate.recordings.exchange.press_import import import_press
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         report = import_press(
             frames,
             run,
@@ -91,38 +101,61 @@ def press(
             progress=partial(progress, "importing"),
         )
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
-    print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}", json_)
+    print_found(result, f"{run}: {report.frames} frames with {', '.join(report.columns)}")
 
 
 def images(
-    folder: Path,
-    run: Path,
-    json_: bool,
-    quiet: bool,
-    labels: Path | None = None,
-    image_column: str | None = None,
-    rename: list[str] | None = None,
-    unit: list[str] | None = None,
-    columns: str = "",
-    decimal: str = "auto",
-    name_pattern: str | None = None,
-    in_order: bool = False,
-    sensor: str = "",
-    licence: str = "",
-    origin: str = "",
-    provenance: str | None = None,
-    rate_hz: float | None = None,
-    order_by: str | None = None,
-    allow_unlabelled: bool = False,
-    strict: bool = False,
+    folder: Annotated[Path, Argument(help="Folder of labelled images.")],
+    run: NewRun,
+    labels: Annotated[
+        Path | None,
+        Option(
+            help="CSV, TSV, JSON, NumPy or Parquet, one row an image; here or in the folder. In "
+            "quotes, '*/labels.csv' takes a table a session, '*.json' a file an image."
+        ),
+    ] = None,
+    image_column: Annotated[
+        str | None, Option(help="Label column that names the image, if not a usual name.")
+    ] = None,
+    rename: Annotated[list[str] | None, Option(help="OLD=NEW name of a column, as in Fz=force_N.")] = None,
+    unit: Annotated[
+        list[str] | None, Option(help="COLUMN=UNIT of a column that has none, as in depth=mm.")
+    ] = None,
+    columns: Annotated[
+        str, Option(help="Names of the columns of a file without a header, x_mm,force_N.")
+    ] = "",
+    decimal: Annotated[
+        str, Option(help="What stands before decimals: auto (default), point or comma.")
+    ] = "auto",
+    name_pattern: Annotated[
+        str | None, Option(help="Labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
+    ] = None,
+    in_order: Annotated[
+        bool,
+        Option("--in-order", help="Row i belongs to image i, counted by the numbers in their names."),
+    ] = False,
+    sensor: Sensor = "",
+    licence: License = "",
+    origin: Origin = "",
+    provenance: ProvenanceName = None,
+    rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence [Hz].")] = None,
+    order_by: Annotated[
+        str | None,
+        Option(help="Column of numbers that says in which order the images were taken."),
+    ] = None,
+    allow_unlabelled: Unlabelled = False,
+    strict: Annotated[bool, Option("--strict", help="Refuse columns of numbers that carry no unit.")] = False,
 ) -> None:
-    """Import a folder of labelled images."""
+    """Import a folder of labelled images.
+
+    Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
+    """
     from palpate.core import InputError
     from palpate.recordings.exchange.label_units import mending_options
 
     if decimal not in ("auto", "point", "comma"):
         raise InputError(f"--decimal {decimal!r} is none of auto, point and comma")
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         report = palpate.import_images(
             folder,
             run,
@@ -171,131 +204,47 @@ def images(
         )
     for doubt in report.doubts:
         typer.echo(f"palpate: {doubt}", err=True)
-    _print_import(run, report, json_)
+    _print_import(run, report)
 
 
-def _print_import(run: Path, report: ImportReport, json_: bool) -> None:
+def _print_import(run: Path, report: ImportReport) -> None:
     units = ", ".join(f"{column} [{symbol}]" for column, symbol in report.units.items())
     text = f"{run}: {report.frames} frames; columns with a unit: {units or 'none'}"
     if report.unitless:
         text += f"; without: {', '.join(report.unitless)}"
     result = {"run": str(run), "frames": report.frames, "units": dict(report.units)}
     more = {"unitless": list(report.unitless), "doubts": list(report.doubts)}
-    print_found(result | more, text, json_)
+    print_found(result | more, text)
 
 
-FORMATS: dict[str, Callable[..., None]] = {"images": images, "palm": palm, "tiff": press, "video": press}
-
-
-def import_run(
-    kind: Annotated[str, Argument(help="images, palm, tiff, or video.", metavar="FORMAT")],
-    source: Annotated[
-        Path, Argument(help="Folder of images, dataset of the palm, or the TIFF or video of one press.")
-    ],
-    run: NewRun,
-    labels: Annotated[
-        Path | None,
-        Option(
-            help="images: CSV, TSV, JSON, NumPy or Parquet, one row an image; here or in the folder. In "
-            "quotes, '*/labels.csv' takes a table a session, '*.json' a file an image."
-        ),
+def check(
+    run: Annotated[Path, Argument(help="Run to look through; it is only read.")],
+    repair: Annotated[
+        Path | None, Option(help="Run to make of all that can be read; must not exist.")
     ] = None,
-    image_column: Annotated[
-        str | None, Option(help="images: label column that names the image, if not a usual name.")
-    ] = None,
-    rename: Annotated[
-        list[str] | None, Option(help="images: OLD=NEW name of a column, as in Fz=force_N.")
-    ] = None,
-    unit: Annotated[
-        list[str] | None, Option(help="images: COLUMN=UNIT of a column that has none, as in depth=mm.")
-    ] = None,
-    columns: Annotated[
-        str | None, Option(help="images: names of the columns of a file without a header, x_mm,force_N.")
-    ] = None,
-    decimal: Annotated[
-        str | None, Option(help="images: what stands before decimals: auto (default), point or comma.")
-    ] = None,
-    name_pattern: Annotated[
-        str | None, Option(help="images: labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
-    ] = None,
-    in_order: Annotated[
-        bool,
-        Option("--in-order", help="images: row i belongs to image i, counted by the numbers in their names."),
-    ] = False,
-    force: Annotated[
-        Path | None,
-        Option(help="tiff, video: CSV or Parquet of samples of force and the frame each is of."),
-    ] = None,
-    force_column: ForceColumn = None,
-    position_column: PositionColumn = None,
-    rate_hz: Annotated[
-        float | None,
-        Option(help="Frame rate, if images are a sequence; else rate of the force's rows without time_s."),
-    ] = None,
-    order_by: Annotated[
-        str | None,
-        Option(help="images: column of numbers that says in which order the images were taken."),
-    ] = None,
-    sensor: Annotated[str | None, Option(help="What was recorded.")] = None,
-    licence: Annotated[str | None, Option(help="Licence of the data.")] = None,
-    origin: Annotated[str | None, Option(help="Where the data come from.")] = None,
-    provenance: ProvenanceName = None,
-    allow_unlabelled: Annotated[bool, Option(help="images, palm: skip images without a row.")] = False,
-    strict: Annotated[
-        bool, Option("--strict", help="images: refuse columns of numbers that carry no unit.")
-    ] = False,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Bring a recording from elsewhere into a run.
-
-    images: a folder of labelled images. palm: the photoelastic palm's own tables and photographs
-    (Cycle_Indent5mm_r{row}c{col}_{cycle}.csv). tiff, video: the frames of one press and its table of force.
-
-    Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
-
-    Example: palpate import palm dataset run --licence CC-BY-4.0
-
-    Example: palpate import tiff PRESS.tif RUN --force force.csv
-
-    Example: palpate import video press.avi RUN --force force.csv --rate-hz 30
-    """
-    options = dict(locals())
-    for argument in ("kind", "source", "run", "json_", "quiet"):
-        del options[argument]
-    from palpate.core import InputError
-
-    if kind not in FORMATS:
-        raise InputError(f"format {kind!r} is not known; the formats are {', '.join(FORMATS)}")
-    importer = partial(FORMATS[kind], source, run, json_, quiet)
-    importer(**arguments_for(importer, f"import {kind}", options))
-
-
-def check(run: Annotated[Path, Argument(help="Run to look through.")], json_: Json = False) -> None:
     """Look through a run: counts, rates, gaps, drops, damage. Ends with status 1 if it is damaged.
 
     Also counts frames without the record of their labels, and records without a frame, as a kill leaves them.
+    With --repair, all that can be read of a damaged run is copied into a new one instead.
 
     Example: palpate check run
+
+    Example: palpate check run --repair run-repaired
     """
     from palpate.recordings import check as look_through
     from palpate.reports.terminal_text import check_text
 
+    if repair is not None:
+        _repair(run, repair)
+        return
     report = look_through(run)
-    print_found(report.to_dict(), check_text(report), json_)
+    print_found(report.to_dict(), check_text(report))
     if not report.sound:
         raise typer.Exit(1)
 
 
-def repair(
-    run: Annotated[Path, Argument(help="Damaged run; it is only read.")],
-    new: Annotated[Path, Argument(help="Run to make of what can be read; must not exist.")],
-    json_: Json = False,
-) -> None:
-    """Copy all that can be read of a damaged run into a new one.
-
-    Example: palpate repair run run-repaired
-    """
+def _repair(run: Path, new: Path) -> None:
     from palpate.recordings import repair as copy_readable
 
     report = copy_readable(run, new)
@@ -303,16 +252,12 @@ def repair(
     text = f"{new}: {report.frames} frames, {report.messages} messages kept; " + (
         "; ".join(lost) or "nothing lost"
     )
-    print_found(
-        {"run": str(new), "frames": report.frames, "messages": report.messages, "lost": lost}, text, json_
-    )
+    print_found({"run": str(new), "frames": report.frames, "messages": report.messages, "lost": lost}, text)
 
 
 def export(
     run: Annotated[Path, Argument(help="Run to export.")],
     folder: Annotated[Path, Argument(help="Folder to make; must not exist.")],
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Export a run as PNG images and CSV tables.
 
@@ -320,6 +265,6 @@ def export(
     """
     from palpate.recordings.exchange.folder_export import export_folder
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         count = export_folder(palpate.Run.open(run), folder, partial(progress, "exporting"))
-    print_found({"folder": str(folder), "frames": count}, f"{folder}: {count} frames", json_)
+    print_found({"folder": str(folder), "frames": count}, f"{folder}: {count} frames")

@@ -13,7 +13,7 @@ import typer
 from typer import Argument, Option
 
 from palpate.cli.record.rig_verbs import PositionSource, opened_at, rig_app, wrong_lines
-from palpate.cli.verb_support import Json, print_found, stopped_by_signals
+from palpate.cli.verb_support import print_found, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.rig.commissioning.bench import Bench
@@ -28,7 +28,6 @@ def home(
     lifted: Annotated[
         bool, Option("--lifted", help="Your word that the probe hangs free: home without a lift by force.")
     ] = False,
-    json_: Json = False,
 ) -> None:
     """Home the stage, after the probe was lifted by force.
 
@@ -52,7 +51,7 @@ def home(
     text = f"{rig}: homed, at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
     if lift_mm is not None:
         text += f", after a lift of {lift_mm:.1f} mm to a flat force, as a numb sensor gives too"
-    print_found({"rig": rig, "position_mm": at_mm, "lifted_mm": lift_mm}, text, json_)
+    print_found({"rig": rig, "position_mm": at_mm, "lifted_mm": lift_mm}, text)
 
 
 def _placed_bench(rig: str, source: PositionFrom) -> Bench:
@@ -86,7 +85,6 @@ def jog(
         ),
     ] = False,
     position: PositionSource = None,
-    json_: Json = False,
 ) -> None:
     """Move one axis by some millimetres, guarded by force.
 
@@ -120,11 +118,11 @@ def jog(
         )
         at_mm = [round(1e3 * d, 4) for d in stage.position_m()]
     text = f"{rig}: at ({', '.join(f'{d:g}' for d in at_mm)}) mm"
-    print_found({"rig": rig, "position_mm": at_mm, "guarded": not unguarded}, text, json_)
+    print_found({"rig": rig, "position_mm": at_mm, "guarded": not unguarded}, text)
 
 
 @rig_app.command()
-def stop(rig: RigName, json_: Json = False) -> None:
+def stop(rig: RigName) -> None:
     """Stop the stage at once.
 
     Through the process that holds the rig, where one does, as the page's emergency stop; through the
@@ -137,11 +135,11 @@ def stop(rig: RigName, json_: Json = False) -> None:
 
     done = stop_rig(rig)
     found = {"rig": rig, "stopped": True, "how": done.how, "code": done.code}
-    print_found(found | {"processes": [one.to_dict() for one in done.holders]}, f"{rig}: {done.how}", json_)
+    print_found(found | {"processes": [one.to_dict() for one in done.holders]}, f"{rig}: {done.how}")
 
 
 @rig_app.command()
-def status(rig: RigName, json_: Json = False) -> None:
+def status(rig: RigName) -> None:
     """Say what each device reads now, and how old that is.
 
     Moves nothing. Ends with status 1 where a device does not answer.
@@ -158,13 +156,13 @@ def status(rig: RigName, json_: Json = False) -> None:
     lines = [line for line in lines if not line.startswith("problems")]
     problems: dict[str, str] = found.get("problems", {})
     lines += [f"wrong: {role}: {why}" for role, why in problems.items()]
-    print_found(found, "\n".join(lines), json_)
+    print_found(found, "\n".join(lines))
     if problems:
         raise typer.Exit(1)
 
 
 @rig_app.command()
-def zero(rig: RigName, position: PositionSource = None, json_: Json = False) -> None:
+def zero(rig: RigName, position: PositionSource = None) -> None:
     """Measure what the force sensor reads in the air.
 
     The probe is lifted by 0.6 mm first: where the force changes on the way, it was in contact, and the zero
@@ -181,7 +179,7 @@ def zero(rig: RigName, position: PositionSource = None, json_: Json = False) -> 
         f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "
         f"{found.rate_hz:.0f} samples/s"
     )
-    print_found({"rig": rig, **asdict(found)}, text, json_)
+    print_found({"rig": rig, **asdict(found)}, text)
 
 
 @contextmanager
@@ -212,7 +210,6 @@ def setup(
         Option(help="TOML file of answers, name = value; the rest is asked at a terminal."),
     ] = None,
     yes: Annotated[bool, Option("--yes", help="Take what is proposed wherever something is.")] = False,
-    json_: Json = False,
 ) -> None:
     """Write a rig's file by asking, and by trying each device.
 
@@ -237,6 +234,6 @@ def setup(
         "checks": [asdict(one) for one in found.checks],
         "unchecked": list(found.unchecked),
     }
-    print_found(result, "\n".join(lines), json_)
+    print_found(result, "\n".join(lines))
     if wrong:
         raise typer.Exit(1)

@@ -14,7 +14,7 @@ import typer
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import ENDING, Json, Quiet, group, print_found, progress_bar, stopped_by_signals
+from palpate.cli.verb_support import ENDING, group, print_found, progress_bar, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.devices.check.check_result import CheckResult
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from palpate.rig.rig_file import PositionFrom
 
 plan_app = group("Plans of recordings.")
+FRAME_KB = 90.0  # of a frame on disk
 rig_app = group("Rigs: stage, force sensor, camera.")
 
 PositionSource = Annotated[
@@ -90,14 +91,12 @@ def record(
     ] = "virtual:palm",
     seed: Annotated[int, Option(min=0, help="Of all that varies on a virtual rig.")] = 0,
     position: PositionSource = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Record a plan on a rig, or go on with an interrupted run.
 
     Ctrl-C stops the motion, lifts the probe and ends; a second one is the emergency stop: nothing moves.
     Ends with status 1 where shots are still missing. Presses on specimens are also written as the folder
-    `presses` within the run, for `palpate compliance`.
+    `presses` within the run, for `palpate read`.
 
     Example: palpate record --rig virtual:palm --plan palm-reduced --out run
     """
@@ -109,20 +108,20 @@ def record(
     opened = opened_at(position, lambda source: open_rig(rig, seed=seed, position=source))
     try:
         chosen = plan_of_sensor(opened.design) if plan is None else plan_of(plan, opened.design)
-        with progress_bar(quiet) as progress, _signals_ask(control):
+        with progress_bar() as progress, _signals_ask(control):
 
             def watch(status: Status) -> None:
                 progress("recording", status.shots, status.planned)
 
             outcome = record_plan(opened, chosen, out, control=control, watch=watch)
-        _tell(out, outcome, chosen.indenters, json_)  # before the devices are closed, which may fail
+        _tell(out, outcome, chosen.indenters)  # before the devices are closed, which may fail
     finally:
         opened.close()
     if outcome.state is not State.DONE:
         raise typer.Exit(1)
 
 
-def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...], json_: bool) -> None:
+def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...]) -> None:
     """Print how a recording ended, and write its presses on specimens."""
     from palpate.rig import State
 
@@ -142,11 +141,11 @@ def _tell(out: Path, outcome: Outcome, indenters: tuple[str, ...], json_: bool) 
         text += f"\n{outcome.retries} presses were repeated after a transient fault (events 'rejected')"
     goes_on = "\nthe same command goes on at the first missing shot"
     text += _write_presses(out, indenters, result) if done else goes_on
-    print_found(result, text, json_)
+    print_found(result, text)
 
 
 def _write_presses(out: Path, indenters: tuple[str, ...], result: dict[str, Any]) -> str:
-    """Write presses on specimens into the run's folder, as `palpate compliance` reads them."""
+    """Write presses on specimens into the run's folder, as `palpate read` reads them."""
     if not any(_is_specimen(words) for words in indenters):
         return ""
     from palpate.recordings.exchange.press_export import export_presses
@@ -175,7 +174,6 @@ def _is_specimen(words: str) -> bool:
 def check(
     rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")],
     position: PositionSource = None,
-    json_: Json = False,
 ) -> None:
     """Check a rig with its probe in free air; the stage moves by 2 mm.
 
@@ -197,43 +195,46 @@ def check(
     lines += [f"note: {one.name}: {one.message}" for one in findings if one.ok and one.message]
     lines += wrong_lines(wrong)
     text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
-    print_found([asdict(one) for one in findings], text, json_)
+    print_found([asdict(one) for one in findings], text)
     if wrong:
         raise typer.Exit(1)
 
 
 @rig_app.command()
-def stiffness(
-    run: Annotated[Path, Argument(help="A run whose force was right.")], json_: Json = False
+def fit(
+    run: Annotated[Path, Argument(help="Run whose force was right, or of the plan layer.")],
 ) -> None:
-    """Print a run's range of stiffness, for the rig's file.
+    """Print what a run says about the rig, to write into the rig's file.
 
-    The guard then checks the first press of every run against it. Weigh the force sensor before the run.
+    Of a run of the plan layer: where the layer lies. Of any other: the range of the skin's stiffness, against
+    which the guard checks the first press of every run. Weigh the force sensor before such a run.
 
-    Example: palpate rig stiffness run >> bench.toml
+    Example: palpate rig fit run >> bench.toml
     """
-    from palpate.rig.skin_stiffness import MAX_RATIO, stiffness_lines, stiffness_of
+    from palpate.rig.locate_skin import goes_around
 
     opened = palpate.Run.open(run)
-    found = stiffness_of(opened)
-    indenter = next(iter(opened.labels["indenter"].dropna()), "")
-    text = stiffness_lines(indenter, found, opened.manifest.created_utc[:10])
+    if goes_around(opened):
+        _print_layer(opened)
+    else:
+        _print_stiffness(opened)
+
+
+def _print_stiffness(run: palpate.Run) -> None:
+    from palpate.rig.skin_stiffness import MAX_RATIO, stiffness_lines, stiffness_of
+
+    found = stiffness_of(run)
+    indenter = next(iter(run.labels["indenter"].dropna()), "")
+    text = stiffness_lines(indenter, found, run.manifest.created_utc[:10])
     if found.ratio > MAX_RATIO:
         typer.echo(f"note: the range is {found.ratio:.2g} wide; a gain of two may lie inside it", err=True)
-    print_found({"indenter": indenter, **asdict(found)}, text, json_)
+    print_found({"indenter": indenter, **asdict(found)}, text)
 
 
-@rig_app.command()
-def layer(run: Annotated[Path, Argument(help="A run of the plan layer.")], json_: Json = False) -> None:
-    """Say where the layer lies, from a run of the plan layer.
-
-    Prints what to write into the rig's file.
-
-    Example: palpate rig layer layer-run
-    """
+def _print_layer(run: palpate.Run) -> None:
     from palpate.rig.locate_skin import locate_skin
 
-    place = locate_skin(palpate.Run.open(run))
+    place = locate_skin(run)
     at, moved = (", ".join(f"{d:.3f}" for d in three) for three in (place.origin_mm, place.moved_mm))
     text = (
         f"origin_mm = [{at}]\n"
@@ -243,7 +244,7 @@ def layer(run: Annotated[Path, Argument(help="A run of the plan layer.")], json_
         f"diameter {place.diameter_mm[0]:.2f} and {place.diameter_mm[1]:.2f} mm; "
         f"{place.off_plane_mm:.3f} mm off a plane at most"
     )
-    print_found(asdict(place), text, json_)
+    print_found(asdict(place), text)
 
 
 @plan_app.command()
@@ -251,8 +252,6 @@ def preview(
     plan: Annotated[str, Argument(help="A TOML file, or a name such as palm.")],
     png: Annotated[Path | None, Option(help="Draw the places into this PNG; must not exist.")] = None,
     rate_hz: Annotated[float, Option(min=0.1, help="Frame rate of the camera.")] = 30.0,
-    frame_kb: Annotated[float, Option(min=0.1, help="Size of a frame on disk [kB].")] = 90.0,
-    json_: Json = False,
 ) -> None:
     """Count a plan's points, shots, frames and minutes, and draw it.
 
@@ -263,7 +262,7 @@ def preview(
     chosen = plan_of(plan)
     size = size_of(chosen, rate_hz)
     result: dict[str, Any] = size._asdict()
-    result["bytes"] = round((size.frames + size.reference_frames) * frame_kb * 1e3)
+    result["bytes"] = round((size.frames + size.reference_frames) * FRAME_KB * 1e3)
     result["plan"] = chosen.name
     result["hash"] = chosen.hash
     if png is not None:
@@ -274,9 +273,9 @@ def preview(
     text = (
         f"{chosen.name}: {size.points} points, {size.presses} presses, {size.shots} shots, {size.frames} "
         f"frames and {size.reference_frames} of the untouched skin; about {size.seconds / 60:.0f} min at "
-        f"{rate_hz:g} frames/s, {result['bytes'] / 1e9:.1f} GB at {frame_kb:g} kB a frame"
+        f"{rate_hz:g} frames/s, {result['bytes'] / 1e9:.1f} GB at {FRAME_KB:g} kB a frame"
     )
-    print_found(result, text, json_)
+    print_found(result, text)
 
 
 def wrong_lines(wrong: list[CheckResult]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar, say, stopped_by_signals
+from palpate.cli.verb_support import as_json, is_quiet, print_found, progress_bar, say, stopped_by_signals
 
 if TYPE_CHECKING:
     from palpate.sensing.collection import PressCollector
@@ -52,8 +52,6 @@ def collect(
     unit: UnitOption = "",
     scale_lag_s: LagOption = None,
     real_time: RealTime = False,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Collect presses by hand, labelled by a scale.
 
@@ -66,7 +64,7 @@ def collect(
     from palpate.sensing.collection import PressCollector
     from palpate.workflows.press_feeds import open_feed
 
-    with stopped_by_signals(), progress_bar(quiet) as progress:
+    with stopped_by_signals(), progress_bar() as progress:
         feed = open_feed(camera, scale, seed=seed, real_time=real_time, unit=_unit(unit), lag_s=scale_lag_s)
         try:
             with PressCollector(
@@ -82,16 +80,16 @@ def collect(
                         f"all: none is collected; give {have + 1} or more",
                         err=True,
                     )
-                _pressed(feed, collector, progress, quiet or json_)
+                _pressed(feed, collector, progress)
                 status = collector.status
         finally:
             feed.close()
-    print_found(status, f"{out}: {status['text']} ({status['refused']} did not count)", json_)
+    print_found(status, f"{out}: {status['text']} ({status['refused']} did not count)")
 
 
-def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: bool) -> None:
+def _pressed(feed: PressFeed, collector: PressCollector, progress: Any) -> None:
     """Take frames and forces in until all presses are there; tell of each."""
-    beside = _beside(feed, quiet)
+    beside = _beside(feed)
     feed.press(go_on=True)
     told = -1
     while len(collector.presses) < collector.asked:
@@ -106,7 +104,7 @@ def _pressed(feed: PressFeed, collector: PressCollector, progress: Any, quiet: b
     feed.press(go_on=False)
 
 
-def _beside(feed: PressFeed, quiet: bool) -> Callable[[PressCollector], None]:
+def _beside(feed: PressFeed) -> Callable[[PressCollector], None]:
     """What is done after each frame: typed weights are stated, and it is told how the presses stand."""
     typed = (
         None
@@ -118,7 +116,7 @@ def _beside(feed: PressFeed, quiet: bool) -> Callable[[PressCollector], None]:
     def do(collector: PressCollector) -> None:
         if typed is not None:
             typed(collector)
-        if not quiet:
+        if not is_quiet() and not as_json():
             tell(collector)
 
     return do
@@ -268,8 +266,6 @@ def start(
     scale_lag_s: LagOption = None,
     real_time: RealTime = False,
     port: Annotated[int, Option(min=1, max=65535, help="Of the pages, on 127.0.0.1.")] = 8080,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Go from a plugged-in camera to live newtons, step by step.
 
@@ -283,7 +279,7 @@ def start(
     Example: palpate start --terminal --more 20
     """
     if not terminal:
-        own = {"--more": more, "--seed": seed, "--real-time": real_time, "--json": json_}
+        own = {"--more": more, "--seed": seed, "--real-time": real_time, "--json": as_json()}
         _refuse_terminals_own(own, scale_lag_s)
         chosen = {"camera": camera, "scale": scale, "presses": presses, "unit": _unit(unit)}
         _open_page(folder, port, chosen)
@@ -296,7 +292,7 @@ def start(
         camera = session.state.camera or "virtual:palm"
     if scale is None:
         scale = (session.state.scale if camera == session.state.camera else "") or "virtual"
-    with stopped_by_signals(), session.held(keep_choice=False), progress_bar(quiet) as progress:
+    with stopped_by_signals(), session.held(keep_choice=False), progress_bar() as progress:
         if not more and session.has_nothing_left_by(camera, scale, presses):
             say(session.nothing_left_text, err=True)
         else:
@@ -311,7 +307,7 @@ def start(
                 for line in session.check_settings(feed)["health"]["advice"]:
                     say(line, err=True)
                 session.take_untouched(feed)
-                session.collect(feed, progress, beside=_beside(feed, quiet or json_))
+                session.collect(feed, progress, beside=_beside(feed))
             finally:
                 feed.close()
         if session.step == "train":
@@ -328,7 +324,7 @@ def start(
         session.newest_text,
         "The same by commands, where these folders are not there yet:",
     ]
-    print_found(found, "\n".join([one for one in lines if one] + session.commands()), json_)
+    print_found(found, "\n".join([one for one in lines if one] + session.commands()))
 
 
 def _refuse_both(presses: int | None, more: int) -> None:

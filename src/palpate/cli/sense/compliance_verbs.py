@@ -5,39 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from typer import Argument, Option
 
 from palpate.cli.verb_support import (
     ForceColumn,
     ForceRate,
     ForceTable,
-    Group,
-    Json,
     PositionColumn,
-    Quiet,
     print_found,
     progress_bar,
 )
 from palpate.core import refuse_existing
 
-READ = "read"
-
-
-class ReadsByDefault(Group):
-    """A group whose first word may be a file: then it is read."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words as written, or after `read`."""
-        if args and args[0] not in self.commands and not args[0].startswith("-"):
-            args = [READ, *args]
-        return super().parse_args(ctx, args)
-
-
-app = typer.Typer(cls=ReadsByDefault, add_completion=False, no_args_is_help=True, rich_markup_mode=None)
-
 Calibration = Annotated[
-    Path | None, Option(help="Calibration (.npz) of this sensor; without, only relative numbers.")
+    Path | None,
+    Option("--with", help="Calibration (.npz) of this sensor; without, only relative numbers."),
 ]
 
 
@@ -46,17 +28,6 @@ LatencyFile = Annotated[
 ]
 
 
-@app.callback()
-def start() -> None:
-    """Measure softness in N/mm from presses of a camera-based tip.
-
-    PRESS --force TABLE reads one press; calibrate and compare take folders.
-
-    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz
-    """
-
-
-@app.command(READ)
 def read(
     press: Annotated[Path, Argument(help="Frames of one press: multi-page TIFF, video, folder or run.")],
     force: ForceTable,
@@ -67,13 +38,12 @@ def read(
     rate_hz: ForceRate = None,
     lens: Annotated[Path | None, Option(help="Lens file of the camera: adds A_c0 in mm².")] = None,
     latency_file: LatencyFile = None,
-    json_: Json = False,
 ) -> None:
     """Read one press: stiffness, contact area, spread rate and E*.
 
     Each comes with its interval and its flags.
 
-    Example: palpate compliance PRESS.tif --force force.csv --calibration tip.npz --out press
+    Example: palpate read PRESS.tif --with tip.npz --force force.csv --out press
     """
     from palpate.calibration.compliance import CameraLatency, press_record, read_press
 
@@ -92,7 +62,7 @@ def read(
 
         write_press_readings(out, record, cues, touch)
         record["out"] = str(out)
-    print_found(record, _text(record), json_)
+    print_found(record, _text(record))
 
 
 def _untouched_area_mm2(lens: Path, cues: Any) -> float:
@@ -107,7 +77,6 @@ def _untouched_area_mm2(lens: Path, cues: Any) -> float:
     return 1e6 * untouched_area_m2(spec, press.untouched_px, press.cells, Lens.read(lens))
 
 
-@app.command()
 def calibrate(
     folder: Annotated[Path, Argument(help="Folder of references: specimens.csv, SPECIMEN/01.tif, 01.csv.")],
     out: Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")],
@@ -117,17 +86,15 @@ def calibrate(
         list[str] | None, Option(help="NAME=SIZE of what later presses may differ by, e.g. lever=0; repeat.")
     ] = None,
     latency_file: LatencyFile = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Calibrate a tip on a rigid plate and known specimens.
 
-    Example: palpate compliance calibrate references --out tip.npz
+    Example: palpate calibrate --method compliance references --out tip.npz
     """
     from palpate.calibration.compliance import CameraLatency, calibrate_folder
 
     camera = None if latency_file is None else CameraLatency.load(latency_file)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         record = calibrate_folder(
             folder, out, tilt_deg=tilt_deg, note=note, nuisances=nuisance or [],
             latency=None if camera is None else (camera.seconds, camera.sd_s), progress=progress,
@@ -152,10 +119,9 @@ def calibrate(
         )
     if camera is not None:
         lines.append(f"frames late by {record['latency_ms']:.3g} ms: taken off")
-    print_found(record, "\n".join(lines), json_)
+    print_found(record, "\n".join(lines))
 
 
-@app.command()
 def latency(
     press: Annotated[
         list[Path], Argument(help="Frames of presses there and back, each table beside; or folders of them.")
@@ -165,8 +131,6 @@ def latency(
     ] = None,
     out: Annotated[Path | None, Option(help="JSON to make, for --latency of the other verbs.")] = None,
     force_column: ForceColumn = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Measure by how much the camera's frames are late, from presses.
 
@@ -177,9 +141,9 @@ def latency(
     """
     from palpate.calibration.compliance import measure_latency
 
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         record = measure_latency(press, out, force=force, force_column=force_column, progress=progress)
-    print_found(record, _latency(record), json_)
+    print_found(record, _latency(record))
 
 
 def _latency(record: dict[str, Any]) -> str:
@@ -203,7 +167,6 @@ def _latency(record: dict[str, Any]) -> str:
     return "\n".join(lines + ([f"latency: {record['out']}"] if "out" in record else []))
 
 
-@app.command()
 def plate(
     tables: Annotated[list[Path], Argument(help="Tables of force and position, one a trial.")],
     force_column: Annotated[str | None, Option(help="Column of force, if not a usual name.")] = None,
@@ -213,7 +176,6 @@ def plate(
         list[str] | None,
         Option(help="NAME=SIZE: force_gain=0.02, frame_yield_mm_per_N=0.02; repeat. What trials share."),
     ] = None,
-    json_: Json = False,
 ) -> None:
     """Measure a specimen's own stiffness by a rigid plate.
 
@@ -241,10 +203,9 @@ def plate(
     lines.append(f"stiffness {record['stiffness_N_per_mm']:.3g} N/mm{ends}")
     if low is not None:
         lines.append("interval: Student's over trials, with " + _sizes(record["contained"]))
-    print_found(record, "\n".join(lines), json_)
+    print_found(record, "\n".join(lines))
 
 
-@app.command()
 def compare(
     folder: Annotated[Path, Argument(help="Folder of an experiment: SPECIMEN/01.tif with 01.csv.")],
     out: Annotated[Path, Option(help="Folder to make: trials.csv, comparison.json, comparison.png.")],
@@ -255,21 +216,19 @@ def compare(
         Option(help="Column of trials.csv that trials share, e.g. session; a second one is nested in it."),
     ] = None,
     latency_file: LatencyFile = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Compare several specimens, a value a trial.
 
     Gives means, rank tests and box plots; with --group also a linear mixed model of every cue.
 
-    Example: palpate compliance compare experiment --calibration tip.npz --out compared
+    Example: palpate compliance compare experiment --with tip.npz --out compared
     """
     from palpate.calibration.compliance import CameraLatency, compare_specimens
     from palpate.reports.compliance_figures import write_comparison
 
     refuse_existing(out)
     camera = None if latency_file is None else CameraLatency.load(latency_file)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         comparison = compare_specimens(
             folder,
             calibration=calibration,
@@ -280,7 +239,7 @@ def compare(
         )
         write_comparison(out, comparison)
     record = comparison.record | {"out": str(out)}
-    print_found(record, _compared(record), json_)
+    print_found(record, _compared(record))
 
 
 def _area_error(known: bool, error: float | None) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, numbers_of, print_found, progress_bar, say
+from palpate.cli.verb_support import as_json, numbers_of, print_found, progress_bar, say
 from palpate.core import InputError
 
 if TYPE_CHECKING:
@@ -60,8 +60,6 @@ def fringe_order(
     channel: Annotated[str, Option(help="Of colour frames taken for phases: red, green or blue.")] = "green",
     tone: Tone = None,
     alone: Annotated[bool, Option("--alone", help="Read each frame for itself.")] = False,
-    json_: Annotated[bool, Option("--json", help="Print one JSON object a frame.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Map the fringe order of every pixel, with its uncertainty.
 
@@ -92,14 +90,14 @@ def fringe_order(
                 reader = _colours(calibration, max_order, colour_error, white, noise, inside, plane, tone)
             source = _source(frames, stack)
             seen, count = read_orders(source, reader, follow=not alone), len(source)
-        progress = stack.enter_context(progress_bar(quiet))
+        progress = stack.enter_context(progress_bar())
         files = None
         if out is not None:
             from palpate.reports.fringe_map_figure import OrderFiles
 
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(seen, 1):
-            say(json.dumps(one.to_dict(), allow_nan=False) if json_ else _line(one))
+            say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else _line(one))
             if files is not None and one.found is not None and one.frame is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
             progress("frames", done, count)
@@ -119,7 +117,6 @@ def colour_table(
     centre_order: Annotated[float | None, Option(help="Order at the disc's centre.")] = None,
     white: White = None,
     tone: Tone = None,
-    json_: Json = False,
 ) -> None:
     """Measure the colour of every fringe order on a known specimen.
 
@@ -166,7 +163,7 @@ def colour_table(
         f"{out}: colours of orders 0 to {table.greatest_order:.2f} from {result['pixels']} pixels, "
         f"light told to {table.error:.2g}"
     )
-    print_found(result, text, json_)
+    print_found(result, text)
 
 
 def _colours(

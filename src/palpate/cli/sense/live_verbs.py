@@ -15,7 +15,7 @@ from typer import Argument, Exit, Option
 
 from palpate.cli.sense.live_outputs import LiveOutputs
 from palpate.cli.sense.reading_words import reading_words
-from palpate.cli.verb_support import Json, Quiet, numbers_of, say, signals_held, stopped_by_signals
+from palpate.cli.verb_support import as_json, is_quiet, numbers_of, say, signals_held, stopped_by_signals
 from palpate.devices.process_memory import loaded_kept
 
 if TYPE_CHECKING:
@@ -85,11 +85,8 @@ def live(
     size: Annotated[str | None, Option(help="WIDTHxHEIGHT of a USB camera [px]; default 640x480.")] = None,
     fps: Annotated[float | None, Option(help="Frames a second of a USB camera [Hz]; default 30.")] = None,
     exposure_ms: Annotated[float | None, Option(help="Exposure of a USB camera [ms]; default 10.")] = None,
-    threads: Annotated[int, Option(help="Threads of the inference engine; 0 lets it choose.")] = 1,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Read a sensor live: value, interval and verdict as frames come.
+    """Read a sensor live: value, interval and verdict.
 
     Without a calibration it shows rate, noise, focus and the difference to the untouched sensor. With --json,
     one object a line, at times with shapes to draw over the picture in "overlay". Ctrl-C ends it; what is
@@ -108,7 +105,7 @@ def live(
         ("--exposure-ms", exposure_ms, " [ms]"),
     )
     settings = _settings(size, fps, exposure_ms)
-    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": threads}
+    options = {"settings": settings, "paced": paced, "idle_s": wait, "threads": 1}
     options |= {"shear": shear, "max_frames": frames}
     known = _preset(preset)
     addresses = camera or ["0"]
@@ -121,8 +118,8 @@ def live(
                 one = stack.enter_context(_sensor(address, folder, reference, zero, options, known))
                 sensors.append(one)
                 if compliance is not None:
-                    stack.enter_context(_presses(one, compliance, json_))
-            shown = stack.enter_context(_shown(json_, quiet))
+                    stack.enter_context(_presses(one, compliance))
+            shown = stack.enter_context(_shown())
             with suppress(KeyboardInterrupt):
                 with signals_held():
                     stack.enter_context(outputs.made(sensors))
@@ -141,7 +138,7 @@ def live(
         cut = {sensor.live.loop.name: why for sensor in sensors if (why := sensor.cut_short())}
         for name, why in cut.items():
             say(why, err=True)
-            if json_:
+            if as_json():
                 say(json.dumps({"source": name, "state": "ended", "why": why}))
         if all(sensor.is_over_and_empty() for sensor in sensors):
             from palpate.core.errors import InputError
@@ -386,7 +383,7 @@ def _sensor(
 
 
 @contextmanager
-def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[None]:
+def _presses(sensor: ShownSensor, calibration: Path) -> Iterator[None]:
     """Tell the stiffness of each press as it ends."""
     from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
     from palpate.calibration.compliance.press_cues import UNITS
@@ -402,7 +399,7 @@ def _presses(sensor: ShownSensor, calibration: Path, as_json: bool) -> Iterator[
 
     def told(press: LivePress) -> None:
         words = [str(one.in_unit(UNITS[one.quantity])) for one in press.readings] or [press.why]
-        say(json.dumps(press.to_dict()) if as_json else f"press {press.number}: {'; '.join(words)}")
+        say(json.dumps(press.to_dict()) if as_json() else f"press {press.number}: {'; '.join(words)}")
 
     with PressReader(compliance_of(ComplianceCalibration.load(calibration)), told) as presses:
         sensor.live.loop.subscribe(presses)
@@ -429,17 +426,17 @@ def _readings(sensors: list[ShownSensor], seconds: float | None) -> Iterator[tup
 
 
 @contextmanager
-def _shown(as_json: bool, quiet: bool) -> Iterator[Any]:
+def _shown() -> Iterator[Any]:
     """Show readings: as JSON, as lines that are redrawn, or as lines once a second."""
     from rich.console import Console
     from rich.live import Live as Redrawn
     from rich.text import Text
 
     console = Console(stderr=True)
-    if as_json:
+    if as_json():
         yield lambda sensor, reading: say(json.dumps(sensor.to_dict(reading), allow_nan=False))
         return
-    if quiet:
+    if is_quiet():
         yield lambda sensor, reading: None
         return
     lines: dict[str, str] = {}

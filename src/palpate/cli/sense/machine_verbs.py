@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
-from palpate.cli.verb_support import Json, print_found
+from palpate.cli.verb_support import print_found
 
 if TYPE_CHECKING:
     from palpate.rig.real.camera_listing import ListedCamera
@@ -16,9 +16,8 @@ if TYPE_CHECKING:
 
 def cameras(
     all_: Annotated[bool, Option("--all", help="Tell every size and rate, and a udev rule.")] = False,
-    json_: Json = False,
 ) -> None:
-    """List the cameras of this machine: sizes, rates, and who uses them.
+    """List the cameras of this machine: sizes, rates, users.
 
     Example: palpate cameras
     """
@@ -27,10 +26,10 @@ def cameras(
     found = list_cameras()
     text = "\n".join(_camera_text(one, all_) for one in found)
     nothing = how_listed() or "no camera is to be seen; begin without one: palpate live --camera virtual:palm"
-    print_found([_camera_fields(one) for one in found], text or nothing, json_)
+    print_found([_camera_fields(one) for one in found], text or nothing)
 
 
-def doctor(json_: Json = False) -> None:
+def doctor() -> None:
     """Look this machine over, and say how what is missing is mended.
 
     Ends with status 1 where something that is needed is broken.
@@ -40,7 +39,7 @@ def doctor(json_: Json = False) -> None:
     from palpate.workflows.machine_check import check_machine, machine_text
 
     parts = check_machine()
-    print_found([part.to_dict() for part in parts], machine_text(parts), json_)
+    print_found([part.to_dict() for part in parts], machine_text(parts))
     if any(part.state == "broken" for part in parts):
         raise typer.Exit(1)
 
@@ -61,7 +60,7 @@ def _camera_text(one: ListedCamera, everything: bool) -> str:
     lines = [f"{one.path}  {one.name}"]
     lines.append(f"  palpate live --camera {one.serial or one.path}{_live_options(preset)}")
     if preset is not None:
-        lines.append(f"  of a sensor that is known: palpate sensors show {preset.name}")
+        lines.append(f"  of a sensor that is known: palpate sensors {preset.name}")
     if not one.serial:
         lines.append("  it tells no serial number, so that its path may change when cables are swapped")
     best: dict[str, list[str]] = {}

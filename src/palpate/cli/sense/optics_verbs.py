@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.sense.fringe_verbs import colour_table, fringe_order
-from palpate.cli.verb_support import Json, Quiet, group, numbers_of, print_found, progress_bar
+from palpate.cli.verb_support import numbers_of, print_found, progress_bar
 from palpate.core import InputError
 
 
@@ -25,8 +24,6 @@ def flow(
         str | None, Option(help="X,Y,WIDTH,HEIGHT of the divergence [px]; without, the moving region.")
     ] = None,
     fields: Annotated[bool, Option(help="Also keep every flow: fields.npy, 4 bytes a number.")] = False,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Compute optical flow and its divergence along a sequence.
 
@@ -38,13 +35,13 @@ def flow(
     from palpate.reports.flow_figures import write_flow
 
     box = cast("tuple[int, int, int, int] | None", numbers_of(region, 4, "--region"))
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         tell = partial(progress, "flow")
         result = write_flow(
             frames, out, method=method, from_first=from_first, fields=fields,
             region_px=box, progress=tell,
         )  # fmt: skip
-    print_found(result, _flow_text(result), json_)
+    print_found(result, _flow_text(result))
 
 
 def _flow_text(result: Mapping[str, Any]) -> str:
@@ -68,12 +65,7 @@ if TYPE_CHECKING:
     from palpate.calibration.stress_optic_fit import Disc, FringeFit, Strip
     from palpate.estimators.fringe_light import Polariscope
 
-app = group("Light, stress and what a material makes of them.")
-app.command("fringe-order")(fringe_order)
-app.command("colour-table")(colour_table)
 
-
-@app.command("fit-c")
 def fit_c(
     folder: Annotated[Path, Argument(help="Folder of photographs, one for each load.")],
     labels: Annotated[Path, Option(help="CSV or Parquet, one row a photograph; here or in the folder.")],
@@ -120,8 +112,6 @@ def fit_c(
     ] = None,
     tone: Annotated[str, Option(help="srgb, or linear where the numbers are light.")] = "srgb",
     out: Annotated[Path | None, Option(help="PNG of the fit to make; must not exist.")] = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Fit the stress-optic coefficient C from photographs.
 
@@ -141,7 +131,7 @@ def fit_c(
         dispersion_m2=dispersion_nm2 * 1e-18,
         bright_field=bright_field,
     )
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         fit = fit_stress_optic(
             folder,
             labels,
@@ -165,7 +155,7 @@ def fit_c(
         from palpate.reports.fringe_fit_figure import write_figure
 
         write_figure(fit, out)
-    print_found(fit.to_dict(), _text(fit), json_)
+    print_found(fit.to_dict(), _text(fit))
 
 
 def _specimen(

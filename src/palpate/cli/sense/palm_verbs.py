@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.sensors.palm.copies.palm_copy import CopyFit, PalmCopy
 
-app = group("Find one palm's own constants, and check them by a weight.")
-
-CopyFile = Annotated[Path, Option("--copy", help="File of the copy, as `palm fit` or `palm known` made it.")]
+UnitFile = Annotated[Path, Option("--with", help="File of the unit, as `palpate calibrate` made it.")]
 Picture = Annotated[Path, Argument(help="Picture of the ball pressed in.")]
 Untouched = Annotated[Path, Option(help="Picture of the untouched skin, before it.")]
 COVERED = 1.645  # standard deviations of a 90 % interval
 
 
-@app.command()
 def fit(
     run: Annotated[Path, Argument(help="Run of presses with known forces, by the palm's ball.")],
     out: Annotated[Path, Option(help="File of the copy to make; must not exist.")],
@@ -29,14 +26,12 @@ def fit(
     presses: Annotated[int, Option(help="How many frames are taken, spread over force; 5 to 10.")] = 8,
     force_share: Annotated[float, Option(help="Standard deviation of a force, as a share.")] = 0.01,
     friction: Annotated[float, Option(help="Between ball and skin: 0 or 0.5.")] = 0.0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Find a palm's modulus, stress-optic coefficient, lamp and mirror.
 
     Takes 5 to 40 seconds a press, by the frames' size, of presses within 0.7 radii of the middle.
 
-    Example: palpate palm fit runs/weights --preset demo --out mine.json
+    Example: palpate calibrate --method palm-unit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
     from palpate.sensors.palm.copies.copy_advice import unsure_constants
@@ -51,7 +46,7 @@ def fit(
     )
 
     refuse_existing(out)
-    with progress_bar(quiet) as tell:
+    with progress_bar() as tell:
         within_m, ball = MAX_REACH * preset_radius_m(preset), preset_ball(preset)
         pictured = pictured_presses(run, presses, force_share, within_m, ball)
         known = design_for(preset, pictured[0].image.shape[:2], friction)
@@ -59,10 +54,9 @@ def fit(
         unsure = unsure_constants(found.copy, tell)
     write_copy(found.copy, preset, out)
     answer = _copy_answer(found) | {"unsure": [one._asdict() for one in unsure], "copy": str(out)}
-    print_found(answer, _copy_text(answer), json_)
+    print_found(answer, _copy_text(answer))
 
 
-@app.command()
 def known(
     reference: Annotated[Path, Argument(help="Picture of the untouched skin; its size is the frames'.")],
     out: Annotated[Path, Option(help="File of the copy to make; must not exist.")],
@@ -73,13 +67,12 @@ def known(
     modulus_share: Annotated[float, Option(help="The same of the preset's E, which is not known.")] = 0.25,
     preset: Annotated[str, Option(help="Design of the palm: palm, small, demo, debug or crops.")] = "palm",
     friction: Annotated[float, Option(help="Between ball and skin: 0 or 0.5.")] = 0.0,
-    json_: Json = False,
 ) -> None:
     """Make a copy of a design whose stress-optic coefficient was measured.
 
     Its pictures tell force whatever the modulus is: geometry has the depth, fringes have E C.
 
-    Example: palpate palm known rest.png --coefficient-per-Pa 3.5e-9 --preset demo --out mine.json
+    Example: palpate calibrate --method palm-known rest.png --coefficient-per-Pa 3.5e-9 --out mine.json
     """
     from palpate.core import refuse_existing
     from palpate.sensors.palm.copies.palm_copy import measured_copy
@@ -97,26 +90,23 @@ def known(
     text = (
         f"C {copy.coefficient_per_pa:.3g} /Pa ± {answer['coefficient_share']:.1%} as measured, E "
         f"{copy.modulus_pa / 1e3:.1f} kPa ± {answer['modulus_share']:.0%} as designed (90 %)\n"
-        f"lamp, mirror and regions as designed; known forces tell them better: palpate palm fit\n"
+        f"lamp, mirror and regions as designed; known forces tell them better (--method palm-unit)\n"
         f"copy: {out}"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
-@app.command()
-def read(
-    image: Picture, reference: Untouched, copy: CopyFile, json_: Json = False, quiet: Quiet = False
-) -> None:
+def read(image: Picture, reference: Untouched, copy: UnitFile) -> None:
     """Read force, place and depth of a picture by a copy's constants.
 
-    Example: palpate palm read press.png --reference rest.png --copy mine.json --json
+    Example: palpate read press.png --with mine.json --reference rest.png --json
     """
     from palpate.sensors.palm.copies.palm_copy_fit import drift_of, read_press
     from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
 
     known = read_copy(copy)
     rest = read_picture(reference)
-    with progress_bar(quiet):
+    with progress_bar():
         found = read_press(known, read_picture(image), rest)
     drift = drift_of(known, rest)
     force = [found.force_n * math.exp(side * COVERED * found.force_share) for side in (-1, 1)]
@@ -132,32 +122,29 @@ def read(
         f"{answer['y_mm']:.2f}) mm, {answer['depth_mm']:.3f} mm deep; 90 % intervals, as far as this "
         f"model of the palm is right: the picture differs from its own by {found.off:.1%} of white"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
-@app.command()
 def weigh(
     image: Picture,
     reference: Untouched,
-    copy: CopyFile,
+    copy: UnitFile,
     mass_g: Annotated[float, Option(help="Mass of all that rests on the skin, the ball as well [g].")],
     later: Annotated[
         Path | None, Option(help="Picture of the same weight some seconds later: one that rolled is refused.")
     ] = None,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Check a copy by a known weight, laid on the skin on the palm's ball.
 
     It sees a change of modulus or stress-optic coefficient, which an untouched frame cannot show.
 
-    Example: palpate palm weigh w.png --reference rest.png --copy mine.json --mass-g 200 --later w2.png
+    Example: palpate check-weight w.png --with mine.json --reference rest.png --mass-g 200 --later w2.png
     """
     from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
     from palpate.sensors.palm.copies.palm_weight import check_weight, refuse_rolling
 
     known, laid, rest = read_copy(copy), read_picture(image), read_picture(reference)
-    with progress_bar(quiet) as tell:
+    with progress_bar() as tell:
         check, found = check_weight(known, laid, rest, 1e-3 * mass_g, tell)
         if later is not None:
             refuse_rolling(found, laid, read_picture(later), rest, tell)
@@ -176,7 +163,7 @@ def weigh(
         f"stress-optic coefficient {check.coefficient_change:+.1%} ({check.coefficient_deviations:+.1f})\n"
         f"{said}"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
 def _copy_answer(found: CopyFit) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Typer
 
-from palpate.cli.verb_support import Group, Json, print_found, say
+from palpate.cli.verb_support import Group, print_found, say
 
 if TYPE_CHECKING:
     from palpate.sensors.owned import SensorPreset
@@ -20,8 +20,8 @@ class ListedGroup(Group):
     """A group that lists where no verb is named."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take the verb that lists where there is no other word."""
-        named = any(not word.startswith("-") for word in args) or "--help" in args
+        """Take the verb that lists where no verb is named."""
+        named = bool(args) and (args[0] in self.commands or args[0] == "--help")
         return super().parse_args(ctx, args if named else [LIST, *args])
 
 
@@ -32,37 +32,30 @@ app = Typer(
 
 
 @app.command(LIST)
-def list_presets(json_: Json = False) -> None:
-    """List sensors that people own; what `palpate sensors` does by itself.
+def list_presets(
+    sensor: Annotated[str, Argument(help="Name of a preset, or a TOML file of one; by default all.")] = "",
+) -> None:
+    """List sensors that people own, or say what is known of one.
 
     Each has frame sizes, the skin's region, settings of its camera and its marks, from published sources.
 
     Example: palpate sensors
-    """
-    from palpate.sensors.owned import preset_names, sensor_preset
 
+    Example: palpate sensors digit
+    """
+    from palpate.sensors.owned import preset_names, read_preset, sensor_preset
+
+    if sensor:
+        shown = read_preset(sensor)
+        print_found(shown.model_dump(mode="json"), _text(shown))
+        return
     presets = [sensor_preset(name) for name in preset_names()]
     rows = [(preset.name, preset.title, preset.kind, _recognised_by(preset)) for preset in presets]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
     lines = ["  ".join([*(row[i].ljust(widths[i]) for i in range(3)), row[3]]).rstrip() for row in rows]
-    told = "`palpate sensors show NAME` says what is known of one, and from where"
+    told = "`palpate sensors NAME` says what is known of one, and from where"
     found = {"sensors": [preset.model_dump(mode="json") for preset in presets]}
-    print_found(found, "\n".join([*lines, "", told]), json_)
-
-
-@app.command("show")
-def show(
-    sensor: Annotated[str, Argument(help="Name of a preset, or a TOML file of one.")],
-    json_: Json = False,
-) -> None:
-    """Say what is known of a sensor, and from which source.
-
-    Example: palpate sensors show digit
-    """
-    from palpate.sensors.owned import read_preset
-
-    preset = read_preset(sensor)
-    print_found(preset.model_dump(mode="json"), _text(preset), json_)
+    print_found(found, "\n".join([*lines, "", told]))
 
 
 @app.command("new")
@@ -74,7 +67,7 @@ def new(file: Annotated[Path, Argument(help="TOML file to begin; must not exist.
     from palpate.sensors.owned import write_own_preset
 
     write_own_preset(file)
-    say(f"{file}: fill in what you know; `palpate sensors show {file}` checks it")
+    say(f"{file}: fill in what you know; `palpate sensors {file}` checks it")
 
 
 def _recognised_by(preset: SensorPreset) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Quiet, progress_bar, say
+from palpate.cli.verb_support import as_json, progress_bar, say
 from palpate.core import Frame, InputError, Lens, Readings, new_folder, refuse_existing
 from palpate.core.sensor import sensor as find_sensor
 
@@ -35,18 +35,16 @@ def shear(
         Path | None, Option(help="TOML or JSON of a dotted skin, in place of the sensor's.")
     ] = None,
     calibration: Annotated[
-        Path | None, Option(help="Force calibration of this pad (palpate force fit): adds newtons.")
+        Path | None, Option("--with", help="Force calibration of this pad: adds newtons.")
     ] = None,
     fields: Annotated[Path | None, Option(help="Folder to make: strain fields of each frame as NPZ.")] = None,
     html: Annotated[Path | None, Option(help="Page with pictures to make; must not exist.")] = None,
-    json_: Annotated[bool, Option("--json", help="Print one JSON object a frame.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Read touch on a patterned skin from how its marks have moved.
 
     Place, edge, contacts, rotation, shift and flags come without a calibration; newtons with one.
 
-    Example: palpate shear press.mp4 --reference untouched.png --sensor nusense --json
+    Example: palpate read press.mp4 --reference untouched.png --sensor nusense --json
     """
     from palpate.calibration.shear import ShearCalibration
     from palpate.sensing.shear_frames import (
@@ -66,12 +64,12 @@ def shear(
     with ExitStack() as stack:
         frames = stack.enter_context(open_frames(source))
         folder = stack.enter_context(new_folder(fields)) if fields else None
-        progress = stack.enter_context(progress_bar(quiet))
+        progress = stack.enter_context(progress_bar())
         page = _page(source, reader, untouched) if html else None
-        if not json_:
+        if not as_json():
             say(ROW.format(*HEAD).rstrip())
         for count, seen in enumerate(read_touches(frames, reader, force), 1):
-            say(json.dumps(seen.to_dict(), allow_nan=False) if json_ else _row(seen))
+            say(json.dumps(seen.to_dict(), allow_nan=False) if as_json() else _row(seen))
             if folder:
                 write_fields(folder, seen)
             if page:

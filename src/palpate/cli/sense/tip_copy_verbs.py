@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import Json, Quiet, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.sensors.tactip.tip_copies import PlatePress, TipCopy, TipCopyFit
 
-CopyPath = Annotated[Path, Option("--copy", help="File of the copy, as `tip calibrate` made it.")]
+UnitFile = Annotated[Path, Option("--with", help="File of the unit, as `palpate calibrate` made it.")]
 Loaded = Annotated[Path, Argument(help="Frame of the tip on a flat rigid plate.")]
 RestFrame = Annotated[Path, Option("--reference", help="Frame of the untouched tip, before it.")]
 COVERED = 1.645  # standard deviations of a 90 % interval
@@ -25,8 +25,6 @@ def calibrate(
     presses: Annotated[int, Option(help="How many frames are taken, spread over force; 5 to 10.")] = 10,
     force_share: Annotated[float, Option(help="Standard deviation of a force, as a share.")] = 0.005,
     force_sd_n: Annotated[float, Option(help="The same in newtons, added [N].")] = 0.03,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Find a tip's own constants from presses of known force.
 
@@ -35,7 +33,7 @@ def calibrate(
     Takes frames of a folder that has specimens.csv (those on a rigid plate), of a run of one press, or of a
     run on a rig.
 
-    Example: palpate tip calibrate presses --out mine.json
+    Example: palpate calibrate --method tip-unit presses --out mine.json
     """
     from palpate.core import refuse_existing
     from palpate.sensors.tactip.tactip_sensor import tactip
@@ -44,28 +42,26 @@ def calibrate(
 
     refuse_existing(out)
     design = designed_tip(tactip(preset).spec)
-    with progress_bar(quiet) as tell:
+    with progress_bar() as tell:
         known = known_presses(
             runs, presses, design.spec.pins.count, force_share=force_share, force_sd_n=force_sd_n
         )
         found = fit_tip_copy(design, known, tell)
     write_tip_copy(found.copy, preset, out)
     answer = _copy_answer(found) | {"copy": str(out)}
-    print_found(answer, _copy_text(answer), json_)
+    print_found(answer, _copy_text(answer))
 
 
-def force(
-    image: Loaded, reference: RestFrame, copy: CopyPath, json_: Json = False, quiet: Quiet = False
-) -> None:
+def force(image: Loaded, reference: RestFrame, copy: UnitFile) -> None:
     """Read force and depth on a flat rigid plate by a copy's constants.
 
-    Example: palpate tip force frame.png --reference rest.png --copy mine.json
+    Example: palpate read frame.png --with mine.json --reference rest.png
     """
     from palpate.sensors.tactip.tip_copies import read_plate_press
     from palpate.sensors.tactip.tip_copies.tip_copy_store import load_tip_copy
 
     known = load_tip_copy(copy)
-    with progress_bar(quiet) as tell:
+    with progress_bar() as tell:
         found = read_plate_press(known, _press(known, image, reference), tell)
     low, high = (found.force_n * (1 + side * COVERED * found.force_share) for side in (-1, 1))
     half = COVERED * found.depth_sd_mm
@@ -77,28 +73,26 @@ def force(
         f"{found.force_n:.3f} N ({low:.3f} to {high:.3f}), {found.depth_mm:.3f} ± {half:.3f} mm deep; 90 % "
         "intervals, for a flat rigid plate and as far as this model of the tip is right"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
 def weigh(
     images: Annotated[list[Path], Argument(help="Frame of the weight at rest; several have to agree.")],
     reference: RestFrame,
-    copy: CopyPath,
+    copy: UnitFile,
     mass_g: Annotated[float, Option(help="Mass of all that rests on the tip [g].")],
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Check a copy by a flat rigid object of known mass.
 
     It sees a change of stiffness, which an untouched frame cannot show.
 
-    Example: palpate tip weigh w.png --reference rest.png --copy mine.json --mass-g 200
+    Example: palpate check-weight w.png --with mine.json --reference rest.png --mass-g 200
     """
     from palpate.sensors.tactip.tip_copies.tip_copy_store import load_tip_copy
     from palpate.sensors.tactip.tip_copies.tip_weight import check_tip_weight
 
     known = load_tip_copy(copy)
-    with progress_bar(quiet) as tell:
+    with progress_bar() as tell:
         pressed = [_press(known, image, reference) for image in images]
         check = check_tip_weight(known, pressed, 1e-3 * mass_g, tell)
     answer: dict[str, Any] = {
@@ -115,7 +109,7 @@ def weigh(
         f"({check.ratio_deviations:+.1f})\n"
         f"{said}"
     )
-    print_found(answer, text, json_)
+    print_found(answer, text)
 
 
 def _press(known: TipCopy, image: Path, reference: Path) -> PlatePress:

@@ -7,40 +7,33 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from palpate.cli.sense.tip_copy_verbs import calibrate, force, weigh
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
-
-app = group("Fit a virtual TacTip to a real one, read by it, and check it.")
-for verb in (calibrate, force, weigh):
-    app.command()(verb)
+from palpate.cli.verb_support import print_found, progress_bar
 
 
-@app.command()
 def fit(
     taps: Annotated[Path, Argument(help="Folder of taps to fit to: labels.csv and images.")],
     judge: Annotated[Path, Option(help="Folder of other taps of the same sensor, to judge by.")],
     out: Annotated[Path, Option(help="Folder to make: tip.json, reader.json, tip.png.")],
-    pins: Annotated[int, Option(help="How many pins the tip has.")] = 331,
-    count: Annotated[int, Option(help="How many taps are fitted to.")] = 400,
-    json_: Json = False,
-    quiet: Quiet = False,
+    preset: Annotated[str, Option(help="Number of the tip's pins: 127 or 331.")] = "331",
+    presses: Annotated[int, Option(help="How many taps are fitted to.")] = 400,
 ) -> None:
     """Find a tip's lever, camera and grip from taps of known pose.
 
     Images are binarised, pins bright; labels.csv has image_file, depth_mm, tilt_x_deg, tilt_y_deg,
-    shear_x_mm, shear_y_mm and twist_deg. A tip then reads poses: `palpate tip read`. Some eight minutes for
+    shear_x_mm, shear_y_mm and twist_deg. A tip then reads poses: `palpate read`. Some eight minutes for
     2,000 taps of which 400 are fitted to.
 
-    Example: palpate tip fit taps/train --judge taps/val --out tip
+    Example: palpate calibrate --method tip-pose taps/train --judge taps/val --out tip
     """
     from palpate.core import refuse_existing
     from palpate.reports.tip_fit_figure import TipPicture, write_tip_files
+    from palpate.sensors.tactip.tactip_sensor import tactip
     from palpate.sensors.tactip.taps import fit_folder, reader_record
     from palpate.sensors.tactip.taps.tap_folder import tip_record, upright_places
 
     refuse_existing(out)
-    with progress_bar(quiet) as progress:
-        found = fit_folder(taps, judge, pins=pins, taps=count, progress=progress)
+    with progress_bar() as progress:
+        found = fit_folder(taps, judge, pins=tactip(preset).spec.pins.count, taps=presses, progress=progress)
     record, judged = tip_record(found), found.judged
     left = {"motion": judged.motion_px, "twin": judged.residual_px, "smooth": judged.floor_px}
     left["learnt"] = found.learnt_px
@@ -48,38 +41,35 @@ def fit(
     picture = TipPicture(found.fit.tip.rest_px, *shown, judged.by_pin_px, left)
     write_tip_files(out, record, reader_record(found.reader, found.known.layout), picture)
     record["out"] = str(out)
-    print_found(record, _text(record), json_)
+    print_found(record, _text(record))
 
 
-@app.command()
 def read(
-    tip: Annotated[Path, Argument(help="Folder of a fitted tip, as `tip fit` made it.")],
     taps: Annotated[list[Path], Argument(help="Images of taps, binarised; or one folder of labelled taps.")],
-    json_: Json = False,
-    quiet: Quiet = False,
+    tip: Annotated[Path, Option("--with", help="Folder of a fitted tip, as `palpate calibrate` made it.")],
 ) -> None:
     """Read the poses of taps with 90 % intervals, by a fitted tip.
 
-    Of a folder with labels.csv, as `tip fit` takes it, it says how far readings are from the labels and how
-    many intervals hold them.
+    Of a folder with labels.csv, as the calibration takes it, it says how far readings are from the labels and
+    how many intervals hold them.
 
-    Example: palpate tip read tip tap_1.png tap_2.png
+    Example: palpate read tap_1.png tap_2.png --with tip
     """
     from palpate.sensors.tactip.taps import load_reader, read_images, register_taps
     from palpate.sensors.tactip.taps.tap_folder import reading_record
 
     reader, layout = load_reader(tip)
     if len(taps) == 1 and taps[0].is_dir():
-        with progress_bar(quiet) as progress:
+        with progress_bar() as progress:
             labelled = register_taps(taps, len(layout.cells), progress, layout)[0]
             read = reader.read(labelled.places_px)
         record = reading_record(read, labelled.poses, len(reader.error.known))
         record["taps_left_out"] = labelled.lost
-        print_found(record, _judged_text(record), json_)
+        print_found(record, _judged_text(record))
         return
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         rows = read_images(reader, layout, taps, progress)
-    print_found({"coverage": 0.9, "readings": rows}, "\n".join(map(_reading_text, rows)), json_)
+    print_found({"coverage": 0.9, "readings": rows}, "\n".join(map(_reading_text, rows)))
 
 
 def _judged_text(record: dict[str, Any]) -> str:

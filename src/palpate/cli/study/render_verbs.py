@@ -11,16 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import Json, Quiet, group, print_found, progress_bar
+from palpate.cli.verb_support import print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
     from palpate.sensors.palm.membrane_wear import Wear
 
-app = group("Draw what a virtual sensor would see.")
 
-
-@app.command()
 def palm(
     depth_mm: Annotated[
         float, Option(help="How deep the probe is pressed [mm]; negative: how far it hangs above.")
@@ -39,10 +36,6 @@ def palm(
     preset: Annotated[
         str, Option(help="palm, small, demo, debug, crops, solaris, sylgard-184 or casting-resin.")
     ] = "palm",
-    exact: Annotated[
-        bool | None,
-        Option("--exact/--fast", help="March every ray anew, slower; by default where the fast way is off."),
-    ] = None,
     rim: Annotated[
         str, Option(help="What the membrane's free rim does to the ball's press: applied or stated.")
     ] = "stated",
@@ -67,7 +60,6 @@ def palm(
     opaque_underside: Annotated[
         bool, Option("--opaque-underside", help="A dark layer under the membrane: a blind mirror.")
     ] = False,
-    json_: Json = False,
 ) -> None:
     """Press a probe into the virtual palm and write the frame.
 
@@ -103,14 +95,13 @@ def palm(
     )
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
-    frame = palms.render(contact, spec, np.random.default_rng(seed), exact=exact)
+    frame = palms.render(contact, spec, np.random.default_rng(seed))
     result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(image_files.encode(frame.image).tobytes())
-    print_found(result, "\n".join(f"{name}: {_shown(value)}" for name, value in result.items()), json_)
+    print_found(result, "\n".join(f"{name}: {_shown(value)}" for name, value in result.items()))
 
 
-@app.command()
 def tactip(
     out: Annotated[Path, Argument(help="Folder to make; must not exist.")],
     specimen: Annotated[
@@ -142,10 +133,9 @@ def tactip(
         ),
     ] = None,
     trials: Annotated[int, Option(min=1, max=999, help="Of each specimen.")] = 5,
-    pins: Annotated[int, Option(help="127 or 331.")] = 127,
-    fitted: Annotated[
-        bool, Option("--fitted", help="331 pins, lever and camera as fitted to taps of a real tip.")
-    ] = False,
+    preset: Annotated[
+        str, Option(help="127 or 331 pins; 331-fitted: lever and camera as fitted to taps of a real tip.")
+    ] = "127",
     tip: Annotated[str, Option(help="base, even, soft-skin or stiff-skin.")] = "base",
     speed_mm_s: Annotated[float, Option(min=0.1, max=20, help="Of the tip's way down [mm/s].")] = 5.0,
     rig: Annotated[
@@ -162,8 +152,6 @@ def tactip(
     hold_s: Annotated[
         float, Option(help="Stand still at the depth of the greatest force for, 0 to 60 [s].")
     ] = 0.0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Press the virtual TacTip on soft specimens, as a rig records it.
 
@@ -188,13 +176,12 @@ def tactip(
     drive = rig_named(rig)
     own = _bodies(specimen or [], rigid)
     bodies, hidden = own or REPORT_N_M, unknown or ([] if own else list(UNKNOWN))
-    preset = "331-fitted" if fitted else f"{pins}"
     spec = replace(palpate.sensor(f"tactip-{preset}").spec, tip=tip, speed_m_s=1e-3 * speed_mm_s)
     if friction is None:
         spec = at_finite_strain(spec, bodies.values(), math.radians(tilt_deg))
     else:
         spec = replace(spec, friction=friction)
-    with progress_bar(quiet) as progress:
+    with progress_bar() as progress:
         pressed = specimens_at(spec, bodies, math.radians(tilt_deg), progress=progress)
         folder = record_trials(
             out, spec, pressed, trials, seed=seed, unknown=hidden, runs=runs, back=back,
@@ -202,7 +189,7 @@ def tactip(
         )  # fmt: skip
     laws = {name: TacTip(spec).on(words).law for name, words in pressed.items()}
     result, text = _trials_text(folder, bodies, tilt_deg, runs, laws)
-    print_found(result, text, json_)
+    print_found(result, text)
 
 
 def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:

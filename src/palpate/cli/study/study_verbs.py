@@ -13,14 +13,11 @@ import typer
 from typer import Option
 
 import palpate
-from palpate.cli.verb_support import Json, Quiet, phases, print_found, progress_bar, stopped_by_signals
+from palpate.cli.verb_support import phases, print_found, progress_bar, stopped_by_signals
 
 
 def demo(
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
-    seed: Annotated[int, Option(help="Seed of everything random.")] = 0,
-    json_: Json = False,
-    quiet: Quiet = False,
 ) -> None:
     """Show the whole loop on a virtual photoelastic skin.
 
@@ -28,10 +25,10 @@ def demo(
 
     Example: palpate demo --out demo-out
     """
-    with progress_bar(quiet) as bar:
-        progress = bar if sys.stderr.isatty() else phases(quiet)
-        result = palpate.run_demo(out, seed=seed, progress=progress)
-    print_found(result.to_dict(), result.text(), json_)
+    with progress_bar() as bar:
+        progress = bar if sys.stderr.isatty() else phases()
+        result = palpate.run_demo(out, progress=progress)
+    print_found(result.to_dict(), result.text())
 
 
 if TYPE_CHECKING:

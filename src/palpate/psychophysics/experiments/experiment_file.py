@@ -274,7 +274,7 @@ def read_design(folder: Path) -> ExperimentDesign:
     """
     path = folder / EXPERIMENT
     if not path.is_file():
-        raise InputError(f"{folder} has no {EXPERIMENT}; `palpate trial new` makes a folder with one")
+        raise InputError(f"{folder} has no {EXPERIMENT}; `palpate experiment new` makes a folder with one")
     file = validated(ExperimentFile, path, read_toml(path))
     stimuli = read_stimuli(folder)
     for part in file.stimuli:

@@ -30,7 +30,7 @@ FLATS_KPA = tuple(round(150.0 * 1.06**k, 1) for k in range(-10, 11))
 Files = Mapping[str, str]
 
 HEAD = """\
-# A design for `palpate trial run`. Edit it until the first participant comes, and not after: whoever has
+# A design for `palpate experiment run`. Edit it until the first participant comes, and not after: whoever has
 # begun goes on by the same design alone.
 name = "{name}"
 seed = {seed}                # of everything that is drawn

@@ -293,7 +293,7 @@ def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where:
     begun = record.design or {}
     changed = [one for one in sorted({*begun, *digests}) if begun.get(one) != digests.get(one)]
     if changed:
-        mend = "put it back as it was, or begin another experiment by `palpate trial new`"
+        mend = "put it back as it was, or begin another experiment by `palpate experiment new`"
         if record.simulated:
             mend = f"delete the folder {REHEARSAL}, and rehearse again; or put it back as it was"
         raise InputError(

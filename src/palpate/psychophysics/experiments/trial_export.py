@@ -141,7 +141,7 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
     if not enrolled:
         where = home_of(design, simulated)
         raise InputError(
-            f"{where} has no participant yet; `palpate trial run` enrols one", code="no-participants"
+            f"{where} has no participant yet; `palpate experiment run` enrols one", code="no-participants"
         )
     labels = [label_of(one.participant) for one in enrolled]
     twice = [one.participant for one, label in zip(enrolled, labels, strict=True) if labels.count(label) > 1]

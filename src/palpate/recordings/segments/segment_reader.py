@@ -346,8 +346,8 @@ class StoredFrame:
     def error(self, reason: Exception) -> RecordingError:
         """Error of a frame that cannot be read."""
         return RecordingError(
-            f"{self.path} at byte {self.chunk.offset}: {reason}; `palpate repair` copies what is readable "
-            "into a new run",
+            f"{self.path} at byte {self.chunk.offset}: {reason}; `palpate check --repair` copies what is "
+            "readable into a new run",
             code="segment-damaged",
         )
 

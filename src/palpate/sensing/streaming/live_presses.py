@@ -74,7 +74,7 @@ class LivePress:
 
 
 def compliance_of(calibration: ComplianceCalibration) -> PressRead:
-    """Function that reads a press by a calibration of compliance, as `palpate compliance` does."""
+    """Function that reads a press by a calibration of compliance, as `palpate read` does."""
 
     def read(frames: Sequence[Image], table: PressTable, name: str) -> Sequence[Reading]:
         press = reference_trial(frames, table).press

@@ -52,7 +52,7 @@ class FrameReader(Protocol):
 
 
 class CalibrationReader:
-    """Reads frames by a calibration folder, as `palpate sense` does.
+    """Reads frames by a calibration folder, as `palpate read` does.
 
     Args:
         estimator: the calibration.

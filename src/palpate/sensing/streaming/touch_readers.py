@@ -87,7 +87,7 @@ def open_shear_reader(
     Args:
         skin: a sensor whose patterned skin it is, such as "nusense:7", or a TOML or JSON file of a dotted
             skin.
-        calibration: file of `palpate force fit`; None for touch without newtons.
+        calibration: file of `palpate calibrate --method shear-force`; None for touch without newtons.
         reference: image of the untouched skin; without one it is zeroed later.
 
     Raises:

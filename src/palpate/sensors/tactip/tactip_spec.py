@@ -169,9 +169,9 @@ def tactip(pins: int = 127) -> TacTipSpec:
 def fitted_tactip() -> TacTipSpec:
     """The TacTip with 331 pins, its lever and camera as fitted to taps of a real one, closest to upright.
 
-    Fitted by `palpate tip fit` to another laboratory's recordings, a stand-in: a lever of 0.29 mm (0.26 to
-    0.33) and a pinhole 34.2 mm above the apex (33.5 to 34.8). The barrel distortion of that lens, 0.105 at
-    the edge of the pins, is not in this camera; tip, gel and all else stay assumed.
+    Fitted by `palpate calibrate --method tip-pose` to another laboratory's recordings, a stand-in: a lever of
+    0.29 mm (0.26 to 0.33) and a pinhole 34.2 mm above the apex (33.5 to 34.8). The barrel distortion of that
+    lens, 0.105 at the edge of the pins, is not in this camera; tip, gel and all else stay assumed.
     """
     return replace(
         tactip(331),

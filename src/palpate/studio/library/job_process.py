@@ -81,7 +81,7 @@ def compare_job(voice: JobVoice, first: str, second: str, out: str) -> dict[str,
 
 
 def analyse_job(voice: JobVoice, folder: str, out: str) -> dict[str, Any]:
-    """Analyse an experiment's answers, as `palpate trial analyse` does with its own settings."""
+    """Analyse an experiment's answers, as `palpate experiment analyze` does with its own settings."""
     from palpate.psychophysics.analysis import analyse_experiment
     from palpate.psychophysics.experiments import read_kept_answers
     from palpate.reports.trial_page import analysis_answers, write_trial_page

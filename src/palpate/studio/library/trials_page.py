@@ -89,18 +89,18 @@ def experiment_summary(workspace: Workspace, name: str) -> ExperimentSummary:
     typed = shlex.quote(name)
     open_ones = [one for one in people if one.state == "goes on" and not one.simulated]
     begun = sum(not one.simulated for one in people)
-    commands = [f"palpate trial run {typed} --participant {one.code}" for one in open_ones]
+    commands = [f"palpate experiment run {typed} --participant {one.code}" for one in open_ones]
     if begun < wanted:
-        commands.append(f"palpate trial run {typed} --participant P{begun + 1:02d}")
+        commands.append(f"palpate experiment run {typed} --participant P{begun + 1:02d}")
     if not people:
         rehearsal = "--participant R01 --noise 0.3   # a rehearsal: nobody is asked"
-        commands.append(f"palpate trial run {typed} {rehearsal}")
+        commands.append(f"palpate experiment run {typed} {rehearsal}")
     if any(one.kept and not one.simulated for one in people):
-        commands.append(f"palpate trial analyse {typed} --out {shlex.quote(name)}.html")
-        commands.append(f"palpate trial export {typed} {shlex.quote(name)}-bids")
+        commands.append(f"palpate experiment analyze {typed} --out {shlex.quote(name)}.html")
+        commands.append(f"palpate experiment export {typed} {shlex.quote(name)}-bids")
     if any(one.kept and one.simulated for one in people):
         rehearsed = shlex.quote(f"{name}/{REHEARSAL}")
-        commands.append(f"palpate trial analyse {rehearsed} --out rehearsal.html   # simulated")
+        commands.append(f"palpate experiment analyze {rehearsed} --out rehearsal.html   # simulated")
     return ExperimentSummary(name, design.file.name, wanted, tuple(people), tuple(commands))
 
 
@@ -180,7 +180,7 @@ class TrialsPage:
 NOTHING = (
     '<section class="card" aria-label="Experiments"><h2>No experiments yet</h2><p class="empty">An '
     "experiment is a folder with a design in it. Make one in the workspace, edit it before the first "
-    'participant, and it is listed here:</p><pre class="commands">palpate trial new jelly --preset jelly'
+    'participant, and it is listed here:</p><pre class="commands">palpate experiment new jelly --preset jelly'
     "</pre></section>"
 )
 HEADS = ("participant", "group", "judgements", "state")

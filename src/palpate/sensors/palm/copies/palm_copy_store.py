@@ -57,7 +57,7 @@ def read_copy(path: Path) -> PalmCopy:
         InputError: no copy's file, one of another format, or one whose numbers make none.
         StorageError: it cannot be read.
     """
-    return read_unit(path, FORMAT, TERMS, "palpate palm fit", _made)
+    return read_unit(path, FORMAT, TERMS, "palpate calibrate --method palm-unit", _made)
 
 
 def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> PalmCopy:

@@ -45,7 +45,7 @@ def load_reader(folder: Path) -> tuple[TipReader, NamedPins]:
     """
     path = folder / FILE
     if not path.is_file():
-        raise InputError(f"there is no {path}; `palpate tip fit` makes one")
+        raise InputError(f"there is no {path}; `palpate calibrate --method tip-pose` makes one")
     with storage_errors(path):
         text = path.read_bytes()
     try:

@@ -47,7 +47,7 @@ def load_tip_copy(path: Path) -> TipCopy:
         InputError: no copy's file, or one whose numbers make none.
         StorageError: it cannot be read.
     """
-    return read_unit(path, TIP_COPY_FORMAT, COPY_TERMS, "palpate tip calibrate", _made)
+    return read_unit(path, TIP_COPY_FORMAT, COPY_TERMS, "palpate calibrate --method tip-unit", _made)
 
 
 def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> TipCopy:
