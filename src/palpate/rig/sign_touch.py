@@ -8,6 +8,7 @@ the guard learns of the skin's stiffness, before any press goes deeper.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 
 from palpate.devices import ForceReached, Guard, Reason, Tripped
@@ -78,8 +79,14 @@ def _down_and_back(rig: Rig, plan: RecordingPlan, guard: Guard, record: TouchRec
         raise Tripped(Reason.TOUCHED_EARLY, "the probe is in contact at the clearance already")
     lowest = (x, y, rig.origin_m[2] + plan.seek_mm * MM)
     speed = plan.seek_mm_s * MM
-    reached = guard.towards(lowest, speed, ForceReached(wanted_n))
+    reached = guard.towards(lowest, speed, ForceReached(wanted_n, any_way=True))
     record.stand()
+    if reached and guard.force_n[2] <= plan.threshold_N:
+        raise Tripped(
+            Reason.FORCE_REVERSED,
+            f"the touch was felt with {guard.force_n[2]:.2f} N along the press and "
+            f"{math.hypot(*guard.force_n):.2f} N in all: the axes in the rig's file are wrong",
+        )
     if not reached and guard.force_n[2] <= plan.threshold_N:  # a soft specimen may not carry more
         raise Tripped(
             Reason.NO_CONTACT,

@@ -77,7 +77,7 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         if homes:
             say("homing, on your word that the probe hangs free")
             home_clear(stage, force, Mounting(), clock, lifted=True)
-        _lead_above(stage, force, limits, clock, answers)
+        _lead_above(stage, force, _mounting_of(pushed_n), limits, clock, answers)
         reach_mm = number(
             answers, "reach_mm", "How far down to feel for the skin [mm]", 0.1, MAX_REACH_M * MM, 5.0
         )
@@ -94,7 +94,16 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         return found if homing else found | {"reference": _mm(stage.position_m())}
 
 
-def _lead_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, answers: Answers) -> None:
+def _mounting_of(pushed_n: Force) -> Mounting:
+    """Mounting in which a push, as the skin gives it, is compression; x and y are not known yet."""
+    i = max(range(3), key=lambda k: abs(pushed_n[k]))
+    x, y = (AXES[k] for k in range(3) if k != i)
+    return Mounting((x, y, f"{'-' if pushed_n[i] < 0 else ''}{AXES[i]}"))
+
+
+def _lead_above(
+    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, answers: Answers
+) -> None:
     """Go to the place that is answered; a person may also lead the probe there in steps."""
 
     def take() -> bool:
@@ -104,9 +113,10 @@ def _lead_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, 
         try:
             if step is None:
                 x, y, z = three_of("above_mm", WHERE, answer)
-                _go_above(stage, force, limits, clock, (x / MM, y / MM, z / MM))
+                _go_above(stage, force, mounting, limits, clock, (x / MM, y / MM, z / MM))
                 return True
-            _go_above(stage, force, limits, clock, _stepped(at, limits, step[1], float(step[2]) / MM))
+            target = _stepped(at, limits, step[1], float(step[2]) / MM)
+            _go_above(stage, force, mounting, limits, clock, target)
         except Tripped as e:
             if not answers.again(f"{e}; the stage stands at {_mm(stage.position_m())} mm"):
                 raise
@@ -127,10 +137,12 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
     return x, y, z
 
 
-def _go_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, above: Three) -> None:
+def _go_above(
+    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, above: Three
+) -> None:
     """Aside first and then down, stopped by a change of force of 1 N from that of the air."""
     at = stage.position_m()
-    guard = guard_from_air(stage, force, Mounting(), limits, clock, JOG_N)
+    guard = guard_from_air(stage, force, mounting, limits, clock, JOG_N)
     speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
     try:
         for target in ((above[0], above[1], min(at[2], above[2])), above):
@@ -144,13 +156,13 @@ def _go_above(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, ab
 
 
 def _check_same_axis(pushed_n: Force, axis: str) -> None:
-    """Refuse a touch that was felt along another axis than the push by hand."""
-    pushed = AXES[max(range(3), key=lambda i: abs(pushed_n[i]))]
-    if pushed != axis.removeprefix("-"):
+    """Refuse a touch that was felt along another axis than the push by hand, or with another sign."""
+    pushed = _mounting_of(pushed_n).axes[2]
+    if pushed != axis:
         raise Tripped(
             Reason.FORCE_REVERSED,
-            f"the push by hand was felt along the sensor's {pushed}, and the touch along its {axis[-1]}: "
-            "push in the direction of a press, and check how the sensor is mounted",
+            f"the push by hand was felt along the sensor's {pushed}, and the touch along its {axis}: push "
+            "the probe's tip towards the stage, and check how the sensor is mounted",
         )
 
 

@@ -39,6 +39,8 @@ CHANGED_N = 0.05  # a change of force that is contact, unless the noise is large
 SIGMAS = 5.0
 RISE_N = 1.0  # by which compression may rise on the way away: beyond, z is turned round
 MIN_SAMPLES = 25
+NOISY_S = 2.0  # longest time for which a noisy sensor is heard besides
+UNSEEN_N = 0.1  # greatest change of force that may stay unseen before a jog
 MEASURE_S = 0.1
 POLL_S = 0.002
 LATE_S = 2.0  # beyond the time that a move should take, three times over
@@ -61,8 +63,8 @@ AGREE_M = 0.3e-3  # difference of two searches for the skin
 MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
 AXES = "xyz"
 PUSH = (
-    f"Push the probe in the direction of a press, by hand, with more than {PUSH_N:g} N, and let go: the "
-    "stage moves only once the force sensor has responded"
+    f"Push the probe's tip towards the stage, by hand, as the skin will, with more than {PUSH_N:g} N, and "
+    " let go: the stage moves only once the force sensor has responded"
 )
 
 
@@ -71,6 +73,7 @@ class Homing(Protocol):
     """Stage whose place can be lost: `retreat` and `approach` move it along z before its place is known."""
 
     def home(self) -> None: ...
+    def stop(self) -> None: ...
     def unlock(self) -> None: ...
     def retreat(self, distance_m: float, speed_m_s: float) -> None: ...
     def approach(self, distance_m: float, speed_m_s: float) -> None: ...
@@ -86,12 +89,19 @@ class AirForce:
         noise_n: their standard deviation along the press [N].
         rate_hz: of the samples that came [Hz].
         lifted_mm: by how far the probe was lifted [mm].
+        samples: that the mean is of.
     """
 
     force_n: Force
     noise_n: float
     rate_hz: float
     lifted_mm: float
+    samples: int = MIN_SAMPLES
+
+    @property
+    def error_n(self) -> float:
+        """Standard deviation of the mean along the press [N]."""
+        return self.noise_n / math.sqrt(self.samples)
 
 
 def _fresh(force: ForceSensor) -> list[Wrench]:
@@ -103,8 +113,17 @@ def _fresh(force: ForceSensor) -> list[Wrench]:
     return samples
 
 
-def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
+def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock, *, brief: bool = False) -> AirForce:
     """Mean of fresh samples, at a stand; on a busy computer samples are waited for up to `STALE_S`.
+
+    A noisy sensor is heard longer, by `NOISY_S` at most, so that its mean tells a contact that a quiet one
+    would.
+
+    Args:
+        force: sensor, at a stand.
+        mounting: of the sensor.
+        clock: of the sensor.
+        brief: do not hear a noisy sensor longer: a push by hand looks like noise.
 
     Raises:
         Tripped: too few come, they are faulty, or all of them are the same in every channel.
@@ -119,6 +138,11 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
         samples += PlainForceSource(force).drain()
     bias = ForceBias(mounting)
     bias.measure(samples)
+    wanted = 2 * (SIGMAS * bias.noise_n / CHANGED_N) ** 2
+    if wanted > len(samples) and not brief:
+        clock.sleep(min((wanted - len(samples)) / force.rate_hz, NOISY_S))
+        samples += PlainForceSource(force).drain()
+        bias.measure(samples)
     if len({(one.force_n, one.torque_nm) for one in samples if not one.fault}) == 1:
         raise Tripped(
             Reason.FORCE_NOISE,
@@ -126,7 +150,7 @@ def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce
             "is too coarse to guard a motion; push it by hand and look",
         )
     taken_s = max((clock.now_ns() - began_ns) / NS_PER_S, 1e-9)
-    return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0)
+    return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0, len(samples))
 
 
 def discard(force: ForceSensor) -> None:
@@ -159,9 +183,9 @@ def await_push(force: ForceSensor, clock: Clock, axis: int | None = None) -> For
             (`FORCE_NOISE`).
     """
     end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
-    means: deque[AirForce] = deque([mean_force(force, Mounting(), clock)], maxlen=PUSH_MEANS)
+    means: deque[AirForce] = deque([mean_force(force, Mounting(), clock, brief=True)], maxlen=PUSH_MEANS)
     while True:
-        now = mean_force(force, Mounting(), clock)
+        now = mean_force(force, Mounting(), clock, brief=True)
         for before in means:
             push = _difference(now, before)
             felt_n = math.hypot(*push) if axis is None else abs(push[axis])
@@ -182,7 +206,7 @@ def _released(force: ForceSensor, clock: Clock, rest: AirForce, push: Force, axi
     end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
     since_ns = clock.now_ns()
     while clock.now_ns() - since_ns < RELEASED_S * NS_PER_S:
-        now = mean_force(force, Mounting(), clock)
+        now = mean_force(force, Mounting(), clock, brief=True)
         change = _difference(now, rest)
         push = max(push, change, key=lambda one: math.hypot(*one) if axis is None else abs(one[axis]))
         if math.hypot(*change) > max(RELEASED_N, RELEASED_SHARE * math.hypot(*push), _contact_n(now, rest)):
@@ -203,7 +227,14 @@ def _difference(a: AirForce, b: AirForce) -> Force:
 
 
 def lift_clear(
-    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, limits: Limits | None = None
+    stage: Stage,
+    force: ForceSensor,
+    mounting: Mounting,
+    clock: Clock,
+    limits: Limits | None = None,
+    *,
+    reach_m: float = math.inf,
+    rise_n: float = RISE_N,
 ) -> AirForce:
     """Lift the probe in steps until the force no longer changes: it hangs in the air.
 
@@ -213,6 +244,8 @@ def lift_clear(
         mounting: of the force sensor.
         clock: of both.
         limits: soft limits that it keeps to, where the stage's place is known.
+        reach_m: way at which it ends, whatever the force [m].
+        rise_n: by which compression may rise [N].
 
     Raises:
         Tripped: a soft limit, before it is passed; compression rises, the force changes by more than the
@@ -222,7 +255,7 @@ def lift_clear(
     at = start = mean_force(force, mounting, clock)
     most_n = MAX_CHANGE_N if limits is None else limits.force_n
     lifted_m, reference, flat_m = 0.0, at, 0.0
-    while flat_m < FLAT_M - 1e-9:
+    while flat_m < FLAT_M - 1e-9 and lifted_m < reach_m - 1e-9:
         if lifted_m > MAX_LIFT_M:
             raise Tripped(
                 Reason.FORCE_NOISE,
@@ -232,11 +265,16 @@ def lift_clear(
         if limits is not None:
             x, y, z = stage.position_m()
             limits.check_target((x, y, z - STEP_M))
-        _retreat(stage, force, mounting, clock, STEP_M, LIFT_SPEED_M_S, start=start, most_n=most_n)
-        lifted_m, flat_m = lifted_m + STEP_M, flat_m + STEP_M
+        step_m = min(STEP_M, reach_m - lifted_m)
+        _retreat(
+            stage, force, mounting, clock, step_m, LIFT_SPEED_M_S, start=start, rise_n=rise_n, most_n=most_n
+        )
+        lifted_m, flat_m = lifted_m + step_m, flat_m + step_m
         at = mean_force(force, mounting, clock)
         if math.dist(at.force_n, reference.force_n) > _contact_n(at, reference):
             reference, flat_m = at, 0.0
+        elif lifted_m == step_m:  # it began in the air, where nothing changes the force but a skin above it
+            most_n = min(most_n, rise_n)
     return replace(at, lifted_mm=lifted_m * 1e3)
 
 
@@ -260,7 +298,12 @@ def home_clear(
     found = None
     if not lifted:
         found = _lift_locked(stage, force, mounting, clock)
-    stage.home()
+    if force is None:
+        stage.home()
+    else:
+        from palpate.rig.commissioning.watched_homing import home_watched
+
+        home_watched(stage, force, clock)
     return found
 
 
@@ -291,8 +334,12 @@ def touch_off(
     """
     if not isinstance(stage, Homing):
         raise DeviceError("this stage always knows its position; leave --position touch-off out")
-    if pushed:
-        await_push(force, clock, mounting.normal)
+    if pushed and mounting.to_skin(await_push(force, clock, mounting.normal))[2] < 0:
+        raise Tripped(
+            Reason.FORCE_REVERSED,
+            "the push towards the stage was felt as a pull, so nothing moved: correct the sign of z in the "
+            "axes of the force sensor in the rig's file, or push as the skin will",
+        )
     lift_clear(stage, force, mounting, clock)
     air = mean_force(force, Mounting(), clock)
     _search(stage, force, mounting, clock, air, SEARCH_REACH_M)
@@ -372,7 +419,7 @@ def zero(
         raise Tripped(
             Reason.TOUCHED_EARLY,
             f"the probe was in contact: the force changed while it was lifted by {found.lifted_mm:.1f} mm. "
-            "It hangs in the air now; repeat",
+            "It was lifted until the force stayed the same; repeat",
         )
     return found
 
@@ -398,7 +445,13 @@ def guard_from_air(
         stage, force, replace(limits, force_n=stop_n), ForceBias(mounting), clock, OperatorControl()
     )
     if has_room_to_lift(stage, limits):
-        zero(stage, force, mounting, clock, limits)
+        seen = zero(stage, force, mounting, clock, limits)
+        if (unseen_n := _contact_n(seen, seen)) > UNSEEN_N:
+            raise Tripped(
+                Reason.FORCE_NOISE,
+                f"a contact of {unseen_n:.2f} N would stay unseen in the noise of {seen.noise_n:.2f} N, and "
+                f"{UNSEEN_N:g} N are allowed before a jog: shield the sensor, or average its samples",
+            )
     guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
     if math.dist(stage.position_m(), at) > SAME_M:
         guard.towards(at, min(LIFT_SPEED_M_S, limits.fastest_m_s(stage.travel)))
@@ -420,7 +473,7 @@ def jog(
     """Move one axis by so far, stopped by any change of force from that of the air.
 
     Other than away, the probe is first lifted by `FLAT_M`, which proves the air, and lowered again. Away from
-    the skin the force may fall by as much as the rig allows: the probe may stand in the skin.
+    the skin the force may fall by as much as the rig allows until it is flat: it may stand in the skin.
 
     Args:
         axis: x, y or z of the skin's frame; z leads into it.
@@ -441,10 +494,27 @@ def jog(
     if force is None:
         hop_to(stage, clock, target, speed_m_s)
     elif axis == "z" and distance_m < 0:
-        _retreat(stage, force, mounting, clock, -distance_m, speed_m_s, rise_n=stop_n, most_n=limits.force_n)
+        _jog_away(stage, force, mounting, limits, clock, -distance_m, speed_m_s, stop_n)
     else:
         limits.check_speed(speed_m_s, stage.travel)  # before anything moves
         guard_from_air(stage, force, mounting, limits, clock, stop_n).towards(target, speed_m_s)
+
+
+def _jog_away(
+    stage: Stage,
+    force: ForceSensor,
+    mounting: Mounting,
+    limits: Limits,
+    clock: Clock,
+    distance_m: float,
+    speed_m_s: float,
+    stop_n: float,
+) -> None:
+    """Lift until the force is flat, and go on, stopped by any change from there: z may be turned round."""
+    found = lift_clear(stage, force, mounting, clock, limits, reach_m=distance_m, rise_n=stop_n)
+    left_m = distance_m - found.lifted_mm * 1e-3
+    if left_m > SAME_M:
+        _retreat(stage, force, mounting, clock, left_m, speed_m_s, start=found, rise_n=stop_n, most_n=stop_n)
 
 
 def move_watched(
@@ -531,13 +601,13 @@ def _lift_well_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock
     more_m = HOMING_LIFT_M - found.lifted_mm * 1e-3
     if more_m <= 0:
         return found
-    _retreat(stage, force, mounting, clock, more_m, LIFT_SPEED_M_S)
+    _retreat(stage, force, mounting, clock, more_m, LIFT_SPEED_M_S, start=found, most_n=RISE_N)
     return replace(found, lifted_mm=HOMING_LIFT_M * 1e3)
 
 
 def _contact_n(a: AirForce, b: AirForce) -> float:
     """Change between two means that noise does not explain [N]."""
-    return max(CHANGED_N, SIGMAS * math.hypot(a.noise_n, b.noise_n) / math.sqrt(MIN_SAMPLES))
+    return max(CHANGED_N, SIGMAS * math.hypot(a.error_n, b.error_n))
 
 
 def _retreat(
@@ -559,11 +629,12 @@ def _retreat(
         rise_n: Allowed rise of compression since then [N].
         most_n: Allowed change of force since then, of any sign: z or the sensor may be turned round [N].
     """
-    from_n = (start or mean_force(force, mounting, clock)).force_n
+    start = start or mean_force(force, mounting, clock)
+    from_n, noise_n = start.force_n, SIGMAS * start.noise_n
 
     def look() -> None:
         for one in _fresh(force):
-            _check_lift(mounting.to_skin(one.force_n), from_n, rise_n, most_n)
+            _check_lift(mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
     x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)
     count = math.ceil(distance_m / HOP_M - 1e-6)

@@ -250,10 +250,19 @@ class GrblStage(Closing):
         """Drive to the switches and take the machine's own coordinates from there; returns when done.
 
         Raises:
-            DeviceError: it is moving, has no switches, did not find them, or was stopped.
+            DeviceError: it is moving, has no switches, did not find them, was stopped, or would home towards
+                the skin (`homing-not-confirmed`).
         """
         halts = self._link.halts
         with self._lock:
+            axes, machine = self._session.spec.axes, self._session.machine
+            if machine.homes_into_skin(axes):
+                raise DeviceError(
+                    f"homing by $23={machine.homes_down} would drive {axes[2][1]} towards the skin; nothing "
+                    "moved. Set $23 so that it homes away from the skin, or correct axes, or give "
+                    "--position touch-off",
+                    code="homing-not-confirmed",
+                )
             _home(self._session, halts)
 
     def unlock(self) -> None:

@@ -197,6 +197,7 @@ class GrblMachine:
         reports: $10, what a status report shows.
         motors_hold: whether the motors keep their current at rest, $1=255.
         reversed_axes: $3, a bit for each axis that runs the other way.
+        homes_down: $23, a bit for each axis that homes towards smaller machine coordinates.
     """
 
     steps_per_mm: tuple[float, float, float]
@@ -207,6 +208,7 @@ class GrblMachine:
     reports: int = 511
     motors_hold: bool = False
     reversed_axes: int = 0
+    homes_down: int = 0
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -222,7 +224,13 @@ class GrblMachine:
             reports=int(_number(settings, 10)),
             motors_hold=settings.get(1, "").split()[:1] == ["255"],
             reversed_axes=int(_number(settings, 3)),
+            homes_down=int(_number(settings, 23)),
         )
+
+    def homes_into_skin(self, axes: tuple[str, str, str]) -> bool:
+        """Whether homing drives the axis of the skin's z towards the skin, for the axes of a mount."""
+        goes_down = bool(self.homes_down >> _index(axes[2]) & 1)
+        return goes_down == (_sign(axes[2]) < 0)
 
     @property
     def tolerance_mm(self) -> float:
