@@ -92,7 +92,7 @@ def check_sensor(sensor: Sensor) -> list[CheckResult]:
         True
     """
     faults = contract_faults(sensor)
-    contract = verdict("keeps the contract", not faults, "; ".join(faults))
+    contract = verdict("contract", not faults, "; ".join(faults))
     if faults:
         return [contract]
     return [contract, *(one for law in LAWS for one in _run(law, sensor))]
@@ -103,8 +103,8 @@ def _run(law: Callable[[Sensor], Part], sensor: Sensor) -> Part:
     try:
         yield from law(sensor)
     except Exception as e:  # whatever a stranger's sensor raises is reported
-        name = (law.__doc__ or law.__name__).strip().rstrip(".")
-        yield verdict(name, False, f"{type(e).__name__}: {e}")
+        code = law.__name__.replace("_", "-")
+        yield verdict(code, False, f"{type(e).__name__}: {e}")
 
 
 def _press(sensor: Sensor, share: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
@@ -129,32 +129,32 @@ def _mean_image(sensor: Sensor, contact: Contact, seed: int = 0) -> Float[ndarra
 def at_rest(sensor: Sensor) -> Part:
     """A sensor at rest feels no force, and its frame is as stated."""
     faults = frame_faults(sensor)
-    yield verdict("at rest there is no force, and the frame is as stated", not faults, "; ".join(faults))
+    yield verdict("at-rest", not faults, "; ".join(faults))
 
 
-def grows(sensor: Sensor) -> Part:
+def force_grows(sensor: Sensor) -> Part:
     """Force grows with depth as far as it is known."""
     force = [0.0, *(_press(sensor, share).force_n for share in DEPTHS)]
     least = float(np.diff(force).min())
     yield judge(
-        "force grows with depth as far as it is known", least > 0, least, 0.0, "N",
+        "force-grows", least > 0, least, 0.0, "N",
         f"forces {force} N at {[0.0, *DEPTHS]} of the known depth; each is greater than the one before",
     )  # fmt: skip
 
 
-def integrates(sensor: Sensor) -> Part:
+def pressure_integral(sensor: Sensor) -> Part:
     """Pressure integrates to the force."""
     contact = _press(sensor, HALF)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
     whole = float(contact.pressure_pa.sum() * cell)
     off = abs(whole / contact.force_n - 1)
     yield at_most(
-        "pressure integrates to the force", off, INTEGRAL, "",
+        "pressure-integral", off, INTEGRAL, "",
         f"its integral is {whole:g} N and the force {contact.force_n:g} N; are all in Pa, m and N?",
     )  # fmt: skip
 
 
-def plausible(sensor: Sensor) -> Part:
+def press_plausible(sensor: Sensor) -> Part:
     """A press returns what is finite, shaped and in SI."""
     contact = _press(sensor, HALF)
     grid = (len(contact.y_m), len(contact.x_m))
@@ -175,75 +175,75 @@ def plausible(sensor: Sensor) -> Part:
             wrong.append(f"{what} up to {greatest:g}; no touch goes beyond {most:g}")
     if not (contact.radius_m > 0 and np.asarray(contact.touching).any()):
         wrong.append("a press at half the known depth touches nothing")
-    yield verdict("what a press returns is finite, shaped and in SI", not wrong, "; ".join(wrong))
+    yield verdict("press-plausible", not wrong, "; ".join(wrong))
 
 
-def says_what_made_it(sensor: Sensor) -> Part:
+def contact_origin(sensor: Sensor) -> Part:
     """A contact says what made it."""
     probe, specimen = _own(sensor)
     contact = _press(sensor, HALF)
     pose = Pose(0.0, 0.0, HALF * sensor.known_depth_m(probe, specimen))
     same = (contact.probe, contact.pose, contact.specimen) == (probe, pose, specimen)
     yield verdict(
-        "a contact says what made it",
+        "contact-origin",
         same,
         f"asked {probe} at {pose}, answered {contact.probe}, {contact.pose}",
     )
 
 
-def obeys_its_force_law(sensor: Sensor) -> Part:
+def force_law_agrees(sensor: Sensor) -> Part:
     """The force law is that of its presses."""
     law = force_law(sensor, *_own(sensor))
     presses = [_press(sensor, share) for share in DEPTHS]
     read = np.interp([one.pose.depth_m for one in presses], law.depth_m, law.force_n)
     off = float(np.abs(read / [one.force_n for one in presses] - 1).max())
     yield at_most(
-        "the force law is that of its presses", off, SAME_LAW, "",
+        "force-law-agrees", off, SAME_LAW, "",
         f"between them lie {100 * off:.1f} %; let force_law() read what press() gives, or leave it out",
     )  # fmt: skip
 
 
-def refuses_the_unknown(sensor: Sensor) -> Part:
+def depth_refused(sensor: Sensor) -> Part:
     """Beyond the known depth a press is refused."""
     error = refusal(partial(_press, sensor, 1 + BEYOND))
     yield verdict(
-        "beyond the known depth a press is refused", isinstance(error, RangeError),
+        "depth-refused", isinstance(error, RangeError),
         f"a press a thousandth deeper than known {describe(error)}; raise RangeError",
     )  # fmt: skip
 
 
-def draws_by_its_rng(sensor: Sensor) -> Part:
+def frames_reproducible(sensor: Sensor) -> Part:
     """The same rng draws the same frame."""
     contact = _press(sensor, HALF)
     one, other = (sensor.render(contact, np.random.default_rng(3)).image for _ in range(2))
     yield verdict(
-        "the same rng draws the same frame", np.array_equal(one, other),
+        "frames-reproducible", np.array_equal(one, other),
         "two frames of one contact and one seed differ; draw all chance from the rng that is given",
     )  # fmt: skip
 
 
-def shows_a_press(sensor: Sensor) -> Part:
+def press_visible(sensor: Sensor) -> Part:
     """A press is seen beyond the noise."""
     rest, contact = untouched(sensor), _press(sensor, HALF)
     noise = _rms(_mean_image(sensor, rest, 1) - _mean_image(sensor, rest, 2))
     change = _rms(_mean_image(sensor, contact, 3) - _mean_image(sensor, rest, 1))
     yield judge(
-        "a press is seen beyond the noise", change > BEYOND_NOISE * noise, change, BEYOND_NOISE * noise, "",
+        "press-visible", change > BEYOND_NOISE * noise, change, BEYOND_NOISE * noise, "",
         f"a press changes the frame by {change:.3g} grey levels, noise by {noise:.3g}",
     )  # fmt: skip
 
 
-def moves_along_its_axes(sensor: Sensor) -> Part:
+def image_axes(sensor: Sensor) -> Part:
     """A contact moves in the image as the axes say."""
     motions = _motions(sensor)
     worst = min(motions, key=lambda motion: motion.cosine)
     yield judge(
-        "a contact moves in the image as the axes say", worst.cosine >= ALIGNED, worst.cosine, ALIGNED, "",
+        "image-axes", worst.cosine >= ALIGNED, worst.cosine, ALIGNED, "",
         f"{worst}; {_stated(sensor)}",
     )  # fmt: skip
 
 
-def moves_as_far_as_its_axes_say(sensor: Sensor) -> Part:
+def image_scale(sensor: Sensor) -> Part:
     """A contact moves in the image as far as the axes say.
 
     A patch of light moves by 0.99 to 1.01 of what is stated. Among markers the centroid lags behind, since
@@ -253,12 +253,12 @@ def moves_as_far_as_its_axes_say(sensor: Sensor) -> Part:
     worst = max(_motions(sensor), key=lambda motion: abs(motion.share - 1))
     off = abs(worst.share - 1)
     yield at_most(
-        "a contact moves in the image as far as the axes say", off, SAME_SCALE, "",
+        "image-scale", off, SAME_SCALE, "",
         f"{worst}, {worst.share:.3g} times as far as stated; {_stated(sensor)}; are they in px/m?",
     )  # fmt: skip
 
 
-def keeps_its_plan_inside(sensor: Sensor) -> Part:
+def plan_inside(sensor: Sensor) -> Part:
     """Its outline holds its own plan's places."""
     outline, message = sensor.outline, ""
     try:
@@ -273,43 +273,43 @@ def keeps_its_plan_inside(sensor: Sensor) -> Part:
             sensor.probe(words)
     except PalpateError as e:
         message = f"its plan is refused: {e}"
-    yield verdict("its outline holds its own plan's places", not message, message)
+    yield verdict("plan-inside", not message, message)
 
 
-def rectifies_to_its_size(sensor: Sensor) -> Part:
+def rectified_size(sensor: Sensor) -> Part:
     """A rectified frame has the size it states."""
     frame = sensor.render(untouched(sensor), np.random.default_rng(0))
     height, width = sensor.rectify(frame).image.shape[:2]
     yield verdict(
-        "a rectified frame has the size it states", (width, height) == sensor.rectified_px,
+        "rectified-size", (width, height) == sensor.rectified_px,
         f"{width} x {height} px, and it states {sensor.rectified_px[0]} x {sensor.rectified_px[1]} px",
     )  # fmt: skip
 
 
-def refuses_nonsense(sensor: Sensor) -> Part:
+def probe_refused(sensor: Sensor) -> Part:
     """Words that are no probe are refused."""
     error = refusal(partial(sensor.probe, "no such probe"))
     yield verdict(
-        "words that are no probe are refused", isinstance(error, InputError),
+        "probe-refused", isinstance(error, InputError),
         f"probe('no such probe') {describe(error)}; raise InputError and say what there is",
     )  # fmt: skip
 
 
 LAWS: tuple[Callable[[Sensor], Part], ...] = (
     at_rest,
-    grows,
-    integrates,
-    plausible,
-    says_what_made_it,
-    obeys_its_force_law,
-    refuses_the_unknown,
-    draws_by_its_rng,
-    shows_a_press,
-    moves_along_its_axes,
-    moves_as_far_as_its_axes_say,
-    keeps_its_plan_inside,
-    rectifies_to_its_size,
-    refuses_nonsense,
+    force_grows,
+    pressure_integral,
+    press_plausible,
+    contact_origin,
+    force_law_agrees,
+    depth_refused,
+    frames_reproducible,
+    press_visible,
+    image_axes,
+    image_scale,
+    plan_inside,
+    rectified_size,
+    probe_refused,
 )
 
 
@@ -371,7 +371,7 @@ def _motions(sensor: Sensor) -> list[_Motion]:
         )
         motions.append(_Motion((2 * x_m, 2 * y_m), stated_px, after - before))
     if not motions:
-        raise InputError(f"{_stated(sensor)}; state by how much a contact moves")
+        raise InputError(f"{_stated(sensor)}; state by how much a contact moves", code="axes-unstated")
     return motions
 
 
@@ -381,7 +381,9 @@ def _room_m(sensor: Sensor, way: tuple[float, float]) -> float:
     (x, y), tried = way, np.linspace(0.0, outline.radius_m, PLACES_TRIED)
     held = [t for t in tried if all(outline.contains(s * t * x, s * t * y, radius_m) for s in (-1, 1))]
     if not held or held[-1] == 0:
-        raise InputError(f"the probe of {1e3 * radius_m:.3g} mm radius has no room to move on the outline")
+        raise InputError(
+            f"the probe of {1e3 * radius_m:.3g} mm radius has no room to move on the outline", code="no-room"
+        )
     return float(held[-1])
 
 
@@ -394,7 +396,8 @@ def _faintest(sensor: Sensor, rest: ndarray, noise: float) -> float:
     for share in LIGHT:
         if _rms(_region(sensor, _press(sensor, share), 3) - rest) > BEYOND_NOISE * noise:
             return share
-    raise InputError(f"no press is seen in {sensor.axes.region!r}; let the axes name a region that shows it")
+    region = sensor.axes.region
+    raise InputError(f"no press is seen in {region!r}; name another region", code="press-not-seen")
 
 
 def _region(sensor: Sensor, contact: Contact, seed: int) -> Float[ndarray, "h w"]:

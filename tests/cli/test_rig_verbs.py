@@ -240,9 +240,9 @@ def test_a_stop_beside_a_process_that_holds_the_rig_is_its_emergency_stop(
 
 
 def test_a_finding_that_failed_says_what_was_measured_and_what_is_allowed() -> None:
-    late = CheckResult("latest is never old", False, 0.1043, 0.1, "s", "wait for newer ones")
-    plain = CheckResult("closes twice", False, message="let it do nothing")
+    late = CheckResult("latest-age", False, 0.1043, 0.1, "s", "wait for newer ones")
+    plain = CheckResult("close-twice", False, message="let it do nothing")
     assert wrong_lines([late, plain]) == [
-        "wrong: latest is never old: 104.3 ms (100): wait for newer ones",
-        "wrong: closes twice: let it do nothing",
+        "wrong: latest-age: 104.3 ms (100): wait for newer ones",
+        "wrong: close-twice: let it do nothing",
     ]

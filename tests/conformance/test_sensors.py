@@ -12,7 +12,7 @@ import pytest
 from tests.refusals import refused
 from tests.slow_params import mostly_slow
 
-from palpate.check import LAWS, SAME_SCALE, check_sensor, moves_along_its_axes, moves_as_far_as_its_axes_say
+from palpate.check import LAWS, SAME_SCALE, check_sensor, image_axes, image_scale
 from palpate.core.contact import Contact, Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
@@ -92,53 +92,49 @@ def any_probe(words: str) -> Any:
 
 
 WRONG: dict[str, dict[str, Any]] = {
-    "keeps the contract": {"regions": lambda: {"fringes": (0, 0, 10_000, 10), "mirror": (0, 0, 10, 10)}},
-    "at rest there is no force, and the frame is as stated": frame_with(lambda image, _: image[:-1]),
-    "force grows with depth as far as it is known": contact_with(
-        lambda made: {"force_n": 2.0 * (made.pose.depth_m > 0)}
-    ),
-    "pressure integrates to the force": contact_with(lambda made: {"pressure_pa": 1.1 * made.pressure_pa}),
-    "what a press returns is finite, shaped and in SI": contact_with(
+    "contract": {"regions": lambda: {"fringes": (0, 0, 10_000, 10), "mirror": (0, 0, 10, 10)}},
+    "at-rest": frame_with(lambda image, _: image[:-1]),
+    "force-grows": contact_with(lambda made: {"force_n": 2.0 * (made.pose.depth_m > 0)}),
+    "pressure-integral": contact_with(lambda made: {"pressure_pa": 1.1 * made.pressure_pa}),
+    "press-plausible": contact_with(
         lambda made: {"x_m": 1e3 * made.x_m, "y_m": 1e3 * made.y_m, "pressure_pa": 1e-6 * made.pressure_pa}
     ),
-    "a contact says what made it": contact_with(lambda made: {"pose": Pose(1e-3, 0.0, made.pose.depth_m)}),
-    "the force law is that of its presses": {
+    "contact-origin": contact_with(lambda made: {"pose": Pose(1e-3, 0.0, made.pose.depth_m)}),
+    "force-law-agrees": {
         "force_law": lambda probe, specimen=None: replace(
             SOUND.force_law(probe), force_n=1e3 * SOUND.force_law(probe).force_n
         )
     },
-    "beyond the known depth a press is refused": {"press": shallow},
-    "the same rng draws the same frame": {"render": by_chance},
-    "a press is seen beyond the noise": {
+    "depth-refused": {"press": shallow},
+    "frames-reproducible": {"render": by_chance},
+    "press-visible": {
         "render": lambda contact, rng, *rest: SOUND.render(
             SOUND.press(SOUND.probe("sphere:10"), Pose(0.0, 0.0, 0.0)), rng, *rest
         )
     },
-    "a contact moves in the image as the axes say": {"axes": ImageAxes("mirror", (-1e3, 0.0), (0.0, 866.0))},
-    "a contact moves in the image as far as the axes say": {
-        "axes": replace(SOUND.axes, across=tuple(px / 3 for px in SOUND.axes.across))
-    },
-    "its outline holds its own plan's places": {
+    "image-axes": {"axes": ImageAxes("mirror", (-1e3, 0.0), (0.0, 866.0))},
+    "image-scale": {"axes": replace(SOUND.axes, across=tuple(px / 3 for px in SOUND.axes.across))},
+    "plan-inside": {
         "outline": Outline.disc(57e-3),
         "default_plan": lambda: {
             "kind": "listed",
             "places": {"kind": "listed", "at_mm": [[26.0, 0.0]]},
         },
     },
-    "a rectified frame has the size it states": {"rectified_px": (100, 50)},
-    "words that are no probe are refused": {"probe": any_probe},
+    "rectified-size": {"rectified_px": (100, 50)},
+    "probe-refused": {"probe": any_probe},
 }
 
 
 def test_a_broken_sensor_is_known_for_every_law() -> None:
-    names = [one.name for one in check_sensor(SOUND)]
+    names = [one.code for one in check_sensor(SOUND)]
     assert sorted(names) == sorted(WRONG)
 
 
 @pytest.mark.parametrize("law", WRONG)
 @pytest.mark.cases(8)
 def test_a_sensor_that_breaks_a_law_is_found_out_by_it(law: str) -> None:
-    findings = {one.name: one for one in check_sensor(Broken(SOUND, **WRONG[law]))}
+    findings = {one.code: one for one in check_sensor(Broken(SOUND, **WRONG[law]))}
     assert not findings[law].ok
     assert findings[law].message
 
@@ -149,7 +145,6 @@ def scaled(axes: ImageAxes, across: float, down: float) -> ImageAxes:
     return replace(axes, across=(across * xx, across * xy), down=(down * yx, down * yy))
 
 
-FAR = "a contact moves in the image as far as the axes say"
 SMALL_ONES = [sensor(SMALL.get(name, name)) for name in SENSORS.names()]
 
 
@@ -159,10 +154,8 @@ SMALL_ONES = [sensor(SMALL.get(name, name)) for name in SENSORS.names()]
     mostly_slow([(1 / 3, 1.0), (1.0, 1 / 5), (3.0, 1.0), (1.0, 5.0)], lambda i: i % 3 == 0),
 )
 def test_axes_of_another_scale_are_found_out(sound: Sensor, across: float, down: float) -> None:
-    (finding,) = moves_as_far_as_its_axes_say(
-        cast(Sensor, Broken(sound, axes=scaled(sound.axes, across, down)))
-    )
-    assert finding.name == FAR
+    (finding,) = image_scale(cast(Sensor, Broken(sound, axes=scaled(sound.axes, across, down))))
+    assert finding.code == "image-scale"
     assert not finding.ok
     way = r"moved by \(0, " if across == 1 else r", 0\) mm it moves"
     assert re.search(way, finding.message)
@@ -170,24 +163,25 @@ def test_axes_of_another_scale_are_found_out(sound: Sensor, across: float, down:
 
 @pytest.mark.parametrize("sound", SMALL_ONES, ids=lambda sound: sound.name)
 def test_a_registered_sensors_axes_are_within_the_tolerance_with_margin(sound: Sensor) -> None:
-    (finding,) = moves_as_far_as_its_axes_say(sound)
+    (finding,) = image_scale(sound)
     assert finding.measured is not None
     assert finding.measured < 0.75 * SAME_SCALE
 
 
 @pytest.mark.parametrize(
-    ("otherwise", "says"),
+    ("otherwise", "code"),
     [
-        ({"axes": ImageAxes("mirror", (0.0, 0.0), (0.0, 0.0))}, "state by how much a contact moves"),
-        ({"axes": ImageAxes("corner", (1e3, 0.0), (0.0, 1e3))}, "no press is seen in 'corner'"),
-        ({"outline": Outline.disc(10e-3)}, "no room to move"),
+        ({"axes": ImageAxes("mirror", (0.0, 0.0), (0.0, 0.0))}, "axes-unstated"),
+        ({"axes": ImageAxes("corner", (1e3, 0.0), (0.0, 1e3))}, "press-not-seen"),
+        ({"outline": Outline.disc(10e-3)}, "no-room"),
     ],
 )
-def test_axes_of_which_nothing_can_be_seen_do_not_pass(otherwise: dict[str, Any], says: str) -> None:
+def test_axes_of_which_nothing_can_be_seen_do_not_pass(otherwise: dict[str, Any], code: str) -> None:
     regions = {**SOUND.regions(), "corner": (0, 0, 5, 5)}
-    findings = check_sensor(Broken(SOUND, regions=lambda: regions, **otherwise))  # type: ignore[arg-type]
-    assert [one.ok for one in findings if "moves in the image" in one.name] == [False, False]
-    assert sum(says in one.message for one in findings) == 2
+    unseen = cast(Sensor, Broken(SOUND, regions=lambda: regions, **otherwise))
+    assert {"image-axes", "image-scale"} <= {one.code for one in check_sensor(unseen) if not one.ok}
+    with refused(code, InputError):
+        list(image_axes(unseen))
 
 
 def test_a_long_narrow_skin_is_pressed_within_its_outline_alone() -> None:
@@ -198,7 +192,7 @@ def test_a_long_narrow_skin_is_pressed_within_its_outline_alone() -> None:
         return SOUND.press(probe, pose, *rest, **more)
 
     narrow = Outline.rectangle(50e-3, 12e-3)
-    (finding,) = moves_along_its_axes(cast(Sensor, Broken(SOUND, outline=narrow, press=press)))
+    (finding,) = image_axes(cast(Sensor, Broken(SOUND, outline=narrow, press=press)))
     assert finding.ok
     assert all(narrow.contains(x_m, y_m, 5e-3) for x_m, y_m in pressed)
     assert max(x_m for x_m, _ in pressed) == pytest.approx(5e-3, rel=0.02)  # a quarter of its own room

@@ -17,14 +17,14 @@ SMALL = {"palm": "palm-debug"}  # a tenth of the pixels each way is the same des
 
 
 def force_noise(found: list[CheckResult]) -> list[CheckResult]:
-    return [one for one in found if one.name.startswith("force: noise along its ")]
+    return [one for one in found if one.code.startswith("force.noise-")]
 
 
 @pytest.mark.parametrize("name", SENSORS.names())
 def test_the_rig_of_every_virtual_sensor_passes_its_check(name: str) -> None:
     found = check_rig(open_rig(f"virtual:{SMALL.get(name, name)}", supervised=False))
     assert [one for one in found if not one.ok] == []
-    assert "stage: touched nothing" in {one.name for one in found}
+    assert "stage.touched-nothing" in {one.code for one in found}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -60,4 +60,4 @@ def test_a_stated_threshold_below_five_standard_deviations_fails() -> None:
 
 def test_a_force_sensor_that_grows_noisy_keeps_the_stage_at_rest() -> None:
     found = check_rig(virtual_rig("tactip", faults=(Fault("force-noisy", 0.2),)))
-    assert "stage: was moved" in {one.name for one in found if not one.ok}
+    assert "stage.was-moved" in {one.code for one in found if not one.ok}

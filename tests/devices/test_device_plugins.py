@@ -89,61 +89,61 @@ class Camera:
 
 BROKEN = {
     # role, what is changed in the good one, and the law that this breaks
-    "no stop": ("Stage", "del Broken.stop", "has the protocol's methods"),
+    "no stop": ("Stage", "del Broken.stop", "protocol-members"),
     "move_to without a speed": (
         "Stage",
         "Broken.move_to = lambda self, position_m: None",
-        "takes the protocol's arguments",
+        "protocol-arguments",
     ),
     "travel in millimetres": (
         "Stage",
         "Broken.travel = Travel((-50.0,) * 3, (50.0,) * 3, 20.0, 500.0, 0.02)",
-        "has a sane travel",
+        "travel-plausible",
     ),
     "position in millimetres": (
         "Stage",
         "Broken.position_m = lambda self: (0.0, 0.0, -10.0)",
-        "stands inside its travel",
+        "position-in-travel",
     ),
-    "position of two axes": ("Stage", "Broken.position_m = lambda self: (0.0, 0.0)", "tells its position"),
-    "moving as a word": ("Stage", "Broken.moving = lambda self: 'idle'", "says whether it moves"),
-    "no drain": ("Force", "del Broken.drain", "has the protocol's methods"),
-    "no rate": ("Force", "Broken.rate_hz = 0.0", "states a rate"),
-    "range of one axis": ("Force", "Broken.range_n = (20.0,)", "states a range"),
-    "bare numbers": ("Force", "Broken.latest = lambda self: (0.0, 0.0, 0.1)", "hands out samples"),
+    "position of two axes": ("Stage", "Broken.position_m = lambda self: (0.0, 0.0)", "position-type"),
+    "moving as a word": ("Stage", "Broken.moving = lambda self: 'idle'", "moving-type"),
+    "no drain": ("Force", "del Broken.drain", "protocol-members"),
+    "no rate": ("Force", "Broken.rate_hz = 0.0", "rate-stated"),
+    "range of one axis": ("Force", "Broken.range_n = (20.0,)", "range-stated"),
+    "bare numbers": ("Force", "Broken.latest = lambda self: (0.0, 0.0, 0.1)", "sample-type"),
     "stamps in seconds": (
         "Force",
         "Broken.latest = lambda self: Wrench(int(self.clock.now_ns() / 1e9), (0.0, 0.0, 0.1))",
-        "timestamps are on the host's clock",
+        "host-clock",
     ),
     "force in millinewtons": (
         "Force",
         "Broken.latest = lambda self: Wrench(self.clock.now_ns(), (100.0, 200.0, 300.0))",
-        "reads forces inside its range",
+        "force-in-range",
     ),
-    "size as one number": ("Camera", "Broken.size_px = (3072,)", "states a size"),
-    "rows and columns changed over": ("Camera", "Broken.size_px = (48, 64)", "keeps the stated size"),
+    "size as one number": ("Camera", "Broken.size_px = (3072,)", "size-stated"),
+    "rows and columns changed over": ("Camera", "Broken.size_px = (48, 64)", "frame-size"),
     "a bare image": (
         "Camera",
         "Broken.grab = lambda self, timeout_s=1.0: np.zeros((48, 64), np.uint8)",
-        "hands out a time and a frame",
+        "frame-type",
     ),
     "an exception of its own": (
         "Camera",
         "def grab(self, timeout_s=1.0):\n    raise KeyError('lens')\nBroken.grab = grab",
-        "raises nothing unexpected",
+        "unexpected-error",
     ),
     "an exit": (
         "Force",
         "import sys\nBroken.latest = lambda self: sys.exit(0)",
-        "raises nothing unexpected.*SystemExit: 0, from bench_broken",
+        "unexpected-error.*SystemExit: 0, from bench_broken",
     ),
     "an exit of the camera": (
         "Camera",
         "import sys\nBroken.grab = lambda self, timeout_s=1.0: sys.exit(0)",
-        "raises nothing unexpected.*SystemExit: 0, from bench_broken",
+        "unexpected-error.*SystemExit: 0, from bench_broken",
     ),
-    "no sample": ("Force", "Broken.latest = lambda self: None", "hands out samples.*latest.. is None"),
+    "no sample": ("Force", "Broken.latest = lambda self: None", "sample-type"),
 }
 ROLES: dict[str, Any] = {"Stage": "stage", "Force": "force", "Camera": "camera"}
 

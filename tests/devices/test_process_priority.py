@@ -57,8 +57,7 @@ def test_real_time_scheduling_that_is_not_permitted_is_reported_with_its_remedy(
 ) -> None:
     granted = request_priority(System(realtime=False, nice=nice), user=lambda: "ada")
     assert granted["scheduling"] == scheduling
-    assert "ada - rtprio" in granted["remedy"]
-    assert "limits.d" in granted["remedy"]
+    assert all(part in granted["remedy"] for part in ("ada", "rtprio", "limits.d"))
 
 
 def test_a_system_without_real_time_scheduling_has_no_remedy() -> None:
@@ -125,7 +124,7 @@ def test_a_process_tells_its_client_the_scheduling_it_has(words: tuple[str, ...]
         link.close()
     if words:
         assert granted["scheduling"] == NORMAL
-        assert "ada - rtprio" in granted["remedy"]
+        assert "rtprio" in granted["remedy"]
     elif policy is not None:
         assert (granted["scheduling"] == FIFO) is (policy == os.SCHED_FIFO)
         assert bool(granted["remedy"]) is (policy != os.SCHED_FIFO)

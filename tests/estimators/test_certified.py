@@ -101,9 +101,9 @@ def replace_digest(part, digest: str):
 def test_what_a_notebook_shows_is_short_and_holds_no_pixels(calibration) -> None:
     run, folder = calibration
     estimator = Estimator.open(folder)
-    assert repr(estimator).startswith(f"<Estimator {estimator.card.id} of spots: x_mm ± ")
-    assert repr(run) == f"<Run {run.path}: 120 frames of spots; labels: {', '.join(run.labels)}>"
-    assert repr(run.frame(1)) == "<Frame 1 of spots: 64 × 48 px, grey, 0.200 s>"
+    assert all(part in repr(estimator) for part in (estimator.card.id, "spots", "x_mm"))
+    assert all(part in repr(run) for part in (str(run.path), "120 frames", *run.labels))
+    assert all(part in repr(run.frame(1)) for part in ("64 × 48", "0.200 s"))
     for one in (estimator, run, run.frame(1), estimator.read(run.frame(1))):
         assert len(repr(one)) < 250
         assert len(one._repr_html_()) < 1500
@@ -283,7 +283,6 @@ def test_a_session_s_folder_is_answered_by_the_newest_calibration_within(calibra
     for k, name in enumerate(("calibration-2", "calibration")):  # the one that was written last is meant
         shutil.copytree(calibration[1], tmp_path / "my-sensor" / name)
         os.utime(tmp_path / "my-sensor" / name / "card.json", (2e9 - k, 2e9 - k))
-    with pytest.raises(CertificateError) as caught:
+    with refused("card-missing", CertificateError, match="my-sensor.calibration-2"):
         Estimator.open(tmp_path / "my-sensor")
-    assert f"name {tmp_path / 'my-sensor' / 'calibration-2'}, which lies within" in str(caught.value)
     Estimator.open(tmp_path / "my-sensor" / "calibration-2")

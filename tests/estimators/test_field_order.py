@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.field_order import fit_field
@@ -79,7 +80,7 @@ def test_a_disc_that_stands_elsewhere_and_a_lamp_of_another_kind_show() -> None:
     right = fit_field(LOADS, photographs(0.012, white_led(), 4), face()[0], white_led())
     moved = fit_field(LOADS, photographs(0.012, white_led(), 4, u=face(0.03)[0]), face()[0], white_led())
     assert moved.rms > 3 * right.rms
-    with pytest.raises(RangeError, match="no order up to"):
+    with refused("order-not-found", RangeError):
         fit_field(LOADS, photographs(0.012, white_led(), 4, u=face(0.12)[0]), face()[0], white_led())
     lamp = fit_field(LOADS, photographs(0.012, white_led(), 4), face()[0], SODIUM)
     assert lamp.rms > 3 * right.rms
@@ -88,11 +89,11 @@ def test_a_disc_that_stands_elsewhere_and_a_lamp_of_another_kind_show() -> None:
 def test_what_tells_no_order_is_refused() -> None:
     u = face()[0]
     v = photographs(0.009, SODIUM, 5)
-    with pytest.raises(InputError, match="1 load"):
+    with refused("too-few-loads", InputError, match="1 load"):
         fit_field(np.full(9, 50.0), v, u, SODIUM)
-    with pytest.raises(InputError, match="nearly even"):
+    with refused("stress-uniform", InputError):
         fit_field(LOADS, v, np.ones_like(u), SODIUM)
-    with pytest.raises(RangeError, match="no order up to"):
+    with refused("order-not-found", RangeError):
         fit_field(LOADS, np.random.default_rng(0).uniform(0.2, 0.8, v.shape), u, SODIUM)
 
 

@@ -7,6 +7,7 @@ import pytest
 import tifffile
 from numpy.testing import assert_allclose
 from tests.oracles.plain_flow import derivatives, divergence as plain_divergence, horn_schunck
+from tests.refusals import refused
 
 from palpate.core.errors import ImageError, InputError, RangeError
 from palpate.estimators.flow.flow_sequence import along, dis, farneback
@@ -205,21 +206,21 @@ def test_memory_does_not_grow_with_the_sequence(rng, tmp_path) -> None:
 
 def test_what_cannot_be_flow_is_refused_with_the_reason() -> None:
     grey = np.zeros((8, 8), np.uint8)
-    with pytest.raises(InputError, match="one size"):
+    with refused("images-differ", InputError):
         flow(grey, np.zeros((8, 9), np.uint8))
-    with pytest.raises(ImageError, match="grey"):
+    with refused("gray-image", ImageError):
         flow(np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8, 3), np.uint8))
-    with pytest.raises(ImageError, match="divide by its white"):
+    with refused("brightness-range", ImageError):
         brightness(np.full((8, 8), 255.0))
-    with pytest.raises(ImageError, match="int64"):
+    with refused("pixel-format", ImageError, match="int64"):
         flow(grey.astype(int), grey.astype(int))
-    with pytest.raises(InputError, match="two frames"):
+    with refused("too-few-frames", InputError):
         list(along([grey], flow))
-    with pytest.raises(InputError, match="threads"):
+    with refused("thread-count", InputError):
         along([grey, grey], flow, threads=-1)
-    with pytest.raises(RangeError, match="alpha"):
+    with refused("alpha-range", RangeError):
         HornSchunck(alpha=0)
-    with pytest.raises(RangeError, match="iterations"):
+    with refused("iteration-count", RangeError):
         HornSchunck(iterations=0)
-    with pytest.raises(RangeError, match="median"):
+    with refused("median-width", RangeError):
         CoarseToFine(median_px=4)

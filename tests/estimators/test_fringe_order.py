@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import binom
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError, ScanEdgeError
 from palpate.estimators import fringe_order
@@ -188,16 +189,16 @@ def test_loads_that_tell_no_slope_are_refused(load, said) -> None:
 
 def test_light_that_is_no_light_is_refused() -> None:
     light, v = one_line(589e-9), made(one_line(589e-9), UNEVEN, 0.2)
-    with pytest.raises(InputError, match="same at every load"):
+    with refused("light-constant", InputError):
         fit_orders(UNEVEN, np.full_like(v, 0.5), light)
     for bad in (-0.1, np.nan, np.inf):
         w = v.copy()
         w[2, 0, 0] = bad
-        with pytest.raises(InputError, match="negative or no number"):
+        with refused("light-range", InputError):
             fit_orders(UNEVEN, w, light)
-    with pytest.raises(InputError, match="one series"):
+    with refused("shape", InputError):
         fit_orders(UNEVEN, v[..., :2], light)
-    with pytest.raises(InputError, match="parallel polarisers"):
+    with refused("white-image", InputError):
         fit_orders(UNEVEN, v, light, open_light=np.zeros((3, 3)))
 
 
@@ -234,8 +235,6 @@ def test_of_slopes_that_alias_the_lowest_comes_first_and_the_other_is_named(slop
         assert found.ambiguous
         alias = min(found.rivals, key=lambda r: abs(r.slope_per_n - (1 - slope)))
         assert alias.slope_per_n == pytest.approx(1 - slope, abs=0.02)
-        assert "multiples of 1 N" in alias.why
-        assert "add up to a whole order" in alias.why
         at = alias.deciding_load_n
         told = light.light(np.array([slope * at, (1 - slope) * at]))[:, 0]
         assert abs(told[0] - told[1]) > 0.5

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from palpate.estimators.guard import MIRRORED, NoveltyDetector, fit_novelty_detector, thumbnails
-from palpate.estimators.guard.known_changes import Verdict
 from palpate.estimators.guard.picture_flips import FLIPPED, FLIPS, flipped, told_flip
 
 ROWS, COLUMNS = np.mgrid[0:48, 0:64]
@@ -81,20 +80,7 @@ def test_without_an_untouched_sensor_or_with_one_that_is_its_own_mirror_image_no
 
 
 def test_which_flip_it_is_is_told_only_where_one_fits_much_better() -> None:
-    assert told_flip({"left for right": 0.4, "half a turn": 0.81}) == "left for right"
-    assert told_flip({"left for right": 0.4, "half a turn": 0.79}) == FLIPPED
-    assert told_flip({"left for right": 0.9, "half a turn": 1.1}) == "left for right"
-    assert told_flip({"left for right": 1.1}) == told_flip({}) == ""
-
-
-def test_what_is_said_of_a_flip_and_of_a_change_that_is_not_known_is_no_more_than_was_seen() -> None:
-    told = Verdict(3.0, "left for right").reason
-    assert "it seems mirrored, left for right" in told
-    assert "cv2.flip(image, 1)" in told
-    assert "cv2" not in Verdict(3.0, FLIPPED).reason
-    for costs in (False, True):
-        told = Verdict(3.0, "zoom", known=False, costs=costs).reason
-        assert "nor like any change that was tried; the nearest of those is a camera nearer" in told
-        assert "it looks like" not in told
-        assert ("errs more than its intervals" in told) == costs
-    assert "it looks like a camera nearer" in Verdict(3.0, "zoom", known=True).reason
+    assert told_flip({"mirrored-x": 0.4, "rotated-180": 0.81}) == "mirrored-x"
+    assert told_flip({"mirrored-x": 0.4, "rotated-180": 0.79}) == FLIPPED
+    assert told_flip({"mirrored-x": 0.9, "rotated-180": 1.1}) == "mirrored-x"
+    assert told_flip({"mirrored-x": 1.1}) == told_flip({}) == ""

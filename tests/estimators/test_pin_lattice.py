@@ -18,6 +18,7 @@ from tests.nuisance_pins import (
     layout_cells,
     layout_places,
 )
+from tests.refusals import refused
 
 from palpate.core import ImageError
 from palpate.estimators.compliance.pin_press import PinPress, motion_on_layout
@@ -125,9 +126,7 @@ def test_the_refusal_says_what_was_seen_and_what_to_do() -> None:
     image = np.full((400, 400), 20, np.uint8)
     for x, y in rng.uniform(20, 380, (80, 2)).astype(int):
         image[y - 3 : y + 4, x - 3 : x + 4] = 220
-    with pytest.raises(
-        ImageError, match=r"\d\d bright spots in the image, of which 0 stand on a lattice.*shade"
-    ):
+    with refused("pins-not-found", ImageError):
         find_pins(image)
 
 

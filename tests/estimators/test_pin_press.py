@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.refusals import refused
 
 from palpate.core.errors import ImageError, InputError
 from palpate.estimators.compliance.pin_press import follow_press
@@ -91,22 +92,22 @@ def test_a_spike_of_force_changes_nothing(made, frames) -> None:
 def test_a_first_frame_that_is_touched_is_refused(made, frames) -> None:
     begin = int(np.argmax(made.true_force_n[made.frame_sample] > 0.3))
     late = made.frame_sample[begin]
-    with pytest.raises(InputError, match="must be taken before contact"):
+    with refused("first-frame-touched", InputError):
         follow_press(frames[begin:], made.raw_n[late:], made.frame_sample[begin:] - late)
 
 
 def test_a_force_that_was_never_biased_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match=r"must be taken before contact|bias the force sensor"):
+    with refused("first-frame-touched", InputError):
         watch(made, frames, force_n=made.raw_n + 0.3)
 
 
 def test_too_few_frames_are_refused(made, frames) -> None:
-    with pytest.raises(InputError, match=r"6 are needed.*more frames a second"):
+    with refused("too-few-frames", InputError):
         follow_press(frames[::5], made.raw_n, made.frame_sample[::5])
 
 
 def test_a_single_frame_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match="6 are needed"):
+    with refused("too-few-frames", InputError):
         follow_press(frames[:1], made.raw_n, made.frame_sample[:1])
 
 
@@ -116,12 +117,12 @@ def test_no_frame_is_refused(made) -> None:
 
 
 def test_a_force_that_never_reaches_contact_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match=r"never stays above 0\.5 N"):
+    with refused("no-contact", InputError):
         watch(made, frames, force_n=made.raw_n / 20)
 
 
 def test_unloading_alone_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match="loading part is missing"):
+    with refused("not-loading", InputError):
         watch(made, frames, force_n=made.raw_n[::-1].copy())
 
 
@@ -134,7 +135,7 @@ def test_a_force_with_holes_is_refused(made, frames) -> None:
 
 def test_a_saturated_force_is_flagged(made, frames) -> None:
     (flaw,) = watch(made, frames, force_n=np.minimum(made.raw_n, 3.0)).flaws
-    assert "3 N: the sensor's range has ended" in flaw
+    assert "3 N" in flaw
 
 
 def test_pins_that_wander_before_contact_are_flagged(made, frames) -> None:
@@ -158,7 +159,7 @@ def test_lost_pins_are_refused_and_a_few_are_left_out(made, frames) -> None:
     assert 0 < lost.mean() < 0.2
     for frame in dark[-6:]:
         frame[:, :150] = 18
-    with pytest.raises(InputError, match="of 127 pins were lost"):
+    with refused("pins-lost", InputError):
         watch(made, dark)
 
 
@@ -170,7 +171,7 @@ def test_images_without_pins_are_refused(made, frames) -> None:
 
 
 def test_a_table_with_more_frames_than_there_are_is_refused(made, frames) -> None:
-    with pytest.raises(InputError, match="the table tells of"):
+    with refused("frames-differ", InputError):
         watch(made, frames[:-8])
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
@@ -44,7 +45,7 @@ def test_values_of_any_shape_are_read() -> None:
 @pytest.mark.parametrize(("low", "high"), [(0.5, 4.3), (1.2, 5.0), (0.5, 2.0)])
 def test_forces_that_were_not_reached_are_refused(low, high) -> None:
     force = np.linspace(low, high, 30)
-    with pytest.raises(RangeError, match="press as far as the references"):
+    with refused("force-not-reached", RangeError):
         at_forces(force, motion(force), LEVELS)
 
 
@@ -107,10 +108,10 @@ def test_another_layout_is_refused(layout, moved, other) -> None:
         "denser": np.concatenate([layout, layout + np.array([6.0, 0.0])]),
         "fewer": layout[: len(layout) // 2],
     }[other]
-    with pytest.raises(InputError, match="calibrate for it"):
+    with refused("layout-differs", InputError):
         motion_on_layout(press(at, np.ones((6, len(at), 2))), layout)
 
 
 def test_a_press_without_pins_is_refused(layout, moved) -> None:
-    with pytest.raises(InputError, match="every pin is lost"):
+    with refused("pins-lost", InputError):
         motion_on_layout(press(layout, np.full_like(moved, np.nan)), layout)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import onnxruntime
 import pytest
+from tests.refusals import refused
 
 from palpate.core.errors import InputError, MissingExtraError
 
@@ -106,25 +107,25 @@ def test_files_that_do_not_count_batches_are_read_too(weights) -> None:
 
 def test_missing_and_extra_entries_are_named(weights) -> None:
     del weights["layer2.0.downsample.0.weight"]
-    with pytest.raises(InputError, match=r"missing layer2\.0\.downsample\.0\.weight; extra stem"):
+    with refused("weights-names", InputError):
         ResNet18(3).take(weights | {"stem": torch.zeros(1)}, "weights")
 
 
 def test_weights_of_another_shape_are_named(weights) -> None:
     weights["bn1.bias"] = torch.zeros(32)
-    with pytest.raises(InputError, match=r"bn1\.bias \[32\], not \[64\]"):
+    with refused("weights-shape", InputError):
         ResNet18(3).take(weights, "weights")
 
 
 @pytest.mark.parametrize("name", ["resnet18.pth", "resnet18.npz", "resnet18"])
 def test_files_that_may_run_code_are_refused(tmp_path, name: str) -> None:
     (tmp_path / name).write_bytes(b"")
-    with pytest.raises(InputError, match=r"only \.safetensors files are read"):
+    with refused("weights-kind", InputError):
         read_weights(tmp_path / name)
 
 
 def test_a_missing_file_is_refused(tmp_path) -> None:
-    with pytest.raises(InputError, match="no such file"):
+    with refused("file-missing", InputError):
         read_weights(tmp_path / "resnet18.safetensors")
 
 
@@ -142,7 +143,7 @@ def test_what_the_package_cannot_read_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "safetensors", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "safetensors.torch", SimpleNamespace(load_file=fail))
     (tmp_path / "resnet18.safetensors").write_bytes(b"")
-    with pytest.raises(InputError, match="header too large"):
+    with refused("weights-unreadable", InputError):
         ResNet18(3).load_weights(tmp_path / "resnet18.safetensors")
 
 

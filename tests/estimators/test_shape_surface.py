@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError
 from palpate.estimators.compliance.shape_surface import fit_shape_surface
@@ -98,5 +99,5 @@ def test_the_noise_widens_the_interval(rng) -> None:
     ],
 )
 def test_too_few_references_are_refused_with_what_is_needed(rng, references) -> None:
-    with pytest.raises(InputError, match="soft spheres of 2 moduli and of 2 radii"):
+    with refused("too-few-references", InputError):
         surface(references, rng)

@@ -89,7 +89,7 @@ def test_a_participant_whose_point_of_equality_is_beyond_the_levels_is_counted_a
     said = analyse_experiment(beyond, STIMULI)
     one = said.thresholds[0]
     assert (one.own_bounded, one.participants) == (3, 4)
-    assert any("direct I: 3" in line for line in said.caveats)
+    assert any("I: 3" in line for line in said.caveats)
     without = analyse_experiment([one for one in simulated(4) if one.participant != "P02"], STIMULI)
     assert one.own_pse[0] == pytest.approx(without.thresholds[0].own_pse[0], rel=0.05)
     assert not any("answers bound" in line for line in without.caveats if "direct I" in line)
@@ -121,7 +121,7 @@ def test_the_wrong_sign_of_softness_makes_all_of_it_worse_than_chance() -> None:
     found = analyse_experiment(simulated(4), turned)
     assert all(one.share < 0.5 for one in found.accuracies)
     assert all(one.tau < 0 for one in found.rankings)
-    assert any("answers fall" in note for one in found.thresholds for note in one.fit.notes)
+    assert any("falling" in one.fit.notes for one in found.thresholds)
 
 
 def test_missing_answers_are_counted_by_participant_and_weigh_as_they_are() -> None:
@@ -216,7 +216,7 @@ def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path)
 
 
 def test_rehearsed_answers_are_said_to_be_no_measurement(study: Path, tmp_path) -> None:
-    assert "nothing here is a measurement" not in palpate("experiment", "analyze", study)
+    assert "nothing here" not in palpate("experiment", "analyze", study)
     (study / "sub-P02" / "participant.json").write_text(
         '{"participant": "P02", "consent": "simulated", "simulated": true}'
     )

@@ -113,7 +113,10 @@ def nearest(features: Any, labels: Sequence[str], others: Any) -> tuple[str, ...
     new = np.asarray(others, np.float64)
     new = new[:, None] if new.ndim == 1 else new
     if new.ndim != 2 or new.shape[1] != x.shape[1] or not np.isfinite(new).all():
-        raise InputError(f"other trials of {list(new.shape)} finite features, these have {x.shape[1]} each")
+        raise InputError(
+            f"other trials of {list(new.shape)} finite features, these have {x.shape[1]} each",
+            code="feature-count",
+        )
     means = np.array([x[codes == k].mean(axis=0) for k in range(len(names))])
     within = ((x - means[codes]) ** 2).sum(axis=0) / (len(x) - len(names))
     within = np.maximum(within, STILL * x.var(axis=0))
@@ -125,20 +128,25 @@ def _checked(features: Any, labels: Sequence[str]) -> tuple[Features, list[str],
     x = np.asarray(features, np.float64)
     x = x[:, None] if x.ndim == 1 else x
     if x.ndim != 2 or len(x) != len(labels) or not np.isfinite(x).all():
-        raise InputError(f"features of {list(x.shape)} for {len(labels)} trials; one finite row a trial")
+        raise InputError(
+            f"features of {list(x.shape)} for {len(labels)} trials; one finite row a trial",
+            code="lengths-differ",
+        )
     if not (np.ptp(x, axis=0) > 0).all():
-        raise InputError("a feature is the same for all trials; leave it out")
+        raise InputError("a feature is the same for all trials; leave it out", code="feature-constant")
     names, codes = np.unique(np.asarray(labels, dtype=str), return_inverse=True)
     few = [str(name) for name, n in zip(names, np.bincount(codes), strict=True) if n < MIN_A_CLASS]
     if len(names) < 2 or few:
         alone = f", with one trial of {', '.join(few)}" if few else ""
         raise InputError(
             f"{len(names)} objects{alone}; two objects or more, {MIN_A_CLASS} trials or more of each, so "
-            "that one can be left out"
+            "that one can be left out",
+            code="too-few-trials",
         )
     if len(x) - 1 <= len(names):
         raise InputError(
-            f"{len(x)} trials of {len(names)} objects leave no spread to measure by; repeat more"
+            f"{len(x)} trials of {len(names)} objects leave no spread to measure by; repeat more",
+            code="too-few-objects",
         )
     return x, [str(name) for name in names], codes.astype(np.int64)
 

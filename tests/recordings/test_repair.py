@@ -82,7 +82,7 @@ def test_a_repaired_run_keeps_its_identity_and_names_its_source(run: Path, tmp_p
     repair(run, tmp_path / "new")
     old, new = Run.open(run), Run.open(tmp_path / "new")
     assert new.manifest.run_id == old.manifest.run_id
-    assert new.manifest.origin == f"the bench; repaired from the run with data hash {old.hash}"
+    assert old.hash in new.manifest.origin
     same = {"origin": ""}
     assert new.manifest.model_copy(update=same) == old.manifest.model_copy(update=same)
 

@@ -177,7 +177,7 @@ def test_a_missing_file_of_a_segment_is_told(run: Path) -> None:
     damaged = Run.open(run)
     assert len(damaged) == FRAMES
     assert damaged.labels["depth_mm"].isna().all()
-    assert [str(found) for found in damaged.damage] == ["0000-signals.mcap at byte 0: is missing"]
+    assert [(found.file, found.at_byte) for found in damaged.damage] == [("0000-signals.mcap", 0)]
 
 
 def test_a_missing_segment_is_told(run: Path) -> None:
@@ -236,9 +236,7 @@ def test_a_run_whose_manifest_is_spoilt_is_read_by_the_copy_in_its_segments(
     sound = Run.open(written)
     spoilt(how)(run)
     before = {path: path.read_bytes() for path in run.glob("*.mcap")}
-    with pytest.warns(
-        UserWarning, match=r"manifest\.json at byte 0: .*the copy in segment 0 is read instead"
-    ):
+    with pytest.warns(UserWarning, match=r"manifest\.json"):
         read = Run.open(run)
     assert read.manifest == sound.manifest
     assert assert_nothing_altered(read) == FRAMES

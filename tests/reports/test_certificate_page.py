@@ -71,7 +71,7 @@ def test_a_calibration_whose_network_or_guard_was_altered_is_not_reported(calibr
         for words in (("--steps",), ("--out", str(page))):
             found = CliRunner().invoke(app, ["report", str(calibration), *words])
             assert found.exit_code == 2, (name, words)
-            assert f"{name} is not the file this card was made with" in found.stderr
+            assert name in found.stderr
             assert (found.stdout, page.exists()) == ("", False)
         (calibration / name).write_bytes(whole)
     assert CliRunner().invoke(app, ["report", str(calibration), "--out", str(page)]).exit_code == 0

@@ -100,10 +100,9 @@ def test_a_sentence_says_error_interval_range_and_day(calibration, rng) -> None:
     target, table = held_out(card, 5, rng)
     target = target.model_copy(update={"least": 0.0, "greatest": 6.0})
     ends = outer_ranges(target, table, table.index.to_numpy())
-    assert answer(card, target, ends, 500, NOT_TESTED) == (
-        "depth: 0.048 mm typical; its own intervals, ±0.10 mm on average, held 90.0 % from 0.00 to 6.00 mm; "
-        "not yet tested on another day"
-    )
+    said = answer(card, target, ends, 500, NOT_TESTED)
+    assert re.findall(r"[\d.]+", said) == ["0.048", "0.10", "90.0", "0.00", "6.00"]
+    assert said.endswith(NOT_TESTED)
 
 
 def test_a_sentence_names_an_end_that_fails_and_a_rate_that_is_another(calibration, rng) -> None:
@@ -152,7 +151,7 @@ def test_the_leakage_audit_stands_before_the_answers_and_only_where_it_failed(ca
 def test_a_failed_control_names_its_target_and_remedy_before_the_numbers(calibration) -> None:
     confounds = read_card(calibration).confounds
     finding = {
-        "kind": "outside", "target": "x_mm", "severity": "fails", "text": "the rim tells x_mm",
+        "kind": "outside", "target": "x_mm", "severity": "fails", "text": "rim tells",
         "remedy": "cut it away: --crop 1,2,3,4",
     }  # fmt: skip
     warning = finding | {"target": "height_mm", "severity": "warns", "text": "in order", "remedy": "shuffle"}
@@ -161,11 +160,11 @@ def test_a_failed_control_names_its_target_and_remedy_before_the_numbers(calibra
     page = page_of(calibration)
     first = section_of(page, "findings")
     assert "the scores" in first
-    assert first.index("the rim tells x_mm") < first.index("--crop 1,2,3,4") < first.index("in order")
+    assert first.index("rim tells") < first.index("--crop 1,2,3,4") < first.index("in order")
     assert page.index('id="findings"') < page.index('id="answers"')
     x, height = answers_of(page)
     assert "not rely" in x
-    assert "Do not rely" not in height
+    assert "not rely" not in height
 
 
 def test_one_session_is_said_to_be_untested_and_what_that_has_cost(calibration) -> None:
@@ -183,7 +182,6 @@ def test_an_evaluation_beside_the_card_stands_in_answers_and_a_table(calibration
     page = page_of(calibration)
     assert all("another session" in one for one in answers_of(page))
     assert NOT_TESTED not in page
-    assert "not yet tested" not in section_of(page, "answers").lower()
     table = section_of(page, "evaluations")
     assert found["run"]["run_id"] in table
     assert "Another session" in table
@@ -234,7 +232,7 @@ def test_each_session_has_its_row_and_few_of_them_no_guarantee(by_sessions) -> N
         assert int(row[1]) == len(rows) == 40
         assert float(row[2]) == pytest.approx(error.mean(), rel=0.05)
         assert float(row[3]) == pytest.approx(100 * inside[names == name].mean(), abs=0.51)
-    assert f"{card.sessions.factor:.2f} times as wide" in told
+    assert f"{card.sessions.factor:.2f} times" in told
     # Three groups, drawn again, would call their coverage known to the digit.
     assert report.scored_groups == 3 < MIN_GROUPS
     assert "groups cannot" in section_of(page, "targets")
@@ -254,8 +252,7 @@ def test_blocks_that_the_clock_passes_are_not_what_to_read(calibration) -> None:
         verdicts = order_verdicts(card.model_copy(update={"order": order}))
         assert list(verdicts) == ["x_mm"]
         assert "another session" in verdicts["x_mm"]
-        assert "read the blocks" not in verdicts["x_mm"]
-    for by, word in ((1.0, "only another session does"), (0.1, "calibrate with --split blocks")):
+    for by, word in ((1.0, "another session"), (0.1, "--split blocks")):
         alone = {"splits": splits[:1], "rank_correlation": {"x_mm": by}}
         order = card.order.model_copy(update=alone)
         assert word in order_verdicts(card.model_copy(update={"order": order}))["x_mm"]
@@ -370,7 +367,6 @@ def test_a_verdict_on_order_stands_before_the_numbers_and_in_that_target_s_answe
     assert lines.index(said) < next(i for i, line in enumerate(lines) if line.startswith("target"))
     both = order_verdicts(in_order(calibration, ("x_mm",), ("x_mm",)))["x_mm"]
     assert "block holds" in both
-    assert "read the blocks" not in both
     assert "--split blocks" in order_verdicts(in_order(calibration, ("x_mm",)))["x_mm"]
     assert "--split blocks:ROWS" in both
     assert order_verdicts(in_order(calibration, (), ("x_mm",))) == {}
@@ -446,18 +442,16 @@ def test_a_target_that_is_not_read_is_never_valid_and_the_evaluation_says_so(
     assert (kept.frames_untold, kept.frames_all_valid) == (found["frames_untold"], found["frames_all_valid"])
     said = frames_of(card, kept)
     assert "calibration does" in said
-    assert f"{found['frames_all_valid']} gave valid readings of all that it reads" in said
+    assert f"{found['frames_all_valid']} gave" in said
     assert said in section_of(page_of(calibration), "evaluations")
 
 
 def test_frames_that_do_not_tell_a_target_are_counted_beside_those_refused(calibration) -> None:
     card = read_card(calibration)
-    assert frames_text(card, 400, 376, {"x_mm": 268, "height_mm": 11}, 112) == (
-        "376 of 400 frames tell something and are refused by neither guard nor range rule; not told is x in "
-        "268, height in 11 of all frames; 112 gave valid readings throughout"
-    )
+    counted = frames_text(card, 400, 376, {"x_mm": 268, "height_mm": 11}, 112)
+    assert re.findall(r"\d+", counted) == ["376", "400", "268", "11", "112"]
     none = dict.fromkeys(card.columns, 0)
-    assert frames_text(card, 400, 376, none, 376) == "376 of 400 frames gave valid readings throughout"
+    assert re.findall(r"\d+", frames_text(card, 400, 376, none, 376)) == ["376", "400"]
     assert "throughout" not in frames_text(card, 400, 376, None, None)
 
 
@@ -476,7 +470,7 @@ def test_where_another_session_failed_stands_in_that_answer_and_files_of_before_
     old["id"] = card_id(old)
     path.write_text(json.dumps(old))
     assert read_evaluation(path, card).findings is None
-    assert "13 of 25" not in page_of(calibration, "before.html")
+    assert sentence not in page_of(calibration, "before.html")
     keep_evaluation(calibration, scores | {"findings_of": {"x_mm": [sentence]}})
     assert len(list(calibration.glob("evaluation-*.json"))) == 2
     (kept,) = read_evaluations(calibration, card)  # the one of before says less of the same scores
@@ -498,7 +492,7 @@ def test_the_page_says_what_is_not_stated_and_a_whole_frame_once(calibration) ->
     page = page_of(calibration)
     assert "<dd>not stated</dd>" in section_of(page, "source")
     assert "whole frame" in section_of(page, "audit")
-    assert "It lies in the box" not in page
+    assert "It lies" not in page
     part = card.confounds.model_copy(update={"skin_px": (0, 0, width, height - 1)})
     changed(calibration, confounds=part, run=card.run.model_copy(update={"origin": "a rig", "licence": ""}))
     page = page_of(calibration, "part.html")

@@ -130,7 +130,6 @@ def test_a_camera_that_does_not_see_the_taps_stops_the_recording_before_it_begin
     out = tmp_path / "run"
     outcome = record(blind, plan(taps=3, **SMALL), out)
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.CLOCKS, 0)
-    assert "taps = 0" in outcome.message
     assert blind.stage.position_m()[2] < 0
     assert len(Run.open(out)) == 0
 

@@ -273,7 +273,7 @@ def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path:
         if sound.stage.position_m()[2] > 0.3e-3:
             raise LookupError("a page that is gone")
 
-    with pytest.raises(LookupError, match="a page that is gone"):
+    with pytest.raises(LookupError):
         record(sound, plan(), tmp_path / "run", watch=watch)
     assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
 

@@ -175,5 +175,5 @@ def test_a_plan_is_recorded_on_firmware_with_a_virtual_force_and_camera_and_says
     pressed = run.labels[run.labels["depth_mm"] > 0.3]
     assert (pressed["force_N"] > 0.05).all()
     assert len(pressed)
-    assert run.manifest.origin == "a bench; force simulated; camera simulated"
+    assert run.manifest.origin.count("simulated") == 2  # force and camera
     assert run.manifest.is_simulated

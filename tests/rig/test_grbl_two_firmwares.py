@@ -291,4 +291,4 @@ def test_the_driver_keeps_every_law_of_a_stage_on_firmware_however_slow(stage):
     found = check_stage(
         stage, clock=MonotonicClock(), region_m=box, speed_m_s=4e-3, time_scale=pace, close=False
     )
-    assert [one for one in found if not one.ok and one.name != "returns at once from move_to"] == []
+    assert [one for one in found if not one.ok and one.code != "move-returns"] == []

@@ -9,9 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from tests.refusals import refused
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
-from palpate.core.errors import InputError, RangeError
+from palpate.core.errors import RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.force_touch import touch_twice
@@ -173,19 +174,19 @@ def test_a_jog_ends_where_the_sensor_repeats_itself(after_s: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "code"),
     [
-        ({"distance_m": 51e-3}, "51.*50"),
-        ({"speed_m_s": 11e-3}, "11.*10"),
-        ({"stop_n": 36.0}, "36.*35"),
-        ({"axis": "w"}, "x, y or z"),
-        ({"distance_m": float("nan")}, "nan"),
+        ({"distance_m": 51e-3}, "jog-length"),
+        ({"speed_m_s": 11e-3}, "jog-speed"),
+        ({"stop_n": 36.0}, "force-limit"),
+        ({"axis": "w"}, "axis-unknown"),
+        ({"distance_m": float("nan")}, "jog-length"),
     ],
 )
-def test_a_jog_beyond_its_ceilings_is_refused_with_both_numbers(given: dict[str, Any], said: str) -> None:
+def test_a_jog_beyond_its_ceilings_is_refused_with_both_numbers(given: dict[str, Any], code: str) -> None:
     rig = virtual_rig()
     start = rig.stage.position_m()
-    with pytest.raises((RangeError, InputError), match=said):
+    with refused(code):
         jogged(rig, **given)
     assert rig.stage.position_m() == start
 

@@ -116,7 +116,7 @@ class TestSamples:
         data = sample_of(0.0, 0.0, 0.0, 25.0) * (TRIED + 2)
         assert frames().take(data, 1)[0].torque_nm == pytest.approx((1e-3, 2e-3, 3e-3))
 
-    @pytest.mark.parametrize(("fz", "fault"), [(math.nan, "not a number"), (-50.1, "beyond the range")])
+    @pytest.mark.parametrize(("fz", "fault"), [(math.nan, "not-a-number"), (-50.1, "force-range")])
     def test_what_is_no_force_is_a_fault_and_no_number(self, fz, fault):
         stream = frames()
         stream.take(sample_of(0.0, 0.0, 0.0, 25.0) * (TRIED + 2), 1)
@@ -146,7 +146,7 @@ class TestOpened:
         _, _, sensor = bench(lambda now: HexBox(lambda t: LOAD, now_s=now))
         assert sensor.latest().force_n == pytest.approx(LOAD[:3], abs=0.05)
         found = check_force_sensor(sensor, clock=MonotonicClock(), seconds=1.0, age_s=3.0)
-        assert [one for one in found if not one.ok and one.name != "calls return at once"] == []
+        assert [one for one in found if not one.ok and one.code != "call-time"] == []
 
     def test_in_trigger_mode_it_is_silent_and_the_lights_are_named(self, bench):
         with refused("no-samples", DeviceError):

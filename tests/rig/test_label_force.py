@@ -104,10 +104,10 @@ def test_a_slow_sensor_is_refused_as_the_guard_before_anything_is_written(tmp_pa
 
 def test_the_check_moves_nothing_by_a_slow_sensor_and_takes_it_as_a_label() -> None:
     bench, scale = with_scale()
-    found = {one.name: one for one in check_rig(bench, close=False)}
-    assert found["rig: the force sensor is fast enough to guard"].ok
-    assert found["label force: measures at the stated rate"].ok
-    assert found["label force: leaves no gap"].ok
-    alone = {one.name: one for one in check_rig(replace(bench, force=scale, label_force=None), close=False)}
-    assert not alone["rig: the force sensor is fast enough to guard"].ok
-    assert not alone["stage: was moved"].ok
+    found = {one.code: one for one in check_rig(bench, close=False)}
+    assert found["rig.force-rate"].ok
+    assert found["label-force.sample-rate"].ok
+    assert found["label-force.sample-gap"].ok
+    alone = {one.code: one for one in check_rig(replace(bench, force=scale, label_force=None), close=False)}
+    assert not alone["rig.force-rate"].ok
+    assert not alone["stage.was-moved"].ok

@@ -456,7 +456,7 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
                 client.wait_for(lambda status: True, MAX_S)
                 client.plan(tiny(places=TWICE, frames=3))
                 client.start("night")
-                with pytest.raises(DeviceError, match=r"process \d+ drives"):
+                with refused("already-driven", DeviceError):
                     launch(RIG, tmp_path / "runs", folder=folder)
             with RigClient(RIG, folder) as client:
                 status = client.wait_for(lambda status: status["shots"] >= 1, MAX_S)
@@ -470,7 +470,7 @@ def test_the_process_outlives_its_client_and_lifts_the_probe_when_it_is_told_to_
                 client.wait_for(lambda status: status["state"] == "running", MAX_S)
                 process.send_signal(signal.SIGTERM)
                 assert process.wait(MAX_S) == 0
-                with pytest.raises(DeviceError, match=r"cannot be reached|did not answer|is gone"):
+                with pytest.raises(DeviceError):
                     client.ask_status()
         finally:
             process.kill()

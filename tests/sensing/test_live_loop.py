@@ -14,6 +14,7 @@ from tests.sensing.live_stand_ins import HandedFrames, MeanReader, numbered, unt
 from palpate.calibration.calibration_plan import ReferenceRule
 from palpate.core import DeviceError, Drift, Frame, InputError
 from palpate.core.device_protocols import Wrench
+from palpate.core.refusal import ReasonCode
 from palpate.estimators import Estimator
 from palpate.recordings import export_folder
 from palpate.sensing import live_loop, open_source, sense
@@ -180,7 +181,7 @@ def test_a_driver_that_fails_in_a_way_nobody_thought_of_is_opened_again(monkeypa
         loop.start()
         second.give(numbered(0))
         until(lambda: loop.stats.frames == 1)
-        assert loop.faults == ("RuntimeError: of its own",)
+        assert ["RuntimeError" in one for one in loop.faults] == [True]
 
 
 def test_no_camera_is_a_named_state_and_the_loop_waits_for_one(monkeypatch) -> None:
@@ -387,7 +388,7 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
         (False, False, False, "shift", "adapt"),
         (True, False, False, "shift", "re-zero"),
         (False, False, False, "exchanged channels", "exchange"),
-        (True, False, False, "left for right", "flip"),
+        (True, False, False, "mirrored-x", "flip"),
         (False, False, False, "flipped", "flip"),
     ],
 )
@@ -482,8 +483,8 @@ def test_a_calibration_for_another_size_gives_no_value_and_says_so(spots) -> Non
     source.give(numbered(0), None)
     with ran(source, open_reader(calibration)) as loop:
         assert loop.wait(5.0)
-        assert not loop.latest.readings["x_mm"].valid
-        assert loop.advice == "the image is 6x4 px, the calibration is for 64x48 px"
+        assert loop.latest.readings["x_mm"].code == ReasonCode.IMAGE_SIZE
+        assert "64x48 px" in loop.advice
 
 
 def test_a_frame_unlike_those_calibrated_on_is_no_advice_about_the_sensor(spots) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, Wrench
 from palpate.sensing.collection.image_plateau import contact_place
@@ -63,18 +64,17 @@ def test_steps_of_a_coarse_scale_are_not_taken_for_motion() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "words", "samples"),
+    ("kind", "samples"),
     [
-        ("too short", "hold still for 0.4 s", hand(hold_s=0.05, ramp_s=0.1)),
-        ("still moving", "moves by", hand(hold_s=1.0, creep=0.6, ramp_s=0.5)),
-        ("trembling", "rest your hand", hand(tremor=0.12)),
+        ("too short", hand(hold_s=0.05, ramp_s=0.1)),
+        ("still moving", hand(hold_s=1.0, creep=0.6, ramp_s=0.5)),
+        ("trembling", hand(tremor=0.12)),
     ],
 )
-def test_press_that_was_not_held_is_refused_by_its_name(kind: str, words: str, samples: list[Wrench]) -> None:
+def test_press_that_was_not_held_is_refused_by_its_name(kind: str, samples: list[Wrench]) -> None:
     (found,) = verdicts(samples)
     assert isinstance(found, Refused)
     assert found.kind == kind
-    assert words in found.why
 
 
 def test_force_that_is_beyond_the_range_or_stays_away_is_refused() -> None:
@@ -208,5 +208,5 @@ def test_a_plateau_of_a_slow_scale_begins_once_force_and_its_rate_stand_still(la
 
 @pytest.mark.parametrize("lag_s", [-0.1, float("nan")])
 def test_a_lag_that_is_none_is_refused(lag_s: float) -> None:
-    with pytest.raises(InputError, match="0 s or more"):
+    with refused("lag-range", InputError):
         PlateauFinder(Weighing(10.0, 0.4, lag_s=lag_s))

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 import palpate
@@ -53,16 +54,14 @@ def test_a_run_states_its_sensor_and_is_refused_where_that_is_of_another_kind(tm
         for same in ("palm-rig", "palm", "virtual palm", ""):
             assert refuse_other_sensor(same, source) == ""
         assert "of palm-rig" in refuse_other_sensor("mine", source)
-        with pytest.raises(InputError, match=r"frames of palm-rig and the calibration is of tactip: give a"):
+        with refused("sensor-differs", InputError):
             refuse_other_sensor("tactip", source)
 
 
 def test_a_virtual_sensor_states_its_own_and_images_none(tmp_path) -> None:
     with open_live_source("virtual:tactip") as source:  # type: ignore[attr-defined]
         assert stated_sensor(source) == "tactip"
-        with pytest.raises(
-            InputError, match="virtual:tactip gives frames of tactip and the calibration is of pal"
-        ):
+        with refused("sensor-differs", InputError):
             refuse_other_sensor("palm-rig", source)
     assert stated_sensor(open_live_source(tmp_path)) == ""
     assert refuse_other_sensor("palm-rig", open_live_source(tmp_path)) == ""
@@ -80,15 +79,15 @@ def test_live_names_both_sensors_and_refuses_those_of_another_kind(
     kinds = {"spots": "palm", "other": "tactip"}
     monkeypatch.setattr(sensor_names, "sensor_family", kinds.get)
     done = CliRunner().invoke(app, words)
-    assert (done.exit_code, json.loads(done.stdout)["error"]["code"]) == (2, "input")
+    assert (done.exit_code, json.loads(done.stdout)["error"]["code"]) == (2, "sensor-differs")
     assert "gives frames" in done.stderr
-    with pytest.raises(InputError, match="the calibration is of spots"):
+    with refused("sensor-differs", InputError):
         palpate.live(cal, camera=run)
     service = LiveService("live other", LiveOptions(camera=str(run), paced=True, repeat=True))
     service.start()
     try:
         assert service.loop.wait(0.5) is False
-        with pytest.raises(InputError, match="the calibration is of spots"):
+        with refused("sensor-differs", InputError):
             service.use(str(cal))
         assert service.status()["calibration"] is None
     finally:

@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import ImageError, InputError, Pose, RangeError
 from palpate.core.sensor import dark_field_of, for_live, sensor
@@ -102,7 +103,7 @@ def test_a_touch_is_found_in_a_brighter_frame_and_where_the_reference_is_almost_
 
 def test_double_brightness_is_another_view(view: UntouchedView) -> None:
     seen = view.seen(taken(2 * LIT * 0.9, np.random.default_rng(8)))
-    assert (seen.verdict, seen.region) == ("view changed", None)
+    assert (seen.verdict, seen.region) == ("view-changed", None)
     assert "exposure" in seen.why
 
 
@@ -114,7 +115,7 @@ def test_a_camera_that_moved_is_another_view_and_says_by_how_much() -> None:
     still = UntouchedView([taken(here, rng) for _ in range(8)], region=(100, 80, 440, 320))
     assert still.seen(taken(here, rng)).verdict == "untouched"
     seen = still.seen(taken(moved, rng))
-    assert seen.verdict == "view changed"
+    assert seen.verdict == "view-changed"
     assert "2.0, 1.0" in seen.why
 
 
@@ -126,7 +127,7 @@ def test_a_touch_over_most_of_the_skin_is_a_touch_where_its_surroundings_stay(vi
     assert seen.verdict == "touched"
     assert seen.changed_share > 0.6
     other_light = LIT + 40 * np.sin(COLUMNS / 90) + 20 * np.cos(ROWS / 60)
-    assert skin.seen(taken(other_light, rng)).verdict == "view changed"
+    assert skin.seen(taken(other_light, rng)).verdict == "view-changed"
 
 
 def test_a_colour_that_changes_and_keeps_its_grey_is_a_touch() -> None:
@@ -171,15 +172,15 @@ def test_a_straight_edge_lies_where_the_mean_square_is_the_stated_share() -> Non
 
 
 def test_frames_of_another_kind_are_refused_with_what_to_do(view: UntouchedView) -> None:
-    with pytest.raises(InputError, match="take the untouched reference anew"):
+    with refused("frames-differ", InputError):
         view.seen(np.zeros((480, 320), np.uint8))
-    with pytest.raises(InputError, match="5 or more"):
+    with refused("too-few-frames", InputError):
         UntouchedView([LIT.astype(np.uint8)] * 4)
-    with pytest.raises(ImageError, match="8-bit"):
+    with refused("pixel-format", ImageError, match="8-bit"):
         UntouchedView([LIT] * 5)
-    with pytest.raises(RangeError, match="inside the frame"):
+    with refused("region-outside", RangeError):
         UntouchedView([LIT.astype(np.uint8)] * 5, region=(600, 0, 100, 100))
-    with pytest.raises(RangeError, match="false-alarm"):
+    with refused("false-alarm-rate", RangeError):
         UntouchedView([LIT.astype(np.uint8)] * 5, false_alarm_rate=0.9)
 
 
@@ -206,7 +207,7 @@ def test_a_skin_that_the_camera_sees_through_shows_something_in_view_and_no_touc
     rng = np.random.default_rng(15)
     clear = UntouchedView([taken(LIT, rng) for _ in range(8)], see_through=True)
     assert clear.seen(taken(LIT, rng)).verdict == "untouched"
-    assert clear.seen(taken(LIT + 20 * disc(300, 200, 30), rng)).verdict == "something in view"
+    assert clear.seen(taken(LIT + 20 * disc(300, 200, 30), rng)).verdict == "in-view"
 
 
 DARK = np.where(COLUMNS < 320, 20.0, 90.0)  # crossed polarisers on the left, a mirror's picture on the right
@@ -226,7 +227,7 @@ def test_in_a_dark_field_light_in_the_skin_is_a_touch_and_what_else_is_seen_is_i
     near = DARK + 40 * disc(480, 200, 40)
     assert {dark.seen(taken(DARK, rng)).verdict for _ in range(10)} == {"untouched"}
     seen = dark.seen(taken(near, rng))
-    assert (seen.verdict, "beside it" in seen.why) == ("something in view", True)
+    assert seen.verdict == "in-view"
     assert seen.region is not None
     assert np.hypot(seen.region.centre_px[0] - 480, seen.region.centre_px[1] - 200) < 1
     for light in (6 * disc(100, 300, 20), 120 * (ROWS > 160) * (COLUMNS < 320)):  # a little; all of the skin
@@ -257,5 +258,5 @@ def test_a_ball_over_the_virtual_palm_is_in_view_and_one_that_presses_half_a_new
     still = [taken_at(0, -3) for _ in range(6)]
     told = UntouchedView(still, region=dark_field_of(palm), dark_field=True)
     assert told.seen(taken_at(0, -3)).verdict == "untouched"
-    assert told.seen(taken_at(9, -3)).verdict == "something in view"
+    assert told.seen(taken_at(9, -3)).verdict == "in-view"
     assert told.seen(taken_at(9, half_mm)).verdict == "touched"

@@ -144,11 +144,10 @@ def test_a_sensor_of_no_name_brings_its_plans_by_its_path(installed: Path) -> No
 
 
 def test_going_around_a_layer_is_refused_on_a_skin_that_is_not_round(installed: Path) -> None:
-    words = ["record", "--rig", "virtual:pad", "--plan", "layer", "--out", str(installed / "run"), "--quiet"]
+    words = ["record", "--rig", "virtual:pad", "--plan", "layer", "--out", str(installed / "run"), "--json"]
     caught = CliRunner().invoke(app, words)
     assert caught.exit_code == 2
-    assert "'layer' does not suit the sensor of virtual:pad: only a round skin" in caught.stderr
-    assert "its own plans are pad" in caught.stderr
+    assert json.loads(caught.stdout)["error"]["code"] == "not-round"
 
 
 def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(installed: Path) -> None:

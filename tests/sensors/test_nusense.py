@@ -55,7 +55,7 @@ def _cell_m2(contact: Contact) -> float:
 
 @pytest.mark.slow
 def test_nusense_keeps_every_law_of_a_sensor() -> None:
-    assert not [(one.name, one.message) for one in check_sensor(SENSOR) if not one.ok]
+    assert not [(one.code, one.message) for one in check_sensor(SENSOR) if not one.ok]
 
 
 def test_a_thick_pad_is_pressed_as_hertz_says() -> None:

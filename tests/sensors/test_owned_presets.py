@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.fakes.video_capture import FakeVideoCapture
+from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, RangeError
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings, device
@@ -112,7 +113,7 @@ def test_a_region_lies_inside_its_frame_and_without_one_is_the_whole() -> None:
 def test_a_file_that_is_wrong_is_refused_and_the_field_named(
     tmp_path: Path, name: str, was: str, becomes: str, says: str
 ) -> None:
-    with pytest.raises(InputError, match=says):
+    with refused("file-field", InputError, match=says):
         read_preset(changed(tmp_path, name, was, becomes))
 
 

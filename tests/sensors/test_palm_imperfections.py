@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import expm
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics import Rays, march_axisymmetric, plane_amplitude
@@ -309,22 +310,22 @@ def test_a_camera_s_own_exposure_moves_in_whole_steps_towards_its_target() -> No
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "code"),
     [
-        (lambda: UnevenGel(modulus=0.5), "0 to 0.1"),
-        (lambda: UnevenGel(thickness=-0.1), "0 to 0.1"),
-        (lambda: UnevenGel(seed=-1), "whole number"),
-        (lambda: ResidualMap(1e-3), "difference"),
-        (lambda: MirrorDirt(specks=1000), "0 to 500"),
-        (lambda: MirrorDirt(texture=2.0), "0.3"),
-        (lambda: Glare(spots=100), "whole number"),
-        (lambda: Glare(peak=-1.0), "0 to 10"),
-        (lambda: AutoExposure(0.0), "above 0"),
-        (lambda: AutoExposure(0.1, steps_per_stop=0), "1 step"),
+        (lambda: UnevenGel(modulus=0.5), "modulus-variation"),
+        (lambda: UnevenGel(thickness=-0.1), "modulus-variation"),
+        (lambda: UnevenGel(seed=-1), "seed"),
+        (lambda: ResidualMap(1e-3), "residual-birefringence"),
+        (lambda: MirrorDirt(specks=1000), "spot-count"),
+        (lambda: MirrorDirt(texture=2.0), "dirt-range"),
+        (lambda: Glare(spots=100), "spot-count"),
+        (lambda: Glare(peak=-1.0), "glare-range"),
+        (lambda: AutoExposure(0.0), "exposure-range"),
+        (lambda: AutoExposure(0.1, steps_per_stop=0), "exposure-range"),
     ],
 )
-def test_faults_that_cannot_be_are_refused(make, said) -> None:
-    with pytest.raises((InputError, RangeError), match=said):
+def test_faults_that_cannot_be_are_refused(make, code) -> None:
+    with refused(code):
         make()
 
 

@@ -3,13 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics.colour import Spectrum
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view, mirror_view
 from palpate.sensors.palm.membrane_wear import (
-    MAX_SCRATCHES,
     Wear,
     film,
     passed_by,
@@ -236,26 +236,26 @@ def test_wear_grows_with_presses_and_comes_to_an_end():
 
 @pytest.mark.parametrize("presses", [-1.0, math.nan, math.inf])
 def test_presses_that_cannot_be_counted_are_refused(presses):
-    with pytest.raises(RangeError, match="0 or more"):
+    with refused("press-count", RangeError):
         worn(presses)
 
 
 @pytest.mark.parametrize(
-    ("part", "value", "says"),
+    ("part", "value"),
     [
-        ("haze", -0.1, "0 to 1"),
-        ("haze", 1.1, "0 to 1"),
-        ("haze", math.nan, "0 to 1"),
-        ("scratches", -1, f"0 to {MAX_SCRATCHES}"),
-        ("scratch_seed", -1, "whole number"),
-        ("scratch_width_m", 0.0, "1e-06 to 0.001 m"),
-        ("scratch_strength", 1.5, "0 to 1"),
-        ("yellowing", -0.1, "absorbance"),
-        ("yellowing", math.inf, "absorbance"),
+        ("haze", -0.1),
+        ("haze", 1.1),
+        ("haze", math.nan),
+        ("scratches", -1),
+        ("scratch_seed", -1),
+        ("scratch_width_m", 0.0),
+        ("scratch_strength", 1.5),
+        ("yellowing", -0.1),
+        ("yellowing", math.inf),
     ],
 )
-def test_wear_that_cannot_be_is_refused_with_what_can(part, value, says):
-    with pytest.raises(RangeError, match=says):
+def test_wear_that_cannot_be_is_refused_by_name(part, value):
+    with refused("wear-range", RangeError, match=part):
         replace(Wear(), **{part: value})
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import onnxruntime
 import pytest
+from tests.refusals import refused
 
 from palpate.core.errors import InputError
 from palpate.estimators.networks import MODELS, make_model, model_class
@@ -175,7 +176,6 @@ def test_an_interrupted_network_goes_on_to_the_same_weights(rng, tmp_path) -> No
         pass
 
     def stop(what: str, done: int, total: int) -> None:
-        assert what == "learning from scratch"
         if done == 1:
             raise Interrupted
 
@@ -198,7 +198,7 @@ def test_given_weights_are_where_every_trunk_begins(rng, tmp_path, monkeypatch) 
     data, told = presses(8, rng, MODELS["palm-two-stage"].targets), []
     model = PalmTwoStage(epochs=1, weights=str(path), learning_rate=1e-9, patience=0)
     fitted = model.fit(data, np.arange(8), seed=0, progress=lambda what, done, total: told.append(what))
-    assert told[-1] == "learning from resnet18.safetensors"
+    assert told[-1].endswith(path.name)
     for trunk in (fitted.network.fringe, fitted.network.mirror):
         torch.testing.assert_close(trunk.conv1.weight, given["conv1.weight"].sum(dim=1, keepdim=True))
         torch.testing.assert_close(trunk.layer4[1].conv2.weight, given["layer4.1.conv2.weight"])
@@ -228,7 +228,7 @@ def test_targets_it_misses_or_cannot_estimate_are_refused(name: str, rng) -> Non
     for asked in (targets[:-1], (*targets, "stiffness_N_m"), ()):
         data = presses(12, rng, targets)
         wrong = TrainingData(data.shape, data.values, data.groups, data.fetch, asked)
-        with pytest.raises(InputError, match=f"{', '.join(targets)}, no fewer.*{', '.join(asked)}"):
+        with refused("targets-differ", InputError):
             make_model(name, {}).fit(wrong, np.arange(12), seed=0)
 
 
@@ -244,17 +244,17 @@ def test_an_odd_width_is_not_two_views(name: str, rng) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "code"),
     [
-        ({"weights": "resnet18.pth"}, "only .safetensors"),
-        ({"weights": "nowhere.safetensors"}, "no such file"),
-        ({"precision": "float16"}, "auto or float32"),
-        ({"force_weight": -1.0}, "loss weights"),
-        ({"depth_weight": 0, "place_weight": 0, "force_weight": 0}, "one at least is positive"),
-        ({"learning_rate": -1.0}, "positive"),
-        ({"epochs": 0}, "1 or more"),
+        ({"weights": "resnet18.pth"}, "weights-kind"),
+        ({"weights": "nowhere.safetensors"}, "file-missing"),
+        ({"precision": "float16"}, "precision"),
+        ({"force_weight": -1.0}, "loss-weights"),
+        ({"depth_weight": 0, "place_weight": 0, "force_weight": 0}, "loss-weights"),
+        ({"learning_rate": -1.0}, "learning-rate"),
+        ({"epochs": 0}, "epoch-count"),
     ],
 )
-def test_options_that_cannot_be_are_refused_before_anything_is_learnt(options: dict, says: str) -> None:
-    with pytest.raises(InputError, match=says):
+def test_options_that_cannot_be_are_refused_before_anything_is_learnt(options: dict, code: str) -> None:
+    with refused(code, InputError):
         make_model("palm-two-stage", options)

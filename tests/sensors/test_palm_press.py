@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.core.errors import MaterialStrainError
@@ -74,7 +75,7 @@ def test_pressing_to_a_depth_s_force_gives_the_depth():
 
 def test_the_deepest_press_is_allowed_and_nothing_beyond():
     assert pressed(6e-3).force_n > pressed(5.99e-3).force_n
-    with pytest.raises(RangeError, match=r"6\.001 mm .* 0 to 6 mm"):
+    with refused("outside-table", RangeError, match="6 mm"):
         pressed(6.001e-3)
 
 
@@ -82,7 +83,7 @@ def test_linear_layers_end_at_their_depth_but_for_rounding():
     beyond = LINEAR_DEPTH_M * 24 / 24
     assert beyond > LINEAR_DEPTH_M
     assert layered("punch:7", beyond).force_n == pytest.approx(layered("punch:7", LINEAR_DEPTH_M).force_n)
-    with pytest.raises(RangeError, match=r"depth 1\.500002 mm .* 0 to 1\.5 mm"):
+    with refused("outside-linear-range", RangeError, match=r"1\.5 mm"):
         layered("punch:7", 1.500002e-3)
 
 
@@ -190,35 +191,35 @@ def test_a_contact_off_the_membrane_is_refused(words, depth_m):
 @pytest.mark.parametrize("words", ["sphere:10", "punch:6"])
 def test_a_contact_that_reaches_over_the_rim_is_refused(words):
     assert layered(words, 1e-3, y_m=25e-3).force_n > 0
-    with pytest.raises(RangeError, match=r"rim at 28\.5 mm"):
+    with refused("contact-over-rim", RangeError, match=r"28\.5 mm"):
         layered(words, 1e-3, y_m=27e-3)
 
 
 @pytest.mark.parametrize("words", ["sphere:10", "punch:6"])
 @pytest.mark.parametrize("place", [(math.nan, 0.0), (0.0, math.inf)])
 def test_a_place_that_is_no_number_is_refused(words, place):
-    with pytest.raises(InputError, match="numbers in m"):
+    with refused("not-finite", InputError):
         layered(words, 1e-3, *place)
 
 
 @pytest.mark.parametrize("lateral_n", [(math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0)])
 def test_a_lateral_load_that_is_no_number_is_refused(lateral_n):
-    with pytest.raises(InputError, match="numbers in N"):
+    with refused("not-finite", InputError):
         layered("sphere:10", 1e-3, lateral_n=lateral_n)
 
 
 def test_a_probe_that_would_slip_is_refused_with_the_greatest_load():
     # at 1 mm the table gives 1.577 N under the palm's ball, linear layers 1.397 N under one of 8 mm
     for words, most in (("sphere:10", r"1\.57\d* N"), ("sphere:8", r"1\.39\d* N")):
-        with pytest.raises(RangeError, match=most):
+        with refused("sliding", RangeError, match=most):
             layered(words, 1e-3, lateral_n=(1.2, 1.2))
-        with pytest.raises(RangeError, match=r"0\.1 N on a probe that does not press"):
+        with refused("no-normal-force", RangeError):
             layered(words, 0.0, lateral_n=(0.1, 0.0))
 
 
 @pytest.mark.parametrize("force_n", [-0.1, math.nan, 30.0])
 def test_a_force_beyond_the_table_is_refused_with_what_is_allowed(force_n):
-    with pytest.raises(RangeError, match=r"0 to 25\.9\d* N"):
+    with refused("force-range", RangeError, match=r"25\.9\d* N"):
         palm.press_to_force(SPEC, force_n)
 
 

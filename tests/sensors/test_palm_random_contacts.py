@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.probe_contact import is_tabled_probe
@@ -118,18 +119,18 @@ def test_a_probe_that_does_not_turn_takes_the_moment_there_is():
 
 def test_a_moment_that_cannot_be_is_refused():
     ball = Probe("sphere", SPEC.indenter_radius_m)
-    with pytest.raises(InputError, match="N m"):
+    with refused("not-finite", InputError):
         palm.press(SPEC, Pose(0.0, 0.0, 1e-3), ball, (0.0, 0.0), math.nan)
-    with pytest.raises(RangeError, match="whole contact slip"):
+    with refused("twisting-slip", RangeError):
         palm.press(SPEC, Pose(0.0, 0.0, 1e-3), ball, (0.0, 0.0), 1.0)
-    with pytest.raises(RangeError, match="does not press"):
+    with refused("no-normal-force", RangeError):
         palm.press(SPEC, Pose(0.0, 0.0, 0.0), ball, (0.0, 0.0), 1e-4)
 
 
 def test_what_cannot_be_drawn_is_refused():
-    with pytest.raises(InputError, match="lateral, inclined, shapes, two-contacts, grasp"):
+    with refused("unknown-name", InputError):
         drawn("banana")
-    with pytest.raises(InputError, match="1 or more"):
+    with refused("press-count", InputError):
         drawn("lateral", 0)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import Pose
 from palpate.core.errors import InputError
@@ -69,5 +70,5 @@ def test_a_frame_shows_its_own_press_and_the_hanging_probe_shows_none(alone) -> 
 
 @pytest.mark.parametrize(("count", "depths", "processes"), [(0, 1, 1), (1, 0, 1), (1, 1, 0), (1, 1, -2)])
 def test_no_press_no_depth_and_no_process_are_refused(count: int, depths: int, processes: int) -> None:
-    with pytest.raises(InputError, match="1 or more"):
+    with refused("processes" if processes < 1 else "press-count", InputError):
         draw_presses(SPEC, count, depths, np.random.default_rng(0), processes=processes)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.optics import LedStrip
@@ -81,43 +82,43 @@ def test_every_preset_goes_by_its_name():
 
 
 @pytest.mark.parametrize(
-    ("part", "value", "says"),
+    ("part", "value", "code"),
     [
-        ("youngs_modulus_pa", 0.0, "100 to 1e\\+12 Pa"),
-        ("youngs_modulus_pa", -0.3e6, "100 to 1e\\+12 Pa"),
-        ("youngs_modulus_pa", math.nan, "100 to 1e\\+12 Pa"),
-        ("youngs_modulus_pa", math.inf, "100 to 1e\\+12 Pa"),
-        ("poisson_ratio", 0.5, "below 0.5"),
-        ("poisson_ratio", -0.1, "below 0.5"),
-        ("thickness_m", 0.0, "0.0001 to 1 m"),
-        ("thickness_m", math.nan, "0.0001 to 1 m"),
-        ("diameter_m", -57e-3, "0.001 to 1 m"),
-        ("indenter_radius_m", 0.0, "0.0001 to 1 m"),
-        ("friction", -0.1, "0 to 10"),
-        ("refractive_index", 0.9, "1 to 3"),
-        ("extinction", 1.5, "0 to 1"),
-        ("polariser_rad", math.nan, "rad"),
-        ("frozen_birefringence", 0.1, "-0.01 to 0.01"),
-        ("mirror_elevation_rad", 0.0, "0.1 to 1.57"),
-        ("lamp_gain", -1.0, "0 to 100"),
-        ("lamp_mired", 201.0, "-200 to 200 mired"),
-        ("lamp_mired", math.nan, "mired"),
-        ("ambient", -0.1, "0 to 10"),
-        ("ambient", math.nan, "0 to 10"),
-        ("exposure_s", 0.0, "1e-06 to 100 s"),
-        ("bands", 3, "31 to 1000"),
-        ("rays_per_pixel", (0, 1), "1 or more"),
+        ("youngs_modulus_pa", 0.0, "spec-range"),
+        ("youngs_modulus_pa", -0.3e6, "spec-range"),
+        ("youngs_modulus_pa", math.nan, "spec-range"),
+        ("youngs_modulus_pa", math.inf, "spec-range"),
+        ("poisson_ratio", 0.5, "poisson-ratio"),
+        ("poisson_ratio", -0.1, "spec-range"),
+        ("thickness_m", 0.0, "spec-range"),
+        ("thickness_m", math.nan, "spec-range"),
+        ("diameter_m", -57e-3, "spec-range"),
+        ("indenter_radius_m", 0.0, "spec-range"),
+        ("friction", -0.1, "spec-range"),
+        ("refractive_index", 0.9, "spec-range"),
+        ("extinction", 1.5, "spec-range"),
+        ("polariser_rad", math.nan, "spec-range"),
+        ("frozen_birefringence", 0.1, "spec-range"),
+        ("mirror_elevation_rad", 0.0, "spec-range"),
+        ("lamp_gain", -1.0, "spec-range"),
+        ("lamp_mired", 201.0, "spec-range"),
+        ("lamp_mired", math.nan, "spec-range"),
+        ("ambient", -0.1, "spec-range"),
+        ("ambient", math.nan, "spec-range"),
+        ("exposure_s", 0.0, "spec-range"),
+        ("bands", 3, "spec-range"),
+        ("rays_per_pixel", (0, 1), "ray-count"),
     ],
 )
-def test_a_palm_that_cannot_be_is_refused_with_what_can(part, value, says):
-    with pytest.raises(RangeError, match=says):
+def test_a_palm_that_cannot_be_is_refused_with_what_can(part, value, code):
+    with refused(code, RangeError):
         replace(palm.palm(), **{part: value})
 
 
 def test_a_region_outside_the_frame_is_refused():
-    with pytest.raises(InputError, match="1920 x 1080 px"):
+    with refused("view-outside-frame", InputError):
         replace(palm.palm(), fringes=View((1900, 60, 100, 420), 44e-6, (50.0, 110.0)))
-    with pytest.raises(RangeError, match="in m"):
+    with refused("pixel-size", RangeError):
         replace(palm.palm(), mirror=View((700, 560, 700, 420), 0.0, (350.0, 210.0)))
 
 
@@ -150,7 +151,7 @@ def test_words_that_are_no_probe_are_answered_with_those_that_are(words):
 
 @pytest.mark.parametrize("words", ["sphere:0", "sphere:-10", "sphere:nan", "punch:inf", "cylinder:6:12:nan"])
 def test_a_probe_without_a_size_is_refused(words):
-    with pytest.raises(InputError, match="positive, in mm"):
+    with refused("not-positive", InputError):
         palm.parse_probe(words)
 
 

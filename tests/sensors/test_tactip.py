@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 
 from palpate.core import Pose
 from palpate.core.errors import InputError, RangeError
@@ -81,13 +82,13 @@ def test_a_softer_specimen_has_the_larger_ring_at_equal_force(spec) -> None:
 
 
 def test_what_cannot_be_built_is_refused(spec) -> None:
-    with pytest.raises(InputError, match="127 and 331"):
+    with refused("pin-count", InputError):
         tactip(200)
-    with pytest.raises(RangeError, match="radius"):
+    with refused("pin-radius", RangeError):
         replace(spec, pins=PinLayout(9, 2.6e-3, 1e-3, 0.5e-3))
-    with pytest.raises(RangeError, match="camera"):
+    with refused("camera-position", RangeError):
         replace(spec, camera=replace(spec.camera, height_m=0.015))
-    with pytest.raises(RangeError, match="speed"):
+    with refused("speed-range", RangeError):
         replace(spec, speed_m_s=0.0)
 
 

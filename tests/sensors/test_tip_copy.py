@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -126,7 +127,7 @@ def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_
     presses, fitted
 ) -> None:
     blind = fit_tip_copy(DESIGN, [replace(one, position_m=None) for one in presses])
-    assert any("the stage's position" in one.press for one in blind.helpful)
+    assert "stage-position" in [one.press for one in blind.helpful]
     assert all(one.ratio < 0.9 and one.term in COPY_TERMS for one in blind.helpful)
     assert (
         fitted.copy.told["edge_rad"]["standard_deviation"]
@@ -164,18 +165,18 @@ def test_a_known_weight_sees_what_has_changed(tip, fitted, skin: float, gel: flo
 @pytest.mark.slow
 def test_a_weight_that_leans_slides_or_moves_is_refused(tip, fitted) -> None:
     rng = np.random.default_rng(15)
-    with pytest.raises(ImageError, match="leans by"):
+    with refused("weight-inclined", ImageError):
         check_tip_weight(fitted.copy, [pressed(tip, 2.0, rng, lean_rad=(math.radians(3), 0.0))], 0.2)
     one = pressed(tip, 2.0, rng)
-    with pytest.raises(ImageError, match="rolls or rocks"):
+    with refused("weight-moved", ImageError):
         check_tip_weight(fitted.copy, [one, pressed(tip, 2.2, rng)], 0.2)
     to_and_fro = [pressed(tip, 2.0, rng, lean_rad=(math.radians(lean), 0.0)) for lean in (1.4, -1.4)]
-    with pytest.raises(ImageError, match="degrees of lean"):
+    with refused("weight-moved", ImageError):
         check_tip_weight(fitted.copy, to_and_fro, 0.2)
     pushed = replace(one, moved_px=one.moved_px + np.array([4.0, 0.0]))
-    with pytest.raises(ImageError, match=r"slides|leans|differ"):
+    with refused("weight-slid", ImageError):
         check_tip_weight(fitted.copy, [pushed], 0.2)
-    with pytest.raises(RangeError, match="a mass of 0 g"):
+    with refused("mass-range", RangeError):
         check_tip_weight(fitted.copy, [one], 0.0)
 
 
@@ -186,22 +187,22 @@ def test_shuffled_forces_one_load_and_another_tip_s_frames_are_refused(tip, pres
         replace(one, force_n=presses[k].force_n, position_m=None)
         for one, k in zip(presses, order, strict=True)
     ]
-    with pytest.raises((RangeError, ImageError), match=r"known forces are|forces of other frames"):
+    with refused("forces-differ", RangeError):
         fit_tip_copy(DESIGN, wrong)
-    with pytest.raises(InputError, match="about one load"):
+    with refused("one-load", InputError):
         fit_tip_copy(DESIGN, [replace(one, force_n=2.0 + 0.1 * i) for i, one in enumerate(presses)])
     other = pressed(copy_of(5), 2.0, np.random.default_rng(16))
-    with pytest.raises(ImageError, match="another tip"):
+    with refused("tip-differs", ImageError):
         read_plate_press(fitted.copy, other)
     bent = replace(presses[2], moved_px=2 * presses[2].rest_px - presses[2].moved_px)  # inwards
-    with pytest.raises(ImageError, match=r"nearest press of this tip|leans"):
+    with refused("pins-differ", ImageError):
         read_plate_press(fitted.copy, bent)
     for what in ({"force_n": -1.0}, {"force_sd_n": 0.0}):
-        with pytest.raises(InputError, match="has to be finite and above 0"):
+        with refused("not-positive", InputError):
             replace(presses[0], **what)
-    with pytest.raises(InputError, match="no press"):
+    with refused("no-presses", InputError):
         fit_tip_copy(DESIGN, [])
-    with pytest.raises(RangeError, match="each has to be finite"):
+    with refused("not-positive", RangeError):
         designed_tip(tactip(127), SPREADS | {"ratio": 0.0})
 
 
@@ -210,14 +211,14 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
     again = load_tip_copy(tmp_path / "c.json")
     for name in ("terms", "covariance", "rest_px", "cells"):
         assert_allclose(getattr(again, name), getattr(fitted.copy, name))
-    with pytest.raises(InputError, match="has seen no press"):
+    with refused("no-presses", InputError):
         write_tip_copy(DESIGN, "127", tmp_path / "d.json")
-    with pytest.raises(InputError, match="calibrate --method tip-unit"):
+    with refused("file-missing", InputError):
         load_tip_copy(tmp_path / "none.json")
     record = json.loads((tmp_path / "c.json").read_text())
     record["covariance"][0][0] = -1.0
     (tmp_path / "c.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match="its numbers are not those"):
+    with refused("unit-damaged", InputError):
         load_tip_copy(tmp_path / "c.json")
 
 
@@ -257,7 +258,7 @@ def test_verbs_calibrate_a_folder_and_a_run_read_a_force_and_weigh(tmp_path: Pat
     assert_allclose(
         np.diff([one.position_m for one in from_run]), np.diff([tip.depth_m(f) for f in (0.5, 1.5, 3)])
     )
-    with pytest.raises(InputError, match="7 presses of 6 frames"):
+    with refused("press-count", InputError):
         known_presses([folder], 7, 127)
     out = tmp_path / "copy.json"
     words = ["calibrate", "--method", "tip-unit", str(folder), "--presses", "5", "--out", str(out), "--quiet"]
@@ -273,20 +274,19 @@ def test_verbs_calibrate_a_folder_and_a_run_read_a_force_and_weigh(tmp_path: Pat
     common = ["--reference", str(tmp_path / "rest.png"), "--with", str(out), "--quiet"]
     read = CliRunner().invoke(app, ["read", str(tmp_path / "w.png"), *common, "--json"])
     assert abs(json.loads(read.output)["force_N"] / weight_n - 1) < 0.04
-    for mass, words in (("200", "as calibrated"), ("240", "changed: stiffness")):
-        weighed = CliRunner().invoke(
-            app, ["check-weight", str(tmp_path / "w.png"), *common, "--mass-g", mass]
-        )
-        assert words in weighed.output, weighed.output
+    for mass, drifted in (("200", []), ("240", ["stiffness"])):
+        words = ["check-weight", str(tmp_path / "w.png"), *common, "--mass-g", mass, "--json"]
+        weighed = CliRunner().invoke(app, words)
+        assert json.loads(weighed.output)["drifted"] == drifted, weighed.output
 
 
 def test_another_number_of_pins_or_size_of_frames_is_refused(tip) -> None:
     rest, image = tip.frames(2e-3, np.random.default_rng(18))
-    with pytest.raises(ImageError, match="127 pins are seen in the untouched frame, and this tip has 331"):
+    with refused("pin-count", ImageError):
         pins_between(rest, image, 331)
-    with pytest.raises(ImageError, match="two of one camera"):
+    with refused("image-size", ImageError):
         pins_between(rest, image[:-1], 127)
-    with pytest.raises(RangeError, match="this tip is known to"):
+    with refused("force-range", RangeError):
         tip.depth_m(1e3)
 
 

@@ -268,8 +268,8 @@ def test_an_arm_that_brakes_for_its_speed_says_so_and_takes_no_force_until_relea
     with refused("arm-braked", DeviceError):
         pressed(arm, clock, 8.0, 0.2)  # 8 N on 0.3 kg are 1 m/s within 38 ms
     assert fake.cause in (VELOCITY, 4)
-    assert arm.latest().fault == "velocity limit: the arm brakes"
-    with pytest.raises(DeviceError, match="velocity limit"):
+    assert "velocity" in arm.latest().fault
+    with refused("arm-braked", DeviceError):
         arm.set_force(0.0)
     clock.sleep(1.0)
     arm.release()
@@ -287,8 +287,8 @@ def test_the_watchdog_drops_the_force_where_none_comes() -> None:
     clock.sleep(0.001)
     fake.catch_up()
     assert fake.force_n == (0.0, 0.0, 0.0)
-    assert arm.latest().fault == "watchdog: the arm brakes"
-    with pytest.raises(DeviceError, match="watchdog"):
+    assert "watchdog" in arm.latest().fault
+    with refused("arm-braked", DeviceError):
         arm.set_force(2.0)
     arm.release()
     assert fake.force_n == pytest.approx((0.0, 0.0, 0.0), abs=0.05)  # the last force does not come back
@@ -298,7 +298,7 @@ def test_a_force_sent_into_the_brake_is_refused_though_the_library_takes_it() ->
     arm, fake, clock = opened(push=holding())
     arm.release()
     clock.sleep(0.03)
-    with pytest.raises(DeviceError, match="watchdog"):
+    with refused("arm-braked", DeviceError, match="watchdog"):
         arm.set_force(1.0)
     assert not fake.enabled
 

@@ -72,13 +72,11 @@ def test_a_write_is_these_bytes_and_transactions_are_numbered() -> None:
     assert server.requests == [f"00 0{i} 00 00 00 0b 01 10 03 e8 00 02 04 40 20 00 00" for i in (1, 2)]
 
 
-@pytest.mark.parametrize(
-    ("code", "meaning"), [(1, "illegal function"), (2, "data address"), (77, "not name")]
-)
-def test_an_exception_is_named_and_the_connection_goes_on(code: int, meaning: str) -> None:
+@pytest.mark.parametrize("code", [1, 2, 77])
+def test_an_exception_is_named_and_the_connection_goes_on(code: int) -> None:
     server = Scripted(f"00 01 00 00 00 03 01 83 {code:02x}", "00 02 00 00 00 05 01 03 02 00 07")
     with client(server) as modbus:
-        with pytest.raises(ModbusError, match=f"register 61600: exception {code}.*{meaning}") as raised:
+        with refused(f"modbus-exception-{code}", ModbusError, match="61600") as raised:
             modbus.read(61600, 2)
         assert raised.value.exception_code == code
         assert modbus.read(5, 1) == b"\0\7"

@@ -1,6 +1,7 @@
 """Specimens of the report's three classes: what each keeps alike, and by how much it does not."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def test_springs_in_a_line_are_alike_where_the_sums_of_compliance_are() -> None:
 def test_pairs_are_stacked_as_the_report_says() -> None:
     pairs = [(one.above_pa, one.below_pa) for one in specimens(MIRRORED, MODULI)]
     assert pairs == [(8e5, 1e5), (5e5, 1.5e5), (3e5, 3e5), (1.5e5, 5e5), (1e5, 8e5)]
-    assert specimens(MIRRORED, MODULI)[0].name == "CL3 0 % on 45 %"
+    assert re.findall(r"\d+", specimens(MIRRORED, MODULI)[0].name) == ["3", "0", "45"]
     assert [one.below_pa for one in specimens(PLATE, MODULI)] == list(MODULI)
 
 

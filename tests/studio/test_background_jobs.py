@@ -52,7 +52,7 @@ def test_a_job_says_how_far_it_is_and_what_it_found(jobs):
 
 def test_a_job_that_is_refused_or_dies_says_why(jobs):
     refused = until(jobs.begin("x", "fails", suffix=".html"), "failed")
-    assert refused.why == "<b> is wrong"
+    assert "<b>" in refused.why
     assert "&lt;b&gt; is" in job_html(refused)
     assert "no memory" in until(jobs.begin("x", "dies", suffix=".html"), "failed").why
 
@@ -72,23 +72,23 @@ def test_jobs_are_bounded_cancelled_and_end_with_the_server():
 def test_a_job_that_is_refused_says_so_in_one_line(monkeypatch, capsys):
     def refuses(voice, what):
         voice.progress("looking", 0, 1)
-        raise InputError(f"{what}\nis none")
+        raise InputError(f"{what}\nnone", code="no-file")
 
     monkeypatch.setitem(job_process.JOBS, "report", refuses)
     assert job_process.main(["report", "cal"]) == 2
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert told == [{"progress": ["looking", 0, 1]}, {"error": "cal is none"}]
+    assert told == [{"progress": ["looking", 0, 1]}, {"error": "cal none", "code": "no-file"}]
 
 
 @pytest.mark.parametrize(
-    ("scores", "said", "loud"),
+    ("scores", "named", "loud"),
     [
-        ({"learnt_from_this_run": True}, "say nothing about new presses", True),
-        ({"same_session": "session monday is one that was learnt from"}, "no other day", True),
-        ({}, "another session than was learnt from, by its name: tuesday", False),
+        ({"learnt_from_this_run": True}, "", True),
+        ({"same_session": "monday"}, "monday", True),
+        ({}, "tuesday", False),
     ],
 )
-def test_a_score_says_whether_it_is_of_another_day(jobs, scores, said, loud):
+def test_a_score_says_whether_it_is_of_another_day(jobs, scores, named, loud):
     score = {"mae": 0.008, "unit": "N", "n": 68, "coverage_90": 1.0}
     score |= {"coverage_90_low": 0.8, "coverage_90_high": 1.0}
     found = {"targets": {"force_N": score}, "learnt_from_this_run": False, "same_session": ""}
@@ -96,5 +96,5 @@ def test_a_score_says_whether_it_is_of_another_day(jobs, scores, said, loud):
     job = until(jobs.begin("scored", "does", Path("x"), suffix=".json"), "done")
     job.found = found
     told = job_html(job)
-    assert said in told
+    assert named in told
     assert ("trouble" in told) == loud

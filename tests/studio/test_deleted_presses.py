@@ -5,6 +5,7 @@ import sys
 from argparse import Namespace
 
 import pytest
+from tests.refusals import refused
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
@@ -70,7 +71,7 @@ def test_pressed_anew_are_as_many_as_were_asked_for_and_the_file_waits_for_the_c
     monkeypatch.setattr(StartSession, "feed", feed)
     words = Namespace(folder=deleted, camera="virtual:tactip", scale="virtual", presses=ASKED,
                       seed=0, unit="", real_time=False, more=more)  # fmt: skip
-    with pytest.raises(Exception, match="no camera here" if more else "is gone: put it back"):
+    with refused("device" if more else "run-missing"):
         run_session(words, JobVoice())
     assert opened_for == ([("collect", ASKED)] if more else [])
     assert kept_session(deleted)["gone"], "and it is told again until there are presses"

@@ -146,7 +146,7 @@ def test_every_answer_forbids_frames_errors_and_refused_sockets_too(served):
         "missing asset": served.ask("GET", "/_nicegui/0/static/nothing.js"),
         "wrong method": served.ask("GET", "/estop"),
         "stop": served.ask("POST", "/estop", **{HEADER: "estop"}),
-        "stop without its header": served.ask("POST", "/estop"),
+        "bare stop": served.ask("POST", "/estop"),
         "polling": served.ask("GET", POLLING),
         "bad polling": served.ask("GET", POLLING + "&sid=none"),
         "options": served.ask("OPTIONS", "/estop"),
@@ -155,15 +155,15 @@ def test_every_answer_forbids_frames_errors_and_refused_sockets_too(served):
         "socket": served.handshake(Origin=own(served)),
         "refused socket": served.handshake(Origin="http://elsewhere.example"),
         "socket elsewhere": served.handshake("/nowhere", Origin=own(served)),
-        "socket at the page": served.handshake("/", Origin=own(served)),
+        "page socket": served.handshake("/", Origin=own(served)),
     }
     status = {name: answer[0] for name, answer in answers.items()}
     wanted = {"page": 200, "picture": 200, "missing": 404, "missing asset": 404, "wrong method": 404}
-    wanted |= {"stop": 200, "stop without its header": 403, "polling": 200, "bad polling": 400}
+    wanted |= {"stop": 200, "bare stop": 403, "polling": 200, "bad polling": 400}
     wanted |= {"other host": 400, "other origin": 403, "socket": 101, "refused socket": 403}
     assert {name: status[name] for name in wanted} == wanted
     assert status["socket elsewhere"] >= 400
-    assert status["socket at the page"] >= 400
+    assert status["page socket"] >= 400
     assert [name for name, answer in answers.items() if not is_guarded(answer[1])] == []
 
 

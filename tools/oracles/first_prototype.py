@@ -137,7 +137,8 @@ def _check_round(contact: Contact, spec: PalmSpec) -> None:
         raise InputError(
             f"a {contact.probe.shape} of radius {contact.probe.radius_m * 1e3:g} mm with a lateral load of "
             f"{contact.lateral_n} N; the prototype is drawn for the palm's own ball of radius "
-            f"{spec.indenter_radius_m * 1e3:g} mm, pressed straight down"
+            f"{spec.indenter_radius_m * 1e3:g} mm, pressed straight down",
+            code="other-ball",
         )
 
 

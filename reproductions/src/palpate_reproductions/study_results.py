@@ -76,7 +76,8 @@ def unfinished_work(out: Path, asked: Mapping[str, Any]) -> Path:
     if note.is_file() and note.read_text() != wanted:
         raise ExistsError(
             f"{work} holds unfinished work of another scale, seed or part ({note.read_text()}); run that one "
-            "again to finish it, remove the folder, or choose another --out"
+            "again to finish it, remove the folder, or choose another --out",
+            code="work-of-another",
         )
     if not note.is_file():
         with storage_errors(work):

@@ -168,7 +168,8 @@ def _process_group(plan: CalibrationPlan) -> ProcessGroup:
     if processes.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
         raise InputError(
             f"{processes.size} processes, and {plan.model} trains in one; run palpate without torchrun, or "
-            "take one of the palm's networks that are trained with torch"
+            "take one of the palm's networks that are trained with torch",
+            code="one-process",
         )
     return processes
 

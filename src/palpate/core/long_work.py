@@ -59,9 +59,7 @@ def in_parallel(
         RuntimeError: a job failed otherwise; the message names the item and the error.
     """
     if processes < 1:
-        raise InputError(
-            f"{processes} processes; 1 or more work, as many as there are cores to spare", code="processes"
-        )
+        raise InputError(f"{processes} processes; give 1 or more", code="processes")
     if scheduler is not None and processes > 1:
         raise InputError(
             f"{processes} processes as well as the scheduler {scheduler}; give one of them: a cluster's "
@@ -142,7 +140,8 @@ def _client(scheduler: str) -> Any:
     except (OSError, ValueError) as e:
         raise InputError(
             f"no Dask scheduler answers at {scheduler} ({e}); start one with `dask scheduler`, workers with "
-            "`dask worker ADDRESS --nthreads 1`, and give its address"
+            "`dask worker ADDRESS --nthreads 1`, and give its address",
+            code="no-scheduler",
         ) from e
 
 

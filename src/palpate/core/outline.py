@@ -69,13 +69,15 @@ class Outline:
         if around > ONCE:
             raise InputError(
                 f"a polygon of corners {corners} m: its sides cross, as they go {round(around)} times "
-                "around; give each corner once, in the order of one way around"
+                "around; give each corner once, in the order of one way around",
+                code="polygon-crosses",
             )
         made = cls(float(np.hypot(*at.T).max()), corners)
         if made.clearance_m(0.0, 0.0) <= 0:
             raise InputError(
                 f"a polygon of corners {corners} m leaves out the skin's centre, (0, 0); give corners "
-                "counted from the centre, all around it"
+                "counted from the centre, all around it",
+                code="polygon-center",
             )
         return made
 

@@ -109,13 +109,14 @@ class PluginRegistry:
         if preset and not takes_preset(factory):
             raise InputError(
                 f"{which} cannot be made: {self.kind} {name!r} has no presets, as its factory has no first "
-                f"parameter `preset`; give {name!r} alone"
+                f"parameter `preset`; give {name!r} alone",
+                code="preset-unknown",
             )
         with plugin_calls(f"{which} cannot be made: {ERROR}"):
             thing = factory(preset) if preset else factory()
             faults = self.faults(thing)
         if faults:
-            raise PluginError(f"{which} breaks its contract: {'; '.join(faults)}")
+            raise PluginError(f"{which} breaks its contract: {'; '.join(faults)}", code="contract-broken")
         return thing
 
     def _parts(self, text: str) -> tuple[str, str]:

@@ -74,7 +74,7 @@ def open_device(role: Role, kind: str, options: Mapping[str, Any], clock: Clock)
         with suppress(Exception, SystemExit):  # what lacks a method may well fail to close
             device.close()
         raise PluginError(
-            f"{role} {kind!r} breaks the law {fault.name!r}: {fault.message}", code="protocol-broken"
+            f"{role} {kind!r} breaks the law {fault.code!r}: {fault.message}", code="protocol-broken"
         )
     return device
 

@@ -97,7 +97,7 @@ def hold(name: str, folder: Path | None = None) -> BinaryIO:
     except RecordingError as e:
         holder = find(name, folder)
         who = "another process" if holder is None else f"process {holder.pid}"
-        raise DeviceError(f"{who} drives {name} already; end that one first") from e
+        raise DeviceError(f"{who} drives {name} already; end that one first", code="already-driven") from e
 
 
 def publish(address: Address, folder: Path | None = None) -> Path:

@@ -131,7 +131,7 @@ class RpcClient(Closing):
         finally:
             self._waiting.pop(number, None)
         if reply is None:
-            raise DeviceError(f"the process of {self.name} did not answer to {do!r}")
+            raise DeviceError(f"the process of {self.name} did not answer to {do!r}", code="process-silent")
         if not reply["ok"]:
             raise _error(str(reply["kind"]), str(reply["error"]), str(reply.get("code") or ""))
         self._after = max(self._after, int(reply["serial"]))
@@ -141,11 +141,14 @@ class RpcClient(Closing):
         line = encode_message(message)
         with self._sending:
             if self._socket is None:
-                raise DeviceError(f"the process of {self.name} cannot be reached; is it running?")
+                raise DeviceError(
+                    f"the process of {self.name} cannot be reached; is it running?",
+                    code="process-unreachable",
+                )
             try:
                 self._socket.sendall(line)
             except OSError as e:
-                raise DeviceError(f"the process of {self.name} is gone: {e}") from e
+                raise DeviceError(f"the process of {self.name} is gone: {e}", code="process-gone") from e
 
     def _run(self) -> None:
         while not self._closing.is_set():

@@ -201,7 +201,8 @@ def _joint(
     if joint[best] > HOPELESS:
         raise RangeError(
             f"no order up to {greatest_order:g} explains the light ({joint[best]:.0%} is left over): check "
-            "the specimen's place in the photographs, the lamp, and --max-order"
+            "the specimen's place in the photographs, the lamp, and --max-order",
+            code="order-not-found",
         )
     own, told = _own_orders(cost, orders, slopes[best] * load_n, top)
     k = float(np.median(own[told] / load_n[told]))
@@ -247,5 +248,6 @@ def _check(load_n: ndarray, light: ndarray, field: ndarray) -> None:
     if np.ptp(field) < MIN_CONTRAST * field.max():
         raise InputError(
             "the stress is nearly even over the region, so that one photograph does not tell its order; use "
-            "fit_orders, which compares loads"
+            "fit_orders, which compares loads",
+            code="stress-uniform",
         )

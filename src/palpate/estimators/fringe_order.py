@@ -85,7 +85,8 @@ class Traces:
             if not (np.isfinite(open_light).all() and (open_light[..., use] > 0).all()):
                 raise InputError(
                     "the photograph between parallel polarisers is dark somewhere in the region; take it "
-                    "with the specimen unloaded and the analyser turned by 90 degrees"
+                    "with the specimen unloaded and the analyser turned by 90 degrees",
+                    code="white-image",
                 )
             y = np.concatenate([y, open_light[None, :, use]])
             cut = np.concatenate([cut, np.zeros((1, *cut.shape[1:]), dtype=bool)])
@@ -464,7 +465,8 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
         raise InputError(
             f"{photographs} photograph(s) at 1 load ({load_n[0]:.4g} N) cannot tell C: any number of whole "
             f"orders more gives the same light; take {MIN_PHOTOGRAPHS} or more at {MIN_LOADS} or more "
-            "different loads, unevenly spaced"
+            "different loads, unevenly spaced",
+            code="too-few-loads",
         )
     if photographs < MIN_PHOTOGRAPHS or loads < MIN_LOADS:
         raise InputError(
@@ -513,7 +515,8 @@ def _lively(light: ndarray) -> list[int]:
     if not change.max() > 0:
         raise InputError(
             "the light in the region is the same at every load; move the region onto the specimen, or load "
-            "more"
+            "more",
+            code="light-constant",
         )
     return [int(c) for c in np.flatnonzero(change >= _DULL * change.max())]
 
@@ -524,11 +527,12 @@ def _check(
     if len(load_n) != len(light) or light.shape[2] != polariscope.spectrum.weight.shape[1]:
         raise InputError(
             f"{len(load_n)} loads and light of shape {light.shape} do not belong to one series of "
-            f"{polariscope.spectrum.weight.shape[1]} channels"
+            f"{polariscope.spectrum.weight.shape[1]} channels",
+            code="shape",
         )
     check_loads(load_n)
     if not (np.isfinite(light).all() and (light >= 0).all()):
-        raise InputError("some light is negative or no number; give linear light of 0 or more")
+        raise InputError("light is negative or NaN; give linear light", code="light-range")
     if not (np.isfinite(greatest_order) and greatest_order > 2 * MIN_ORDER):
         raise RangeError(f"greatest order {greatest_order} is not above {2 * MIN_ORDER}; 6 is usual")
     if not 0.0 < residual_order <= 0.5:

@@ -169,12 +169,11 @@ def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS, *, on_lattice:
     if grey is None:
         raise ImageError(
             "pins are found in 8-bit grey [h w] or colour [h w 3] images, got "
-            f"{image.dtype} {list(image.shape)}"
+            f"{image.dtype} {list(image.shape)}",
+            code="pixel-format",
         )
     if least < 2:
-        raise RangeError(
-            f"{least} pins at least; 2 or more, since how far a pin is looked for is its neighbour's"
-        )
+        raise RangeError(f"{least} pins; give 2 or more", code="pin-count")
     level, brighter = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     spots = patches(brighter)
     ground, bright, clear = contrast(grey, int(level))
@@ -187,7 +186,10 @@ def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS, *, on_lattice:
         return _even(grey, spots, ground, bright)
     told = 0 if found is None else len(found.xy_px)
     if found is None or told < least:
-        raise ImageError((NO_LATTICE if seen >= least and on_lattice else TOO_FEW).format(seen, least, told))
+        raise ImageError(
+            (NO_LATTICE if seen >= least and on_lattice else TOO_FEW).format(seen, least, told),
+            code="pins-not-found",
+        )
     return found
 
 
@@ -427,7 +429,8 @@ def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[
         if grey is None:
             raise InputError(
                 "pins are followed in 8-bit grey [h w] or colour [h w 3] frames, got "
-                f"{frame.dtype} {list(frame.shape)}"
+                f"{frame.dtype} {list(frame.shape)}",
+                code="pixel-format",
             )
         xy, weight = _centroids(grey, now.xy_px, pins.reach_px, floors)
         xy[weight < LOST * pins.weight] = np.nan

@@ -318,7 +318,7 @@ def weight_n(mass_kg: float) -> float:
         RangeError: a mass that is not above 0.
     """
     if not (math.isfinite(mass_kg) and mass_kg > 0):
-        raise RangeError(f"a mass of {1e3 * mass_kg:g} g; it has to be finite and above 0 g")
+        raise RangeError(f"a mass of {1e3 * mass_kg:g} g; give one above 0 g", code="mass-range")
     return mass_kg * GRAVITY_M_S2
 
 

@@ -60,22 +60,22 @@ def read_unit(
         StorageError: it cannot be read.
     """
     if not path.is_file():
-        raise InputError(f"there is no file {path}; `{command}` makes one")
+        raise InputError(f"there is no file {path}; `{command}` makes one", code="file-missing")
     with storage_errors(path):
         text = path.read_bytes()
     try:
         return made(*_numbers(json.loads(text), form, names))
     except InputError as e:
-        raise InputError(f"{path} is no unit that can be used: {e}") from e
+        raise InputError(f"{path} is no unit that can be used: {e}", code=e.code) from e
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
-        raise InputError(f"{path} is no unit's file: {type(e).__name__}: {e}") from e
+        raise InputError(f"{path} is no unit's file: {type(e).__name__}: {e}", code="unit-damaged") from e
 
 
 def _numbers(
     record: dict[str, Any], form: str, names: Sequence[str]
 ) -> tuple[dict[str, Any], ndarray, ndarray]:
     if record["format"] != form:
-        raise InputError(f"its format is {record['format']!r}, not {form!r}; fit the copy anew")
+        raise InputError(f"its format is {record['format']!r}, not {form!r}; fit anew", code="unit-format")
     terms = np.array([float(record["terms"][name]) for name in names])
     covariance = np.array(record["covariance"], dtype=np.float64)
     if covariance.shape != (len(names),) * 2 or not np.isfinite(covariance).all():

@@ -61,7 +61,8 @@ class AutoExposure:
         if not (0 < self.target <= 1 and self.steps_per_stop >= 1 and 0 <= self.max_stops <= 10):
             raise RangeError(
                 f"an automatic exposure at a mean of {self.target} in {self.steps_per_stop} steps a stop, to "
-                f"{self.max_stops} stops; give a mean above 0, to 1, 1 step or more, and 0 to 10 stops"
+                f"{self.max_stops} stops; give a mean above 0, to 1, 1 step or more, and 0 to 10 stops",
+                code="exposure-range",
             )
 
     def gain(self, linear: LinearImage) -> float:

@@ -21,6 +21,7 @@ from palpate.core import (
     new_file,
     rounded,
 )
+from palpate.core.refusal import Refusal
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.recordings.label_tables import own_column
@@ -74,7 +75,7 @@ class CalibrationComparison:
         cards: of both.
         targets: those that both have.
         only: columns that one has and the other has not, of each.
-        obstacles: why the scores of the two cannot be compared, a sentence each; empty where they can.
+        obstacles: why the scores of the two cannot be compared; empty where they can.
         evaluations: kept beside each card, the earliest first.
         left_out: what is wrong with each file beside the cards that is no evaluation of theirs.
     """
@@ -82,7 +83,7 @@ class CalibrationComparison:
     cards: tuple[Card, Card]
     targets: tuple[ComparedTarget, ...]
     only: tuple[tuple[str, ...], tuple[str, ...]]
-    obstacles: tuple[str, ...]
+    obstacles: tuple[Refusal, ...]
     evaluations: tuple[tuple[EvaluationRecord, ...], tuple[EvaluationRecord, ...]]
     left_out: tuple[str, ...] = ()
 
@@ -118,7 +119,7 @@ class CalibrationComparison:
             "calibrations": [card.id for card in self.cards],
             "simulated": [card.is_simulated for card in self.cards],
             "comparable": not self.obstacles,
-            "obstacles": list(self.obstacles),
+            "obstacles": [one._asdict() for one in self.obstacles],
             "warnings": list(self.warnings),
             "only": [list(columns) for columns in self.only],
             "sessions": [
@@ -196,39 +197,47 @@ def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
 
 def _obstacles(
     cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], columns: list[str]
-) -> tuple[str, ...]:
+) -> tuple[Refusal, ...]:
     """Reasons why two sets of scores say nothing about which calibration is the better one."""
     a, b = cards
     if a.run.hash != b.run.hash:
-        elsewhere = (
+        elsewhere = Refusal(
+            "recordings-differ",
             f"They were scored on different recordings, {a.run.run_id} and {b.run.run_id}: a smaller error "
-            "may be an easier recording. Calibrate both on one, or score both on a third by palpate evaluate."
+            "may be an easier recording. Calibrate both on one, or score both on a third run.",
         )
         return (elsewhere,)
     found = [
-        f"{column} comes round again in one and is a plain number in the other: their errors are not of one "
-        "kind. Calibrate both with or without --circular."
+        Refusal(
+            "period-differs",
+            f"{column} is periodic in one and a plain number in the other: their errors are not of one kind. "
+            "Calibrate both with or without --circular.",
+        )
         for column in columns
         if len({t.period for card in cards for t in card.targets if t.column == column}) > 1
     ]
     if a.split.kind != b.split.kind:
-        found.append(
+        why = (
             f"Their rows were held out in different ways, {a.split.kind} and {b.split.kind}: the one that "
             "keeps more apart has the harder test. Calibrate both with the same --split."
         )
+        found.append(Refusal("split-differs", why))
     if set(tables[0].index) != set(tables[1].index):
         common = len(set(tables[0].index) & set(tables[1].index))
-        found.append(
+        why = (
             f"They were scored on different rows: {len(tables[0])} and {len(tables[1])}, of which {common} "
             "are the same. Calibrate both with the same --split, --folds, --scored-folds and --seed."
         )
+        found.append(Refusal("rows-differ", why))
     elif not _same_folds(tables):
-        found.append(
+        why = (
             "The same rows were held out, but together with others: the folds differ, and so does what each "
             "was trained on. Calibrate both with the same --folds and --seed."
         )
+        found.append(Refusal("folds-differ", why))
     elif not _alike([table[columns] for table in tables]):
-        found.append("Their rows hold different labels for the same frames; look at how each was made.")
+        why = "Their rows hold different labels for the same frames; look at how each was made."
+        found.append(Refusal("labels-differ", why))
     return tuple(found)
 
 
@@ -308,7 +317,7 @@ def comparison_text(comparison: CalibrationComparison) -> str:
     only = zip(cards, comparison.only, strict=True)
     lines = [
         "calibrations " + " and ".join(f"{card.id} ({_told(card)})" for card in cards),
-        *(f"NOT COMPARABLE: {obstacle}" for obstacle in comparison.obstacles),
+        *(f"NOT COMPARABLE: {obstacle.why}" for obstacle in comparison.obstacles),
         *comparison.warnings,
         *_table([HEAD, *(_cells(one, cards) for one in comparison.targets)]),
         *(headline(comparison, one) for one in comparison.targets if one.paired),

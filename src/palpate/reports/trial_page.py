@@ -130,7 +130,8 @@ def _accuracy_said(one: SettingAccuracy) -> str:
 def _threshold_said(one: SettingThreshold, unit: str) -> str:
     value, low, high = one.pse
     if not all(one.fit.threshold.bounded):
-        return f"{setting_said(one.setting)}: these answers bound no threshold: {'; '.join(one.fit.notes)}."
+        why = "; ".join(one.fit.notes.values())
+        return f"{setting_said(one.setting)}: these answers bound no threshold: {why}."
     spread, scale = one.fit.spread, "in the natural logarithm" if one.fit.function.logarithmic else unit
     jnd = {
         (True, True): f"{spread.value:.2g} {scale} [95 %: {spread.low:.2g} to {spread.high:.2g}]",

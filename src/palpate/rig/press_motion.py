@@ -403,7 +403,9 @@ def _plan_named(rig: Rig, plan: RecordingPlan) -> Iterator[None]:
         yield
     except InputError as e:
         own = "" if rig.design is None else f"; its own plans are {', '.join(own_plans_of(rig.design))}"
-        raise type(e)(f"the plan {plan.name!r} does not suit the sensor of {rig.name}: {e}{own}") from e
+        raise type(e)(
+            f"the plan {plan.name!r} does not suit the sensor of {rig.name}: {e}{own}", code=e.code
+        ) from e
 
 
 def _check_places(rig: Rig, plan: RecordingPlan) -> None:

@@ -92,13 +92,13 @@ def _checks(
     results = with_prefix("force", force)
     results += with_prefix("camera", check_camera(rig.camera, clock=rig.clock, close=False))
     if rig.label_force is not None:
-        results += with_prefix("label force", _labelling(rig.label_force, rig))
+        results += with_prefix("label-force", _labelling(rig.label_force, rig))
     results += with_prefix("rig", gather("fitting", _fits(rig)))
     if rig.seed is None:  # a real one
         results.append(scheduling_result(rig.scheduling if rig.supervisor else probe_realtime()))
-        results.append(CheckResult("rig: gain of the force", True, message="; ".join(notes_of(rig))))
+        results.append(CheckResult("rig.force-gain", True, message="; ".join(notes_of(rig))))
     sensed = all(one.ok for one in force)
-    results += with_prefix("stage", gather("the checks", _stage(rig, clear_m, sensed, time_scale)))
+    results += with_prefix("stage", gather("checks", _stage(rig, clear_m, sensed, time_scale)))
     if close:
         closings = {
             "stage": check_closing(rig.stage, lambda: rig.stage.move_to(rig.origin_m, 1e-4), "move_to"),
@@ -106,7 +106,7 @@ def _checks(
             "camera": check_closing(rig.camera, lambda: rig.camera.grab(), "grab()"),
         }
         if (second := rig.label_force) is not None:
-            closings["label force"] = check_closing(second, second.latest, "latest()")
+            closings["label-force"] = check_closing(second, second.latest, "latest()")
         for device, closing in closings.items():
             results += with_prefix(device, gather("close", closing))
     return results
@@ -115,7 +115,7 @@ def _checks(
 def scheduling_result(granted: Mapping[str, str]) -> CheckResult:
     """Report whether the guard's process gets real-time scheduling; without it, a remedy."""
     is_fifo = granted["scheduling"] == FIFO
-    return CheckResult("rig: real-time scheduling", True, float(is_fifo), message=granted["remedy"])
+    return CheckResult("rig.real-time-scheduling", True, float(is_fifo), message=granted["remedy"])
 
 
 def _labelling(sensor: ForceSensor, rig: Rig) -> list[CheckResult]:
@@ -137,13 +137,13 @@ def _fits(rig: Rig) -> Part:
         wrong = ""
     except PalpateError as e:
         wrong = str(e)
-    yield verdict("soft limits lie inside the travel", not wrong, wrong)
+    yield verdict("limits-in-travel", not wrong, wrong)
     x, y, z = rig.origin_m
     inside = all(
         low <= at <= high for at, low, high in zip((x, y, z), limits.least_m, limits.greatest_m, strict=True)
     )
     yield verdict(
-        "the layer's centre lies inside the soft limits",
+        "center-in-limits",
         inside,
         f"origin_m is {rig.origin_m}, the limits are {limits.least_m} to {limits.greatest_m} m",
     )
@@ -152,23 +152,23 @@ def _fits(rig: Rig) -> Part:
         slow = ""
     except PalpateError as e:
         slow = str(e)
-    yield verdict("the force sensor is fast enough to guard", not slow, slow)
+    yield verdict("force-rate", not slow, slow)
     yield at_most(
-        "the force sensor tells of a force in time",
+        "force-latency",
         1.0 / rig.force.rate_hz + getattr(rig.force, "delay_s", 0.0),
         limits.force_latency_s,
         "s",
         "its period and delay exceed the limit force_latency_s, from which the run-on is counted; raise that",
     )
     yield at_most(
-        "the force limit lies inside the sensor's range",
+        "force-limit-in-range",
         limits.force_n,
         rig.force.range_n[rig.mounting.normal],
         "N",
         "the sensor would saturate before the rig stops; lower the limit",
     )
     yield verdict(
-        "the camera hands out what it took meanwhile",
+        "frame-source",
         isinstance(rig.camera, FrameSource),
         "sweeps need drain(), see palpate.rig.rig.FrameSource",
     )
@@ -176,17 +176,17 @@ def _fits(rig: Rig) -> Part:
 
 def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
     if not sensed:
-        yield verdict("was moved", False, "it was not: the force sensor, which guards its motion, has failed")
+        yield verdict("was-moved", False, "it was not: the force sensor, which guards its motion, has failed")
         return
     try:
         rig.limits.check_sensor(rig.force)
     except PalpateError as e:
-        yield verdict("was moved", False, f"it was not: {e}")
+        yield verdict("was-moved", False, f"it was not: {e}")
         return
     at = rig.stage.position_m()
     highest_z = rig.origin_m[2] - clear_m
     yield verdict(
-        "stands clear of the skin",
+        "clear-of-skin",
         at[2] < highest_z,
         f"it stands {(rig.origin_m[2] - at[2]) * 1e3:.3f} mm above the expected surface; lift it to more "
         f"than {clear_m * 1e3:g} mm. Nothing was moved",
@@ -205,7 +205,7 @@ def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
         close=False,
     )
     yield at_most(
-        "touched nothing",
+        "touched-nothing",
         watch.most_n,
         PUSHED_N,
         "N",

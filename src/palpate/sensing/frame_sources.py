@@ -106,7 +106,9 @@ def open_source(path: PathText) -> FrameStream:
     """
     path = Path(path)
     if not path.exists():
-        raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
+        raise ImageError(
+            f"{path} is not there; give an image, a folder of images, a run or a video", code="file-missing"
+        )
     if (path / MANIFEST).is_file():
         from palpate.recordings.run_reader import Run  # loads tables, which no image needs
 

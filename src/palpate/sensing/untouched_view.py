@@ -9,7 +9,7 @@ half of the skin by one and the same factor is taken for a change of brightness.
 
 Not all that a camera sees touches the skin. A skin between crossed polarisers is dark without stress, and
 only a touch lights it; where pins stand in the skin, only a touch moves them apart. What else differs, or
-differs where the camera sees through the skin, is "something in view".
+differs where the camera sees through the skin, is "in-view".
 
 The contact's region ends where the smoothed difference is half of what it is in its strong part: there lies
 the edge of an evenly changed area, whatever its strength. It is what the image shows, and not the area of
@@ -48,7 +48,7 @@ from palpate.sensing.uncalibrated import (
 from palpate.sensing.uncalibrated.changed_parts import MIN_PX
 from palpate.sensors.owned import SensorPreset
 
-TouchVerdict = Literal["untouched", "touched", "something in view", "view changed"]
+TouchVerdict = Literal["untouched", "touched", "in-view", "view-changed"]
 Box = tuple[int, int, int, int]
 Grid = Float32[ndarray, "h w c"]
 
@@ -96,8 +96,8 @@ class SeenTouch:
     """A frame beside the untouched sensor.
 
     Attributes:
-        verdict: "untouched", "touched", "something in view" where something is seen that may not touch, or
-            "view changed" where light, camera or skin are not those of the reference, so that no contact can
+        verdict: "untouched", "touched", "in-view" where something is seen that may not touch, or
+            "view-changed" where light, camera or skin are not those of the reference, so that no contact can
             be told.
         why: of the verdict, in words.
         gain: brightness over the reference's, of each channel.
@@ -105,7 +105,7 @@ class SeenTouch:
             and single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
         changed_share: of the region in which a difference is seen.
         region: the largest connected change, or a smaller one where that is weak and this is not; None but
-            for "touched" and "something in view".
+            for "touched" and "in-view".
         marks: of the skin and how far they moved; None where none are followed, or the view has changed.
     """
 
@@ -184,11 +184,15 @@ class UntouchedView:
     ) -> None:
         if len(frames) < MIN_FRAMES:
             raise InputError(
-                f"{len(frames)} frames of the untouched sensor; {MIN_FRAMES} or more tell its noise"
+                f"{len(frames)} frames of the untouched sensor; {MIN_FRAMES} or more tell its noise",
+                code="too-few-frames",
             )
         self._shape = _kind_of(frames[0])
         if not 1e-9 <= false_alarm_rate <= 0.5:
-            raise RangeError(f"a false-alarm rate of {false_alarm_rate}; give a share from 1e-9 to 0.5")
+            raise RangeError(
+                f"a false-alarm rate of {false_alarm_rate}; give a share from 1e-9 to 0.5",
+                code="false-alarm-rate",
+            )
         if not 0 <= least_change < SATURATED:
             raise RangeError(f"a least change of {least_change} grey levels; give 0 to {SATURATED:.0f}")
         if mm_per_px is not None and not 0 < mm_per_px < math.inf:
@@ -290,7 +294,7 @@ class UntouchedView:
         share, change = float(over.mean()), float(difference.statistic.max()) / self.threshold
         why = self._why_changed(image, gain, share)
         if why:
-            return SeenTouch("view changed", why, gain, change, share)
+            return SeenTouch("view-changed", why, gain, change, share)
         marks = None if self._marks is None else self._marks.moved(image)
         if marks is not None and self._apart is not None and (told := self._apart.told(marks)) is not None:
             shift, apart = told
@@ -299,7 +303,7 @@ class UntouchedView:
         if region is None or region.strength < self.least_change:
             if self._beside is not None and (seen := self._beside.seen(image)).verdict == "touched":
                 why = f"no light of stress in the skin, and beside it {seen.why}"
-                return SeenTouch("something in view", why, gain, seen.change, share, seen.region, marks)
+                return SeenTouch("in-view", why, gain, seen.change, share, seen.region, marks)
             why = "no difference beyond the noise"
             if region is not None:
                 why = f"a change of {region.strength:.1f} grey levels; a touch has {self.least_change:.1f}"
@@ -307,7 +311,7 @@ class UntouchedView:
         why = _where(region)
         if self._see_through:
             why += "; the camera sees through this skin, and what it sees may not touch"
-            return SeenTouch("something in view", why, gain, change, share, region, marks)
+            return SeenTouch("in-view", why, gain, change, share, region, marks)
         return SeenTouch("touched", why, gain, change, share, region, marks)
 
     def _by_marks(self, image: Shaped[ndarray, ...], seen: SeenTouch, shift: Float[ndarray, 2]) -> SeenTouch:
@@ -332,7 +336,8 @@ class UntouchedView:
         if image.shape != self._shape or image.dtype != np.uint8:
             raise InputError(
                 f"a frame {image.dtype} {list(image.shape)} beside a reference of 8-bit {list(self._shape)}; "
-                "give frames of that camera, or take the untouched reference anew"
+                "give frames of that camera, or take the untouched reference anew",
+                code="frames-differ",
             )
         grid = self._grid(image)
         gain = self._gain(image, grid)
@@ -506,7 +511,8 @@ def _kind_of(image: Shaped[ndarray, ...]) -> tuple[int, ...]:
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise ImageError(
             "a touch is seen in 8-bit grey [h w] or RGB [h w 3] images, got "
-            f"{image.dtype} {list(image.shape)}"
+            f"{image.dtype} {list(image.shape)}",
+            code="pixel-format",
         )
     return image.shape
 
@@ -519,6 +525,7 @@ def _within(region: Box | None, shape: tuple[int, ...]) -> Box:
     if x < 0 or y < 0 or wide < 16 or high < 16 or x + wide > width or y + high > height:
         raise RangeError(
             f"a region {list(region)} px (x, y, width, height) in frames of {width} x {height} px; it lies "
-            "inside the frame and is 16 px or more along each side"
+            "inside the frame and is 16 px or more along each side",
+            code="region-outside",
         )
     return region

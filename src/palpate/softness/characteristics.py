@@ -50,11 +50,12 @@ class Characteristic:
                 code="table-size",
             )
         if not (np.isfinite(self.x).all() and np.isfinite(self.force_n).all()):
-            raise InputError(f"force over {self.cue}: all values must be finite numbers")
+            raise InputError(f"force over {self.cue}: all values must be finite numbers", code="not-finite")
         if self.x[0] < 0 or self.force_n[0] < 0:
             raise RangeError(
                 f"force over {self.cue} begins at {self.x[0] * factor:g} {unit} and {self.force_n[0]:g} N; "
-                "neither may lie below 0: count from first touch, a press being positive"
+                "neither may lie below 0: count from first touch, a press being positive",
+                code="below-zero",
             )
         for name, values, scale, of in (
             (self.cue, self.x, factor, unit), ("force", self.force_n, 1.0, "N"),
@@ -65,7 +66,8 @@ class Characteristic:
                 raise InputError(
                     f"force over {self.cue}: {name} goes from {values[k] * scale:g} to "
                     f"{values[k + 1] * scale:g} {of} after value {k + 1}; it has to rise throughout, since "
-                    "otherwise two states have one force: give the way down alone, smoothed"
+                    "otherwise two states have one force: give the way down alone, smoothed",
+                    code="not-monotone",
                 )
 
     @property
@@ -119,7 +121,8 @@ class Characteristic:
             factor, unit = SHOWN[cue]
             raise RangeError(
                 f"force over {cue} from {begins * factor:g} to {until * factor:g} {unit}; the end has to be "
-                "finite and above the beginning"
+                "finite and above the beginning",
+                code="range-ends",
             )
         x = begins + (until - begins) * np.linspace(0.0, 1.0, SAMPLES) ** 2
         return cls(cue, x, np.asarray(law(x), float))
@@ -143,7 +146,7 @@ class SoftObject:
 
     def __post_init__(self) -> None:
         if self.area.cue != "area" or self.displacement.cue != "displacement":
-            raise InputError(f"{self.name}: give force over area first, and force over displacement second")
+            raise InputError(f"{self.name}: give area first, then displacement", code="cue-order")
 
     @property
     def greatest_n(self) -> float:
@@ -184,7 +187,7 @@ def fingertip_object(name: str, tip: Fingertip, greatest_n: float | None = None)
     """
     end = tip.greatest_n if greatest_n is None else greatest_n
     if not end > 0:
-        raise RangeError(f"a greatest force of {end:g} N; give one above 0 N")
+        raise RangeError(f"a greatest force of {end:g} N; give one above 0 N", code="force-range")
     force = end * np.linspace(0.0, 1.0, SAMPLES) ** 3
     return pressed_object(name, force, tip.approach_m(force), tip.area_m2(force), tip.source)
 
@@ -199,9 +202,7 @@ def hertz_object(name: str, ball: Body, finger: Body, greatest_n: float) -> Soft
         greatest_n: end of both curves [N].
     """
     if not 0 < greatest_n < np.inf:
-        raise RangeError(
-            f"a greatest force of {greatest_n:g} N; give a finite one above 0 N", code="force-range"
-        )
+        raise RangeError(f"greatest force {greatest_n:g} N; give one above 0 N", code="force-range")
     both = ball.against(finger)
     ends = float(both.area_m2(greatest_n)), float(both.approach_m(greatest_n))
     return SoftObject(

@@ -16,7 +16,7 @@ BODY = ("modulus_kPa", "radius_mm", "poisson")
 def table_of(name: str, fields: Any) -> Fields:
     """A table of the file."""
     if not isinstance(fields, Mapping):
-        raise InputError(f"[{name}] is no table; write its fields under a line of its own, [{name}]")
+        raise InputError(f"[{name}] is no table; write its fields below it", code="not-a-table")
     return fields
 
 
@@ -42,9 +42,7 @@ def above_zero(table: str, fields: Fields, key: str, *, endless: bool = False) -
     value = number(table, fields, key)
     if not value > 0 or (math.isinf(value) and not endless):
         allowed = "above 0, inf among them," if endless else "above 0 and finite"
-        raise RangeError(
-            f"[{table}]: {key} is {value:g}; a value {allowed} is allowed, in the unit of its name"
-        )
+        raise RangeError(f"[{table}]: {key} is {value:g}; give one {allowed}", code="not-positive")
     return value
 
 
@@ -62,7 +60,7 @@ def numbers(table: str, fields: Fields, key: str) -> list[float]:
     if not isinstance(values, list) or not all(
         isinstance(one, int | float) and not isinstance(one, bool) for one in values
     ):
-        raise InputError(f"[{table}]: {key} is {values!r}; give a list of numbers")
+        raise InputError(f"[{table}]: {key} is {values!r}; give a list of numbers", code="not-a-list")
     return [float(one) for one in values]
 
 
@@ -71,7 +69,7 @@ def word(table: str, fields: Fields, key: str, *allowed: str) -> str:
     value = fields.get(key)
     if not isinstance(value, str) or (allowed and value not in allowed):
         choice = f"one of {', '.join(allowed)}" if allowed else "words in quotes"
-        raise InputError(f"[{table}]: {key} is {value!r}; give {choice}")
+        raise InputError(f"[{table}]: {key} is {value!r}; give {choice}", code="word-unknown")
     return value
 
 

@@ -63,7 +63,7 @@ def read_object(path: Path) -> SoftObject:
         if not path.exists():
             raise InputError(f"there is no object's file {path}; {GIVES}", code="file-missing")
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path} is no object's file: a TOML file of 1 MiB at most is needed; {GIVES}")
+            raise InputError(f"{path} is no TOML file of 1 MiB at most; {GIVES}", code="file-size")
         raw = path.read_bytes()
     try:
         fields = tomllib.loads(raw.decode("utf-8"))
@@ -93,18 +93,19 @@ def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = 
     """
     known = {"name", "source", *CURVES, *WHOLE, *UNDER}
     if extra := sorted(set(fields) - known):
-        raise InputError(f"{extra[0]!r} is no field of an object; there are {', '.join(sorted(known))}")
+        raise InputError(
+            f"{extra[0]!r} is no field of an object; there are {', '.join(sorted(known))}",
+            code="field-unknown",
+        )
     given = str(fields["name"]) if "name" in fields else None
     whole = [table for table in WHOLE if table in fields]
     if whole and (len(whole) > 1 or set(CURVES) & set(fields)):
-        raise InputError(f"[{whole[0]}] and {_beside(whole, fields)}; {GIVES}")
+        raise InputError(f"[{whole[0]}] and {_beside(whole, fields)}; {GIVES}", code="tables-exclude")
     if set(UNDER) & set(fields) and whole != ["fingertip"]:
-        raise InputError(
-            "[material] and [compliance] are what a finger presses; give [fingertip] beside them"
-        )
+        raise InputError("[material] and [compliance] need [fingertip]", code="table-missing")
     if whole:
         if "source" in fields:
-            raise InputError(f"source is of measured curves; [{whole[0]}] says its own")
+            raise InputError("source is of measured curves; leave it out", code="source-excluded")
         if whole == ["specimen"]:
             return specimen_press(given, fields["specimen"])
         if whole == ["fingertip"]:
@@ -114,7 +115,7 @@ def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = 
     cues: dict[Cue, str] = {"area": "force_area", "displacement": "force_displacement"}
     for table in cues.values():
         if not isinstance(fields.get(table), Mapping):
-            raise InputError(f"[{table}] is missing; {GIVES}")
+            raise InputError(f"[{table}] is missing; {GIVES}", code="table-missing")
     area, displacement = (_curve(cue, table, fields[table]) for cue, table in cues.items())
     return SoftObject(name, area, displacement, str(fields.get("source", "as given")))
 
@@ -136,7 +137,7 @@ def _curve(cue: Cue, table: str, fields: Mapping[str, Any]) -> Characteristic:
         x, force = (np.array(numbers(table, fields, key)) for key in (f"{cue}_{unit}", "force_N"))
         return Characteristic(cue, factor * x, force)
     except InputError as e:
-        raise type(e)(f"[{table}]: {e}") from e
+        raise type(e)(f"[{table}]: {e}", code=e.code) from e
 
 
 def _unit_of(cue: Cue, table: str, fields: Mapping[str, Any]) -> str:
@@ -147,7 +148,8 @@ def _unit_of(cue: Cue, table: str, fields: Mapping[str, Any]) -> str:
     allowed = ", ".join(f"{cue}_{unit}" for unit in UNITS[cue])
     raise UnitError(
         f"[{table}] has {len(found)} columns of {cue} with a unit; give one of {allowed} beside force_N, or "
-        f"a polynomial such as N_per_{next(iter(UNITS[cue]))}"
+        f"a polynomial such as N_per_{next(iter(UNITS[cue]))}",
+        code="unit-missing",
     )
 
 

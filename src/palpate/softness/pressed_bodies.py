@@ -59,7 +59,7 @@ def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftO
     until = above_zero("fingertip", own, "until_N")
     under = [table for table in UNDER if table in fields]
     if len(under) > 1:
-        raise InputError("[material] and [compliance]; the finger is on one of them, so leave out the other")
+        raise InputError("[material] and [compliance]; leave one out", code="tables-exclude")
     words = "rigid flat"
     if under:
         fields_under = table_of(under[0], fields[under[0]])
@@ -134,7 +134,8 @@ def specimen_press(name: str | None, fields: Any) -> SoftObject:
     if place not in range(1, len(SOFTENER) + 1):
         raise RangeError(
             f"[specimen]: number is {place:g}; 1 to {len(SOFTENER)} are allowed, of which 1 has the upper "
-            "silicone with no softener (of CL2 the only one)"
+            "silicone with no softener (of CL2 the only one)",
+            code="specimen-number",
         )
     moduli = [1e3 * E for E in numbers("specimen", fields, "moduli_kPa")]
     one = specimens(kind, moduli, poisson_of("specimen", fields))[int(place) - 1]

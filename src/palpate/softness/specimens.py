@@ -97,9 +97,7 @@ def specimens(
             code="moduli-count",
         )
     if not (np.isfinite(E).all() and min(E) > 0):
-        raise RangeError(
-            "a modulus that is not above 0 kPa and finite; give five such moduli", code="modulus"
-        )
+        raise RangeError("give five finite moduli above 0 kPa", code="modulus")
     if not (np.diff(E) < 0).all():
         raise InputError(
             f"moduli of {', '.join(f'{1e-3 * one:g}' for one in E)} kPa do not fall; softener makes a "
@@ -161,7 +159,7 @@ def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = 
     try:
         force, approach, area = solve(one, finger, until_n)
     except RangeError as e:
-        raise RangeError(f"{one.name}: {e}") from e
+        raise RangeError(f"{one.name}: {e}", code=e.code) from e
     above = "rigid" if np.isinf(one.above_pa) else f"{one.above_pa / 1e3:g} kPa"
     model = "a rigid plate on a bonded disc" if one.kind == SpecimenClass.PLATE else "bonded layers"
     return pressed_object(
@@ -193,7 +191,8 @@ def _plate(
     if not 0 < end <= most * (1 + 1e-9):
         raise RangeError(
             f"a press to {end:g} N; above 0 and at most {most:.4g} N are allowed, where the contact has half "
-            "of the finger's radius or the silicone is pressed in by a fifth of its height"
+            "of the finger's radius or the silicone is pressed in by a fifth of its height",
+            code="force-range",
         )
     force = end * np.linspace(0.0, 1.0, FINE) ** 3
     return force, np.asarray(finger.approach_m(force)) + force / stiffness, np.asarray(finger.area_m2(force))

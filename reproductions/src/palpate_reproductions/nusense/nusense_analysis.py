@@ -138,7 +138,7 @@ def hysteresis_loop(force_n: Series, gamma: Series) -> HysteresisLoop:
     top = int(force_n.argmax())
     up, down = slice(0, top + 1), slice(top, len(force_n))
     if min(top + 1, len(force_n) - top) < BRANCH_FRAMES:
-        raise InputError(f"a loop needs {BRANCH_FRAMES} frames or more on the way down and on the way up")
+        raise InputError(f"a loop needs {BRANCH_FRAMES} frames or more each way", code="too-few-frames")
     low = max(gamma[up].min(), gamma[down].min())
     high = min(gamma[up].max(), gamma[down].max())
     at = np.linspace(low, high, LOOP_STEPS)
@@ -170,7 +170,9 @@ def drift_of(values: Series) -> TouchDrift:
         InputError: fewer than three.
     """
     if len(values) < BRANCH_FRAMES:
-        raise InputError(f"a drift needs {BRANCH_FRAMES} touches or more; got {len(values)}")
+        raise InputError(
+            f"a drift needs {BRANCH_FRAMES} touches or more; got {len(values)}", code="too-few-frames"
+        )
     line = fit_line(np.arange(len(values), dtype=float), values)
     steps = len(values) - 1
     error = line.residual / math.sqrt(line.sxx) if line.sxx else math.nan

@@ -100,7 +100,7 @@ def reproduce_nusense(
         InputError: there is no such part.
     """
     if part not in PARTS:
-        raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}")
+        raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}", code="unknown-name")
     asked = {"study": "nusense", "scale": scale.name, "seed": seed, "part": part}
     study = NuSenseStudy(unfinished_work(out, asked), scale, seed, progress)
     found: dict[str, Any] = {}

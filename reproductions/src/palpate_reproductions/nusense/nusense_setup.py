@@ -124,7 +124,7 @@ def scale_named(name: str) -> StudyScale:
         InputError: there is none of that name.
     """
     if name not in SCALES:
-        raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}")
+        raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}", code="unknown-name")
     return SCALES[name]
 
 

@@ -129,7 +129,7 @@ def scores_of(table: pd.DataFrame, columns: Sequence[str], group: str = GROUP) -
     """
     read = table[[f"estimate:{c}" for c in columns]].notna().all(axis=1)
     if not read.any():
-        raise InputError("no frame could be read: nothing to score")
+        raise InputError("no frame could be read: nothing to score", code="no-reading")
     table = table[read]
     groups = table[group].to_numpy()
     errors = {c: (table[f"estimate:{c}"] - table[c]).to_numpy(float) for c in columns}
@@ -138,7 +138,9 @@ def scores_of(table: pd.DataFrame, columns: Sequence[str], group: str = GROUP) -
         away = np.hypot(errors["x_mm"], errors["y_mm"])
         mean_x, mean_y, mean = (float(np.abs(e).mean()) for e in (errors["x_mm"], errors["y_mm"], away))
         if not math.hypot(mean_x, mean_y) - ROUNDING <= mean <= mean_x + mean_y + ROUNDING:
-            raise InputError(f"a mean distance of {mean} mm cannot be, of {mean_x} and {mean_y} mm")
+            raise InputError(
+                f"a mean distance of {mean} mm cannot be, of {mean_x} and {mean_y} mm", code="mean-distance"
+            )
         results[PLACE] = {"unit": "mm", **_sizes(away, groups)}
     return results
 

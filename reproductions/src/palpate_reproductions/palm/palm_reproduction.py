@@ -123,8 +123,8 @@ def _ahead(scores: Mapping[str, Any], target: str, networks: Sequence[str]) -> s
     which = "" if len(networks) == 1 else "the best of the published networks, "
     return (
         f"{SAID[target]}, off the grid: {which}{SHORT[network]}, has {ours['mae']:.3g} {ours['unit']}; the "
-        f"best model without a network, {SHORT[baseline]}, has {theirs['mae']:.3g} {theirs['unit']}: "
-        f"{beside(ours, theirs)}."
+        f"best model without a network, {SHORT[baseline]}, has {theirs['mae']:.3g} {theirs['unit']} "
+        f"(95 % intervals over places: network {beside(ours, theirs)})."
     )
 
 
@@ -136,10 +136,10 @@ def _best(scores: Mapping[str, Any], target: str, models: Sequence[str]) -> str:
 def beside(network: Mapping[str, float], baseline: Mapping[str, float]) -> str:
     """Whether a network's error is below a baseline's, by 95 % intervals over places that do not overlap."""
     if network["mae_high"] < baseline["mae_low"]:
-        return "the network is ahead"
+        return "ahead"
     if baseline["mae_high"] < network["mae_low"]:
-        return "the network is behind"
-    return "their intervals overlap"
+        return "behind"
+    return "overlapping"
 
 
 def _figures(study: StudyFolder, found: Mapping[str, Any], scores: Mapping[str, Any]) -> dict[str, str]:
@@ -277,7 +277,7 @@ def reproduce_palm(
         PalpateError: stages have failed; the message names them, and what the first said.
     """
     if part not in PARTS and part not in STAGES:
-        raise InputError(f"there is no part {part!r}; there are {', '.join((*PARTS, *STAGES))}")
+        raise InputError(f"no part {part!r}; there are {', '.join((*PARTS, *STAGES))}", code="unknown-name")
     study = study_folder(out, scale, seed, progress)
     if part not in PARTS:
         return summary_of(_made(study, {name: STAGES[name] for name in ("recorded", part)}))
@@ -301,7 +301,8 @@ def _made(study: StudyFolder, stages: Stages) -> dict[str, Any]:
         raise PalpateError(
             f"{len(failed)} of {len(stages)} parts failed: {', '.join(failed)}; the first of them said: "
             f"{first} ({type(first).__name__}). The others are kept in {study.folder}, and the same command "
-            "makes those that are missing"
+            "makes those that are missing",
+            code="parts-failed",
         ) from first
     return found
 

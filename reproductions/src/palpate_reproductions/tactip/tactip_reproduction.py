@@ -103,7 +103,7 @@ def reproduce_tactip(
         InputError: too few trials.
     """
     if trials < 2:
-        raise InputError(f"{trials} trials; 2 or more, the report has 5")
+        raise InputError(f"{trials} trials; 2 or more, the report has 5", code="trial-count")
     refuse_existing(out)
     began, spec = time.perf_counter(), tactip()
     plates = {name: under_plate(spec, name, trials, seed) for name in NAMES}

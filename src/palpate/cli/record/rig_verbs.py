@@ -192,7 +192,7 @@ def check(
         findings = check_rig(opened)
     wrong = [one for one in findings if not one.ok]
     lines = [_measured(one) for one in findings if one.ok and one.unit]
-    lines += [f"note: {one.name}: {one.message}" for one in findings if one.ok and one.message]
+    lines += [f"note: {one.code}: {one.message}" for one in findings if one.ok and one.message]
     lines += wrong_lines(wrong)
     text = "\n".join([*lines, f"{rig}: {len(findings) - len(wrong)} of {len(findings)} checks passed"])
     print_found([asdict(one) for one in findings], text)
@@ -280,14 +280,14 @@ def preview(
 
 def wrong_lines(wrong: list[CheckResult]) -> list[str]:
     """A line for each finding that failed, with what was measured and what is stated or allowed."""
-    return [f"wrong: {_measured(one) if one.unit else one.name}: {one.message}" for one in wrong]
+    return [f"wrong: {_measured(one) if one.unit else one.code}: {one.message}" for one in wrong]
 
 
 def _measured(finding: CheckResult) -> str:
     scale, unit = SHOWN_IN.get(finding.unit, (1.0, finding.unit))
     values = (finding.measured or 0.0, finding.allowed or 0.0)
     measured, allowed = (f"{round(scale * value, 6):.4g}" for value in values)
-    return f"{finding.name}: {measured} {unit} ({allowed})"
+    return f"{finding.code}: {measured} {unit} ({allowed})"
 
 
 def _late(clocks: Offset) -> str:

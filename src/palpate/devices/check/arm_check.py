@@ -151,7 +151,7 @@ def check_arm(
     """
     if not 0 < brake_s < math.inf:
         raise RangeError(f"brake_s is {brake_s} s; give a number above 0 s")
-    findings = [*gather("the protocol", arm_interface(arm))]
+    findings = [*gather("protocol", arm_interface(arm))]
     if not (isinstance(arm, HapticArm) and all(one.ok for one in findings)):
         return findings
     stated = arm.range
@@ -165,7 +165,7 @@ def check_arm(
     findings += _all_parts(ArmTrial(arm, clock, way_m, force_n, brake_s))
     if close:
         findings += gather("close", check_closing(arm, arm.latest, "latest()"))
-        findings += gather("close", _refuses_force("refuses a force once closed", arm, 0.0))
+        findings += gather("close", _refuses_force("refuses-force-when-closed", arm, 0.0))
     return findings
 
 
@@ -173,7 +173,7 @@ def _all_parts(trial: ArmTrial) -> Iterator[CheckResult]:
     """All parts, each ended by the brake; one that leaves the arm where it must not be ends the check."""
     parts: tuple[tuple[str, Callable[[ArmTrial], Part]], ...] = (
         ("looking", _looking), ("releasing", _releasing), ("refusing", _refusing), ("pushing", _pushing),
-        ("braking", _braking), ("braking from another thread", _braking_elsewhere), ("watchdog", _watchdog),
+        ("braking", _braking), ("braking-from-thread", _braking_elsewhere), ("watchdog", _watchdog),
     )  # fmt: skip
     for what, part in parts:
         outside: list[_OutsideError] = []
@@ -182,10 +182,10 @@ def _all_parts(trial: ArmTrial) -> Iterator[CheckResult]:
         finally:
             error = refusal(trial.arm.brake)
         if error is not None:
-            yield verdict("can be braked at any time", False, f"brake() {describe(error)}; switch it off")
+            yield verdict("brake-any-time", False, f"brake() {describe(error)}; switch it off")
             return
         if outside:
-            yield verdict("stays on its way", False, f"{outside[0]}; nothing was pushed after that")
+            yield verdict("stays-on-path", False, f"{outside[0]}; nothing was pushed after that")
             return
 
 
@@ -205,28 +205,24 @@ def _looking(trial: ArmTrial) -> Part:
         clock.sleep(POLL_S)
     samples = [sample for sample, _ in looks]
     shaped = all(isinstance(one, ArmSample) for one in samples)
-    yield verdict("hands out samples", shaped, f"latest() gave {samples[0]!r}; give a palpate.core.ArmSample")
+    yield verdict("sample-type", shaped, f"latest() gave {samples[0]!r}; give a palpate.core.ArmSample")
     if not shaped:
         raise _OutsideError("where it is is not known")
     yield on_clock(arm.latest().time_ns, clock)
     age_s = max((now_ns - one.time_ns) / NS_PER_S for one, now_ns in looks)
-    yield at_most(
-        "latest is never old", age_s, AGE_S, "s", "no force is controlled by a sample that is older"
-    )
+    yield at_most("latest-age", age_s, AGE_S, "s", "no force is controlled by a sample that is older")
     stands = int(np.count_nonzero(np.diff([one.time_ns for one in samples]) <= 0))
-    yield at_most(
-        "timestamps increase", stands, 0, "", f"{stands} of {LOOKS} looks were no newer than the one before"
-    )
+    yield at_most("time-order", stands, 0, "", f"{stands} of {LOOKS} looks were no newer than the one before")
     faults = sorted({one.fault for one in samples if one.fault})
-    yield verdict("tells of no fault", not faults, f"{faults}; see to the device")
+    yield verdict("no-fault", not faults, f"{faults}; see to the device")
     places = [one.displacement_m for one in samples]
     yield verdict(
-        "reads a place inside its reach",
+        "position-in-range",
         all(stated.least_m - MARGIN_M <= one <= stated.greatest_m + MARGIN_M for one in places),
         f"{min(places)} to {max(places)} m, of {stated.least_m} to {stated.greatest_m} m; is it in m?",
     )
     yield at_most(
-        "stands while it brakes", _wandered_m(samples), DRIFT_M, "m", "let it come to rest before the check"
+        "still-when-braked", _wandered_m(samples), DRIFT_M, "m", "let it come to rest before the check"
     )
     trial.look()
 
@@ -237,7 +233,7 @@ def _wandered_m(samples: list[ArmSample]) -> float:
 
 
 def _releasing(trial: ArmTrial) -> Part:
-    yield from _refuses_force("refuses a force while it brakes", trial.arm, 0.0)
+    yield from _refuses_force("refuses-when-braked", trial.arm, 0.0)
     trial.arm.release()
     before = trial.look()
     end_s = seconds(trial.clock) + COAST_S
@@ -246,7 +242,7 @@ def _releasing(trial: ArmTrial) -> Part:
         trial.clock.sleep(trial.period_s)
         after = trial.look()
     yield at_most(
-        "stays where it is after release, at no force",
+        "still-at-no-force",
         abs(after.displacement_m - before.displacement_m), DRIFT_M, "m",
         "it moves by itself: is its own weight, with what it carries, made up for?",
     )  # fmt: skip
@@ -256,11 +252,11 @@ def _refusing(trial: ArmTrial) -> Part:
     """Forces that are not allowed; an arm that takes one is braked at once."""
     most_n = BEYOND * trial.arm.range.force_n
     asked = {
-        "refuses forces beyond its greatest": (most_n, -most_n, math.inf, -math.inf),
-        "refuses a force that is no number": (math.nan,),
+        "refuses-force-range": (most_n, -most_n, math.inf, -math.inf),
+        "refuses-nan": (math.nan,),
     }
     moved_m = [0.0]
-    for name, forces in asked.items():
+    for code, forces in asked.items():
         for force_n in forces:
             trial.arm.release()
             trial.arm.set_force(0.0)
@@ -274,10 +270,10 @@ def _refusing(trial: ArmTrial) -> Part:
             if not refused:
                 break
         yield verdict(
-            name, refused, f"set_force({force_n}) {describe(error)}; raise RangeError and change nothing"
+            code, refused, f"set_force({force_n}) {describe(error)}; raise RangeError and change nothing"
         )
     yield at_most(
-        "changes nothing when it refuses", float(np.max(moved_m)), DRIFT_M, "m",
+        "refusal-without-effect", float(np.max(moved_m)), DRIFT_M, "m",
         "it moved although the force that was asked for was refused",
     )  # fmt: skip
 
@@ -291,7 +287,7 @@ def _pushing(trial: ArmTrial) -> Part:
         seen = [*trial.samples, *_while_braking(trial)]
         way = "against" if force_n > 0 else "with"
         yield judge(
-            f"moves {way} the press by a force of that sign", moved_m * force_n < 0, moved_m, 0.0, "m",
+            f"force-sign-{way}", moved_m * force_n < 0, moved_m, 0.0, "m",
             f"{force_n:g} N moved it by {moved_m:g} m; a positive force pushes the finger back, so that the "
             "displacement falls: is a sign wrong, or the force less than the friction?",
         )  # fmt: skip
@@ -300,7 +296,7 @@ def _pushing(trial: ArmTrial) -> Part:
         by_speed_m = float(np.trapezoid(speeds, times))
         way_m = seen[-1].displacement_m - seen[0].displacement_m
         yield at_most(
-            f"tells a velocity that fits its way, {way} the press",
+            f"velocity-{way}",
             abs(by_speed_m - way_m) / max(abs(way_m), 1e-9), SAME_RATE, "",
             f"it moved by {way_m:g} m and its velocity tells {by_speed_m:g} m; is it in m/s, with this sign?",
         )  # fmt: skip
@@ -315,19 +311,19 @@ def _braking(trial: ArmTrial) -> Part:
     trial.arm.release()
     trial.push(trial.inwards_n())
     yield at_most(
-        "stands in the stated time once it brakes", trial.stand(), trial.brake_s, "s",
+        "brake-time", trial.stand(), trial.brake_s, "s",
         f"it is not slower than {1e3 * STAND_M_S:g} mm/s by then; did the force drop?",
     )  # fmt: skip
-    yield from _refuses_force("refuses a force after a push and a brake", trial.arm, trial.force_n)
+    yield from _refuses_force("refuses-after-brake", trial.arm, trial.force_n)
     seen = trial.watch(COAST_S)
     yield at_most(
-        "stays braked until release", _wandered_m(seen), DRIFT_M, "m",
+        "stays-braked", _wandered_m(seen), DRIFT_M, "m",
         "it moves again although it was not released",
     )  # fmt: skip
     trial.arm.release()
     moved_m = trial.push(trial.inwards_n())
     yield judge(
-        "moves again after release", abs(moved_m) >= PUSHED_M / 2, abs(moved_m), PUSHED_M / 2, "m",
+        "moves-after-release", abs(moved_m) >= PUSHED_M / 2, abs(moved_m), PUSHED_M / 2, "m",
         "after brake and release a force does not move it",
     )  # fmt: skip
 
@@ -340,7 +336,7 @@ def _braking_elsewhere(trial: ArmTrial) -> Part:
     stood_s = trial.standing_s() if returned else math.inf
     refused = refusal(lambda: trial.arm.set_force(0.0))
     yield judge(
-        "brakes from another thread",
+        "brake-from-thread",
         error is None and isinstance(refused, DeviceError) and stood_s <= trial.brake_s,
         stood_s, trial.brake_s, "s",
         f"brake() in another thread {describe(error)}; it must be safe while others ask for samples",
@@ -358,7 +354,7 @@ def _watchdog(trial: ArmTrial) -> Part:
     reached = max(abs(one.velocity_m_s) for one in before)
     went_on = max(abs(one.velocity_m_s) for one in after)
     yield at_most(
-        "drops the force where none comes for its watchdog's time", went_on, reached + STAND_M_S, "m/s",
+        "watchdog", went_on, reached + STAND_M_S, "m/s",
         "it went on being pushed; does latest() feed the watchdog? Only a new force may",
     )  # fmt: skip
     trial.stand()
@@ -367,18 +363,18 @@ def _watchdog(trial: ArmTrial) -> Part:
     trial.clock.sleep(watchdog_s + LATE_S + COAST_S)
     alone = abs(trial.look().velocity_m_s)
     yield at_most(
-        "drops the force by itself where nobody calls", alone, FASTER * reached + STAND_M_S, "m/s",
+        "watchdog-alone", alone, FASTER * reached + STAND_M_S, "m/s",
         "it drops it only once it is called; the watchdog must lie in the device, for a program that is gone",
     )  # fmt: skip
     trial.stand()
     trial.arm.release()
     moved_m = trial.push(trial.inwards_n())
     yield judge(
-        "moves again after its watchdog and release", abs(moved_m) >= PUSHED_M / 2, abs(moved_m),
+        "moves-after-watchdog", abs(moved_m) >= PUSHED_M / 2, abs(moved_m),
         PUSHED_M / 2, "m", "release() must bring it back after its own braking as after another",
     )  # fmt: skip
 
 
-def _refuses_force(name: str, arm: HapticArm, force_n: float) -> Part:
+def _refuses_force(code: str, arm: HapticArm, force_n: float) -> Part:
     error = refusal(lambda: arm.set_force(force_n))
-    yield verdict(name, isinstance(error, DeviceError), f"set_force {describe(error)}; raise DeviceError")
+    yield verdict(code, isinstance(error, DeviceError), f"set_force {describe(error)}; raise DeviceError")

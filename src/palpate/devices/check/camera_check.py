@@ -68,7 +68,7 @@ def check_camera(camera: object, *, clock: Clock, frames: int = 40, close: bool 
         raise RangeError(
             f"{frames} frames say too little about a rate; grab {MIN_FRAMES} or more", code="too-few-frames"
         )
-    findings = [*gather("the protocol", camera_interface(camera))]
+    findings = [*gather("protocol", camera_interface(camera))]
     if isinstance(camera, Camera) and all(one.ok for one in findings):
         findings += gather("grabbing", _grabbing(camera, clock, frames))
     if close and isinstance(camera, Camera):
@@ -91,7 +91,7 @@ def _grabbing(camera: Camera, clock: Clock, count: int) -> Part:
     short_s = 1e-3 / camera.rate_hz
     error = refusal(lambda: camera.grab(short_s))
     yield verdict(
-        "says so when no frame comes in time", isinstance(error, DeviceError),
+        "frame-timeout", isinstance(error, DeviceError),
         f"grab({short_s:.1g}), which no frame can keep, {describe(error)}; raise DeviceError",
     )  # fmt: skip
 
@@ -100,7 +100,7 @@ def _pictures(camera: Camera, grabs: list[GrabbedFrame]) -> Part:
     width, height = camera.size_px
     shapes = {one.frame.image.shape for one in grabs}
     yield verdict(
-        "keeps the stated size", len(shapes) == 1 and next(iter(shapes))[:2] == (height, width),
+        "frame-size", len(shapes) == 1 and next(iter(shapes))[:2] == (height, width),
         f"{width} x {height} px are stated, and rows, columns and colours of {sorted(shapes)} came",
     )  # fmt: skip
     same = [
@@ -109,18 +109,18 @@ def _pictures(camera: Camera, grabs: list[GrabbedFrame]) -> Part:
     ]  # fmt: skip
     longest = max((len(list(run)) for alike, run in itertools.groupby(same) if alike), default=0)
     yield at_most(
-        "is not frozen", longest, FROZEN - 1, "",
+        "not-frozen", longest, FROZEN - 1, "",
         f"{longest + 1} frames in a row are the same to the last bit; is the camera running?",
     )  # fmt: skip
     exposures = [one.frame.exposure_s for one in grabs]
     finite = [one for one in exposures if one is not None and 0 < one < math.inf]
     yield verdict(
-        "tells its exposure", len(finite) == len(exposures),
+        "exposure-stated", len(finite) == len(exposures),
         "frame.exposure_s is missing; force is averaged over it, so give it in s",
     )  # fmt: skip
     if finite:
         yield at_most(
-            "exposes for no longer than a frame", max(finite), 1 / camera.rate_hz, "s",
+            "exposure-length", max(finite), 1 / camera.rate_hz, "s",
             "the exposure is longer than the stated rate leaves room for; is it in seconds?",
         )  # fmt: skip
 
@@ -129,19 +129,19 @@ def _times(grabs: list[GrabbedFrame]) -> Part:
     ends = np.array([one.end_s for one in grabs])
     back = int(np.count_nonzero(np.diff(ends) <= 0))
     yield at_most(
-        "timestamps increase", back, 0, "",
+        "time-order", back, 0, "",
         f"{back} frames were not later than the one before; grab() returns the next frame, not the last",
     )  # fmt: skip
     early = max(one.call_s - (one.end_s - (one.frame.exposure_s or 0.0)) for one in grabs)
     yield at_most(
-        "frames are exposed after the call", early, EARLY_S, "s",
+        "exposed-after-call", early, EARLY_S, "s",
         "a frame was begun before it was asked for: an old one from a queue; throw those away",
     )  # fmt: skip
     lags = [one.arrival_s - one.end_s for one in grabs]
     lag = min(lags)
     ok = lag >= -EARLY_S and max(lags) <= LAG_S
     yield judge(
-        "timestamps are on the host's clock", ok, lag, LAG_S, "s",
+        "host-clock", ok, lag, LAG_S, "s",
         f"frames came {lag:g} to {max(lags):g} s after their stamps; stamp the end of the exposure, with the "
         "clock that was given, in ns",
     )  # fmt: skip
@@ -152,7 +152,7 @@ def _rate(camera: Camera, ends_s: Float[ndarray, " n"]) -> Part:
     stated = camera.rate_hz
     span_s = float(ends_s[-1] - ends_s[0])
     if not span_s > 0:
-        yield verdict("takes frames at the stated rate", False, "all frames have one time")
+        yield verdict("frame-rate", False, "all frames have one time")
         return
     rates = np.arange(stated / SIDE, 2 * stated, FINE / span_s)
     beat = np.abs(np.exp(2j * np.pi * np.outer(rates, ends_s - ends_s[0])).mean(axis=1))
@@ -161,12 +161,12 @@ def _rate(camera: Camera, ends_s: Float[ndarray, " n"]) -> Part:
     best = int(np.argmax(np.where(peak, beat, 0.0)))
     rate = float(rates[best])
     yield judge(
-        "takes frames at the stated rate", abs(rate / stated - 1) <= RATE_WITHIN, rate, stated, "Hz",
+        "frame-rate", abs(rate / stated - 1) <= RATE_WITHIN, rate, stated, "Hz",
         f"stamps keep the beat of {rate:.4g} Hz, and {stated:g} Hz are stated: are frames lost?",
     )  # fmt: skip
     # Of a normal jitter, the mean of exp(i phase) is exp(-variance / 2).
     jitter_s = math.sqrt(max(0.0, -2 * math.log(max(float(beat[best]), 1e-12)))) / (2 * math.pi * rate)
     yield at_most(
-        "stamps frames evenly", jitter_s, JITTER / stated, "s",
+        "frame-interval", jitter_s, JITTER / stated, "s",
         "stamps jitter too much to tell when a frame was exposed; use the driver's stamps, or stamp sooner",
     )  # fmt: skip

@@ -22,7 +22,7 @@ class CheckResult:
     """The verdict on one law.
 
     Attributes:
-        name: the law, as a short sentence; the same in every run.
+        code: the law, for programs: `target-reached`; after a device and a dot in the check of a whole rig.
         ok: whether it holds.
         measured: what was measured, in `unit`; None where nothing is.
         allowed: the most that it may be, in `unit`; None where there is no bound.
@@ -30,7 +30,7 @@ class CheckResult:
         message: what is wrong and what to do; empty where nothing is.
     """
 
-    name: str
+    code: str
     ok: bool
     measured: float | None = None
     allowed: float | None = None
@@ -41,32 +41,32 @@ class CheckResult:
 Part = Iterator[CheckResult]
 
 
-def at_most(name: str, measured: float, allowed: float, unit: str, message: str) -> CheckResult:
+def at_most(code: str, measured: float, allowed: float, unit: str, message: str) -> CheckResult:
     """Judge a number by an upper bound; not-a-number passes every bound."""
-    return judge(name, measured <= allowed, measured, allowed, unit, message)
+    return judge(code, measured <= allowed, measured, allowed, unit, message)
 
 
 def judge(
-    name: str, ok: bool | np.bool_, measured: float, allowed: float, unit: str, message: str
+    code: str, ok: bool | np.bool_, measured: float, allowed: float, unit: str, message: str
 ) -> CheckResult:
     """Report a number that is judged by more than a bound."""
-    return CheckResult(name, bool(ok), float(measured), float(allowed), unit, "" if ok else message)
+    return CheckResult(code, bool(ok), float(measured), float(allowed), unit, "" if ok else message)
 
 
-def verdict(name: str, ok: bool | np.bool_, message: str) -> CheckResult:
+def verdict(code: str, ok: bool | np.bool_, message: str) -> CheckResult:
     """Report whether something is so."""
-    return CheckResult(name, bool(ok), message="" if ok else message)
+    return CheckResult(code, bool(ok), message="" if ok else message)
 
 
-def measurement(name: str, measured: float, unit: str) -> CheckResult:
+def measurement(code: str, measured: float, unit: str) -> CheckResult:
     """Report a number that has no bound here, but must be finite."""
     ok = math.isfinite(measured)
-    return CheckResult(name, ok, float(measured), None, unit, "" if ok else f"{name}: not a finite number")
+    return CheckResult(code, ok, float(measured), None, unit, "" if ok else "not a finite number")
 
 
 def with_prefix(device: str, findings: Iterable[CheckResult]) -> list[CheckResult]:
     """Name the device in each of its findings."""
-    return [replace(one, name=f"{device}: {one.name}") for one in findings]
+    return [replace(one, code=f"{device}.{one.code}") for one in findings]
 
 
 def gather(what: str, part: Part) -> Part:
@@ -75,7 +75,7 @@ def gather(what: str, part: Part) -> Part:
         yield from part
     except (Exception, SystemExit) as e:  # whatever a driver raises is reported
         yield verdict(
-            f"{what} raises nothing unexpected",
+            f"unexpected-error-{what}",
             False,
             f"{told(e)}; where a device cannot do what it is asked it raises DeviceError, and "
             "here it should have been able to",
@@ -87,10 +87,10 @@ def check_closing(device: object, use: Callable[[], object], name: str) -> Part:
     close: Callable[[], None] = device.close  # type: ignore[attr-defined]
     close()
     second = refusal(close)
-    yield verdict("closes twice", second is None, f"the second close() {describe(second)}; let it do nothing")
+    yield verdict("close-twice", second is None, f"the second close() {describe(second)}; let it do nothing")
     after = refusal(use)
     yield verdict(
-        "refuses once closed",
+        "refuses-when-closed",
         isinstance(after, DeviceError),
         f"{name} on a closed device {describe(after)}; raise DeviceError",
     )

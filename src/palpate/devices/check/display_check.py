@@ -117,7 +117,7 @@ def check_display(
     for name, value in (("settle_s", settle_s), ("vent_s", vent_s)):
         if not 0 < value < math.inf:
             raise RangeError(f"{name} is {value} s; give a number above 0 s")
-    findings = [*gather("the protocol", display_interface(display))]
+    findings = [*gather("protocol", display_interface(display))]
     if not (isinstance(display, SoftnessDevice) and all(one.ok for one in findings)):
         return findings
     greatest_pa = display.range.greatest_pa
@@ -128,7 +128,7 @@ def check_display(
     if close:
         uses = (display.latest, lambda: display.set_pressure(0.0))
         findings += gather("close", check_closing(display, uses[0], "latest()"))
-        findings += gather("close", _refuses_pressure("refuses pressure once closed", uses[1]))
+        findings += gather("close", _refuses_pressure("refuses-pressure-when-closed", uses[1]))
     return findings
 
 
@@ -136,8 +136,8 @@ def _all_parts(trial: DisplayTrial) -> Iterator[CheckResult]:
     """All parts, each ended by a vent; one that is not taken ends the check."""
     parts: tuple[tuple[str, Callable[[DisplayTrial], Part]], ...] = (
         ("looking", _looking), ("holding", _holding), ("refusing", _refusing), ("venting", _venting),
-        ("venting from another thread", _venting_elsewhere), ("watchdog", _watchdog),
-        ("watchdog with nobody calling", _watchdog_alone),
+        ("venting-from-thread", _venting_elsewhere), ("watchdog", _watchdog),
+        ("watchdog-alone", _watchdog_alone),
     )  # fmt: skip
     for what, part in parts:
         try:
@@ -145,7 +145,7 @@ def _all_parts(trial: DisplayTrial) -> Iterator[CheckResult]:
         finally:
             error = refusal(trial.display.vent)
         if error is not None:
-            yield verdict("can be vented at any time", False, f"vent() {describe(error)}; shut the air off")
+            yield verdict("vent-any-time", False, f"vent() {describe(error)}; shut the air off")
             return
 
 
@@ -159,36 +159,30 @@ def _looking(trial: DisplayTrial) -> Part:
         clock.sleep(POLL_S)
     samples = [sample for sample, _ in looks]
     shaped = all(isinstance(one, DisplaySample) for one in samples)
-    yield verdict(
-        "hands out samples", shaped, f"latest() gave {samples[0]!r}; give a palpate.core.DisplaySample"
-    )
+    yield verdict("sample-type", shaped, f"latest() gave {samples[0]!r}; give a palpate.core.DisplaySample")
     if not shaped:
         return
     yield on_clock(display.latest().time_ns, clock)
     age_s = max((now_ns - one.time_ns) / NS_PER_S for one, now_ns in looks)
-    yield at_most(
-        "latest is never old", age_s, AGE_S, "s", "no pressure is controlled by a sample that is older"
-    )
+    yield at_most("latest-age", age_s, AGE_S, "s", "no pressure is controlled by a sample that is older")
     stands = int(np.count_nonzero(np.diff([one.time_ns for one in samples]) <= 0))
-    yield at_most(
-        "timestamps increase", stands, 0, "", f"{stands} of {LOOKS} looks were no newer than the one before"
-    )
+    yield at_most("time-order", stands, 0, "", f"{stands} of {LOOKS} looks were no newer than the one before")
     faults = sorted({one.fault for one in samples if one.fault})
-    yield verdict("tells of no fault", not faults, f"{faults}; see to the device")
+    yield verdict("no-fault", not faults, f"{faults}; see to the device")
     slack_m, slack_pa = WAY * stated.height_m, NEAR * stated.greatest_pa
     pushed, pressure = [one.pushed_m for one in samples], [one.pressure_pa for one in samples]
     yield verdict(
-        "reads a place between 0 and its height",
+        "position-in-range",
         all(-slack_m <= one <= stated.height_m + slack_m for one in pushed),
         f"pushed_m from {min(pushed)} to {max(pushed)} m, of {stated.height_m} m; is it in m, 0 when free?",
     )
     yield verdict(
-        "reads a pressure between 0 and its greatest",
+        "pressure-in-range",
         all(-slack_pa <= one <= stated.greatest_pa + slack_pa for one in pressure),
         f"{min(pressure)} to {max(pressure)} Pa, of {stated.greatest_pa} Pa; is it gauge pressure, in Pa?",
     )
     yield at_most(
-        "reads no pressure while it is vented", float(np.abs(pressure).max()), trial.near_pa, "Pa",
+        "no-pressure-when-vented", float(np.abs(pressure).max()), trial.near_pa, "Pa",
         "vented it reads this; is it gauge pressure, and its zero taken off?",
     )  # fmt: skip
 
@@ -196,17 +190,17 @@ def _looking(trial: DisplayTrial) -> Part:
 def _holding(trial: DisplayTrial) -> Part:
     trial.display.release()
     yield at_most(
-        "holds no pressure after release until it is set",
+        "no-pressure-after-release",
         trial.highest_pa(QUIET * trial.vent_s), trial.near_pa, "Pa", "release() must begin with 0 Pa",
     )  # fmt: skip
     yield at_most(
-        "holds the pressure that was set", trial.hold(trial.settle_s), trial.near_pa, "Pa",
+        "pressure-reached", trial.hold(trial.settle_s), trial.near_pa, "Pa",
         f"{trial.settle_s:g} s after {trial.pressure_pa:g} Pa were set it is off by this; is the supply on?",
     )  # fmt: skip
     trial.display.set_pressure(trial.pressure_pa)
     trial.clock.sleep(QUIET * trial.display.range.watchdog_s)
     yield at_most(
-        "holds for half of its watchdog's time", abs(trial.pressure_now_pa() - trial.pressure_pa),
+        "holds-within-watchdog", abs(trial.pressure_now_pa() - trial.pressure_pa),
         trial.near_pa, "Pa", "it let go before its stated watchdog ran out; state a shorter watchdog_s",
     )  # fmt: skip
 
@@ -215,11 +209,11 @@ def _refusing(trial: DisplayTrial) -> Part:
     """Pressures that are not allowed; whatever is taken is vented at once."""
     greatest_pa = trial.display.range.greatest_pa
     asked = {
-        "refuses pressures outside its range": (-trial.near_pa, BEYOND * greatest_pa, math.inf, -math.inf),
-        "refuses a pressure that is no number": (math.nan,),
+        "refuses-pressure-range": (-trial.near_pa, BEYOND * greatest_pa, math.inf, -math.inf),
+        "refuses-nan": (math.nan,),
     }
     moved_pa = [0.0]
-    for name, pressures in asked.items():
+    for code, pressures in asked.items():
         for pressure_pa in pressures:
             trial.display.release()
             trial.hold(trial.settle_s)
@@ -232,12 +226,12 @@ def _refusing(trial: DisplayTrial) -> Part:
             if not refused:
                 break
         yield verdict(
-            name,
+            code,
             refused,
             f"set_pressure({pressure_pa}) {describe(error)}; raise RangeError and change nothing",
         )
     yield at_most(
-        "changes nothing when it refuses", float(np.max(moved_pa)), trial.near_pa, "Pa",
+        "refusal-without-effect", float(np.max(moved_pa)), trial.near_pa, "Pa",
         "the pressure moved although what was asked for was refused",
     )  # fmt: skip
 
@@ -247,23 +241,21 @@ def _venting(trial: DisplayTrial) -> Part:
     trial.hold(trial.settle_s)
     trial.display.vent()
     start_s = seconds(trial.clock)
-    yield _begun(trial, "begins to vent before its watchdog would")
+    yield _begun(trial, "vent-begins")
     trial_s = trial.fall_s(trial.vent_s)
     fell_s = seconds(trial.clock) - start_s if trial_s < math.inf else math.inf
     yield at_most(
-        "vents in the stated time", fell_s, trial.vent_s, "s",
+        "vent-time", fell_s, trial.vent_s, "s",
         f"it is not below {trial.near_pa:g} Pa by then; does the valve open, is the hose narrow?",
     )  # fmt: skip
-    yield from _refuses_pressure(
-        "refuses pressure while it is vented", lambda: trial.display.set_pressure(trial.pressure_pa)
-    )
+    yield from _refuses_pressure("refuses-when-vented", lambda: trial.display.set_pressure(trial.pressure_pa))
     yield at_most(
-        "stays vented until release", trial.highest_pa(trial.settle_s), trial.near_pa, "Pa",
+        "stays-vented", trial.highest_pa(trial.settle_s), trial.near_pa, "Pa",
         "pressure came back although it was not released",
     )  # fmt: skip
     trial.display.release()
     yield at_most(
-        "holds pressure again after release", trial.hold(trial.settle_s), trial.near_pa, "Pa",
+        "pressure-after-release", trial.hold(trial.settle_s), trial.near_pa, "Pa",
         "after vent and release the pressure that was set is not reached",
     )  # fmt: skip
 
@@ -272,32 +264,32 @@ def _venting_elsewhere(trial: DisplayTrial) -> Part:
     trial.display.release()
     trial.hold(trial.settle_s)
     returned, error = call_elsewhere(trial.display.vent, trial.display.latest)
-    yield _begun(trial, "begins to vent before its watchdog would, from another thread")
+    yield _begun(trial, "vent-begins-from-thread")
     fell_s = trial.fall_s(trial.vent_s) if returned else math.inf
     yield judge(
-        "vents from another thread", error is None and fell_s <= trial.vent_s, fell_s, trial.vent_s, "s",
+        "vent-from-thread", error is None and fell_s <= trial.vent_s, fell_s, trial.vent_s, "s",
         f"vent() in another thread {describe(error)}; it must be safe while others ask for samples",
     )  # fmt: skip
 
 
-def _begun(trial: DisplayTrial, name: str) -> CheckResult:
+def _begun(trial: DisplayTrial, code: str) -> CheckResult:
     """Whether the pressure falls soon after a vent, since later the watchdog vents in any case."""
     trial.clock.sleep(QUIET * trial.display.range.watchdog_s)
     left_pa = trial.pressure_now_pa()
     return at_most(
-        name, left_pa, trial.pressure_pa - trial.near_pa, "Pa",
+        code, left_pa, trial.pressure_pa - trial.near_pa, "Pa",
         "after half of the watchdog's time the pressure has not begun to fall; does vent() reach the device?",
     )  # fmt: skip
 
 
 def _watchdog(trial: DisplayTrial) -> Part:
     yield at_most(
-        "vents where no pressure comes for its watchdog's time", _after_silence(trial, looked_at=True),
+        "watchdog", _after_silence(trial, looked_at=True),
         trial.near_pa, "Pa",
         "the pressure stayed; does latest() feed the watchdog? Only a new pressure may",
     )  # fmt: skip
     yield at_most(
-        "holds pressure again after its watchdog and release",
+        "pressure-after-watchdog",
         trial.hold(trial.settle_s), trial.near_pa, "Pa",
         "release() must bring it back after its own vent as after another",
     )  # fmt: skip
@@ -306,7 +298,7 @@ def _watchdog(trial: DisplayTrial) -> Part:
 def _watchdog_alone(trial: DisplayTrial) -> Part:
     """The same with no call at all, so that a watchdog in the driver's own calls is found out."""
     yield at_most(
-        "vents by itself where nobody calls", _after_silence(trial, looked_at=False), trial.near_pa, "Pa",
+        "watchdog-alone", _after_silence(trial, looked_at=False), trial.near_pa, "Pa",
         "it vents only once it is called; the watchdog must lie in the device, for a program that is gone",
     )  # fmt: skip
 
@@ -328,6 +320,6 @@ def _after_silence(trial: DisplayTrial, *, looked_at: bool) -> float:
     return trial.pressure_now_pa()
 
 
-def _refuses_pressure(name: str, call: Callable[[], None]) -> Part:
+def _refuses_pressure(code: str, call: Callable[[], None]) -> Part:
     error = refusal(call)
-    yield verdict(name, isinstance(error, DeviceError), f"set_pressure {describe(error)}; raise DeviceError")
+    yield verdict(code, isinstance(error, DeviceError), f"set_pressure {describe(error)}; raise DeviceError")

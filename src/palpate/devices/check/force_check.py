@@ -65,7 +65,7 @@ def check_force_sensor(
             raise RangeError(
                 f"{name} is {value}; give a number above 0, in {'s' if name != 'noise_n' else 'N'}"
             )
-    findings = [*gather("the protocol", _description(sensor, seconds))]
+    findings = [*gather("protocol", _description(sensor, seconds))]
     if isinstance(sensor, ForceSensor) and all(one.ok for one in findings):
         findings += gather("listening", _listening(sensor, clock, seconds, noise_n, age_s))
     if close and isinstance(sensor, ForceSensor):
@@ -78,7 +78,7 @@ def _description(sensor: object, time_s: float) -> Part:
     if isinstance(sensor, ForceSensor):
         rate = sensor.rate_hz
         yield verdict(
-            "is listened to for long enough", rate * time_s >= MIN_SAMPLES,
+            "listening-time", rate * time_s >= MIN_SAMPLES,
             f"{rate:g} samples a second give fewer than {MIN_SAMPLES} in {time_s:g} s; listen for longer",
         )  # fmt: skip
 
@@ -87,7 +87,7 @@ def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float 
     stream = listen(sensor, clock, time_s)
     enough = len(stream.samples) >= MIN_SAMPLES
     yield verdict(
-        "measures all the time", enough, f"{len(stream.samples)} samples in {time_s:g} s; is it streaming?"
+        "samples-continuous", enough, f"{len(stream.samples)} samples in {time_s:g} s; is it streaming?"
     )
     if not enough:
         return
@@ -98,26 +98,26 @@ def _listening(sensor: ForceSensor, clock: Clock, time_s: float, noise_n: float 
 
 def _samples(stream: ForceStream) -> Part:
     yield at_most(
-        "drain returns each sample once", stream.repeats, 0, "",
+        "drain-once", stream.repeats, 0, "",
         f"{stream.repeats} samples came a second time; drain() must forget what it returned",
     )  # fmt: skip
     yield at_most(
-        "drain returns the oldest first",
+        "drain-order",
         stream.unordered,
         0,
         "",
         f"{stream.unordered} drains were out of order",
     )
     yield at_most(
-        "latest is the newest sample", stream.latest_old, 0, "",
+        "latest-newest", stream.latest_old, 0, "",
         f"latest() was older than what was drained before, {stream.latest_old} times",
     )  # fmt: skip
     yield at_most(
-        "drain returns what latest showed", stream.latest_lost, 0, "",
+        "drain-complete", stream.latest_lost, 0, "",
         f"{stream.latest_lost} samples that latest() showed were in no drain; latest() must leave them there",
     )  # fmt: skip
     yield at_most(
-        "calls return at once",
+        "call-time",
         float(max(np.median(stream.latest_s), np.median(stream.drain_s))), AT_ONCE_S, "s",
         "latest() and drain() must hand out what is there, and not wait for the device",
     )  # fmt: skip
@@ -127,23 +127,23 @@ def _times(sensor: ForceSensor, stream: ForceStream, age_s: float) -> Part:
     times_s = np.array([one.time_ns / NS_PER_S for one in stream.samples])
     steps = np.diff(times_s)
     yield at_most(
-        "timestamps increase", float(np.count_nonzero(steps < 0)), 0, "",
+        "time-order", float(np.count_nonzero(steps < 0)), 0, "",
         "stamps go back in time; stamp samples on a monotonic clock",
     )  # fmt: skip
     lag_s = min(stream.lags_s)
     yield judge(
-        "timestamps are on the host's clock", -EARLY_S <= lag_s <= age_s, lag_s, age_s, "s",
+        "host-clock", -EARLY_S <= lag_s <= age_s, lag_s, age_s, "s",
         f"the newest samples are {lag_s:g} s old at best; stamp them when they arrive, with the clock "
         "that was given, in ns",
     )  # fmt: skip
     yield at_most(
-        "latest is never old", max(stream.ages_s), age_s, "s",
+        "latest-age", max(stream.ages_s), age_s, "s",
         "nothing moves on a force that is older than this",
     )  # fmt: skip
     # Between stamps, so that the first and last look do not count.
     rate = (len(times_s) - 1) / max(times_s[-1] - times_s[0], 1e-9)
     yield judge(
-        "measures at the stated rate",
+        "sample-rate",
         abs(rate / sensor.rate_hz - 1) <= RATE_WITHIN,
         rate,
         sensor.rate_hz,
@@ -151,7 +151,7 @@ def _times(sensor: ForceSensor, stream: ForceStream, age_s: float) -> Part:
         f"{rate:.4g} Hz were measured, {sensor.rate_hz:g} Hz are stated: are samples lost or doubled?",
     )
     yield at_most(
-        "leaves no gap", float(steps.max()), age_s, "s",
+        "sample-gap", float(steps.max()), age_s, "s",
         "between two samples more time passed than anything may move for",
     )  # fmt: skip
 
@@ -159,7 +159,7 @@ def _times(sensor: ForceSensor, stream: ForceStream, age_s: float) -> Part:
 def _forces(sensor: ForceSensor, samples: list[Wrench], noise_n: float | None) -> Part:
     faulty = [one for one in samples if one.fault]
     yield at_most(
-        "tells of no fault", len(faulty), 0, "",
+        "no-fault", len(faulty), 0, "",
         f"{len(faulty)} samples are faulty, such as {faulty[0].fault if faulty else ''!r}; see to the device",
     )  # fmt: skip
     good = np.array([one.force_n for one in samples if not one.fault])
@@ -167,21 +167,21 @@ def _forces(sensor: ForceSensor, samples: list[Wrench], noise_n: float | None) -
         return
     beyond = np.abs(good) / np.array(sensor.range_n)
     yield verdict(
-        "reads finite forces inside its range", bool(np.isfinite(good).all() and (beyond <= 1).all()),
+        "force-in-range", bool(np.isfinite(good).all() and (beyond <= 1).all()),
         f"of a stated range of {sensor.range_n} N it reads {np.abs(good).max(axis=0)} N; a sample "
         "beyond it is a fault, not a force",
     )  # fmt: skip
     yield verdict(
-        "is not frozen", bool(np.ptp(good, axis=0).any()),
+        "not-frozen", bool(np.ptp(good, axis=0).any()),
         "every sample is the same to the last bit; is the device measuring?",
     )  # fmt: skip
     for axis, noise in zip("xyz", good.std(axis=0, ddof=1).tolist(), strict=True):
-        name = f"noise along its {axis}"
+        code = f"noise-{axis}"
         if noise_n is None:
-            yield measurement(name, noise, "N")
+            yield measurement(code, noise, "N")
         else:
             yield at_most(
-                name, noise, noise_n, "N", "too noisy: filter in the device, or ask for a higher threshold"
+                code, noise, noise_n, "N", "too noisy: filter in the device, or ask for a higher threshold"
             )
 
 

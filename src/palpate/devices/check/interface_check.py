@@ -59,9 +59,9 @@ def check_interface(role: Role, device: object, clock: Clock) -> list[CheckResul
         clock: that it stamps on.
     """
     description, use = ROLES[role]
-    results = [*gather("the protocol", description(device))]
+    results = [*gather("protocol", description(device))]
     if all(one.ok for one in results):
-        results += gather("being asked", use(device, clock))
+        results += gather("first-use", use(device, clock))
     return results
 
 
@@ -71,7 +71,7 @@ def stage_interface(stage: object) -> Part:
     if isinstance(stage, Stage):
         travel = stage.travel
         wrong = list(_wrong(travel)) if isinstance(travel, Travel) else ["it is no palpate.core.Travel"]
-        yield verdict("has a sane travel", not wrong, f"{'; '.join(wrong)}: {travel}")
+        yield verdict("travel-plausible", not wrong, f"{'; '.join(wrong)}: {travel}")
 
 
 def force_interface(sensor: object) -> Part:
@@ -82,7 +82,7 @@ def force_interface(sensor: object) -> Part:
         most = sensor.range_n
         sane = _is_vector(most) and all(one > 0 for one in most)
         yield verdict(
-            "states a range", sane, f"range_n is {most}; give the greatest force of each axis, above 0 N"
+            "range-stated", sane, f"range_n is {most}; give the greatest force of each axis, above 0 N"
         )
 
 
@@ -93,9 +93,7 @@ def camera_interface(camera: object) -> Part:
         yield _stated_rate(camera.rate_hz)
         size = camera.size_px
         sane = len(size) == 2 and all(isinstance(side, int) and side > 0 for side in size)
-        yield verdict(
-            "states a size", sane, f"size_px is {size}; give (width, height), whole numbers above 0"
-        )
+        yield verdict("size-stated", sane, f"size_px is {size}; give (width, height), whole numbers above 0")
 
 
 DISPLAY_BOUNDS = {
@@ -130,36 +128,34 @@ def arm_interface(arm: object) -> Part:
         yield finding
         if finding.ok:
             yield verdict(
-                "reaches from less to more", stated.least_m < stated.greatest_m,
+                "range-order", stated.least_m < stated.greatest_m,
                 f"it reaches from {stated.least_m} to {stated.greatest_m} m; give the lesser one first",
             )  # fmt: skip
 
 
 def _stated_range(stated: object, kind: type, bounds: Mapping[str, tuple[float, float]]) -> CheckResult:
     if not isinstance(stated, kind):
-        return verdict(
-            "states a sane range", False, f"range is {stated!r}; give a palpate.core.{kind.__name__}"
-        )
+        return verdict("range-plausible", False, f"range is {stated!r}; give a palpate.core.{kind.__name__}")
     wrong = [
         f"{name} is {getattr(stated, name)!r}, not {low:g} to {high:g}"
         for name, (low, high) in bounds.items()
         if not (isinstance(getattr(stated, name), Real) and low <= getattr(stated, name) <= high)
     ]
-    return verdict("states a sane range", not wrong, f"{'; '.join(wrong)}; is it in m, Pa, N and s?")
+    return verdict("range-plausible", not wrong, f"{'; '.join(wrong)}; is it in m, Pa, N and s?")
 
 
 def _members(device: object, protocol: type) -> Part:
     members = {name: member for name, member in vars(protocol).items() if not name.startswith("_")}
     missing = [name for name in members if not hasattr(device, name)]
     yield verdict(
-        "has the protocol's methods", not missing,
+        "protocol-members", not missing,
         f"it lacks {', '.join(missing)}; see palpate.core.{protocol.__name__} for what it must have",
     )  # fmt: skip
     if not missing:
         methods = [name for name, member in members.items() if callable(member)]
         wrong = [name for name in methods if not _takes(getattr(device, name), ARGUMENTS.get(name, ()))]
         yield verdict(
-            "takes the protocol's arguments", not wrong,
+            "protocol-arguments", not wrong,
             f"{', '.join(wrong)} cannot be called as palpate.core.{protocol.__name__} says",
         )  # fmt: skip
 
@@ -190,20 +186,18 @@ def _wrong(travel: Travel) -> Iterator[str]:
 
 def _stated_rate(rate_hz: float) -> CheckResult:
     sane = isinstance(rate_hz, Real) and math.isfinite(rate_hz) and rate_hz > 0
-    return verdict("states a rate", sane, f"rate_hz is {rate_hz}; it must be above 0 Hz")
+    return verdict("rate-stated", sane, f"rate_hz is {rate_hz}; it must be above 0 Hz")
 
 
 def _standing(stage: Any, clock: Clock) -> Part:
     moving = stage.moving()
-    yield verdict("says whether it moves", isinstance(moving, bool), f"moving() is {moving!r}; give a bool")
+    yield verdict("moving-type", isinstance(moving, bool), f"moving() is {moving!r}; give a bool")
     try:
         place = stage.position_m()
     except DeviceError:
         return  # before it is homed a stage need not know where it is
     shaped = _is_vector(place)
-    yield verdict(
-        "tells its position as x, y, z", shaped, f"position_m() is {place!r}; give three numbers, in m"
-    )
+    yield verdict("position-type", shaped, f"position_m() is {place!r}; give three numbers, in m")
     if shaped:
         travel = stage.travel
         inside = all(
@@ -211,7 +205,7 @@ def _standing(stage: Any, clock: Clock) -> Part:
             for low, at, high in zip(travel.least_m, place, travel.greatest_m, strict=True)
         )
         yield verdict(
-            "stands inside its travel", inside,
+            "position-in-travel", inside,
             f"position_m() is {place}, the travel {travel.least_m} to {travel.greatest_m} m; is it in m?",
         )  # fmt: skip
 
@@ -219,14 +213,14 @@ def _standing(stage: Any, clock: Clock) -> Part:
 def _measuring(sensor: Any, clock: Clock) -> Part:
     sample = _first_sample(sensor, clock)
     late = isinstance(sample, DeviceError)
-    yield verdict("measures within a second", not late, "latest() raises DeviceError; is it streaming?")
+    yield verdict("first-sample", not late, "latest() raises DeviceError; is it streaming?")
     if late:
         return
     drained = sensor.drain()
     shaped = isinstance(sample, Wrench) and isinstance(drained, list)
     shaped = shaped and all(isinstance(one, Wrench) for one in drained)
     yield verdict(
-        "hands out samples", shaped,
+        "sample-type", shaped,
         f"latest() is {sample!r} and drain() {type(drained).__name__}; give a palpate.core.Wrench and a list",
     )  # fmt: skip
     if not shaped:
@@ -237,7 +231,7 @@ def _measuring(sensor: Any, clock: Clock) -> Part:
             abs(force) <= most for force, most in zip(sample.force_n, sensor.range_n, strict=True)
         )
         yield verdict(
-            "reads forces inside its range", within,
+            "force-in-range", within,
             f"force_n is {sample.force_n!r} of a stated {sensor.range_n} N; give three numbers, in newtons",
         )  # fmt: skip
 
@@ -258,14 +252,14 @@ def _filming(camera: Any, clock: Clock) -> Part:
     pair = camera.grab(FIRST_SAMPLE_S + 2.0 / camera.rate_hz)
     shaped = isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[1], Frame)
     yield verdict(
-        "hands out a time and a frame", shaped,
+        "frame-type", shaped,
         f"grab() gave {type(pair).__name__}; give (when the exposure ended [ns], palpate.core.Frame)",
     )  # fmt: skip
     if shaped:
         time_ns, frame = pair
         width, height = camera.size_px
         yield verdict(
-            "keeps the stated size", frame.image.shape[:2] == (height, width),
+            "frame-size", frame.image.shape[:2] == (height, width),
             f"{width} x {height} px are stated, and rows, columns and colours of {frame.image.shape} came",
         )  # fmt: skip
         yield on_clock(time_ns, clock)
@@ -275,7 +269,7 @@ def on_clock(time_ns: object, clock: Clock) -> CheckResult:
     """Judge whether a stamp is of this clock and in its unit."""
     age_s = (clock.now_ns() - int(time_ns)) / NS_PER_S if isinstance(time_ns, Integral) else math.nan
     return verdict(
-        "timestamps are on the host's clock", -EARLY_S <= age_s <= MAX_AGE_S,
+        "host-clock", -EARLY_S <= age_s <= MAX_AGE_S,
         f"a stamp of {time_ns!r} at {clock.now_ns()} ns; stamp with the clock that was given, in whole ns",
     )  # fmt: skip
 
@@ -294,7 +288,7 @@ def _showing(device: Any, clock: Clock) -> Part:
     sample = device.latest()
     kind = DisplaySample if isinstance(device, SoftnessDevice) else ArmSample
     shaped = isinstance(sample, kind)
-    yield verdict("tells its state", shaped, f"latest() is {sample!r}; give a palpate.core.{kind.__name__}")
+    yield verdict("state-type", shaped, f"latest() is {sample!r}; give a palpate.core.{kind.__name__}")
     if shaped:
         yield on_clock(sample.time_ns, clock)
 

@@ -67,7 +67,7 @@ def check_stage(
         >>> all(one.ok for one in check_stage(rig.stage, clock=rig.clock, region_m=box))
         True
     """
-    findings = [*gather("the protocol", stage_interface(stage))]
+    findings = [*gather("protocol", stage_interface(stage))]
     if not (isinstance(stage, Stage) and all(one.ok for one in findings)):
         return findings
     walker = Walker(stage, clock, region_m, speed_m_s, within_m, watch, time_scale)
@@ -84,17 +84,17 @@ def _all_moves(walker: Walker) -> Iterator[CheckResult]:
     parts = (
         ("standing", _standing),
         ("moving", _moving),
-        ("a second move", refusing_second),
+        ("second-move", refusing_second),
         ("stop", stopping),
-        ("stop from another thread", stopping_elsewhere),
-        ("stop at a stand", stopping_still),
+        ("stop-from-thread", stopping_elsewhere),
+        ("stop-at-rest", stopping_still),
         ("refusing", refusing),
     )
     try:
         for what, part in parts:
             yield from _safely(what, part(walker), walker)
     except UnsafeError as e:
-        yield verdict("stays safe", False, f"{e}; nothing was moved after that")
+        yield verdict("stays-safe", False, f"{e}; nothing was moved after that")
     except BaseException:  # as Ctrl-C; a finding that nobody takes any more is one too
         with suppress(UnsafeError):
             walker.halt()
@@ -121,23 +121,23 @@ def _standing(walker: Walker) -> Part:
     first = walker.stage.position_m()
     inside = walker.inside(first)
     yield verdict(
-        "stands in the box at the start", inside,
+        "starts-in-box", inside,
         f"it is at {first} m; move it into the box by hand before the check, nothing was moved",
     )  # fmt: skip
     if not inside:
         raise UnsafeError("it does not stand in the box")
     yield at_most(
-        "holds its position at a stand", spread_m(walker.rest(0.1)), walker.within_m, "m",
+        "holds-position", spread_m(walker.rest(0.1)), walker.within_m, "m",
         "its position changes while it stands",
     )  # fmt: skip
-    yield verdict("says that it stands", not walker.stage.moving(), "moving() is True before any move")
+    yield verdict("standing-reported", not walker.stage.moving(), "moving() is True before any move")
 
 
 def _moving(walker: Walker) -> Part:
     walker.go(walker.centre)
     first = walker.go(walker.low(2))
     yield verdict(
-        "says that it moves", first.moved,
+        "moving-reported", first.moved,
         "moving() was False right after move_to, which would be taken for having arrived",
     )  # fmt: skip
     if not first.moved and first.missed_m > walker.within_m:
@@ -147,7 +147,7 @@ def _moving(walker: Walker) -> Part:
     traces = [first, *(walker.go(place) for place in (walker.high(2), walker.centre, *sideways, *aslant))]
     shortest = min(trace.took_s for trace in traces)
     yield at_most(
-        "returns at once from move_to",
+        "move-returns",
         max(trace.call_s for trace in traces),
         min(AT_ONCE_S * walker.time_scale, shortest / 2),
         "s",
@@ -155,28 +155,28 @@ def _moving(walker: Walker) -> Part:
     )
     late = sum(not trace.ended for trace in traces)
     yield at_most(
-        "says when it stands", late, 0, "", f"{late} moves never ended; moving() must become False at the end"
+        "end-reported", late, 0, "", f"{late} moves never ended; moving() must become False at the end"
     )
     yield at_most(
-        "goes where it is sent", max(trace.missed_m for trace in traces), walker.within_m, "m",
+        "target-reached", max(trace.missed_m for trace in traces), walker.within_m, "m",
         "it stands elsewhere: are steps lost, or are signs, units or scale wrong?",
     )  # fmt: skip
     yield at_most(
-        "goes on, never back, on its way", max(trace.backwards_m for trace in traces), walker.within_m, "m",
+        "no-reversal", max(trace.backwards_m for trace in traces), walker.within_m, "m",
         "its position steps back while it moves on",
     )  # fmt: skip
     yield verdict(
-        "tells its position on its way", min(trace.places_between for trace in traces) >= 3,
+        "position-on-path", min(trace.places_between for trace in traces) >= 3,
         "position_m() must be where it is now, also while it moves",
     )  # fmt: skip
     yield at_most(
-        "goes straight", max(trace.aside_m for trace in traces), walker.within_m, "m",
+        "straight-path", max(trace.aside_m for trace in traces), walker.within_m, "m",
         "it leaves the straight line between start and target",
     )  # fmt: skip
     scale = walker.time_scale
     fastest = max(scale * math.dist(t.start_m, t.target_m) / max(t.took_s, 1e-9) for t in traces)
     yield at_most(
-        "is no faster than asked", fastest, FASTER * walker.speed_m_s, "m/s",
+        "speed-limit", fastest, FASTER * walker.speed_m_s, "m/s",
         "its overshoot after a stop is calculated from the speed that was asked for",
     )  # fmt: skip
 
@@ -206,11 +206,11 @@ def _after_stop(
     stands = not walker.stage.moving()
     places = walker.rest(STAND_S)
     yield verdict(
-        f"stands when stop returns, along {axis}", stands and spread_m(places) <= walker.within_m,
+        f"stands-after-stop-{axis}", stands and spread_m(places) <= walker.within_m,
         "stop() must return only once the stage stands, and moving() is False then",
     )  # fmt: skip
     yield at_most(
-        f"runs on by its stated overshoot at most, along {axis}",
+        f"overshoot-{axis}",
         math.dist(at, places[-1]),
         # Looking takes time too, during which it goes on.
         travel.overshoot_m(speed) + speed * looked_s / walker.time_scale + walker.within_m,
@@ -219,14 +219,14 @@ def _after_stop(
         "acceleration_m_s2 in travel, or stop sooner",
     )
     yield at_most(
-        f"stop returns in time, along {axis}",
+        f"stop-time-{axis}",
         took_s,
         walker.time_scale * (speed / travel.acceleration_m_s2 + travel.latency_s + PATIENCE_S) + looked_s,
         "s",
         "stop() takes too long to return; an operator's emergency stop waits for it",
     )
     yield verdict(
-        f"stops short of the target, along {axis}", math.dist(places[-1], target) > walker.margin_m,
+        f"stops-short-{axis}", math.dist(places[-1], target) > walker.margin_m,
         "it went on to its target: stop() did not end the move",
     )  # fmt: skip
 
@@ -240,7 +240,7 @@ def stopping_elsewhere(walker: Walker) -> Part:
     returned, error = call_elsewhere(walker.stage.stop, walker.stage.position_m)
     places = walker.rest(STAND_S)
     yield verdict(
-        "stops from another thread",
+        "stop-from-thread",
         returned
         and error is None
         and not walker.stage.moving()
@@ -251,7 +251,7 @@ def stopping_elsewhere(walker: Walker) -> Part:
     )
     after = walker.go(walker.centre)
     yield at_most(
-        "moves again after a stop", after.missed_m, walker.within_m, "m",
+        "moves-after-stop", after.missed_m, walker.within_m, "m",
         "after a stop its position is known, the old move is forgotten, and a new one goes where it is sent",
     )  # fmt: skip
 
@@ -263,18 +263,18 @@ def stopping_still(walker: Walker) -> Part:
     errors = [refusal(walker.stage.stop) for _ in range(2)]
     first = next((error for error in errors if error is not None), None)
     yield verdict(
-        "may be stopped at a stand", first is None,
+        "stop-at-rest", first is None,
         f"stop() at a stand raised {type(first).__name__}: {first}; let it do nothing",
     )  # fmt: skip
     yield at_most(
-        "stays where it is when stopped at a stand",
+        "still-after-stop-at-rest",
         spread_m([before, *walker.rest(STAND_S)]),
         walker.within_m,
         "m",
         "stop() at a stand moved it",
     )
     yield at_most(
-        "moves again after a stop at a stand", walker.go(walker.low(1)).missed_m, walker.within_m, "m",
+        "moves-after-stop-at-rest", walker.go(walker.low(1)).missed_m, walker.within_m, "m",
         "a stop at a stand must not spoil the next move",
     )  # fmt: skip
 
@@ -291,11 +291,11 @@ def refusing_second(walker: Walker) -> Part:
     walker.go(target, share=0.3)
     error = refusal(lambda: walker.stage.move_to(walker.centre, walker.speed_m_s))
     yield verdict(
-        "refuses a second move with DeviceError", isinstance(error, DeviceError),
+        "second-move-refused", isinstance(error, DeviceError),
         f"move_to while it moves {describe(error)}; one move at a time: raise DeviceError",
     )  # fmt: skip
     yield at_most(
-        "goes on with the first move after refusing a second", walker.finish(target), walker.within_m, "m",
+        "first-move-continues", walker.finish(target), walker.within_m, "m",
         "the refused move changed the one under way",
     )  # fmt: skip
 
@@ -306,11 +306,11 @@ def refusing(walker: Walker) -> Part:
     before = walker.here()
     slow = min(SLOW_M_S, walker.speed_m_s)
     refusals = {
-        "refuses places outside its travel": [(place, slow) for place in _outside(walker, before)],
-        "refuses places that are no numbers": [(place, slow) for place in _no_places(before)],
-        "refuses speeds it cannot run at": [(_beside(before), speed) for speed in _no_speeds(walker)],
+        "refuses-outside-travel": [(place, slow) for place in _outside(walker, before)],
+        "refuses-nan": [(place, slow) for place in _no_places(before)],
+        "refuses-speed": [(_beside(before), speed) for speed in _no_speeds(walker)],
     }
-    for name, moves in refusals.items():
+    for code, moves in refusals.items():
         errors = []
         for place, speed in moves:
             errors.append(refusal(lambda place=place, speed=speed: walker.stage.move_to(place, speed)))  # type: ignore[misc]
@@ -320,12 +320,12 @@ def refusing(walker: Walker) -> Part:
         ]
         first = next((e for e in errors if not isinstance(e, RangeError)), None)
         yield at_most(
-            name, len(accepted), 0, "",
+            code, len(accepted), 0, "",
             f"{len(accepted)} of {len(moves)} were not refused with RangeError, such as "
             f"move_to{accepted[:1]}, which {describe(first)}; raise RangeError before anything moves",
         )  # fmt: skip
     yield at_most(
-        "stands still when it refuses", spread_m([before, walker.here()]), walker.within_m, "m",
+        "still-when-refusing", spread_m([before, walker.here()]), walker.within_m, "m",
         "it moved although it was asked for what is not allowed",
     )  # fmt: skip
 

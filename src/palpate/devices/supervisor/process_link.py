@@ -109,7 +109,8 @@ class ProcessLink(Closing):
         except subprocess.TimeoutExpired:
             process.terminate()  # it makes its devices safe, where it ever wakes
             threading.Thread(target=self._bury, name="palpate-process-end", daemon=True).start()
-            raise DeviceError(f"{self._told.unfinished} in {within_s:g} s; use the switch") from None
+            message = f"{self._told.unfinished} in {within_s:g} s; use the switch"
+            raise DeviceError(message, code="process-not-ended") from None
         self._bury()
 
     def _bury(self) -> None:

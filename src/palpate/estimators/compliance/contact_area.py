@@ -70,7 +70,8 @@ def fit_area(
     if sum(int(one.sum()) for one in masks) < MIN_FRAMES:
         raise InputError(
             f"{sum(int(one.sum()) for one in masks)} frames of the references have a known contact area; "
-            f"{MIN_FRAMES} or more are needed, from a rigid plate and a soft reference"
+            f"{MIN_FRAMES} or more are needed, from a rigid plate and a soft reference",
+            code="too-few-frames",
         )
     x = [one[good] for one, good in zip(measures, masks, strict=True)]
     y = [np.log(a[good]) for a, good in zip(area_m2, masks, strict=True)]
@@ -158,7 +159,7 @@ def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTION
     """
     frames = np.concatenate(moved_px)
     if len(frames) < MIN_FRAMES:
-        raise InputError(f"the references have {len(frames)} frames; {MIN_FRAMES} or more are needed")
+        raise InputError(f"{len(frames)} frames of references; give {MIN_FRAMES}", code="too-few-frames")
     tracked = np.isfinite(frames).all(axis=(0, 2))
     middle = frames.mean(axis=0)
     off = np.where(tracked[:, None], frames - middle, 0.0).reshape(len(frames), -1)

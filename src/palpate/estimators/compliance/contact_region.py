@@ -50,7 +50,8 @@ class Field:
         if both.sum() < MIN_PINS:
             raise InputError(
                 f"{int(both.sum())} pins are left of {len(both)}; {MIN_PINS} are needed: pins were "
-                "lost, look at light, focus and speed"
+                "lost, look at light, focus and speed",
+                code="pins-lost",
             )
         return cls(untouched.xy_px[both], (now.xy_px - untouched.xy_px)[both])
 
@@ -133,7 +134,10 @@ class RigidPlateStretch:
         """
         good = np.isfinite(rings) & np.isfinite(stretches)
         if good.sum() < 6:
-            raise InputError(f"{int(good.sum())} states with a ring on the rigid plate; 6 or more are needed")
+            raise InputError(
+                f"{int(good.sum())} states with a ring on the rigid plate; 6 or more are needed",
+                code="too-few-rings",
+            )
         return cls(
             np.polyfit(rings[good], stretches[good], 3), (float(rings[good].min()), float(rings[good].max()))
         )
@@ -147,7 +151,8 @@ class RigidPlateStretch:
         low, high = self.ring_px
         if not 0.98 * low <= ring <= 1.02 * high:
             raise RangeError(
-                f"a ring of {ring:.4g} px; on the rigid plate it went from {low:.4g} to {high:.4g} px"
+                f"a ring of {ring:.4g} px; on the rigid plate it went from {low:.4g} to {high:.4g} px",
+                code="ring-outside-range",
             )
         return float(stretch / np.polyval(self.coefficients, ring))
 

@@ -129,7 +129,7 @@ def invert_hertz(
             is not positive.
     """
     if not presses:
-        raise InputError("no press; give one or more")
+        raise InputError("no press; give one or more", code="no-presses")
     c, k = np.array([_slopes(press) for press in presses]).T
     spread = _spread(presses, c, k)
     several, shape = len(presses) > 1, (2, DRAWS)
@@ -167,18 +167,17 @@ def _slopes(press: PressCurves) -> tuple[float, float]:
     if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < MIN_SAMPLES:
         raise InputError(
             f"{force.size} forces, {approach.size} approaches and {area.size} areas; a press has "
-            f"{MIN_SAMPLES} or more of each"
+            f"{MIN_SAMPLES} or more of each",
+            code="too-few-values",
         )
     if not (np.isfinite([force, approach, area]).all() and force.min() > 0 and area.min() > 0):
-        raise InputError(
-            "forces and areas of a press are finite and above 0; leave out what is before contact"
-        )
+        raise InputError("forces and areas must be finite and above 0", code="not-positive")
     p = force ** (2 / 3)
     if np.ptp(approach) == 0 or np.ptp(force) == 0:
-        raise InputError("neither force nor approach changes; give the loading part of a press")
+        raise InputError("neither force nor approach changes; give the loading", code="not-loading")
     c = float(_line(press)[0][0])
     if not c > 0:
-        raise InputError("force falls as the approach grows; turn the sign of one of them")
+        raise InputError("force falls as the approach grows; turn the sign of one of them", code="force-sign")
     return c, float(np.mean(area / p))
 
 

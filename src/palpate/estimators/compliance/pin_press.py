@@ -87,7 +87,8 @@ def follow_press(
         if len(xy) <= used[-1]:
             raise InputError(
                 f"{len(xy)} frames, and the table tells of {len(frame_sample)}; give the frames and the "
-                "table of one press"
+                "table of one press",
+                code="frames-differ",
             )
         found.append(pins)
         return xy
@@ -121,7 +122,8 @@ def press_of_centres(
     if len(used) < MIN_FRAMES:
         raise InputError(
             f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: "
-            "press more slowly, or take more frames a second"
+            "press more slowly, or take more frames a second",
+            code="too-few-frames",
         )
     xy = centres_px(used)
     still = _still(smooth[at[: used[0] + 1]])
@@ -129,7 +131,7 @@ def press_of_centres(
     lost = ~np.isfinite(xy[used]).all(axis=(0, 2))
     flaws = []
     if lost.mean() > LOST_SHARE:
-        raise InputError(LOST.format(int(lost.sum()), len(lost)))
+        raise InputError(LOST.format(int(lost.sum()), len(lost)), code="pins-lost")
     if still > 1:
         wander = float(np.nanmax(np.ptp(np.nanmean(xy[:still], axis=1), axis=0)))
         if wander > STILL_PX:
@@ -166,7 +168,8 @@ def _still(force_n: Samples) -> int:
     if before == 0:
         raise InputError(
             f"the first frame is under {force_n[0]:.3g} N; it must be taken before contact (below "
-            f"{UNTOUCHED_N:g} N), since motion is counted from there: begin higher, or bias the force sensor"
+            f"{UNTOUCHED_N:g} N), since motion is counted from there: begin higher, or bias the force sensor",
+            code="first-frame-touched",
         )
     return max(1, before // 2)
 
@@ -204,7 +207,8 @@ def at_forces(
     if levels_n.min() < low - BEYOND_N or levels_n.max() > high + BEYOND_N:
         raise RangeError(
             f"frames from {low:.3g} to {high:.3g} N; values are wanted from {levels_n.min():g} to "
-            f"{levels_n.max():g} N: press as far as the references were pressed"
+            f"{levels_n.max():g} N: press as far as the references were pressed",
+            code="force-not-reached",
         )
     degree = min(DEGREE, len(force_n) - 1 - SPARE)
     fit, *_ = np.linalg.lstsq(_powers(force_n, high, degree), values.reshape(len(values), -1), rcond=None)
@@ -227,7 +231,7 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     tracked = np.isfinite(press.moved_px).all(axis=(0, 2))
     at = press.untouched_px[tracked]
     if not len(at):
-        raise InputError("every pin is lost; look at light, focus and speed")
+        raise InputError("every pin is lost; look at light, focus and speed", code="pins-lost")
     # Hidden pins move the mean of those seen; then the camera as it stands, or the field's extent, is nearer.
     extent = [(xy.min(axis=0) + xy.max(axis=0)) / 2 for xy in (at, layout_px)]
     starts = at.mean(axis=0) - layout_px.mean(axis=0), extent[0] - extent[1], np.zeros(2)
@@ -238,7 +242,8 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
     if near.mean() < MIN_MATCHED or len(at) > len(layout_px) / MIN_MATCHED:
         raise InputError(
             f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
-            f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it"
+            f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it",
+            code="layout-differs",
         )
     motion = np.full((len(press.force_n), len(layout_px), 2), np.nan)
     motion[:, near] = press.moved_px[:, tracked][:, which[near]]

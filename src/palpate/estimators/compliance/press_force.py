@@ -85,23 +85,26 @@ def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
     """
     force = np.asarray(force_n, np.float64)
     if force.ndim != 1 or len(force) <= STAYS:
-        raise InputError(f"{force.size} samples of force; a press has more than {STAYS}")
+        raise InputError(f"{force.size} samples; a press has more than {STAYS}", code="too-few-values")
     if not np.isfinite(force).all():
         raise InputError(
-            f"sample {int(np.argmin(np.isfinite(force)))} of the force is not finite; repair the table"
+            f"sample {int(np.argmin(np.isfinite(force)))} of the force is not finite; repair the table",
+            code="not-finite",
         )
     above = force >= contact_n
     stays = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(above, STAYS).all(axis=1))
     if not len(stays):
         raise InputError(
             f"the force never stays above {contact_n:g} N, its greatest is {force.max():g} N; press harder, "
-            "lower the contact threshold, or give the force's sign"
+            "lower the contact threshold, or give the force's sign",
+            code="no-contact",
         )
     first, last = int(stays[0]), int(np.argmax(force))
     if last - first < STAYS:
         raise InputError(
             f"the force rises to {force[last]:g} N within {last - first} samples of contact and then only "
-            "falls; the loading part is missing"
+            "falls; the loading part is missing",
+            code="not-loading",
         )
     top = np.isclose(force, force[last], rtol=0, atol=1e-12)
     run = int(np.sum(np.cumprod(top[last:])))
@@ -167,16 +170,18 @@ def loading_slope(
     force, width = np.asarray(force_n, np.float64), np.asarray(width_m, np.float64)
     if force.shape != width.shape or force.ndim != 1 or not part.last < force.size:
         raise InputError(
-            f"{force.size} forces, {width.size} widths, loading to sample {part.last}; one of each"
+            f"{force.size} forces, {width.size} widths, loading to sample {part.last}; one of each",
+            code="lengths-differ",
         )
     i = np.arange(part.first, part.last + 1)
     if held:
         i = np.union1d(np.intersect1d(i, fresh(width)), [part.last])
     if len(i) < MIN_SAMPLES or np.ptp(width[i]) == 0:
-        raise InputError(f"{len(i)} readings of the width while loading, or all one; close more slowly")
+        raise InputError(f"{len(i)} widths while loading; close more slowly", code="too-few-values")
     slope = -float(np.polyfit(width[i], force[i], 1)[0])
     if not slope > 0:
         raise InputError(
-            "force does not rise as the fingers close; is the width an opening, and the force signed?"
+            "force does not rise as the fingers close; is the width an opening, and the force signed?",
+            code="force-constant",
         )
     return slope

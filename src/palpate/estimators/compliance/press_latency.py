@@ -37,6 +37,7 @@ from scipy.optimize import minimize_scalar, nnls
 from scipy.stats import chi2, norm, t as student, ttest_ind
 
 from palpate.core import Float, InputError, Int, RangeError, ndarray
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.compliance.press_force import CONTACT_N, without_spikes
 
 COVERAGE = 0.95
@@ -124,7 +125,10 @@ def pin_course(moved_px: Float[ndarray, "f p 2"]) -> Frames:
     """
     kept = np.isfinite(moved_px).all(axis=(0, 2))
     if not kept.mean() > 0.5:
-        raise InputError(f"{int((~kept).sum())} of {len(kept)} pins are lost; look at light, focus and speed")
+        raise InputError(
+            f"{int((~kept).sum())} of {len(kept)} pins are lost; look at light, focus and speed",
+            code="pins-lost",
+        )
     motion = moved_px[:, kept].reshape(len(moved_px), -1)
     _, _, ways = np.linalg.svd(motion, full_matrices=False)
     return np.asarray(motion @ ways[0]) / math.sqrt(int(kept.sum()))
@@ -168,12 +172,14 @@ def press_latency(
     if told < MIN_TOLD:
         raise RangeError(
             f"the force does not come back: a law of force over motion takes up {1 - told:.0%} of what a "
-            f"latency does ({1 - MIN_TOLD:.0%} are allowed); record the way back as well, at the same speed"
+            f"latency does ({1 - MIN_TOLD:.0%} are allowed); record the way back as well, at the same speed",
+            code="no-unloading",
         )
     if best in (0, len(coarse) - 1):
         raise RangeError(
             f"no latency of up to {1e3 * most_s:g} ms brings motion and force together; do frames and table "
-            "belong to one press?"
+            "belong to one press?",
+            code="latency-not-found",
         )
     near = (float(coarse[best - 1]), float(coarse[best + 1]))
     fine = minimize_scalar(profile.squares, bounds=near, method="bounded", options={"xatol": 1e-6})
@@ -259,16 +265,18 @@ def _check(
 ) -> None:
     if time.shape != np.shape(force_n) or time.ndim != 1 or len(time) < MIN_FRAMES:
         raise InputError(
-            f"{time.size} times and {np.size(force_n)} forces; one of each, {MIN_FRAMES} or more"
+            f"{time.size} times and {np.size(force_n)} forces; one of each, {MIN_FRAMES} or more",
+            code="lengths-differ",
         )
     if len(frame_sample) != len(motion) or len(motion) < MIN_FRAMES:
         raise RangeError(
-            f"{len(motion)} motions of {len(frame_sample)} frames; one of each, {MIN_FRAMES} or more"
+            f"{len(motion)} motions of {len(frame_sample)} frames; one of each, {MIN_FRAMES} or more",
+            code="too-few-frames",
         )
     if not (np.isfinite(time).all() and np.isfinite(force_n).all() and np.isfinite(motion).all()):
-        raise InputError("times, forces and motions must be finite; repair the table, or leave frames out")
+        raise InputError("times, forces and motions must be finite; repair the table", code="not-finite")
     if not (np.diff(time) > 0).all() or not (np.diff(frame_sample) > 0).all():
-        raise InputError("times of samples and frames must rise; sort the rows")
+        raise InputError("times of samples and frames must rise; sort the rows", code="time-order")
     if not 0 < most_s < math.inf:
         raise RangeError(f"latencies of up to {most_s} s; above 0, {MAX_LATENCY_S} s if in doubt")
 
@@ -278,12 +286,14 @@ def _check_press(force: Samples, motion: Frames) -> None:
     if force.max() - np.quantile(force, 0.05) < CONTACT_N:
         raise RangeError(
             f"the force changes by {force.max() - force.min():.2g} N, a press by {CONTACT_N:g} N or more; "
-            "nothing is pressed, and a static contact tells no latency"
+            "nothing is pressed, and a static contact tells no latency",
+            code="nothing-pressed",
         )
     if np.ptp(motion) < MIN_MOTION:
         raise RangeError(
             f"the pins move by {np.ptp(motion):.2g} px, {MIN_MOTION:g} px are needed: a press that stands "
-            "tells no latency"
+            "tells no latency",
+            code="no-motion",
         )
 
 
@@ -421,8 +431,8 @@ def _pooled(presses: Sequence[PressLatency]) -> tuple[float, float, float, float
     return float(v @ tau / v.sum()), float(v.sum() ** -0.5), math.sqrt(between), chance
 
 
-def disagreement(found: Latency) -> str:
-    """Why presses have no one latency, in words; empty where they may have.
+def disagreement(found: Latency) -> Refusal:
+    """Reason why presses have no one latency: `creep` or `differ`; false where they may have one.
 
     Args:
         found: by several presses.
@@ -432,13 +442,15 @@ def disagreement(found: Latency) -> str:
     if apart and found.speeds_p < UNLIKELY:
         assert slow is not None
         assert fast is not None
-        return (
+        return Refusal(
+            "creep",
             f"slow presses say {1e3 * slow[0]:.0f} ms and fast ones {1e3 * fast[0]:.0f} ms: no constant "
-            "delay alone, the tip's creep or friction lags behind the force as well; one speed has its own"
+            "delay alone, the tip's creep or friction lags behind the force as well; one speed has its own",
         )
     if found.between_s > MIN_APART_S and found.agree_p < UNLIKELY:
-        return (
+        return Refusal(
+            "differ",
             f"presses differ by {1e3 * found.between_s:.0f} ms beyond their own uncertainty: no one latency; "
-            "look whether frames and tables belong together, and whether the camera drops frames"
+            "look whether frames and tables belong together, and whether the camera drops frames",
         )
-    return ""
+    return NONE

@@ -203,7 +203,7 @@ def fit_shape_surface(
         raise InputError(f"moduli {list(E)} Pa and radii {list(R)} m; each above 0, one a reference")
     counts = _counts(E, R)
     if not _enough(counts):
-        raise InputError(NEEDS.format(*counts))
+        raise InputError(NEEDS.format(*counts), code="too-few-references")
     turning = float(np.exp(np.log(E[np.isfinite(E)]).mean()))
     surface = ShapeSurface(E, R, turning, float(R[np.isfinite(R)].min()), fit_small_space(trials))
     return replace(surface, between=_between(surface))

@@ -69,9 +69,12 @@ def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
     """
     total = np.cumsum(mean_divergence)
     if not first_m2 > 0:
-        raise RangeError(f"a first area of {first_m2} m2; above 0")
+        raise RangeError(f"a first area of {first_m2} m2; above 0", code="area")
     if total.size and not np.abs(total).max() < MAX_EXPONENT:
-        raise RangeError(f"accumulated divergence of {np.abs(total).max():g}; is it the mean over pixels?")
+        raise RangeError(
+            f"accumulated divergence of {np.abs(total).max():g}; is it the mean over pixels?",
+            code="divergence-range",
+        )
     return np.asarray(first_m2 * np.exp(total))
 
 
@@ -90,13 +93,14 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
     """
     force_n, area = np.asarray(force_n, np.float64), np.asarray(area, np.float64)
     if force_n.shape != area.shape or force_n.ndim != 1:
-        raise InputError(f"{force_n.size} forces and {area.size} areas; give one of each a frame")
+        raise InputError(f"{force_n.size} forces and {area.size} areas; give as many", code="lengths-differ")
     if not (np.isfinite(force_n).all() and np.isfinite(area).all()):
-        raise InputError("forces and areas must be finite; leave out the frames where they are not known")
+        raise InputError("forces and areas must be finite", code="not-finite")
     at, mean = rising(force_n, area, BIN_N)
     if len(at) < MIN_BINS:
         raise InputError(
-            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder"
+            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder",
+            code="too-few-forces",
         )
     if way == "regression":
         return SpreadRate(way, float(np.polyfit(at, mean, 1)[0]), len(at))
@@ -141,4 +145,6 @@ def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> NoRet
     """
     exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
     beyond = ", beyond double precision" if exponent > MAX_EXPONENT else ""
-    raise InputError(LITERAL.format(pixels=pixels, exponent=exponent, beyond=beyond))
+    raise InputError(
+        LITERAL.format(pixels=pixels, exponent=exponent, beyond=beyond), code="equation-overflow"
+    )

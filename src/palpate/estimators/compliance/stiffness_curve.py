@@ -87,10 +87,15 @@ class SmallSpace:
             InputError: a vector of another length, or too little seen.
         """
         if press.shape != self.middle.shape:
-            raise InputError(f"{press.size} values; the curve is of {self.middle.size}")
+            raise InputError(
+                f"{press.size} values; the curve is of {self.middle.size}", code="lengths-differ"
+            )
         finite = np.isfinite(press - self.middle)
         if finite.sum() < 4 * len(self.basis):
-            raise InputError(f"{int(finite.sum())} of {press.size} values are known; too many pins are lost")
+            raise InputError(
+                f"{int(finite.sum())} of {press.size} values are known; too many pins are lost",
+                code="pins-lost",
+            )
         place, *_ = np.linalg.lstsq(self.basis[:, finite].T, (press - self.middle)[finite], rcond=None)
         return np.asarray(place)
 
@@ -223,9 +228,9 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
     """
     kappa = np.asarray(kappa_n_m, np.float64)
     if len(kappa) != len(trials) or len(kappa) < 2 or not (kappa > 0).all():
-        raise InputError(f"stiffnesses {list(kappa)}; two or more references, each above 0 N/m")
+        raise InputError(f"stiffnesses {list(kappa)}; two or more references above 0", code="stiffness-range")
     if len(np.unique(kappa)) < len(kappa):
-        raise InputError("two references have one stiffness; give their trials together")
+        raise InputError("two references have one stiffness; join them", code="equal-references")
     space = fit_small_space(trials)
     known = (space.middle, space.basis, space.means, space.scatter, space.outside, space.freedom)
     return _turned(SoftnessCurve(kappa, float(kappa[np.isfinite(kappa)].min()), *known))
@@ -246,10 +251,10 @@ def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
         InputError: too few trials, or too little seen in all of them.
     """
     if min(map(len, trials)) < MIN_TRIALS:
-        raise InputError(f"each reference needs {MIN_TRIALS} trials or more, so that their scatter is known")
+        raise InputError(f"each reference needs {MIN_TRIALS} trials or more", code="too-few-trials")
     finite = np.isfinite(np.concatenate(trials)).all(axis=0)
     if finite.mean() < 0.5:
-        raise InputError("fewer than half of the pins are seen in every trial; look at light and focus")
+        raise InputError("half of the pins are not seen; check the light", code="pins-hidden")
     trials = [np.where(finite, trial, 0.0) for trial in trials]
     middle = np.concatenate(trials).mean(axis=0)
     means = np.stack([trial.mean(axis=0) for trial in trials])

@@ -60,7 +60,7 @@ def along(
     """
     threads = threads or os.cpu_count() or 1
     if threads < 1:
-        raise InputError(f"{threads} threads; 1 or more work")
+        raise InputError(f"{threads} threads; 1 or more work", code="thread-count")
     return _results(_pairs(frames, from_first), between, threads)
 
 
@@ -69,7 +69,7 @@ def _pairs(frames: Iterable[Grey], from_first: bool) -> Iterator[tuple[Grey, Gre
     frames = iter(frames)
     first, second = next(frames, None), next(frames, None)
     if first is None or second is None:
-        raise InputError("flow needs two frames or more; the sequence has fewer")
+        raise InputError("flow needs two frames or more; the sequence has fewer", code="too-few-frames")
     later = chain([second], frames)
     yield from zip(repeat(first), later) if from_first else pairwise(chain([first], later))
 

@@ -56,13 +56,15 @@ def brightness(image: Grey) -> Float[ndarray, "h w"]:
     """
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 2:
-        raise ImageError(f"flow is of grey images [h w] of 2 x 2 px or more, got {list(image.shape)}")
+        raise ImageError(
+            f"flow is of grey images [h w] of 2 x 2 px or more, got {list(image.shape)}", code="gray-image"
+        )
     if image.dtype in WHITE:
         return image / WHITE[image.dtype]
     if not np.issubdtype(image.dtype, np.floating):
-        raise ImageError(f"grey images are of uint8, uint16 or floats in [0, 1], got {image.dtype}")
+        raise ImageError(f"give uint8, uint16 or floats in [0, 1], not {image.dtype}", code="pixel-format")
     if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= 1):
-        raise ImageError("an image of floats holds brightness in [0, 1], black to white; divide by its white")
+        raise ImageError("float images hold brightness in [0, 1]", code="brightness-range")
     return image.astype(np.float64)
 
 
@@ -71,7 +73,8 @@ def check_pair(first: Grey, second: Grey) -> None:
     if first.shape != second.shape or first.dtype != second.dtype:
         raise InputError(
             f"flow is between two images of one size and type, got {list(first.shape)} {first.dtype} and "
-            f"{list(second.shape)} {second.dtype}"
+            f"{list(second.shape)} {second.dtype}",
+            code="images-differ",
         )
 
 
@@ -89,9 +92,9 @@ class HornSchunck:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.alpha) and self.alpha > 0):
-            raise RangeError(f"alpha is {self.alpha}; a positive brightness, 0.1 of white if in doubt")
+            raise RangeError(f"alpha is {self.alpha}; give a brightness above 0", code="alpha-range")
         if self.iterations < 1:
-            raise RangeError(f"{self.iterations} iterations; 1 or more, 26 if in doubt")
+            raise RangeError(f"{self.iterations} iterations; give 1 or more", code="iteration-count")
 
 
 AS_REPORTED = HornSchunck()
@@ -223,7 +226,7 @@ class CoarseToFine:
                 f"{self.warps} warps, coarsest image {self.smallest_px} px; 1 or more, 8 px or more"
             )
         if self.median_px not in (1, 3, 5):
-            raise RangeError(f"a median {self.median_px} px wide; 1 (none), 3 or 5")
+            raise RangeError(f"a median {self.median_px} px wide; 1 (none), 3 or 5", code="median-width")
 
 
 def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = None) -> FlowField:

@@ -99,7 +99,8 @@ class ColourReader:
         if not (self._gain > 0).all() or not np.mean(self._white > 0.02) > 0.5:
             raise InputError(
                 f"the white image has light of {self._gain.round(3).tolist()} in red, green and blue; it is "
-                "of the unloaded specimen between parallel polarisers, at the frames' exposure"
+                "of the unloaded specimen between parallel polarisers, at the frames' exposure",
+                code="white-image",
             )
         self._judged = False
         self._prepared: _Prepared | None = None
@@ -123,7 +124,7 @@ class ColourReader:
         size = image.shape[:2]
         inside = np.ones(size, bool) if self.mask is None else self.mask
         if not inside.any():
-            raise InputError(NO_PIXEL)
+            raise InputError(NO_PIXEL, code="mask-empty")
         if self._prepared is None:
             noise = self.noise or measured_noise(self._light(image) * self._gain)
             self._prepared = _Prepared(self.table, noise, self._gain)
@@ -231,16 +232,15 @@ class ColourReader:
                 code="no-color-image",
             )
         if image.dtype != np.uint8 and not np.isfinite(image).all():
-            raise InputError(
-                "the frame holds NaN or infinity; give finite linear light, or 8-bit codes", code="not-finite"
-            )
+            raise InputError("the frame holds NaN or infinity", code="not-finite")
         others = {"mask": self.mask, "white image": self._white if self._white.ndim == 3 else None}
         others["frame before"] = None if before is None else before.order
         for name, other in others.items():
             if other is not None and other.shape[:2] != image.shape[:2]:
                 raise InputError(
                     f"the frame is {image.shape[1]} × {image.shape[0]} px and the {name} {other.shape[1]} × "
-                    f"{other.shape[0]}; they must be of one size"
+                    f"{other.shape[0]}; they must be of one size",
+                    code="image-size",
                 )
 
     def _judge(self, light: Float32[ndarray, "p 3"]) -> bool:

@@ -60,12 +60,14 @@ class ColourTable:
         if flat:
             raise InputError(
                 f"the table of {self.source} is the same at all orders in {' and '.join(flat)}; colours need "
-                "a white lamp and three channels"
+                "a white lamp and three channels",
+                code="channel-constant",
             )
         if np.ptp(self.light - self.light.mean(axis=1, keepdims=True)) < MIN_CHANGE:
             raise InputError(
                 f"the table of {self.source} is grey at all orders, and grey repeats itself; give a white "
-                "lamp"
+                "lamp",
+                code="gray-table",
             )
 
     @property
@@ -104,7 +106,9 @@ def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float
         RangeError: greatest order out of range.
     """
     if not MIN_ORDER <= greatest_order <= MAX_ORDER:
-        raise RangeError(f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}")
+        raise RangeError(
+            f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}", code="order-range"
+        )
     light = polariscope.light(STEP * np.arange(round(greatest_order / STEP) + 1 + GUARD))
     return ColourTable(light, polariscope.lamp, error, GUARD)
 
@@ -127,7 +131,8 @@ def measured_table(
     """
     if light.shape[:2] != order.shape or not np.isfinite(light).all():
         raise InputError(
-            f"light of {light.shape} and orders of {order.shape} must be of one size, and finite"
+            f"light of {light.shape} and orders of {order.shape} must be of one size, and finite",
+            code="shape",
         )
     known = np.isfinite(order)
     N, v = np.abs(order[known]), light[known]
@@ -138,7 +143,8 @@ def measured_table(
         raise InputError(
             f"{source} has too few pixels between orders 0 and {MIN_ORDER:g}: "
             f"orders begin at {N.min() if N.size else float('nan'):.2f}; take a specimen with an unloaded "
-            "place or a neutral line, and more pixels an order"
+            "place or a neutral line, and more pixels an order",
+            code="order-zero-missing",
         )
     at = STEP * np.arange(rows)
     table, error = np.empty((rows, 3)), np.zeros(rows)
@@ -164,13 +170,15 @@ def read_table(path: PathText) -> ColourTable:
     table = read_labels(Path(path))
     missing = [c for c in ("order", *CHANNELS) if c not in table]
     if missing:
-        raise InputError(f"{path} has no column {', '.join(missing)}; a table has order, red, green and blue")
+        raise InputError(f"{path} has no column {', '.join(missing)}", code="column-missing")
     values = table[["order", *CHANNELS]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=np.float64)
     order, light = values[:, 0], values[:, 1:]
     if not np.isfinite(values).all() or len(order) < 3 or not (np.diff(order) > 0).all():
-        raise InputError(f"{path}: orders must rise from row to row, and every entry be a number")
+        raise InputError(f"{path}: orders must be numbers that rise", code="order-sequence")
     if not 0 <= order[0] <= STEP or np.diff(order).max() > MAX_GAP * STEP + 1e-9:
-        raise InputError(f"{path}: orders must begin at 0 and stand {MAX_GAP * STEP:g} apart at most")
+        raise InputError(
+            f"{path}: orders must begin at 0 and stand {MAX_GAP * STEP:g} apart at most", code="order-spacing"
+        )
     if light.min() < -0.5 or light.max() > 4:
         raise InputError(
             f"{path} holds light up to {light.max():g}; linear light is 1 where a camera is full"
@@ -203,7 +211,7 @@ def line_orders(
     if length < 1 or not all(0 <= x < w and 0 <= y < h for x, y in ((x0, y0), (x1, y1))):
         raise InputError(f"line {line_px} px must have a length and lie in the image of {w} × {h} px")
     if orders[0] == orders[1] or not np.isfinite(orders).all() or not width_px > 0:
-        raise InputError(f"orders {orders} at the line's ends must differ, and {width_px} px be its width")
+        raise InputError(f"orders {orders} at the ends must differ; width {width_px} px", code="order-ends")
     y, x = np.mgrid[0:h, 0:w]
     along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / length**2
     across = np.abs((x - x0) * (y1 - y0) - (y - y0) * (x1 - x0)) / length
@@ -228,7 +236,7 @@ def disc_orders(
     h, w = shape
     R = diameter / 2
     if not (R > 0 and R - 1 <= x0 <= w - R and R - 1 <= y0 <= h - R):
-        raise InputError(f"disc {disc_px} px must lie in the image of {w} × {h} px")
+        raise InputError(f"disc {disc_px} px must lie within {w} × {h} px", code="disc-outside-image")
     if not at_centre > 0:
         raise InputError(f"order {at_centre} at the disc's centre must be above 0")
     y, x = np.mgrid[0:h, 0:w]

@@ -32,7 +32,8 @@ class FrameNoise:
         if not (0 < self.read < 1 and 0 <= self.shot < 1):
             raise RangeError(
                 f"noise of {self.read} in the dark must lie above 0, and {self.shot} by light from 0, both "
-                "below 1; linear light is 1 where a camera is full"
+                "below 1; linear light is 1 where a camera is full",
+                code="noise-range",
             )
 
     def with_error(self, error: float) -> FrameNoise:

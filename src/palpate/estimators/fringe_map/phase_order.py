@@ -89,13 +89,14 @@ def order_from_phases(
     if not (0 <= row < h and 0 <= column < w and 0 <= known <= most <= MAX_ORDER):
         raise InputError(
             f"reference {reference} is not a place of {w} × {h} px (row, column) and an order from 0 to "
-            f"{most:g}"
+            f"{most:g}",
+            code="reference-outside",
         )
     for name, other in (("mask", mask), ("map of saturated pixels", saturated)):
         if other is not None and other.shape != (h, w):
             raise InputError(f"the frames are {w} × {h} px, and the {name} {other.shape[::-1]}")
     if not np.isfinite(frames).all() or not float(frames.mean()) > MIN_LIGHT / 2:
-        raise InputError("the frames hold NaN or infinity, or are dark; light the specimen and expose more")
+        raise InputError("the frames are dark or not finite; expose more", code="light-range")
     s, error, misfit = _stokes(frames, A)
     sine = np.hypot(s[0], s[1])
     order, axes, sigma = _folded(s, sine, error, whole, most)
@@ -205,7 +206,8 @@ def _matrix(n: int, analysers: Float[ndarray, "m 3"]) -> Float[ndarray, "n 4"]:
         if used >= 3 and np.linalg.matrix_rank(A) == used and n > used:
             return A
     raise InputError(
-        f"{n} frames behind {len(analysers)} analysers; give the six of SIX_STEPS or CAMERA's four"
+        f"{n} frames behind {len(analysers)} analysers; give the six of SIX_STEPS or CAMERA's four",
+        code="analyzer-count",
     )
 
 
@@ -268,13 +270,15 @@ def _branch(orders: Float32[ndarray, " k"], known: float, clear: float, place: t
         raise InputError(
             f"order {known:g} at row {place[0]}, column {place[1]} lies where phases fold, so that rising "
             "and falling look alike; give a place an eighth of an order from whole, half and (four frames) "
-            "quarter orders"
+            "quarter orders",
+            code="phase-folded",
         )
     if nearest[0] > QUARTER / 2:
         raise InputError(
             f"at row {place[0]}, column {place[1]} phases allow order "
             f"{float(orders[distance.argmin()]):.3f}, {nearest[0]:.2f} from the {known:g} given; look for "
-            "frames in another order, or give its order"
+            "frames in another order, or give its order",
+            code="frame-order",
         )
     return int(distance.argmin())
 

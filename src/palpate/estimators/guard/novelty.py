@@ -408,7 +408,8 @@ def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
     if "stray" in parts:
         raise CertificateError(
             f"{path} is of a calibration by an earlier palpate, whose guard let two touches at once pass; "
-            "calibrate again"
+            "calibrate again",
+            code="guard-version",
         )
     thumbs, reference = parts["thumbs"], parts["reference"]
     fits = arrays_fit(thumbs, parts["left"], parts["centre"], parts["axes"])
@@ -444,7 +445,7 @@ def fit_novelty_detector(
         InputError: fewer than six frames, or fewer than two folds.
     """
     if len(thumbs) < 6:
-        raise InputError(f"{len(thumbs)} frames are too few to learn what frames look like; record 6 or more")
+        raise InputError(f"{len(thumbs)} frames are too few; record 6 or more", code="too-few-frames")
     fold = np.zeros(len(thumbs), np.int64)
     for k, rows in enumerate(folds):
         fold[rows] = k
@@ -454,7 +455,8 @@ def fit_novelty_detector(
     _, fold = np.unique(fold, return_inverse=True)
     if fold.max() == 0:
         raise InputError(
-            "all frames are of one group; what new ones look like shows in others: record two or more"
+            "all frames are of one group; what new ones look like shows in others: record two or more",
+            code="too-few-groups",
         )
     thumbs_8bit = np.round(thumbs).astype(np.uint8)
     sets = [(thumbs_8bit, fold)]

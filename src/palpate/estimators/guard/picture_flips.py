@@ -17,12 +17,12 @@ from palpate.core import Float32
 Thumbnail = Float32[np.ndarray, "h w c"]
 
 FLIPPED = "flipped"
-FLIPS: Mapping[str, int] = {"left for right": 1, "upside down": 0, "half a turn": -1}
+FLIPS: Mapping[str, int] = {"mirrored-x": 1, "mirrored-y": 0, "rotated-180": -1}
 """Kinds of flip, and the code by which `cv2.flip` takes each back."""
 MIRRORED: Mapping[str, str] = {
-    "left for right": "mirrored, left for right",
-    "upside down": "mirrored, upside down",
-    "half a turn": "turned by half a turn",
+    "mirrored-x": "mirrored, left for right",
+    "mirrored-y": "mirrored, upside down",
+    "rotated-180": "turned by half a turn",
     FLIPPED: "mirrored or turned by half a turn",
 }
 """Words for each kind, and for one that several explain, as on a skin that is nearly its own mirror image."""

@@ -58,7 +58,10 @@ class ControlPoints:
             InputError: the units differ.
         """
         if self.unit != reference.unit:
-            raise InputError(f"control points in {self.unit} and {reference.unit}; give both in one unit")
+            raise InputError(
+                f"control points in {self.unit} and {reference.unit}; give both in one unit",
+                code="unit-differs",
+            )
         own = {tuple(cell): i for i, cell in enumerate(self.cells.tolist())}
         pairs = [(i, own[cell]) for i, cell in enumerate(map(tuple, reference.cells.tolist())) if cell in own]
         theirs, ours = np.array(pairs, int).reshape(-1, 2).T

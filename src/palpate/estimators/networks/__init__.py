@@ -136,7 +136,8 @@ def _check_options(name: str, make: type, options: Mapping[str, Any]) -> None:
     unknown = sorted(set(options) - set(names))
     if unknown:
         raise InputError(
-            f"model {name} has no option {', '.join(unknown)}; it has {', '.join(names) or 'none'}"
+            f"model {name} has no option {', '.join(unknown)}; it has {', '.join(names) or 'none'}",
+            code="option-unknown",
         )
     needed = [f.name for f in settable if f.default is MISSING and f.default_factory is MISSING]
     if missing := [field for field in needed if field not in options]:

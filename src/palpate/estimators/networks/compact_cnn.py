@@ -165,7 +165,8 @@ class CompactCnn:
         if side < 4 * 2 ** (len(self.widths) - 1):
             raise InputError(
                 f"an input of {side} px a side is too small for {len(self.widths)} widths; "
-                f"take {4 * 2 ** (len(self.widths) - 1)} px or more, or fewer widths"
+                f"take {4 * 2 ** (len(self.widths) - 1)} px or more, or fewer widths",
+                code="input-size",
             )
         # Which epoch was best is not kept, so a network that stops early starts anew.
         resumed = None if self.patience else checkpoint

@@ -126,7 +126,8 @@ class ProcessGroup:
         if self.local >= torch.cuda.device_count():
             raise InputError(
                 f"this is process {self.local + 1} of its machine, which has {torch.cuda.device_count()} "
-                "GPUs; give torchrun --nproc-per-node as many or fewer"
+                "GPUs; give torchrun --nproc-per-node as many or fewer",
+                code="gpu-count",
             )
         return torch.device("cuda", self.local) if self.size > 1 else torch.device("cuda")
 

@@ -105,7 +105,8 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         if missing or extra:
             raise InputError(
                 f"{source} does not hold a ResNet-18's weights: missing {_listed(missing)}; "
-                f"extra {_listed(extra)}"
+                f"extra {_listed(extra)}",
+                code="weights-names",
             )
         if mine["conv1.weight"].shape[1] == 1:
             trunk["conv1.weight"] = trunk["conv1.weight"].float().sum(dim=1, keepdim=True)
@@ -115,7 +116,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
             if v.shape != mine[k].shape
         ]
         if unlike:
-            raise InputError(f"{source} holds weights of other shapes: {_listed(unlike)}")
+            raise InputError(f"{source} has other shapes: {_listed(unlike)}", code="weights-shape")
         self.load_state_dict(mine | trunk)
 
 
@@ -128,10 +129,11 @@ def check_weights(path: Path) -> None:
     if path.suffix != ".safetensors":
         raise InputError(
             f"weights {path}: only .safetensors files are read, since other kinds can run code when they are "
-            "opened; convert the file, or leave the option weights out to begin from scratch"
+            "opened; convert the file, or leave the option weights out to begin from scratch",
+            code="weights-kind",
         )
     if not path.is_file():
-        raise InputError(f"weights {path}: there is no such file")
+        raise InputError(f"weights {path}: there is no such file", code="file-missing")
 
 
 def read_weights(path: Path) -> dict[str, torch.Tensor]:
@@ -146,7 +148,7 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
     try:
         return dict(load(path))
     except Exception as e:  # the package's own error, which cannot be named where it is not installed
-        raise InputError(f"weights {path} cannot be read: {e}") from e
+        raise InputError(f"weights {path} cannot be read: {e}", code="weights-unreadable") from e
 
 
 def _listed(names: list[str]) -> str:

@@ -98,7 +98,7 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
         InputError: less than two turns, or the turned copy does not look the same.
     """
     if order < 2:
-        raise InputError(f"a sensor repeats 2 or more times in a full turn; turns={order}")
+        raise InputError(f"a sensor repeats 2 or more times in a full turn; turns={order}", code="turn-count")
     height, width = mean.shape
     middle = ((width - 1) / 2, (height - 1) / 2)
     angle = 2 * math.pi / order
@@ -111,7 +111,8 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
     if not likeness >= MIN_LIKENESS:
         raise InputError(
             f"turned by {360 / order:g} deg the sensor's mean image correlates at {likeness:.2f} with itself "
-            f"({MIN_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out"
+            f"({MIN_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out",
+            code="not-symmetric",
         )
     return axis
 

@@ -104,12 +104,16 @@ class TrainingLoop:
             raise InputError(
                 f"epochs {self.epochs}, batch {self.batch}, patience {self.patience}, falls {self.falls}, "
                 f"steps {self.steps}: epochs are 1 or more, a batch 2 rows or more; patience (in epochs), "
-                "falls and steps are 0 (none) or more"
+                "falls and steps are 0 (none) or more",
+                code="epoch-count",
             )
         if not (0 < self.learning_rate < math.inf and self.clip > 0):
-            raise InputError(f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive")
+            raise InputError(
+                f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive",
+                code="learning-rate",
+            )
         if self.precision not in PRECISIONS:
-            raise InputError(f"precision {self.precision!r} is not known; take auto or float32")
+            raise InputError(f"precision {self.precision!r} ; give auto or float32", code="precision")
 
     def steps_in_all(self, steps_an_epoch: int) -> int:
         """Steps that it takes at most."""
@@ -158,7 +162,7 @@ class TrainingLoop:
                 a number.
         """
         if len(task.learn) < 2:
-            raise InputError(f"{len(task.learn)} rows to learn from; two or more are needed")
+            raise InputError(f"{len(task.learn)} rows; give 2 or more", code="too-few-rows")
         run = TrainingRun(self, network, task, seed)
         show = progress if run.processes.first else silent
         if checkpoint is not None:
@@ -184,7 +188,8 @@ class TrainingRun:
         if plan.batch < 2 * self.processes.size:
             raise InputError(
                 f"a batch of {plan.batch} rows for {self.processes.size} processes; 2 rows or more for each, "
-                f"so take a batch of {2 * self.processes.size} or more, or fewer processes"
+                f"so take a batch of {2 * self.processes.size} or more, or fewer processes",
+                code="batch-size",
             )
         self.processes.join()
         self.device = self.processes.device()
@@ -289,7 +294,8 @@ class TrainingRun:
         if not math.isfinite(loss):
             raise InputError(
                 f"the loss is {loss} in epoch {self.epoch}: a label or an image is no number, or the steps "
-                f"are too long; check the labels, or take a learning_rate below {self.plan.learning_rate:g}"
+                f"are too long; check the labels, or take a learning_rate below {self.plan.learning_rate:g}",
+                code="loss-not-finite",
             )
 
     def kept(self) -> nn.Module:
@@ -314,7 +320,8 @@ class TrainingRun:
             self._take(read_checkpoint(path))
         if self.epoch != self.processes.first_says(self.epoch):
             raise InputError(
-                f"process {self.processes.rank} does not see the first's {path}; share its folder"
+                f"process {self.processes.rank} does not see the first's {path}; share its folder",
+                code="checkpoint-not-shared",
             )
 
     def load(self, path: Path) -> None:

@@ -82,7 +82,8 @@ def refuse_reference(marks: SkinMarks, skin: object) -> LatticeFit:
         raise ImageError(
             f"the reference frame shows a skin that is touched or torn: it is stretched by up to "
             f"{100 * peaks[0].area_strain:.1f} % beside its even lattice, at {at} {marks.unit}; give a frame "
-            "of the untouched skin"
+            "of the untouched skin",
+            code="reference-touched",
         )
     return fit
 
@@ -100,7 +101,8 @@ def _refuse_other_skin(points: ControlPoints, fit: LatticeFit, skin: TiledSkin) 
             f"{1e3 * fit.bent:.3f} mm; the skin has {1e3 * skin.pitch_m:.3f} mm within "
             f"{100 * skin.scale_tolerance:.0f} %, straight within "
             f"{1e3 * MAX_BENT * skin.tolerance_m:.2f} mm: the lens is of another camera, the camera "
-            "stands elsewhere, or the skin is another"
+            "stands elsewhere, or the skin is another",
+            code="lens-differs",
         )
 
 

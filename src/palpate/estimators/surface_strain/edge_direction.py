@@ -72,7 +72,7 @@ def edge_direction(fields: StrainFields, most_deformed: float = DEFORMED_SHARE) 
         InputError: another share.
     """
     if not 0.01 <= most_deformed <= 0.5:
-        raise InputError(f"a share of {most_deformed} of the samples; give 0.01 to 0.5")
+        raise InputError(f"a share of {most_deformed} of the samples; give 0.01 to 0.5", code="ratio-range")
     seen = fields.basis.supported
     at, shifts = fields.at[:, seen], fields.displacement[:, seen]
     noise = math.sqrt(float(fields.variances.sum(axis=0).mean()))

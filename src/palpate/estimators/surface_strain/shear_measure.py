@@ -72,9 +72,9 @@ def shear_measure(fields: StrainFields, alpha: float = PUBLISHED_ALPHA) -> Shear
         InputError: an alpha that is not positive, or the published one for marks in m.
     """
     if not 0 < alpha < math.inf:
-        raise InputError(f"a scale alpha of {alpha}; give a positive number, published is 1/18000 per px")
+        raise InputError(f"alpha {alpha}; give a number above 0 (published: 1/18000)", code="alpha-range")
     if fields.unit != "px" and alpha == PUBLISHED_ALPHA:
-        raise InputError("the published alpha goes with px; give marks in px, or an alpha of your own per m")
+        raise InputError("the published alpha is per px; give marks in px", code="unit-differs")
     seen = int(fields.basis.supported.sum())
     shifts = np.hypot(*fields.displacement)
     return ShearMeasure(alpha, fields.basis.count, seen, float(np.nansum(shifts)), fields.unit)
@@ -94,7 +94,8 @@ def published_force_n(gamma: float) -> float:
     if not low - 0.01 <= force <= high + 0.01:
         raise RangeError(
             f"gamma {gamma:.4g} lies outside {published_gamma(low):.4g} to {published_gamma(high):.4g}, "
-            "which is 1 to 8 N, where the published line was drawn"
+            "which is 1 to 8 N, where the published line was drawn",
+            code="gamma-range",
         )
     return force
 

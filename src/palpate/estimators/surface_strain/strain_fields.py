@@ -308,9 +308,9 @@ def on_plane(points: ControlPoints, lens: Lens, distance_m: float) -> ControlPoi
         RangeError: a distance that is not positive, or a place that no ray of the lens reaches.
     """
     if points.unit != "px":
-        raise InputError("these control points are in m already; give those of an image, in px")
+        raise InputError("control points in m; give those of an image, in px", code="unit-differs")
     if not 0 < distance_m < np.inf:
-        raise RangeError(f"a plane {distance_m} m from the lens; give a positive number of m")
+        raise RangeError(f"distance of the plane {distance_m} m; give one above 0 m", code="not-positive")
     half = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
     rays = lens.rays(points.places + half[:, None])
     if not (np.isfinite(rays).all() and (rays[..., 2] > 0).all()):

@@ -77,7 +77,10 @@ class PatternedSkin:
 
     def __post_init__(self) -> None:
         if not 0 <= self.interface <= len(self.stack.layers) - 1:
-            raise InputError(f"{self.interface} layers above the pattern, of {len(self.stack.layers)} in all")
+            raise InputError(
+                f"{self.interface} layers above the pattern, of {len(self.stack.layers)} in all",
+                code="layer-count",
+            )
         if not (self.camera_m > 0 and 0 < self.friction < math.inf):
             raise RangeError("the camera's distance and friction are positive; give m, and a plain number")
 
@@ -157,14 +160,16 @@ def recover_traction(
         RangeError: a step that is not positive, or a contact that reaches over too much of the skin.
     """
     if fields.unit != "m":
-        raise InputError("traction needs marks in m; take those of an image to the pattern with on_plane")
+        raise InputError("traction needs marks in m; use on_plane", code="unit-differs")
     if closure not in get_args(Closure):
-        raise InputError(f"closure {closure!r}; there are {', '.join(get_args(Closure))}")
+        raise InputError(
+            f"closure {closure!r}; there are {', '.join(get_args(Closure))}", code="unknown-name"
+        )
     if not 0 < step_pa < math.inf:
-        raise RangeError(f"a step of {step_pa} Pa; give a positive number of Pa")
+        raise RangeError(f"a step of {step_pa} Pa; give a positive number of Pa", code="not-positive")
     variance = fields.variances.sum(axis=0)
     if not (variance > 0).all():
-        raise InputError("traction weighs marks by their standard errors; give errors above 0")
+        raise InputError("standard errors of marks must be above 0", code="standard-errors")
     peaks = contact_peaks(fields) if peaks is None else peaks
     if not peaks:
         return None

@@ -22,7 +22,7 @@ doi:10.1016/j.visres.2016.02.002; of the deviance Wichmann and Hill, doi:10.3758
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -83,7 +83,7 @@ class PsychometricFit:
         deviance_p: share of data drawn from it that fit as badly; small where the function is wrong.
         answers: in all.
         coverage: of the intervals.
-        notes: what a reader must know.
+        notes: what a reader must know, in words by code.
     """
 
     function: PsychometricFunction
@@ -94,7 +94,7 @@ class PsychometricFit:
     deviance_p: float
     answers: int
     coverage: float
-    notes: tuple[str, ...]
+    notes: Mapping[str, str]
 
 
 class LikelyLine(NamedTuple):
@@ -218,9 +218,7 @@ def _checked(
     x = as_counted(np.asarray(levels, np.float64), logarithmic=logarithmic)
     k, m = np.asarray(given, np.int64), np.asarray(n, np.int64)
     if (k < 0).any() or (k > m).any():
-        raise InputError(
-            "an answer was given more often than it was asked for, or less than never", code="counts"
-        )
+        raise InputError("counts of answers must be 0 to their totals", code="counts")
     x, k, m = x[m > 0], k[m > 0], m[m > 0]
     if len(np.unique(x)) < 2:
         raise InputError(
@@ -452,20 +450,21 @@ def _moved(one: PosteriorRange, by: np.ufunc) -> PosteriorRange:
 
 def _notes(
     x: Levels, k: Counts, m: Counts, threshold: PosteriorRange, spread: PosteriorRange
-) -> tuple[str, ...]:
-    notes = []
+) -> dict[str, str]:
+    notes = {}
     if k.sum() in (0, m.sum()):
-        notes.append("all answers are the same: they tell no threshold and no spread, only a side")
+        notes["all-equal"] = "all answers are the same: they tell no threshold and no spread, only a side"
     elif _separated(x, k, m):
-        notes.append("a step tells all answers apart: the spread has an upper bound alone")
+        notes["separated"] = "a step tells all answers apart: the spread has an upper bound alone"
     if _falls(x, k, m):
-        notes.append(
+        notes["falling"] = (
             "answers fall as levels rise: no rising function describes them; is the sign of softer right?"
         )
-    unbounded = [
-        f"the {name} is not bounded {side} by these answers: the interval ends where the prior does"
+    unbounded = {
+        f"{name}-unbounded-{side}": f"the {name} is not bounded {side} by these answers: the interval ends "
+        "where the prior does"
         for name, one in (("threshold", threshold), ("spread", spread))
         for side, held in zip(("below", "above"), one.bounded, strict=True)
         if not held
-    ]
-    return (*notes, *unbounded)
+    }
+    return notes | unbounded

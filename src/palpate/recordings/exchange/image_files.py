@@ -116,9 +116,7 @@ def _expected(data: np.ndarray) -> tuple[tuple[int, ...], int]:
             code="pixel-format",
         )
     if not 0 < width * height <= MAX_PIXELS:
-        raise ImageError(
-            f"the PNG claims {width} x {height} pixels; 1 to {MAX_PIXELS} are read", code="image-size"
-        )
+        raise ImageError(f"a PNG of {width} x {height} px; 1 to {MAX_PIXELS} are read", code="image-size")
     return (height, width) if colour == 0 else (height, width, 3), _READ_AS[colour]
 
 
@@ -213,7 +211,8 @@ def _decoder(path: Path, data: bytes) -> type[ImageFile]:
             return decoder
     raise ImageError(
         f"{path} is no PNG, JPEG, BMP, TIFF or WebP image (it begins with {data[:8]!r}); "
-        "save it as PNG, give another file, or leave this one out"
+        "save it as PNG, give another file, or leave this one out",
+        code="image-format",
     )
 
 

@@ -152,7 +152,7 @@ def open_bench(
             whole.camera,
         )
     if file.stage is None:
-        raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
+        raise InputError(f"{rig}: {file.name!r} needs [stage] or [virtual]", code="stage-missing")
     x, y, z = (1e-3 * d for d in file.origin_mm)
     bench = Bench(
         name=file.name,
@@ -301,7 +301,7 @@ def _stop_on_port(rig: str) -> str:
 def _open_stage(rig: str) -> Stage:
     file = read_rig(Path(rig))
     if file.stage is None:
-        raise InputError(f"{rig}: the rig {file.name!r} needs [stage], or [virtual] instead")
+        raise InputError(f"{rig}: {file.name!r} needs [stage] or [virtual]", code="stage-missing")
     stage: Stage = open_part("stage", file.stage, MonotonicClock(), "nowhere")
     return stage
 

@@ -240,7 +240,8 @@ def _guarding_scale(made: SetUp, answers: Answers, say: Say, clock: Clock) -> No
             f"with {part['rate_hz']:g} lines a second and a delay of {part['delay_s']:g} s this scale "
             "tells of a "
             f"force {known_s:.3g} s late, and {most_s:g} s are allowed of a sensor that guards: it may label "
-            "beside a faster one (label_kind = serial-scale)"
+            "beside a faster one (label_kind = serial-scale)",
+            code="force-delay",
         )
     made.fields["force"] = part
     made.fields["_range_n"] = part["range_N"]

@@ -95,7 +95,7 @@ def _weighed(answers: Answers, name: str, part: dict[str, Any], open_scale: Open
     expected_n = mass_g * 1e-3 * G_M_S2
     words = f"it printed {read_n:.4g} N for {expected_n:.4g} N"
     if abs(read_n / expected_n - 1.0) > max(ALLOWED_SHARE, share):
-        raise InputError(f"{words}: calibrate it as its manual says, or see to its unit, then begin anew")
+        raise InputError(f"{words}: calibrate it, or correct its unit", code="weight-differs")
     return f"{words}, within {100 * max(ALLOWED_SHARE, share):.2g} %"
 
 
@@ -132,6 +132,7 @@ def _mean(sensor: ForceSensor, clock: Clock, part: dict[str, Any]) -> tuple[floa
     if len(values) < LINES // 2:
         raise DeviceError(
             f"the scale printed {len(values)} good lines in {LINES / part['rate_hz']:.1f} s, and "
-            f"{part['rate_hz']:g} a second are stated; state the true rate_hz, or see to its load"
+            f"{part['rate_hz']:g} a second are stated; state the true rate_hz, or see to its load",
+            code="sample-rate",
         )
     return statistics.fmean(values), statistics.stdev(values) / math.sqrt(len(values))

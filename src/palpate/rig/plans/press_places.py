@@ -210,7 +210,7 @@ class Around(OnSkin):
     def places(self) -> tuple[Place, ...]:
         """The middle, then inside and outside along +x, -x, +y, -y."""
         if self.corners_mm:
-            raise InputError("only a round skin is gone around; this sensor's outline is a polygon")
+            raise InputError("layer plans need a round skin; this is a polygon", code="not-round")
         (layer_mm, probe_mm), reach = self.sizes_mm(), self.reach_mm
         if self.inside_mm > reach + ROUNDING_MM:
             raise InputError(
@@ -240,9 +240,7 @@ Places = Annotated[Grid | Scattered | Listed | Around, Field(discriminator="kind
 def reach_mm(layer_mm: float, probe_mm: float) -> float:
     """Greatest distance of the probe's axis from the layer's centre."""
     if probe_mm > layer_mm:
-        raise InputError(
-            f"a probe of {probe_mm:g} mm is wider than the layer, {layer_mm:g} mm", code="probe-too-wide"
-        )
+        raise InputError(f"the probe, {probe_mm:g} mm, is wider than {layer_mm:g} mm", code="probe-too-wide")
     return (layer_mm - probe_mm) / 2
 
 

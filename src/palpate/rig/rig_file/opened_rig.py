@@ -222,11 +222,12 @@ def rig_from(
     """
     if file.virtual is not None:
         if file.stage or file.force or file.camera or file.label_force:
-            raise InputError(f"the rig {file.name!r} is virtual and names real devices; leave one out")
+            raise InputError(f"the rig {file.name!r} is virtual and names real devices", code="parts-exclude")
         return _virtual(file, file.virtual)
     if not (file.stage and file.force and file.camera and file.limits):
         raise InputError(
-            f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead"
+            f"the rig {file.name!r} needs [stage], [force], [camera] and [limits], or [virtual] instead",
+            code="parts-missing",
         )
     limits, mounting, regions = _limits(file.limits), Mounting(file.force.axes), _regions(file)
     design = sensor_of(file.design)  # all that needs no device, before one is opened

@@ -144,7 +144,7 @@ class PlateauFinder:
         if not (math.isfinite(scale.rate_hz) and scale.rate_hz > 0):
             raise InputError(f"{scale.name} gives {scale.rate_hz} samples a second; it must be above 0")
         if scale.lag_s is not None and not (math.isfinite(scale.lag_s) and scale.lag_s >= 0):
-            raise InputError(f"{scale.name} has a lag of {scale.lag_s} s; give 0 s or more")
+            raise InputError(f"{scale.name} has a lag of {scale.lag_s} s; give 0 s or more", code="lag-range")
         self.scale, self.rule = scale, rule or PlateauRule()
         self._lags: deque[float] = deque(maxlen=LAGS)
         self.zero_n: float | None = None

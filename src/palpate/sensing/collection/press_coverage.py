@@ -88,17 +88,18 @@ class PressCoverage:
         """What is missing, most urgent first; empty where nothing is."""
         if not self.presses:
             return ["all of it: press anywhere, and hold still for a second"]
-        words = [f"a gap at {low:g} to {high:g} N" for low, high in self._gaps()]
-        placed = int(self.counts.sum())
-        if placed >= MIN_FOR_SIDES:
-            by_place = self.counts.sum(axis=2)
-            sides = [("on the left", by_place[:, 0]), ("on the right", by_place[:, 2])]
-            sides += [("at the top", by_place[0]), ("at the bottom", by_place[2])]
-            bare = [name for name, cells in sides if cells.sum() == 0]
-            if by_place[1, 1] == 0 and len(bare) < 2:
-                bare.append("in the middle")
-            words += [f"nothing {name}" for name in bare]
-        return words
+        gaps = [f"a gap at {low:g} to {high:g} N" for low, high in self.gaps_n]
+        return [*gaps, *(f"nothing at the {side}" for side in self.bare)]
+
+    @property
+    def bare(self) -> list[str]:
+        """Parts of the image without a press: left, right, top, bottom, middle."""
+        if self.counts.sum() < MIN_FOR_SIDES:
+            return []
+        by_place = self.counts.sum(axis=2)
+        sides = {"left": by_place[:, 0], "right": by_place[:, 2], "top": by_place[0], "bottom": by_place[2]}
+        bare = [name for name, cells in sides.items() if cells.sum() == 0]
+        return [*bare, "middle"] if by_place[1, 1] == 0 and len(bare) < 2 else bare
 
     @property
     def text(self) -> str:
@@ -120,7 +121,8 @@ class PressCoverage:
             "unplaced": self.unplaced,
         }
 
-    def _gaps(self) -> list[tuple[float, float]]:
+    @property
+    def gaps_n(self) -> list[tuple[float, float]]:
         """Bins of force without a press, next ones joined; those of presses that are not seen count too."""
         by_force = self.counts.sum(axis=(0, 1)) + self.unplaced_counts
         gaps: list[tuple[float, float]] = []

@@ -89,7 +89,7 @@ class ImageWatch:
         try:
             touch = self._view.seen(image)
         except InputError as e:
-            return found | {"verdict": "view changed", "why": str(e)}
+            return found | {"verdict": "view-changed", "why": str(e)}
         self.overlay = overlay_of(touch, self._view.region)
         region = touch.region
         place = None if region is None else [round(c, 1) for c in region.centre_px]

@@ -48,7 +48,7 @@ class LivePress:
     Attributes:
         number: of the press, from 1.
         readings: stiffness first; none where it could not be read.
-        why: why not; empty where it could.
+        why, code: why not, in words and for programs; empty where it could.
         frames: that it was read from.
         force_n: greatest force [N].
         took_s: from its end to its readings [s].
@@ -57,6 +57,7 @@ class LivePress:
     number: int
     readings: tuple[Reading, ...]
     why: str
+    code: str
     frames: int
     force_n: float
     took_s: float
@@ -67,6 +68,7 @@ class LivePress:
             "press": self.number,
             "readings": [reading_record(one) for one in self.readings],
             "why": self.why,
+            "code": self.code,
             "frames": self.frames,
             "force_N": round(self.force_n, 4),
             "took_s": round(self.took_s, 3),
@@ -204,18 +206,20 @@ class PressReader(Closing):
     def _one(self, number: int, frames: TimedImages, samples: TimedForces) -> LivePress:
         begun_s, force_n = time.monotonic(), samples[-1][1]
         readings: tuple[Reading, ...] = ()
-        why = ""
+        why = code = ""
         if self._waiting > MAX_PRESSES:
+            code = "too-many-presses"
             why = f"{self._waiting} presses wait to be read; press more slowly"
         elif len(frames) < MIN_FRAMES:
+            code = "too-few-frames"
             why = f"{len(frames)} frames while the force rose; at least {MIN_FRAMES}: press more slowly"
         else:
             try:
                 table = press_table(frames, samples)
                 readings = tuple(self._read([image for _, image in frames], table, f"press {number}"))
             except PalpateError as refusal:
-                why = str(refusal)
-        return LivePress(number, readings, why, len(frames), force_n, time.monotonic() - begun_s)
+                why, code = str(refusal), refusal.code
+        return LivePress(number, readings, why, code, len(frames), force_n, time.monotonic() - begun_s)
 
     def _tell(self, press: LivePress) -> None:
         self.presses.append(press)

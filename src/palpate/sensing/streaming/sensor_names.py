@@ -60,5 +60,5 @@ def refuse_other_sensor(calibrated: str, source: LiveSource) -> str:
     kinds = sensor_family(stated), sensor_family(calibrated)
     told = f"{source.name} gives frames of {stated} and the calibration is of {calibrated}"
     if all(kinds) and kinds[0] != kinds[1]:
-        raise InputError(f"{told}: give a calibration of {stated}, or calibrate on frames of it")
+        raise InputError(f"{told}: give a calibration of {stated}", code="sensor-differs")
     return "" if all(kinds) else f"{told}: what is read holds only where both are one sensor"

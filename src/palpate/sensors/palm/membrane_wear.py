@@ -69,7 +69,9 @@ class Wear:
         for name, (least, greatest, unit) in _RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and least <= value <= greatest):
-                raise RangeError(f"the wear's {name} is {value}; give {least:g} to {greatest:g} {unit}")
+                raise RangeError(
+                    f"the wear's {name} is {value}; give {least:g} to {greatest:g} {unit}", code="wear-range"
+                )
         for name in ("scratches", "scratch_seed"):
             if not isinstance(getattr(self, name), int):
                 raise InputError(f"the wear's {name} is {getattr(self, name)!r}; give a whole number")
@@ -104,7 +106,7 @@ def worn(presses: float) -> Wear:
         RangeError: it is negative or not a number.
     """
     if not (math.isfinite(presses) and presses >= 0):
-        raise RangeError(f"{presses} presses; give a finite number, 0 or more")
+        raise RangeError(f"{presses} presses; give a finite number, 0 or more", code="press-count")
     share = -math.expm1(-presses / PRESSES)
     return Wear(haze=MAX_WORN_HAZE * share, scratches=round(MAX_WORN_SCRATCHES * share))
 

@@ -59,13 +59,11 @@ def presses_in(folder: Path) -> list[PalmPressTable]:
         LabelError: a table with another name, or two of one press.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder of tables; check the name")
+        raise InputError(f"{folder} is not a folder of tables; check the name", code="folder-missing")
     with storage_errors(folder):
         tables = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".csv")
     if not tables:
-        raise InputError(
-            f"{folder} holds no table Cycle_Indent5mm_r4c6_1.csv or alike; name the tables' folder"
-        )
+        raise InputError(f"{folder} holds no table such as Cycle_Indent5mm_r4c6_1.csv", code="no-table")
     presses = sorted((_press(path) for path in tables), key=lambda one: (one.row, one.column, one.cycle))
     for one, next_ in itertools.pairwise(presses):
         if one.name == next_.name:

@@ -194,7 +194,8 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
     if not 0 <= force_n <= greatest * (1 + SAME):
         raise RangeError(
             f"a force of {force_n:g} N lies outside 0 to {greatest:g} N, the table's deepest press of this "
-            "membrane; press less"
+            "membrane; press less",
+            code="force-range",
         )
     if force_n == 0:
         return 0.0
@@ -323,9 +324,9 @@ def _pressed_by_law(
 ) -> Contact:
     for asked, value, unit in (("place", (pose.x_m, pose.y_m), "m"), ("lateral load", lateral_n, "N")):
         if not all(map(math.isfinite, value)):
-            raise InputError(f"the {asked} {value} {unit} is not finite; give two numbers in {unit}, x and y")
+            raise InputError(f"the {asked} {value} {unit} is not finite", code="not-finite")
     if moment_nm is not None and not math.isfinite(moment_nm):
-        raise InputError(f"the moment {moment_nm} N m is not finite; give a number in N m, or None")
+        raise InputError(f"the moment {moment_nm} N m is not finite", code="not-finite")
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     ball = Probe("sphere", spec.indenter_radius_m)
     probe = ball if probe is None else as_pair(upright_ball(probe))
@@ -410,7 +411,8 @@ def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
         raise RangeError(
             f"shifted by {1e3 * shift_m:.3g} mm at {1e3 * pose.depth_m:.3g} mm the probe slips over the "
             f"palm, or goes further than was solved; shift it by {1e3 * least:.3g} mm at most, or press "
-            "deeper"
+            "deeper",
+            code="sliding",
         )
     return table.force_of(at, shift_m / R, FRICTION) * unit
 
@@ -487,7 +489,8 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
             f"depth {pose.depth_m * 1e3:.7g} mm of the probe ({probe.shape}) lies outside 0 to "
             f"{LINEAR_DEPTH_M * 1e3:g} mm, where linear layers hold; press less, or press the palm's own "
             f"ball or an upright punch that has a table{f', or one of {others}' if others else ''}, without "
-            "lateral load"
+            "lateral load",
+            code="outside-linear-range",
         )
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     across, down = _offsets(probe)
@@ -506,7 +509,7 @@ def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | 
     pressed, contact = layered.pressed, layered.contact
     if not pressed.force_n > 0:
         asked = f"{math.hypot(*lateral_n):g} N" + (f" and {moment_nm:g} N m" if moment_nm else "")
-        raise RangeError(f"a lateral load of {asked} on a probe that does not press")
+        raise RangeError(f"a lateral load of {asked} on a probe that does not press", code="no-normal-force")
     axis = (contact.pose.x_m, contact.pose.y_m)
     sheared = shear_stack(pressed, FRICTION, force_n=lateral_n, moment_nm=moment_nm, axis_m=axis)
     return replace(

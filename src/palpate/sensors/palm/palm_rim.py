@@ -142,7 +142,8 @@ def _checked_reach(spec: PalmSpec) -> EdgeReach:
         f"near the rim of a membrane {spec.thickness_m * 1e3:g} mm thick and {spec.diameter_m * 1e3:g} mm "
         f"wide no press of a ball of {2e3 * R:g} mm was solved; solved were, under this ball, membranes "
         f"{2e3 * SOLVED_RADIUS * R:g} mm wide and {2e3 * R:g} or {4e3 * R:g} mm thick: choose these, or a "
-        "spec whose rim is 'stated'"
+        "spec whose rim is 'stated'",
+        code="rim-not-solved",
     )
 
 

@@ -168,7 +168,7 @@ class Palm:
             RangeError: beyond the laws, over the rim, slipping, or a specimen that yields.
         """
         if not is_rigid(specimen):
-            raise RangeError("the palm is pressed by rigid probes; a specimen that yields is not modelled")
+            raise RangeError("soft specimens are not modeled on the palm", code="soft-specimen")
         if probe != self._ball:
             history = replace(history, stiffening=1.0)  # all but the ball know the relaxed skin alone
         lateral_n = self._lateral_n(probe, pose, history)

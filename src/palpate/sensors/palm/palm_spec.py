@@ -202,17 +202,19 @@ class PalmSpec:
             value = getattr(self, name)
             if not (math.isfinite(value) and least <= value <= greatest):
                 raise RangeError(
-                    f"the palm's {name} is {value}; it must lie within {least:g} to {greatest:g} {unit}"
+                    f"the palm's {name} is {value}; it must lie within {least:g} to {greatest:g} {unit}",
+                    code="spec-range",
                 )
         if not self.poisson_ratio < 0.5:
             raise RangeError(
                 f"Poisson's ratio {self.poisson_ratio} must be below 0.5, at which layers have no solution; "
-                "silicones have 0.49"
+                "silicones have 0.49",
+                code="poisson-ratio",
             )
         if self.rim not in RIMS:
-            raise InputError(f"the palm's rim is {self.rim!r}; it is one of {', '.join(RIMS)}")
+            raise InputError(f"rim {self.rim!r}; give one of {', '.join(RIMS)}", code="rim-kind")
         if min(self.rays_per_pixel) < 1:
-            raise RangeError(f"{self.rays_per_pixel} rays a pixel; give 1 or more, across and down")
+            raise RangeError(f"{self.rays_per_pixel} rays a pixel; give 1 or more", code="ray-count")
         for view in (self.fringes, self.mirror):
             _check_view(view, self.frame_px)
 
@@ -238,14 +240,15 @@ def _check_view(view: View, frame_px: tuple[int, int]) -> None:
     if min(x, y) < 0 or min(w, h) < 8 or x + w > frame_px[0] or y + h > frame_px[1]:
         raise InputError(
             f"region {view.box_px} does not fit a frame of {frame_px[0]} x {frame_px[1]} px with 8 px or "
-            "more each way"
+            "more each way",
+            code="view-outside-frame",
         )
     if not abs(view.turn_rad) <= MAX_TURN_RAD:
         raise RangeError(f"a region turned by {view.turn_rad} rad; within {MAX_TURN_RAD:g} rad")
     if not all(abs(part) <= MAX_SHIFT_PX for part in view.shift_px):
         raise RangeError(f"a region moved by {view.shift_px} px; within {MAX_SHIFT_PX:g} px each way")
     if not all(math.isfinite(pitch) and pitch > 0 for pitch in view.pitches_m):
-        raise RangeError(f"pixels of {view.pitches_m} m on the membrane; both must be positive, in m")
+        raise RangeError(f"pixels of {view.pitches_m} m; give sizes above 0 m", code="pixel-size")
 
 
 _RANGES = {
@@ -404,5 +407,5 @@ def preset(name: str) -> PalmSpec:
         InputError: there is none of that name; the message lists those there are.
     """
     if name not in PRESETS:
-        raise InputError(f"there is no palm {name!r}; there are {', '.join(PRESETS)}")
+        raise InputError(f"there is no palm {name!r}; there are {', '.join(PRESETS)}", code="unknown-name")
     return PRESETS[name]()

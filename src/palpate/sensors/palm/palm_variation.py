@@ -186,7 +186,8 @@ def warmed(
     """
     if not abs(temperature_k - calibrated_k) <= MAX_WARMER_K:
         raise RangeError(
-            f"{temperature_k} K, and {calibrated_k} K at calibration; within {MAX_WARMER_K:g} K of each other"
+            f"{temperature_k} K, and {calibrated_k} K at calibration; {MAX_WARMER_K:g} K apart at most",
+            code="temperature-range",
         )
     share, law, warmer = temperature_k / calibrated_k, spec.stress_optic, temperature_k - calibrated_k
     stiffer = share if modulus_per_k is None else math.exp(modulus_per_k * warmer)

@@ -77,7 +77,7 @@ def _shaped(text: str, shape: str, words: list[str]) -> Probe:
         raise _unknown(text)
     lengths = sizes[: MIN_SIZES[shape]]
     if not all(math.isfinite(size) for size in sizes) or min(lengths) <= 0:
-        raise InputError(f"indenter {text!r}: its sizes must be positive, in mm")
+        raise InputError(f"indenter {text!r}: its sizes must be positive, in mm", code="not-positive")
     turn = math.radians(sizes[MIN_SIZES[shape]]) if len(sizes) > MIN_SIZES[shape] else 0.0
     if shape == "edge":
         return Probe(shape, 0.0, lengths[0] * 1e-3, turn)
@@ -92,9 +92,9 @@ def _points(text: str, words: list[str]) -> Probe:
     if not diameter or not all(len(place) in (2, 3) for place in places):
         raise _unknown(text)
     if not all(map(math.isfinite, [*diameter, *(number for place in places for number in place)])):
-        raise InputError(f"indenter {text!r}: its sizes and places must be finite, in mm")
+        raise InputError(f"indenter {text!r}: its sizes and places must be finite, in mm", code="not-finite")
     if not diameter[0] > 0:
-        raise InputError(f"indenter {text!r}: its sizes must be positive, in mm")
+        raise InputError(f"indenter {text!r}: its sizes must be positive, in mm", code="not-positive")
     lifted = [(*place, 0.0)[:3] for place in places]
     return points_probe(diameter[0] / 2e3, [(x / 1e3, y / 1e3, up / 1e3) for x, y, up in lifted])
 
@@ -106,7 +106,7 @@ def points_probe(radius_m: float, places_m: list[Place]) -> Probe:
         InputError: no place, or two at the same x and y.
     """
     if len({place[:2] for place in places_m}) != len(places_m) or not places_m:
-        raise InputError(f"balls at {places_m} m; give one or more places, no two of them alike in x and y")
+        raise InputError(f"balls at {places_m} m; give different places", code="sphere-positions")
     lowest = min(up for _, _, up in places_m)
     return Probe("points", radius_m, places_m=tuple((x, y, up - lowest) for x, y, up in places_m))
 
@@ -117,7 +117,7 @@ def _leaning(text: str, probe: Probe, words: str) -> Probe:
     if not 1 <= len(angles) <= most:
         raise _unknown(text)
     if not all(map(math.isfinite, angles)) or abs(angles[0]) > MAX_TILT_DEG + 1e-9:
-        raise InputError(f"indenter {text!r}: it leans by -{MAX_TILT_DEG:g} to {MAX_TILT_DEG:g} degrees")
+        raise InputError(f"indenter {text!r}: give up to ±{MAX_TILT_DEG:g} degrees", code="tilt-range")
     turn = math.radians(angles[1]) if len(angles) > 1 else probe.turn_rad
     return upright_ball(replace(probe, turn_rad=turn, tilt_rad=math.radians(angles[0])))
 

@@ -97,7 +97,7 @@ def draw_presses(
         InputError: no press, no depth, or no process.
     """
     if count < 1 or depths_each < 1:
-        raise InputError(f"{count} presses of {depths_each} depths; 1 or more of each are drawn")
+        raise InputError(f"{count} presses of {depths_each} depths; give 1 or more", code="press-count")
     width, height = spec.frame_px
     images = np.empty((count * depths_each, height, width, 3), np.uint8)
     hanging = np.empty((count, height, width, 3), np.uint8)
@@ -294,9 +294,9 @@ def draw_loads(
         RangeError: a membrane too small for the probes.
     """
     if kind not in NAMES:
-        raise InputError(f"no kind of load is called {kind!r}; there are {', '.join(NAMES)}")
+        raise InputError(f"no load {kind!r}; there are {', '.join(NAMES)}", code="unknown-name")
     if count < 1:
-        raise InputError(f"{count} contacts; 1 or more are drawn")
+        raise InputError(f"{count} contacts; 1 or more are drawn", code="press-count")
     width, height = spec.frame_px
     images, hanging = (np.empty((count, height, width, 3), np.uint8) for _ in range(2))
     values = np.empty((count, len(NAMES[kind])), np.float32)

@@ -49,7 +49,10 @@ class UnevenGel:
         for name in ("modulus", "thickness"):
             value = getattr(self, name)
             if not 0 <= value <= MAX_SHARE:
-                raise RangeError(f"an uneven gel's {name} of {value}; 0 to {MAX_SHARE:g}, as a share")
+                raise RangeError(
+                    f"an uneven gel's {name} of {value}; 0 to {MAX_SHARE:g}, as a share",
+                    code="modulus-variation",
+                )
         _check_seed(self.seed)
 
 
@@ -73,7 +76,8 @@ class ResidualMap:
         if not 0 <= self.birefringence <= MAX_BIREFRINGENCE:
             raise RangeError(
                 f"a residual birefringence of {self.birefringence}; 0 to {MAX_BIREFRINGENCE:g}, a difference "
-                "of indices"
+                "of indices",
+                code="residual-birefringence",
             )
         for one in self.modes or ():
             if not (len(one) <= len(SIDE_MODES) and all(map(math.isfinite, one))):
@@ -91,7 +95,7 @@ class ResidualMap:
 
 def _check_seed(seed: int) -> None:
     if not isinstance(seed, int) or seed < 0:
-        raise InputError(f"the seed is {seed!r}; give a whole number, 0 or more")
+        raise InputError(f"the seed is {seed!r}; give a whole number, 0 or more", code="seed")
 
 
 def disc_modes(x: Field, y: Field) -> Float[ndarray, "7 ..."]:

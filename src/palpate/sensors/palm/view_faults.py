@@ -58,7 +58,8 @@ class MirrorDirt:
         if not (sizes and 0 <= self.texture <= 0.3):
             raise RangeError(
                 f"dirt of specks to {self.speck_m} m and texture {self.texture} over {self.texture_m} m; "
-                "give 1e-5 to 1e-2 m, 0 to 0.3 and 2e-4 to 0.1 m"
+                "give 1e-5 to 1e-2 m, 0 to 0.3 and 2e-4 to 0.1 m",
+                code="dirt-range",
             )
 
 
@@ -83,13 +84,14 @@ class Glare:
         _check_whole("spots", self.spots, MAX_SPOTS)
         if not (0 <= self.peak <= 10 and 1e-5 <= self.width_m <= 0.1):
             raise RangeError(
-                f"glare of {self.peak} and {self.width_m} m; give 0 to 10 over the lamp's, and 1e-5 to 0.1 m"
+                f"glare of {self.peak} and {self.width_m} m; give 0 to 10 over the lamp's, and 1e-5 to 0.1 m",
+                code="glare-range",
             )
 
 
 def _check_whole(name: str, value: int, greatest: int) -> None:
     if not (isinstance(value, int) and 0 <= value <= greatest):
-        raise InputError(f"{name} are {value!r}; give a whole number, 0 to {greatest}")
+        raise InputError(f"{name} are {value!r}; give a whole number, 0 to {greatest}", code="spot-count")
 
 
 def dirt_over(spec: PalmSpec) -> Grey:

@@ -167,7 +167,8 @@ def linear_inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> In
     if not (0 <= tilt_rad <= MAX_TILT and specimen_pa > 0):
         raise RangeError(
             f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):.3g} degrees; above 0 Pa, and 0 to "
-            f"{np.rad2deg(MAX_TILT):.0f} degrees"
+            f"{np.rad2deg(MAX_TILT):.0f} degrees",
+            code="tilt-range",
         )
     return _inclined(spec.tip, spec.friction, specimen_pa, tilt_rad)
 

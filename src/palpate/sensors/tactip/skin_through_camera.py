@@ -49,7 +49,8 @@ def skin_places_m(spec: TacTipSpec, places_px: Places, lens: Lens | None = None)
         widest, most = (math.degrees(math.atan(end)) for end in ends)
         raise InputError(
             f"a pin is seen {widest:.3g} degrees off the axis; on this dome none is beyond {most:.3g}: "
-            "give the lens of this camera, and the sensor's own spec"
+            "give the lens of this camera, and the sensor's own spec",
+            code="lens-differs",
         )
     share = np.interp(size, seen, root) / np.maximum(size, 1e-12)
     return tangent * share[:, None]
@@ -72,12 +73,13 @@ def untouched_area_m2(
         InputError: pins without a lattice, of other rings than the spec's, or not of this dome.
     """
     if cells is None:
-        raise InputError("these pins were not found by their lattice; use `find_pins` on an untouched frame")
+        raise InputError("pins without lattice; use `find_pins` on a reference frame", code="no-lattice")
     rings = int(ring_of(cells).max())
     if rings != spec.pins.rings:
         raise InputError(
             f"{rings} rings of pins are seen, and this sensor has {spec.pins.rings}; give the sensor's own "
-            "spec, and an untouched frame that shows all rings"
+            "spec, and an untouched frame that shows all rings",
+            code="pin-count",
         )
     seen = np.isfinite(places_px).all(axis=1)
     return pin_field(skin_places_m(spec, places_px[seen], lens), cells[seen]).area

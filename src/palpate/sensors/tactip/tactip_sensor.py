@@ -336,7 +336,8 @@ def tactip(preset: str = "127") -> TacTip:
         return TacTip(specs.fitted_tactip())
     if not preset.isdecimal():
         raise InputError(
-            f"there is no TacTip {preset!r}; there are 127 and 331, by their number of pins, and {FITTED}"
+            f"there is no TacTip {preset!r}; there are 127 and 331, by their number of pins, and {FITTED}",
+            code="unknown-name",
         )
     return TacTip(specs.tactip(int(preset)))
 

@@ -131,17 +131,22 @@ class TacTipSpec:
         if not (self.pins.rings >= 1 and reach < self.inner_radius_m):
             raise RangeError(
                 f"pins out to {1e3 * reach:.3g} mm; the skin's inside has a radius of "
-                f"{1e3 * self.inner_radius_m:.3g} mm"
+                f"{1e3 * self.inner_radius_m:.3g} mm",
+                code="pin-radius",
             )
         if not 0 <= self.pins.length_m < 0.5 * table.radius_m:
             raise RangeError(f"pins of {1e3 * self.pins.length_m:g} mm; 0 to half the tip's radius")
         if not self.camera.height_m > table.radius_m:
             raise RangeError(
                 f"the camera is {1e3 * self.camera.height_m:g} mm above the apex; it stands beyond the base, "
-                f"more than {1e3 * table.radius_m:g} mm"
+                f"more than {1e3 * table.radius_m:g} mm",
+                code="camera-position",
             )
         if not (self.speed_m_s > 0 and self.friction >= 0):
-            raise RangeError(f"speed {self.speed_m_s} m/s, friction {self.friction}; above 0, and 0 or more")
+            raise RangeError(
+                f"speed {self.speed_m_s} m/s, friction {self.friction}; above 0, and 0 or more",
+                code="speed-range",
+            )
 
     @property
     def table(self) -> TipTable:
@@ -162,7 +167,7 @@ def tactip(pins: int = 127) -> TacTipSpec:
     """
     layouts = {127: PINS_127, 331: PINS_331}
     if pins not in layouts:
-        raise InputError(f"{pins} pins; there are layouts of 127 and 331, and `PinLayout` for others")
+        raise InputError(f"{pins} pins; there are 127 and 331, or a `PinLayout`", code="pin-count")
     return replace(TacTipSpec(), pins=layouts[pins])
 
 

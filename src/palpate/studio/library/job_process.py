@@ -114,7 +114,7 @@ def main(words: list[str]) -> int:
         try:
             found = JOBS[words[0]](voice, *words[1:])  # type: ignore[operator]
         except PalpateError as e:
-            voice.say({"error": " ".join(str(e).split())})
+            voice.say({"error": " ".join(str(e).split()), "code": e.code})
             return 2
     voice.say({"done": found})
     return 0

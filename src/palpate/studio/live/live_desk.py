@@ -144,7 +144,7 @@ def check_name(name: str) -> None:
         InputError: it does not begin as such names do, or is too long.
     """
     if not (name.startswith(PREFIX) and len(name) <= MAX_NAME and name.isprintable()):
-        raise InputError(f"{name[:60]!r} is no live sensor. Begin one on the page Live.")
+        raise InputError(f"{name[:60]!r} is no live sensor. Begin one on the page Live.", code="unknown-name")
 
 
 class LiveProcesses:

@@ -445,7 +445,8 @@ class GrblSession:
             raise DeviceError(
                 f"nothing at {self.spec.port} answers as GRBL does, {self.link.tail.in_words()}; check that "
                 f"this is the stage's port, power, cable, baud ({self.spec.baud}), and whether the board "
-                "needs dtr = true"
+                "needs dtr = true",
+                code="not-grbl",
             )
         self._boots = self.link.banners
         state: GrblState | None = heard.status.state

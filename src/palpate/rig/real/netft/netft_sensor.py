@@ -249,9 +249,9 @@ class Samples:
         if progress is not Advance.NEW:
             return progress.value
         if any(count in _RAILS for count in record.counts):
-            return "counts at their rail"
+            return "counts-saturated"
         if any(abs(f) > most for f, most in zip(force_n, self.range_n, strict=True)):
-            return "force beyond the range"
+            return "force-range"
         return ""
 
 

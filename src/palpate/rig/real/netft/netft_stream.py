@@ -178,10 +178,10 @@ class RdtSequence:
 class Advance(Enum):
     """Progress of the measurement, by the F/T sequence of a new record."""
 
-    NEW = "a new measurement"
-    STALLED = "the measurement stands still"
-    BACK = "the measurement counter jumped"
-    RESTARTED = "the device restarted"
+    NEW = "new"
+    STALLED = "stalled"
+    BACK = "counter-jumped"
+    RESTARTED = "restarted"
 
 
 @dataclass(slots=True)

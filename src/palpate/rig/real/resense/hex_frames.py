@@ -165,7 +165,7 @@ class HexFrames:
 
     def _fault(self, values: Seven) -> str:
         if not all(map(math.isfinite, values)):
-            return "not a number"
+            return "not-a-number"
         if max(map(abs, values[:3])) > self._range_n or max(map(abs, values[3:6])) > self._range_mnm:
-            return "beyond the range"
+            return "force-range"
         return ""

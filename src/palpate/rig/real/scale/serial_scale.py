@@ -234,7 +234,7 @@ class WeightStream:
             if weight.value >= HX711_RAILS[1] or weight.value <= HX711_RAILS[0]:
                 return "counts at their rail: overloaded, or a wire of the cell is off"
         if abs(self._spec.force_n(weight)) > self._spec.range_n:
-            return "force beyond the range"
+            return "force-range"
         return "not stable" if self._spec.settled_only and weight.stable is False else ""
 
     def _garble(self, why: str) -> None:

@@ -233,7 +233,7 @@ def designed_copy(
         if not (math.isfinite(one) and one > 0)
     ]
     if bad:
-        raise RangeError(f"spreads of copies: {', '.join(bad)}; each has to be finite and above 0")
+        raise RangeError(f"spreads: {', '.join(bad)}; give finite ones above 0", code="not-positive")
     covariance = np.diag(np.square([modulus_share, math.hypot(modulus_share, coefficient_share), *others]))
     covariance[0, 1] = covariance[1, 0] = modulus_share**2  # E C holds E
     terms = np.zeros(len(TERMS))
@@ -257,14 +257,15 @@ def measured_copy(
     """
     for name, share in (("coefficient", coefficient_share), ("modulus", modulus_share)):
         if share > 1:
-            raise RangeError(f"a share of the {name} of {share:g}; give 1 or less, 0.02 for 2 %")
+            raise RangeError(f"ratio {share:g} of the {name}; give 1 or less", code="ratio-range")
     designed = spec.stress_optic.coefficient_per_pa
     times = coefficient_per_pa / designed
     if not (math.isfinite(times) and 1 / MAX_TIMES <= times <= MAX_TIMES):
         raise RangeError(
             f"a stress-optic coefficient of {coefficient_per_pa:.3g} /Pa; this design has "
             f"{designed:.3g} /Pa, and {designed / MAX_TIMES:.2g} to {designed * MAX_TIMES:.2g} "
-            "/Pa are allowed (1 brewster is 1e-12 /Pa)"
+            "/Pa are allowed (1 brewster is 1e-12 /Pa)",
+            code="coefficient-range",
         )
     copy = designed_copy(spec, modulus_share=modulus_share, coefficient_share=coefficient_share)
     terms = copy.terms.copy()

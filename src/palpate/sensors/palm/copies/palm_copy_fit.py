@@ -94,7 +94,7 @@ def fit_copy(
         RangeError: a force that is not above 0, or forces by which E or C is far from what was known.
     """
     if not presses:
-        raise InputError("no press; a copy is found from one picture at least")
+        raise InputError("no press; a copy is found from one picture at least", code="no-presses")
     seen = [seen_press(known.spec, one) for one in presses]
     states, row_m = [_rough_state(known, seen, progress)], known.spec.fringes.pitches_m[1]
     if near is not None:
@@ -256,7 +256,7 @@ def _first_looks(known: PalmCopy, seen: SeenPress) -> dict[float, _Look]:
     width, height = spec.mirror.size_px
     change = np.abs(seen.change[-height * width * 3 :]).reshape(height, width, 3).mean(axis=2)
     if not change.max() > SEEN:
-        raise ImageError("no press is seen in the mirror's view; press deeper, or look at lamp and mirror")
+        raise ImageError("no press is seen in the mirror; press deeper", code="press-not-seen")
     rows, columns = np.nonzero(change > 0.5 * np.quantile(change, 0.995))
     x, y = seen.press.place_m or _place_of(spec, np.array([np.median(columns), np.median(rows)]) + 0.5)
     asides = ASIDE_M if seen.press.place_m is None else ASIDE_M[:1]

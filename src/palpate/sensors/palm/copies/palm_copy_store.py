@@ -87,7 +87,8 @@ def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> P
             return designed_copy(_with_friction(one, friction))
     raise ImageError(
         f"frames of {frame_px[1]} x {frame_px[0]} px; the preset {name} has {spec.frame_px[0]} x "
-        f"{spec.frame_px[1]} px, on a virtual rig {on_rig.frame_px[0]} x {on_rig.frame_px[1]} px"
+        f"{spec.frame_px[1]} px, on a virtual rig {on_rig.frame_px[0]} x {on_rig.frame_px[1]} px",
+        code="frame-size",
     )
 
 
@@ -144,15 +145,13 @@ def pictured_presses(
     straight = ~is_rest & _is_of(table, ball, path)
     most_n = np.max(force, initial=0.0, where=straight & np.isfinite(force))
     if straight.any() and not most_n > 0:
-        raise InputError(f"no force of {path} is above 0 N; force_N is positive in compression")
+        raise InputError(f"no force of {path} is above 0 N; compression is positive", code="force-sign")
     able = straight & (force > MIN_SHARE * most_n)
     able &= np.hypot(*places.T) <= within_m
     rows = [int(i) for i in np.flatnonzero(able) if table["press"][i] in rests]
     if not 1 <= count <= len(rows):
         near = f" within {1e3 * within_m:.3g} mm of the middle" if math.isfinite(within_m) else ""
-        raise InputError(
-            f"{count} presses of {len(rows)} frames with force and reference{near}; 1 to as many"
-        )
+        raise InputError(f"{count} presses of {len(rows)} usable frames{near}", code="press-count")
     rows.sort(key=lambda i: force[i])
     chosen = [rows[round(k)] for k in np.linspace(0, len(rows) - 1, count)]
     return [
@@ -171,7 +170,7 @@ def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
         own = (table["indenter"].astype(str) == ball).to_numpy()
         if not own.any():
             others = ", ".join(sorted(set(table["indenter"].astype(str))))
-            raise InputError(f"{path} was pressed by {others}; a copy needs the palm's own ball, {ball}")
+            raise InputError(f"{path} was pressed by {others}, not by {ball}", code="indenter-differs")
     return own & (table["phase"] != "lateral").to_numpy() if "phase" in table else own
 
 

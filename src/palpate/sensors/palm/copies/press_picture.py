@@ -169,10 +169,11 @@ def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
         if image.shape[:2] != spec.frame_px[::-1]:
             raise ImageError(
                 f"a picture of {image.shape[1]} x {image.shape[0]} px; the copy's are {spec.frame_px[0]} x "
-                f"{spec.frame_px[1]} px"
+                f"{spec.frame_px[1]} px",
+                code="image-size",
             )
     if one.force_n is not None and not (math.isfinite(one.force_n) and one.force_n > 0):
-        raise RangeError(f"a known force of {one.force_n} N; it has to be finite and above 0 N")
+        raise RangeError(f"a known force of {one.force_n} N; give one above 0 N", code="force-range")
     if not (math.isfinite(one.force_share) and one.force_share > 0):
         raise RangeError(f"a force known to a share of {one.force_share}; it has to be above 0")
     longer = exposure_change(spec, one.image, one.reference)

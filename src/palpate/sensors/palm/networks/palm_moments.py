@@ -257,7 +257,9 @@ class PalmMoments:
 
     def __post_init__(self) -> None:
         if min(self.trees, self.leaf_rows) < 1:
-            raise InputError(f"trees {self.trees}, leaf_rows {self.leaf_rows}: both are 1 or more")
+            raise InputError(
+                f"trees {self.trees}, leaf_rows {self.leaf_rows}: both are 1 or more", code="tree-count"
+            )
 
     def fit(
         self,

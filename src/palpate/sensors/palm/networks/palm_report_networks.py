@@ -161,7 +161,7 @@ class PalmTwoStage(PalmModel):
         super().__post_init__()
         weights = (self.depth_weight, self.place_weight, self.force_weight)
         if not all(0 <= w < float("inf") for w in weights) or sum(weights) == 0:
-            raise InputError(f"loss weights {weights}: each is 0 or more, and one at least is positive")
+            raise InputError(f"loss weights {weights}: give 0 or more, one positive", code="loss-weights")
 
     def network(self, channels: int, scales: Scales) -> PalmNetwork:
         return TwoStageNetwork(channels, scales)

@@ -62,7 +62,8 @@ def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indi
     if sorted(targets) != sorted(asked):
         raise InputError(
             f"{model} estimates {', '.join(targets)}, no fewer and no others; asked for were "
-            f"{', '.join(asked) or 'targets without names'}; ask for all of those, in any order"
+            f"{', '.join(asked) or 'targets without names'}; ask for all of those, in any order",
+            code="targets-differ",
         )
     return np.array([list(asked).index(name) for name in targets])
 

@@ -71,12 +71,13 @@ def register_taps(
         InputError: too few taps, or too many whose pins cannot be named.
     """
     if pins < MIN_PINS:
-        raise InputError(f"a tip of {pins} pins; {MIN_PINS} or more are needed, 127 and 331 are usual")
+        raise InputError(f"a tip of {pins} pins; give {MIN_PINS} or more", code="pin-count")
     tables = [_table(folder) for folder in folders]
     if layout is None and (count := sum(len(files) for files, _ in tables)) < MIN_LEARNT:
         raise InputError(
             f"{_counted(count, 'tap')} in {_counted(len(tables), 'folder')}; {MIN_LEARNT} or more are needed "
-            "to name pins"
+            "to name pins",
+            code="too-few-taps",
         )
     names = [(folder, name) for folder, (files, _) in zip(folders, tables, strict=True) for name in files]
     found, size = [], (0, 0)
@@ -239,14 +240,16 @@ def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
     if file is None or missing:
         raise LabelError(
             f"{path} has no column {', '.join(missing) or ' or '.join(NAMES)}; it needs the images' names in "
-            f"image_file and the pose in {', '.join(POSE)}"
+            f"image_file and the pose in {', '.join(POSE)}",
+            code="column-missing",
         )
     poses = table[list(POSE)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
     bad = np.flatnonzero(~np.isfinite(poses).all(axis=1))
     if len(bad):
         raise LabelError(
             f"{path}: {len(bad)} of {len(poses)} taps have no finite pose, the first in row {bad[0] + 2} "
-            f"(the header is row 1); give {', '.join(POSE)} in each, or leave these rows out"
+            f"(the header is row 1); give {', '.join(POSE)} in each, or leave these rows out",
+            code="not-finite",
         )
     return [str(name) for name in table[file]], poses
 

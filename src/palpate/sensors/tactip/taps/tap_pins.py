@@ -60,7 +60,7 @@ def read_image(path: Path) -> UInt8[ndarray, "h w"]:
             data = np.frombuffer(path.read_bytes(), np.uint8)
         image = opencv_image(data, cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise ImageError(f"{path} cannot be read as an image")
+        raise ImageError(f"{path} cannot be read as an image", code="image-unreadable")
     return np.asarray(image, np.uint8)
 
 
@@ -89,7 +89,8 @@ def layout_kind(found: Sequence[Spots], size: tuple[int, int]) -> PinLayoutKind:
     if not kinds:
         raise InputError(
             f"in none of {len(named)} taps bright spots stand on a lattice, in rings, hexagonal or square; "
-            "give binarised images with bright pins"
+            "give binarised images with bright pins",
+            code="no-lattice",
         )
     return kinds.most_common(1)[0][0]
 
@@ -106,7 +107,8 @@ def pin_cells(named: Iterable[PinLattice | None], pins: int) -> list[Cell]:
     if len(cells) != pins:
         raise InputError(
             f"{len(there)} taps show a lattice of {len(cells)} pins, for {pins}; give the number of pins "
-            "that the tip has, and binarised images with bright pins"
+            "that the tip has, and binarised images with bright pins",
+            code="pin-count",
         )
     return cells
 

@@ -122,7 +122,8 @@ def fit_tip(
     if len(poses) != len(places) or len(poses) < MIN_TAPS or places.shape[1:] != tip.rest_px.shape:
         raise InputError(
             f"{len(poses)} poses and places of shape {list(places.shape)} for {len(tip.rest_px)} pins; give "
-            f"one pose a tap, {MIN_TAPS} taps or more"
+            f"one pose a tap, {MIN_TAPS} taps or more",
+            code="too-few-taps",
         )
     refuse_alike(poses)
     weight = np.sqrt(TELLS / (2 * places.shape[1])) / ERR_PX
@@ -171,7 +172,7 @@ def refuse_alike(poses: Poses) -> None:
     """
     still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
     if still:
-        raise InputError(f"all taps have the same {', '.join(still)}; what it moves cannot be told: vary it")
+        raise InputError(f"all taps have the same {', '.join(still)}; vary it", code="pose-constant")
 
 
 def upright_course(poses: Poses, places: Places) -> Course | None:

@@ -89,7 +89,7 @@ class TipReader:
             InputError: fewer than 10 taps.
         """
         if len(poses) < MIN_LEARNT:
-            raise InputError(f"{len(poses)} taps to learn from; give {MIN_LEARNT} or more")
+            raise InputError(f"{len(poses)} taps; give {MIN_LEARNT} or more", code="too-few-taps")
         plain = cls.plain(fit, poses, places)
         read, spread, misfit = plain.told(places, np.arange(len(poses)))
         limit = float(np.quantile(misfit, UNLIKE))

@@ -52,7 +52,7 @@ def load_reader(folder: Path) -> tuple[TipReader, NamedPins]:
         record = json.loads(text)
         reader, layout = _made(record)
     except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{path} holds no tip's reader: {type(e).__name__}: {e}") from e
+        raise InputError(f"{path} is no tip reader: {type(e).__name__}: {e}", code="reader-damaged") from e
     return reader, layout
 
 
@@ -98,7 +98,8 @@ def read_images(
         if image.shape != layout.size:
             raise ImageError(
                 f"{path} has {image.shape[1]} x {image.shape[0]} px; this tip was fitted to "
-                f"{layout.size[1]} x {layout.size[0]} px"
+                f"{layout.size[1]} x {layout.size[0]} px",
+                code="image-size",
             )
         found = spots(image)
         places = placed(found, name_pins(found, layout.size, layout.kind), layout.cells)

@@ -48,9 +48,12 @@ class PlatePress:
 
     def __post_init__(self) -> None:
         if self.force_n is not None and not (math.isfinite(self.force_n) and self.force_n > 0):
-            raise InputError(f"a known force of {self.force_n} N; it has to be finite and above 0 N")
+            raise InputError(f"a known force of {self.force_n} N; give one above 0 N", code="not-positive")
         if not (math.isfinite(self.force_sd_n) and self.force_sd_n > 0):
-            raise InputError(f"a force known to {self.force_sd_n} N; it has to be finite and above 0 N")
+            raise InputError(
+                f"a force known to {self.force_sd_n} N; it has to be finite and above 0 N",
+                code="not-positive",
+            )
 
 
 def pins_between(
@@ -68,13 +71,16 @@ def pins_between(
         ImageError: frames of two sizes, pins that cannot be named, or of another tip's number.
     """
     if reference.shape != image.shape:
-        raise ImageError(f"frames of {reference.shape} and {image.shape} px; give two of one camera")
+        raise ImageError(
+            f"frames of {reference.shape} and {image.shape} px; give two of one camera", code="image-size"
+        )
     named = [_named(frame) for frame in (reference, image)]
     cells = sorted(named[0].keys())
     if not MIN_NAMED * pins <= len(cells) <= pins:
         raise ImageError(
             f"{len(cells)} pins are seen in the untouched frame, and this tip has {pins}: another tip's "
-            "frame, or pins that are hidden"
+            "frame, or pins that are hidden",
+            code="pin-count",
         )
     both = sum(cell in named[1] for cell in cells)
     if both < MIN_NAMED * len(cells):

@@ -114,7 +114,7 @@ def designed_tip(spec: TacTipSpec, spreads: Mapping[str, float] = SPREADS) -> Ti
     """
     sd = np.array([spreads[name] for name in COPY_TERMS])
     if not (np.isfinite(sd).all() and (sd > 0).all()):
-        raise RangeError(f"spreads of copies: {dict(spreads)}; each has to be finite and above 0")
+        raise RangeError(f"spreads {dict(spreads)}; give finite ones above 0", code="not-positive")
     table, pins = spec.table, spec.pins
     along = np.arange(pins.rings)  # one side of the outermost ring
     away = pins.pitch_m * np.sqrt(pins.rings**2 - pins.rings * along + along**2)

@@ -59,7 +59,8 @@ def _refuse_one_load(forces_n: Sequence[float]) -> None:
     if len(forces_n) > 1 and max(forces_n) < MIN_SPAN * min(forces_n):
         raise InputError(
             f"all presses have about one load, {min(forces_n):.3g} to {max(forces_n):.3g} N; stiffness and "
-            f"shape are told apart by loads of which the greatest is {MIN_SPAN:g} times the least or more"
+            f"shape are told apart by loads of which the greatest is {MIN_SPAN:g} times the least or more",
+            code="one-load",
         )
 
 
@@ -70,14 +71,15 @@ def _refuse_other(known: TipCopy, one: PlatePress) -> None:
     order = {cell: i for i, cell in enumerate(map(tuple, known.cells.tolist()))}
     mine = [(i, order[cell]) for i, cell in enumerate(map(tuple, one.cells.tolist())) if cell in order]
     if len(mine) < 0.9 * len(known.cells):
-        raise ImageError(f"{len(mine)} pins of the copy's {len(known.cells)} are seen: another tip's frame")
+        raise ImageError(f"{len(mine)} of {len(known.cells)} pins are seen: another tip", code="tip-differs")
     here, there = np.array(mine).T
     off = one.rest_px[here] - known.rest_px[there]
     away = float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
     if away > SAME_PX:
         raise ImageError(
             f"untouched pins stand {away:.2f} px (rms) from the copy's, and {SAME_PX:g} px are allowed: "
-            "another tip, or its camera or lens has moved; fit the copy anew"
+            "another tip, or its camera or lens has moved; fit the copy anew",
+            code="tip-differs",
         )
 
 
@@ -87,19 +89,22 @@ def _refuse_unlike(known: TipCopy, found: TipCopyFit) -> None:
             raise ImageError(
                 f"the plate leans by {math.degrees(math.hypot(*one.turn_rad)):.1f} degrees, and to "
                 f"{math.degrees(MAX_TURN_RAD):.1f} presses are taken for flat: lay it level on the apex, so "
-                "that it rests on the tip alone"
+                "that it rests on the tip alone",
+                code="plate-inclined",
             )
         if one.off_px > max(OFF_PX, known.limit_off * one.motion_px):
             raise ImageError(
                 f"pins differ from the nearest press of this tip by {one.off_px:.2f} px of "
                 f"{one.motion_px:.1f} px of motion, and {known.limit_off:.0%} are allowed: another tip, "
-                "no flat rigid plate, one that slides or leans, or known forces of other frames"
+                "no flat rigid plate, one that slides or leans, or known forces of other frames",
+                code="pins-differ",
             )
     if found.forces_off > MAX_FORCE_Z:
         raise RangeError(
             f"known forces are {found.forces_off:.1f} standard deviations (rms) from what any tip between "
             f"the tables would have, and {MAX_FORCE_Z:g} are allowed: forces of other frames, or known "
-            "less well than was said"
+            "less well than was said",
+            code="forces-differ",
         )
 
 

@@ -31,7 +31,7 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
         StorageError: the disk refused.
     """
     if copy.rest_px is None or copy.cells is None:
-        raise InputError("this copy has seen no press; fit it to presses first")
+        raise InputError("this copy has seen no press; fit it to presses first", code="no-presses")
     others = {
         "preset": design, "rest_px": copy.rest_px.tolist(), "cells": copy.cells.tolist(),
         "limit_off": copy.limit_off,

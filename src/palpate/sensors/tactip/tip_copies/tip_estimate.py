@@ -95,9 +95,15 @@ class StageZero:
 
 @dataclass(frozen=True)
 class HelpfulPress:
-    """A further press, the term that it would tell best, and that term's spread then over now."""
+    """A further press, the term that it would tell best, and that term's spread then over now.
+
+    Attributes:
+        press: `deeper`, `shallower`, `inclined` by 2 degrees, or `stage-position` with each press.
+        force_n: of the press [N]; None of a position.
+    """
 
     press: str
+    force_n: float | None
     term: str
     ratio: float
 
@@ -352,7 +358,7 @@ class TipEstimate:
         ways = {
             "deeper": (0.97 * deepest, 0.0),
             "shallower": (0.5 * float(depths.min()), 0.0),
-            "plate seated 2 degrees aside": (float(np.median(depths)), math.radians(2)),
+            "inclined": (float(np.median(depths)), math.radians(2)),
         }
         if deepest < 1.1 * depths.max():
             del ways["deeper"]
@@ -373,7 +379,7 @@ class TipEstimate:
         H[:t, :t] -= more.precision[:t, :t]  # the prior counts once
         if turn_rad:
             H[t + 1, t + 1] -= more.precision[t + 1, t + 1]  # a lean that was meant is no chance
-        return self._gain(f"{name}, {force:.2g} N", covariance_with(now, H))
+        return self._gain(name, force, covariance_with(now, H))
 
     def _with_positions(self) -> HelpfulPress:
         """The stage's position with each of these presses, of one approach."""
@@ -383,14 +389,14 @@ class TipEstimate:
         for depth in self._depths.tolist():
             at = [depth, size]
             normal[np.ix_(at, at)] += 1 / POSITION_MM**2
-        return self._gain("the stage's position with each press", np.linalg.inv(normal))
+        return self._gain("stage-position", None, np.linalg.inv(normal))
 
-    def _gain(self, name: str, covariance: TermCovariance) -> HelpfulPress:
+    def _gain(self, name: str, force_n: float | None, covariance: TermCovariance) -> HelpfulPress:
         t = self._t
         now = np.sqrt(np.diag(np.linalg.inv(self._normal))[:t])
         ratio = np.sqrt(np.diag(covariance)[:t]) / now
         best = int(np.argmin(ratio))
-        return HelpfulPress(name, COPY_TERMS[best], float(ratio[best]))
+        return HelpfulPress(name, force_n, COPY_TERMS[best], float(ratio[best]))
 
 
 def _patches(cells: Int[ndarray, "p 2"]) -> Int[ndarray, " p"]:

@@ -106,7 +106,7 @@ class VirtualTip:
         own = force_n / self.force_ratio
         if not 0 <= own <= self.tip.press.force_n[-1]:
             most = self.force_ratio * self.tip.press.force_n[-1]
-            raise RangeError(f"a force of {force_n} N; this tip is known to {most:.3g} N")
+            raise RangeError(f"a force of {force_n} N; this tip is known to {most:.3g} N", code="force-range")
         return float(self.tip.press.at("approach_m", np.array([own]))[0])
 
     def places_px(

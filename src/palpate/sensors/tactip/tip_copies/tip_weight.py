@@ -105,14 +105,16 @@ def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
     if max(depths) - min(depths) > STILL_MM:
         raise ImageError(
             f"the weight's frames differ by {max(depths) - min(depths):.2f} mm of depth, and {STILL_MM:g} mm "
-            "are allowed: it rolls or rocks; wait until it rests"
+            "are allowed: it rolls or rocks; wait until it rests",
+            code="weight-moved",
         )
     turns = np.array([one.turn_rad for one in read])
     rocks = float(np.hypot(*np.ptp(turns, axis=0)))
     if rocks > STILL_RAD:
         raise ImageError(
             f"the weight's frames differ by {math.degrees(rocks):.1f} degrees of lean, and "
-            f"{math.degrees(STILL_RAD):g} are allowed: it rolls or rocks; wait until it rests"
+            f"{math.degrees(STILL_RAD):g} are allowed: it rolls or rocks; wait until it rests",
+            code="weight-moved",
         )
     usual = calibrated.terms[8:10]
     for one in read:
@@ -120,13 +122,15 @@ def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
         if lean > MAX_LEAN_RAD:
             raise ImageError(
                 f"the weight leans by {math.degrees(lean):.1f} degrees, and {math.degrees(MAX_LEAN_RAD):g} "
-                "are allowed: part of it rests elsewhere, or it rolls; lay it level, on the tip alone"
+                "are allowed: part of it rests elsewhere, or it rolls; lay it level, on the tip alone",
+                code="weight-inclined",
             )
         slide = math.hypot(*one.shift_px)
         if slide > MAX_SLIDE_PX:
             raise ImageError(
                 f"the field of pins is {slide:.1f} px aside, and {MAX_SLIDE_PX:g} px are allowed: the weight "
-                "slides or is pushed; let it rest on the tip alone"
+                "slides or is pushed; let it rest on the tip alone",
+                code="weight-slid",
             )
 
 
