@@ -397,7 +397,7 @@ def _search_step(stage: Homing, force: ForceSensor, clock: Clock, air: AirForce)
     def look() -> None:
         for one in _fresh(force):
             if math.dist(one.force_n, air.force_n) > SEARCH_N:
-                stage.stop()  # type: ignore[attr-defined]
+                stage.stop()
 
     discard(force)
     stage.approach(SEARCH_STEP_M, SEARCH_SPEED_M_S)
