@@ -17,10 +17,10 @@ from tests.refusals import refused
 from palpate.core.clock import MonotonicClock
 from palpate.core.device_protocols import Stage
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, PositionUnknownError, RangeError
-from palpate.rig.real import serial_port
-from palpate.rig.real.grbl import grbl_stage
+from palpate.rig.real import gcode_stage, serial_port
+from palpate.rig.real.gcode_spec import Mount, fixed
 from palpate.rig.real.grbl.grbl_stage import GrblStage
-from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount, fixed
+from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
 # The default mount: x = X, y = -Y, z = -Z; the fake starts at machine -50, -50, -50 mm.
 START = (-0.050, 0.050, 0.050)
@@ -230,7 +230,7 @@ def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch)
                 failures.append(error)
 
         entered = threading.Event()
-        monkeypatch.setattr(grbl_stage, "check_range", lambda *asked: entered.set())
+        monkeypatch.setattr(gcode_stage, "check_range", lambda *asked: entered.set())
         mover = threading.Thread(target=move)
         mover.start()
         entered.wait()

@@ -16,7 +16,7 @@ from tests.refusals import refused
 
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError
-from palpate.rig.real.grbl.grbl_session import PositionLostError
+from palpate.rig.real.gcode_stage import PositionLostError
 
 START = (-0.050, 0.050, 0.050)
 AWAY = (-0.020, 0.050, 0.050)

@@ -358,7 +358,7 @@ def test_a_controller_that_says_nothing_is_told(bench) -> None:
     one = bench(reply_s=0.1)
     stage = one.open()
     one.spoil(MarlinFaults(mute=True))
-    with refused("marlin-silence", DeviceError):
+    with refused("silence", DeviceError):
         stage.position_m()
 
 

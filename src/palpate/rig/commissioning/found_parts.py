@@ -45,8 +45,9 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, c
     Raises:
         DeviceError: no GRBL controller answers.
     """
+    from palpate.rig.real.gcode_spec import Mount
     from palpate.rig.real.grbl.grbl_stage import GrblStage
-    from palpate.rig.real.grbl.grbl_supervisor import GrblSpec, Mount
+    from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
     first: PalpateError | None = None
     for dtr in (False, True):
@@ -63,7 +64,7 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, c
             machine, says = stage.machine, stage.ask_firmware() or "GRBL, of a version that it did not say"
         finally:
             stage.close()
-        box = Mount(axes).box_m(machine.travel_mm)
+        box = Mount(axes).box_m(machine.least_mm)
         fields: dict[str, object] = {"port": port, "baud": spec.baud, "dtr": dtr, "boot_s": boot_s}
         fields |= {"steps_per_mm": list(stage.steps_per_mm), "direction_mask": stage.direction_mask}
         return FoundStage("grbl", says, machine.homing, box, fields)

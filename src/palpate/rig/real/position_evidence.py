@@ -35,7 +35,7 @@ from typing import Any
 
 from palpate.core import PositionUnknownError
 from palpate.rig.real.device_hold import port_named
-from palpate.rig.real.grbl.grbl_move import Millimetres, distance_to_segment, shown
+from palpate.rig.real.gcode_spec import Millimetres, distance_to_segment, shown
 
 
 class PositionFault(StrEnum):

@@ -13,14 +13,14 @@ seconds on a busy host, was observed.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
 from palpate.core import NS_PER_S, Clock, DeviceError, ProtocolError
+from palpate.rig.real.gcode_link import KEPT, CutOffError, GcodeLink, SilenceError
 from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,
@@ -33,15 +33,12 @@ from palpate.rig.real.grbl.grbl_parser import (
     error_name,
     parse_line,
 )
-from palpate.rig.real.heard_lines import HeardTail
 from palpate.rig.real.serial_port import SerialPort
 
 HOLD, CANCEL, STOP, RESET, ASK = b"!", b"\x85", b"\x19", b"\x18", b"?"  # Grbl 1.1 ignores STOP
 STOP_PINS = {"D": "its door input", "H": "its hold input"}  # letters in Pn: (Grbl 1.1 interface description)
 _RESET_ALARMS = {3, 6}  # alarms that a reset in motion or in homing raises before its banner
 MAX_SENT = 80  # bytes; the controller refuses longer lines
-KEPT = 512  # push messages between a line and its answer; the longest list of settings has below 300
-MAX_READ_BYTES = 4096
 
 
 class RefusedError(DeviceError):
@@ -50,14 +47,6 @@ class RefusedError(DeviceError):
     def __init__(self, code: int, line: str) -> None:
         message = f"the stage's controller refused {line!r} with {error_name(code)}"
         super().__init__(message, code=f"grbl-error-{code}")
-
-
-class CutOffError(DeviceError):
-    """`halt` was called, or the controller started anew, before a line was answered."""
-
-
-class SilenceError(DeviceError):
-    """No answer in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +58,7 @@ class HeardStatus:
     time_ns: int
 
 
-class GrblLink:
+class GrblLink(GcodeLink):
     """Sends lines and single bytes, and tells what was heard.
 
     Args:
@@ -81,12 +70,8 @@ class GrblLink:
     """
 
     def __init__(self, port: SerialPort, reply_s: float, status_s: float, clock: Clock) -> None:
-        self._port, self._reply_s, self._status_s, self._clock = port, reply_s, status_s, clock
-        self._writing = threading.RLock()  # held for the bytes of one line, never while waiting
-        self._turn = threading.RLock()
-        self._news = threading.Condition()
-        self.dead = ""  # why nothing can be sent any more; empty while it can
-        self._closing = False
+        super().__init__(port, reply_s, "grbl")
+        self._status_s, self._clock = status_s, clock
         self._replies: deque[Ok | Failed] = deque(maxlen=KEPT)
         self._pushed: deque[Line] = deque(maxlen=KEPT)
         self._newest: HeardStatus | None = None
@@ -101,22 +86,14 @@ class GrblLink:
         self._unheard_s: float | None = None  # when the first question since the last report went out
         self._wanting = 0  # callers that wait for a report
         self._asking = False  # from the first that did
-        self.halts = 0  # calls of `halt`; a line asked for before the last one is not sent any more
         self.halted_ns = 0  # when the last one was
         self.banners = 0
         self._banner_due = False  # an alarm announced a banner that has not come yet
         self.firmware = ""  # and version, as the last banner named them
-        self.garbage = 0  # lines that are not GRBL's
-        self.tail = HeardTail()
         self.alarm: int | None = None  # the last one, until it is dealt with; a reset does not undo it
-        self.restless = False  # a line that can move something went out since it was seen to stand
         self.out_of_step = False  # an answer may still come for a line given up
-        self._threads = [
-            threading.Thread(target=work, name=f"grbl {name}", daemon=True)
-            for name, work in (("reader", self._read), ("asker", self._keep_asking))
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._splitter = Splitter()
+        self._start(asker=self._keep_asking)
 
     def command(
         self, line: str, *, timeout_s: float | None = None, halts: int | None = None, moves: bool = False
@@ -303,15 +280,6 @@ class GrblLink:
         """
         return self._wait(lambda: self.banners > 0, timeout_s)
 
-    def close(self) -> None:
-        """End the threads and let go of the port. Closing again does nothing."""
-        self._closing = True
-        self._bury("the stage's port was closed")
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(timeout=5.0)
-        self._port.close()
-
     def _wait(self, until: Callable[[], object], timeout_s: float | None) -> bool:
         with self._news:
             came = self._news.wait_for(
@@ -321,37 +289,8 @@ class GrblLink:
                 raise DeviceError(self.dead, code="port-failed")
             return bool(came)
 
-    def _write(self, data: bytes) -> None:
-        with self._writing:
-            if self.dead:
-                raise DeviceError(self.dead, code="port-gone")
-            try:
-                sent = self._port.write(data)
-                self.tail.send(data)
-            except Exception as error:  # each system and adapter has its own kinds
-                self._bury(f"the stage's port failed on writing ({error}); check cable and power")
-                raise DeviceError(self.dead, code="port-failed") from error
-            if sent != len(data):
-                self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
-                raise DeviceError(self.dead, code="port-failed")
-
-    def _bury(self, why: str) -> None:
-        with self._news:
-            self.dead = self.dead or why
-            self._news.notify_all()
-
-    def _read(self) -> None:
-        splitter = Splitter()
-        try:
-            while not self._closing and not self.dead:
-                data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
-                self.tail.hear(data)
-                for line in splitter.feed(data):
-                    self._take(line)
-        except Exception as error:  # each system and adapter has its own kinds; none is swallowed
-            self._bury(
-                f"the stage's port is gone ({error}); it may still be moving: check it, then open it anew"
-            )
+    def _split(self, data: bytes) -> Iterator[bytes]:
+        return self._splitter.feed(data)
 
     def _take(self, raw: bytes) -> None:
         try:

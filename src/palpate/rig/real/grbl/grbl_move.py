@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from palpate.core import NS_PER_S, DeviceError
+from palpate.rig.real.gcode_spec import S_PER_MIN, Millimetres, distance_to_segment, shown
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus
-from palpate.rig.real.grbl.grbl_supervisor import S_PER_MIN, GrblMachine
+from palpate.rig.real.grbl.grbl_supervisor import GrblMachine
 
-Millimetres = tuple[float, float, float]
 _REPORTED_MM = 0.001  # resolution of a status report
 _UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}
 _CLOCKS = 1.05  # ratio of the controller's clock and ours, at most
@@ -172,19 +172,3 @@ class MoveSupervisor:
         if along_mm <= left_mm:
             return math.sqrt(2 * along_mm / self._rate)
         return self._lasts_s - math.sqrt(2 * left_mm / self._rate)
-
-
-def distance_to_segment(place: Millimetres, start: Millimetres, end: Millimetres) -> float:
-    """Distance of a point from a straight piece [as its arguments]."""
-    length = math.dist(start, end)
-    if length == 0.0:
-        return math.dist(place, start)
-    along = sum((p - s) * (e - s) for p, s, e in zip(place, start, end, strict=True)) / length
-    part = min(max(along / length, 0.0), 1.0)
-    nearest = [s + part * (e - s) for s, e in zip(start, end, strict=True)]
-    return math.dist(place, nearest)
-
-
-def shown(place_mm: Millimetres) -> str:
-    """A place in words."""
-    return "X{:.3f} Y{:.3f} Z{:.3f} mm".format(*place_mm)

@@ -12,23 +12,23 @@ import re
 from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
+from palpate.rig.real.gcode_link import CutOffError, SilenceError
+from palpate.rig.real.gcode_spec import Millimetres, Mount, shown
+from palpate.rig.real.gcode_stage import PositionLostError
 from palpate.rig.real.grbl.grbl_link import (
     CANCEL,
     HOLD,
     STOP,
     STOP_PINS,
-    CutOffError,
     GrblLink,
     HeardStatus,
     RefusedError,
-    SilenceError,
 )
-from palpate.rig.real.grbl.grbl_move import Millimetres, MoveSupervisor, shown
+from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblMessage, GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_supervisor import (
     GrblMachine,
     GrblSpec,
-    Mount,
     check_limits,
     check_reports,
     read_machine,
@@ -55,10 +55,6 @@ _NEAR_PERIODS = 2.0  # before its predicted end from which a move is looked at a
 _YOUNG_S = 0.003  # age of a report that two looks in a row share
 _RESETS = 8  # stops from as many threads at once
 _READINGS = 8  # status reports within which two must agree on the place of a stage that stands
-
-
-class PositionLostError(DeviceError):
-    """The stage stands, and where is not known any more."""
 
 
 class GrblSession:

@@ -12,47 +12,31 @@ Reference: behaviour of Grbl 1.1h and grblHAL 1.1f as observed.
 from __future__ import annotations
 
 import math
-import threading
-from contextlib import suppress
 from dataclasses import replace
 
 from palpate.core import (
     NS_PER_S,
     Clock,
-    Closing,
     DeviceError,
-    MonotonicClock,
     Position,
     PositionUnknownError,
     RangeError,
     Travel,
 )
-from palpate.rig.real.grbl.grbl_link import CutOffError, RefusedError, SilenceError
+from palpate.rig.real.gcode_link import CutOffError, SilenceError
+from palpate.rig.real.gcode_spec import MM_PER_M, S_PER_MIN, feed_mm_min, fixed
+from palpate.rig.real.gcode_stage import GcodeStage
+from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
-from palpate.rig.real.grbl.grbl_session import GrblSession, PositionLostError, stands
-from palpate.rig.real.grbl.grbl_supervisor import (
-    MM_PER_M,
-    S_PER_MIN,
-    GrblMachine,
-    GrblSpec,
-    check_range,
-    feed_mm_min,
-    fixed,
-)
-from palpate.rig.real.position_evidence import MAX_APPROACH_M, WHY, PositionFault
-from palpate.rig.real.serial_port import SerialPort, open_port
+from palpate.rig.real.grbl.grbl_session import GrblSession, stands
+from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
+from palpate.rig.real.position_evidence import WHY, PositionFault
+from palpate.rig.real.serial_port import SerialPort
 
 
-class GrblStage(Closing):
-    """A `palpate.core.Stage`; a context manager that stops it on the way out, also on Ctrl-C.
-
-    After opening, its position is not known until `home` or `reference`: opening a port resets many boards.
-
-    Args:
-        spec: how it is reached, mounted and limited.
-        port: an open serial port; `open` opens the spec's.
-        clock: times the motion.
+class GrblStage(GcodeStage):
+    """A `palpate.core.Stage`, see `GcodeStage`.
 
     Raises:
         DeviceError: no GRBL controller answers at the port.
@@ -60,22 +44,15 @@ class GrblStage(Closing):
     """
 
     def __init__(self, spec: GrblSpec, port: SerialPort, clock: Clock | None = None) -> None:
-        self._spec, self._clock = spec, clock or MonotonicClock()
-        self._lock = threading.RLock()
-        self._closed = False
+        super().__init__(spec, port, clock)
         self._session = GrblSession(spec, port, self._clock)
-        self._link = self._session.link
-
-    @classmethod
-    def open(cls, spec: GrblSpec, clock: Clock | None = None) -> GrblStage:
-        """Open the spec's port and get into step with what is there; a motion found under way is stopped."""
-        return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr), clock)
+        self._link: GrblLink = self._session.link
 
     @property
     def travel(self) -> Travel:
         """The spec's limits, or the machine's own; speed and deceleration of its slowest axis."""
         machine, spec = self._session.machine, self._spec
-        least, greatest = self._session.mount.box_m(machine.travel_mm)
+        least, greatest = self._session.mount.box_m(machine.least_mm)
         top = min(machine.top_mm_min) / S_PER_MIN / MM_PER_M
         return Travel(
             least_m=least if spec.least_m is None else spec.least_m,
@@ -111,50 +88,16 @@ class GrblStage(Closing):
         counts = {"lines damaged": link.garbage, "questions for the status unanswered": link.unanswered}
         return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
 
-    def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        """Start moving in a straight line, and return at once. See `palpate.core.Stage`."""
-        halts = self._link.halts
-        check_range(self.travel, position_m, speed_m_s)
-        self._go(position_m, speed_m_s, halts)
-
-    def retreat(self, distance_m: float, speed_m_s: float) -> None:
-        """Start moving away from the skin by so far, and return at once, also before its place is known.
-
-        It is what a lift before homing needs. The controller itself may refuse, where its count says that the
-        travel ends.
-
-        Raises:
-            RangeError: the distance is not above 0 m, or the speed is none that it can run at.
-            DeviceError: it is moving or locked, or the controller refuses.
-        """
-        if not 0.0 < distance_m < math.inf:
-            raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
-        self._shift(-distance_m, speed_m_s)
-
-    def approach(self, distance_m: float, speed_m_s: float) -> None:
-        """Start one step of a search for the skin, and return at once, also before its place is known.
-
-        Raises:
-            RangeError: the distance is not above 0 m, or above `MAX_APPROACH_M`.
-            DeviceError: as `retreat`.
-        """
-        if not 0.0 < distance_m <= MAX_APPROACH_M:
-            raise RangeError(f"an approach by {distance_m} m; above 0 m and at most {MAX_APPROACH_M} m")
-        self._shift(distance_m, speed_m_s)
-
-    def _shift(self, by_m: float, speed_m_s: float) -> None:
-        halts, travel = self._link.halts, self.travel
-        check_range(travel, travel.least_m, speed_m_s)
-        with self._lock:
-            session = self._session
-            session.note_restart()
-            _, place_mm = session.look()
-            x, y, z = session.mount.sensor_m(place_mm)
-            lost, session.lost = session.lost, ""
-            try:
-                self._go((x, y, z + by_m), speed_m_s, halts, homed=False)
-            finally:
-                session.lost = session.lost or lost
+    def _go_by(self, by_m: float, speed_m_s: float, halts: int) -> None:
+        session = self._session
+        session.note_restart()
+        _, place_mm = session.look()
+        x, y, z = session.mount.sensor_m(place_mm)
+        lost, session.lost = session.lost, ""
+        try:
+            self._go((x, y, z + by_m), speed_m_s, halts, homed=False)
+        finally:
+            session.lost = session.lost or lost
 
     @property
     def firmware(self) -> str:
@@ -196,25 +139,23 @@ class GrblStage(Closing):
                 session.regain(session.mount, place_mm)
 
     def _go(self, position_m: Position, speed_m_s: float, halts: int, *, homed: bool = True) -> None:
-        with self._lock:
-            move = self._begin(position_m, speed_m_s, homed=homed)
-            target_mm = move.target_mm
-            words = "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
-            line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
-            try:
-                self._link.command(line, halts=halts, moves=True)
-            except RefusedError:
+        move = self._begin(position_m, speed_m_s, homed=homed)
+        words = "".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", move.target_mm, strict=True))
+        line = f"$J=G21G90G53{words}F{fixed(feed_mm_min(speed_m_s), 3)}"
+        try:
+            self._link.command(line, halts=halts, moves=True)
+        except RefusedError:
+            self._session.move = None
+            self._link.restless = False
+            raise
+        except CutOffError:
+            if not self._link.restless:  # recalled before it was sent
                 self._session.move = None
-                self._link.restless = False
-                raise
-            except CutOffError:
-                if not self._link.restless:  # recalled before it was sent
-                    self._session.move = None
-                raise
-            except SilenceError:
-                self._session.bring_to_stand()  # it may have begun to move
-                raise
-            move.first = self._link.next_number
+            raise
+        except SilenceError:
+            self._session.bring_to_stand()  # it may have begun to move
+            raise
+        move.first = self._link.next_number
 
     def moving(self) -> bool:
         """Whether the last move is still under way. See `palpate.core.Stage`."""
@@ -315,18 +256,6 @@ class GrblStage(Closing):
             except PositionUnknownError as e:
                 self._session.lost = WHY[PositionFault(e.code)]
                 raise
-
-    def close(self) -> None:
-        """Stop, and let go of the port. Closing again does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            if self._link.restless or not self._link.dead:
-                with suppress(PositionLostError):  # it stands, which is what is asked for here
-                    self.stop()
-        finally:
-            self._link.close()
 
     def _begin(self, position_m: Position, speed_m_s: float, *, homed: bool = True) -> MoveSupervisor:
         """Everything that must hold before a line that moves is sent."""

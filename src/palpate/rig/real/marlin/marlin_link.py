@@ -12,12 +12,12 @@ line cut short from hiding it: the commit that brought the emergency parser.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
+from collections.abc import Iterator
 
 from palpate.core import DeviceError
-from palpate.rig.real.heard_lines import HeardTail
+from palpate.rig.real.gcode_link import KEPT, CutOffError, GcodeLink, SilenceError
 from palpate.rig.real.marlin.marlin_lines import (
     Busy,
     Line,
@@ -31,23 +31,13 @@ from palpate.rig.real.marlin.marlin_lines import (
 )
 from palpate.rig.real.serial_port import SerialPort
 
-KEPT = 512  # lines between a line and its answer; a list of settings has below 200
-MAX_READ_BYTES = 4096
 MAX_LINE = 400  # bytes; what it is in one line is the longest, some 250
 MAX_TRIES = 4  # of a line that is damaged on its way
 QUICKSTOP, KILL = b"\nM410\n", b"\nM112\n"  # bare: an emergency parser hears them as they come
 HALTED = "halted"  # in the last line of a controller that gave up
 
 
-class MarlinCutError(DeviceError):
-    """`halt` was called, or the controller started anew, before a line was answered."""
-
-
-class MarlinSilenceError(DeviceError):
-    """No answer in time."""
-
-
-class MarlinLink:
+class MarlinLink(GcodeLink):
     """Sends lines, and tells what was heard.
 
     Args:
@@ -55,30 +45,19 @@ class MarlinLink:
         reply_s: how long an answer may take [s].
 
     Attributes:
-        dead: why nothing can be sent any more; empty while it can.
-        halts: calls of `halt`; a line asked for before the last one is not sent any more.
         starts: how often the controller said that it booted.
-        garbage: lines that could not be read.
         resent: lines that were asked for again, or whose answer was lost.
-        restless: a line that can move something went out since it was seen to stand.
     """
 
     def __init__(self, port: SerialPort, reply_s: float) -> None:
-        self._port, self._reply_s = port, reply_s
-        self._writing = threading.RLock()
-        self._turn = threading.RLock()
-        self._news = threading.Condition()
+        super().__init__(port, reply_s, "marlin")
         self._heard: deque[Line] = deque(maxlen=KEPT)
         self._number, self._words = 0, 0
         self._sent: dict[int, str] = {}
         self._out_of_step = True
-        self._closing = False
-        self.dead = ""
-        self.halts = self.starts = self.garbage = self.resent = 0
-        self.restless = False
-        self.tail = HeardTail()
-        self._reader = threading.Thread(target=self._read, name="marlin reader", daemon=True)
-        self._reader.start()
+        self._rest = b""
+        self.starts = self.resent = 0
+        self._start()
 
     def begin(self) -> None:
         """Number lines from here on, after opening or a restart.
@@ -86,7 +65,7 @@ class MarlinLink:
         The new number holds when the line is done, so that its `ok` is waited for before any other goes out.
 
         Raises:
-            MarlinCutError: the controller started anew meanwhile.
+            CutOffError: the controller started anew meanwhile.
         """
         with self._turn:
             self._number, self._sent = 0, {}
@@ -111,8 +90,8 @@ class MarlinLink:
             What was said between the line and its answer.
 
         Raises:
-            MarlinSilenceError: there was no answer.
-            MarlinCutError: `halt` was called, or the controller started anew.
+            SilenceError: there was no answer.
+            CutOffError: `halt` was called, or the controller started anew.
             DeviceError: the link is gone, or the controller reports an error.
         """
         with self._turn:
@@ -121,7 +100,7 @@ class MarlinLink:
                 self._synchronise(halts)
             with self._writing:
                 if self.halts != halts:
-                    raise MarlinCutError("the stage was stopped before it was to move; ask again")
+                    raise CutOffError("the stage was stopped before it was to move; ask again")
                 self.restless = self.restless or moves
                 self._out_of_step = True
                 self._sent.clear()
@@ -160,14 +139,6 @@ class MarlinLink:
                 bool(self._news.wait_for(lambda: self.starts > 0 or self.dead, timeout_s)) and not self.dead
             )
 
-    def close(self) -> None:
-        """End the reading thread and let go of the port. Closing again does nothing."""
-        self._closing = True
-        self._bury("the stage's port was closed")
-        if self._reader is not threading.current_thread():
-            self._reader.join(timeout=5.0)
-        self._port.close()
-
     def _send(self, line: str) -> None:
         self._number += 1
         self._sent[self._number] = line
@@ -202,7 +173,7 @@ class MarlinLink:
             if repeated:
                 return said
             self.resent += 1
-        raise MarlinSilenceError("the stage's controller does not answer; if it moves, cut its power")
+        raise SilenceError("the stage's controller does not answer; if it moves, cut its power")
 
     def _until_word(self, word: str, halts: int) -> tuple[list[Line], bool]:
         said: list[Line] = []
@@ -239,7 +210,7 @@ class MarlinLink:
         """The next line heard; None where none came in time.
 
         Raises:
-            MarlinCutError: `halt` was called, or the controller started anew.
+            CutOffError: `halt` was called, or the controller started anew.
         """
         with self._news:
             self._news.wait_for(
@@ -249,43 +220,13 @@ class MarlinLink:
             if self.dead:
                 raise DeviceError(self.dead)
             if self.halts != halts or self.starts != starts:
-                raise MarlinCutError("the stage was stopped, or its controller restarted, before it answered")
+                raise CutOffError("the stage was stopped, or its controller restarted, before it answered")
             return self._heard.popleft() if self._heard else None
 
-    def _write(self, data: bytes) -> None:
-        with self._writing:
-            if self.dead:
-                raise DeviceError(self.dead)
-            try:
-                sent = self._port.write(data)
-                self.tail.send(data)
-            except Exception as error:  # each system and adapter has its own kinds
-                self._bury(f"the stage's port failed on writing ({error}); check cable and power")
-                raise DeviceError(self.dead) from error
-            if sent != len(data):
-                self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
-                raise DeviceError(self.dead)
-
-    def _bury(self, why: str) -> None:
-        with self._news:
-            self.dead = self.dead or why
-            self._news.notify_all()
-
-    def _read(self) -> None:
-        rest = b""
-        try:
-            while not self._closing and not self.dead:
-                data = self._port.read(min(max(self._port.in_waiting, 1), MAX_READ_BYTES))
-                self.tail.hear(data)
-                *lines, rest = (rest + data).replace(b"\r", b"\n").split(b"\n")
-                rest = rest[:MAX_LINE]  # what is longer is no line of its, and stays cut
-                for raw in lines:
-                    if raw.strip():
-                        self._take(raw)
-        except Exception as error:  # each system and adapter has its own kinds; none is swallowed
-            self._bury(
-                f"the stage's port is gone ({error}); it may still be moving: check it, then open it anew"
-            )
+    def _split(self, data: bytes) -> Iterator[bytes]:
+        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        self._rest = rest[:MAX_LINE]  # what is longer is no line of its, and stays cut
+        return (raw for raw in lines if raw.strip())
 
     def _take(self, raw: bytes) -> None:
         line = read_line(raw)

@@ -20,34 +20,32 @@ M114, M211, M410, M503).
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass, replace
 
 from palpate.core import (
     NS_PER_S,
     Clock,
-    Closing,
     DeviceError,
     InputError,
-    MonotonicClock,
     Position,
     PositionUnknownError,
     RangeError,
     Travel,
 )
-from palpate.rig.real.grbl.grbl_move import distance_to_segment, shown
-from palpate.rig.real.grbl.grbl_supervisor import (
+from palpate.rig.real.gcode_link import CutOffError, SilenceError
+from palpate.rig.real.gcode_spec import (
     MM_PER_M,
+    GcodeSpec,
     Mount,
-    check_range,
+    distance_to_segment,
     feed_mm_min,
     fixed,
+    shown,
 )
+from palpate.rig.real.gcode_stage import GcodeStage
 from palpate.rig.real.marlin.marlin_lines import Line, MarlinMachine, Said, StepReport, Triple
-from palpate.rig.real.marlin.marlin_link import MarlinCutError, MarlinLink, MarlinSilenceError
-from palpate.rig.real.marlin.marlin_spec import MarlinSpec
+from palpate.rig.real.marlin.marlin_link import MarlinLink
 from palpate.rig.real.position_evidence import (
-    MAX_APPROACH_M,
     WHY,
     PositionEvidence,
     PositionFault,
@@ -56,11 +54,29 @@ from palpate.rig.real.position_evidence import (
     new_marker,
     unknown,
 )
-from palpate.rig.real.serial_port import SerialPort, open_port
+from palpate.rig.real.serial_port import SerialPort
 
 _HOW = "call home(), or reference() on your own word"
 _WATCHED_S, _UNSEEN = 0.1, 3  # moves of this length without a place on the way, before that is a fault
 _ASKS = 3  # for a place whose answer is damaged on its way
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinSpec(GcodeSpec):
+    """Specification of a Marlin stage.
+
+    Attributes:
+        sudden_m_s: fastest speed from which it can be stopped dead without losing steps; left out, the
+            controller's jerk (M205). Try it, with the load that it carries [m/s]. `top_speed_m_s` never
+            exceeds it.
+        queued_s: more latency without an emergency parser, since M410 then waits for its turn [s].
+    """
+
+    boot_s: float = 5.0
+    stop_s: float = 5.0
+    home_s: float = 60.0
+    sudden_m_s: float | None = None
+    queued_s: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +90,8 @@ class MarlinMove:
     last_ns: int
 
 
-class MarlinStage(Closing):
-    """A `palpate.core.Stage`; after opening, its position is not known until `home` or `reference`.
-
-    Args:
-        spec: how it is reached, mounted and limited.
-        port: an open serial port; `open` opens the spec's.
-        clock: times the motion.
+class MarlinStage(GcodeStage):
+    """A `palpate.core.Stage`, see `GcodeStage`.
 
     Raises:
         DeviceError: no Marlin controller answers, or it cannot be driven: its message says why.
@@ -89,27 +100,21 @@ class MarlinStage(Closing):
     """
 
     def __init__(self, spec: MarlinSpec, port: SerialPort, clock: Clock | None = None) -> None:
-        self._spec, self._clock = spec, clock or MonotonicClock()
-        self._lock = threading.RLock()
+        super().__init__(spec, port, clock)
         self._mount = Mount(spec.axes)
         self._move: MarlinMove | None = None
         self._stood_mm: Triple | None = None
         self._lost = "its port was just opened, which may have reset it"
-        self._homed = self._closed = self._prompt = False
+        self._homed = self._prompt = False
         self._stored = PositionStore(spec.port)
         self._unseen = 0
-        self._link = MarlinLink(port, spec.reply_s)
+        self._link: MarlinLink = MarlinLink(port, spec.reply_s)
         try:
             self._machine = self._greet()
             self._speeds = self._known_speeds()
         except BaseException:
             self._link.close()
             raise
-
-    @classmethod
-    def open(cls, spec: MarlinSpec, clock: Clock | None = None) -> MarlinStage:
-        """Open the spec's port and get into step; a motion found under way is stopped."""
-        return cls(spec, open_port(spec.port, spec.baud, dtr=spec.dtr), clock)
 
     @property
     def emergency_parser(self) -> bool:
@@ -125,7 +130,7 @@ class MarlinStage(Closing):
     def travel(self) -> Travel:
         """The spec's limits, or the machine's own box; speed and latency as the module says."""
         machine, spec = self._machine, self._spec
-        least, greatest = self._box_m()
+        least, greatest = self._mount.box_m(*(machine.box_mm or ((0.0,) * 3, (0.0,) * 3)))
         return Travel(
             least_m=least if spec.least_m is None else spec.least_m,
             greatest_m=greatest if spec.greatest_m is None else spec.greatest_m,
@@ -147,52 +152,23 @@ class MarlinStage(Closing):
             self._check_place(place_mm)
             return self._mount.sensor_m(place_mm)
 
-    def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        """Start moving in a straight line, and return at once. See `palpate.core.Stage`."""
-        halts = self._link.halts
-        check_range(self.travel, position_m, speed_m_s)
-        with self._lock:
-            self._need_known()
-            if self._move:
-                raise DeviceError("the stage is moving already; wait for it, or stop() it")
-            start_mm = self._look()
-            self._check_place(start_mm)
-            self._go(start_mm, self._mount.machine_mm(position_m), speed_m_s, halts)
+    def _go(self, position_m: Position, speed_m_s: float, halts: int) -> None:
+        self._need_known()
+        self._need_standing("the stage is moving already; wait for it, or stop() it")
+        start_mm = self._look()
+        self._check_place(start_mm)
+        self._send_move(start_mm, self._mount.machine_mm(position_m), speed_m_s, halts)
 
-    def retreat(self, distance_m: float, speed_m_s: float) -> None:
-        """Start moving away from the skin by so far, and return at once, also before its place is known.
+    def _go_by(self, by_m: float, speed_m_s: float, halts: int) -> None:
+        self._need_standing("the stage is moving already; wait for it, or stop() it")
+        self._note_restart()
+        start_mm = self._look()
+        x, y, z = self._mount.sensor_m(start_mm)
+        self._send_move(start_mm, self._mount.machine_mm((x, y, z + by_m)), speed_m_s, halts)
 
-        It is what a lift before homing needs. A build that refuses to move before it is homed refuses this.
-
-        Raises:
-            RangeError: the distance is not above 0 m, or the speed is none that it can run at.
-            DeviceError: it is moving, or the controller refuses.
-        """
-        if not 0.0 < distance_m < math.inf:
-            raise RangeError(f"a retreat by {distance_m} m; give a distance above 0 m")
-        self._shift(-distance_m, speed_m_s)
-
-    def approach(self, distance_m: float, speed_m_s: float) -> None:
-        """Start one step of a search for the skin, and return at once, also before its place is known.
-
-        Raises:
-            RangeError: the distance is not above 0 m, or above `MAX_APPROACH_M`.
-            DeviceError: as `retreat`.
-        """
-        if not 0.0 < distance_m <= MAX_APPROACH_M:
-            raise RangeError(f"an approach by {distance_m} m; above 0 m and at most {MAX_APPROACH_M} m")
-        self._shift(distance_m, speed_m_s)
-
-    def _shift(self, by_m: float, speed_m_s: float) -> None:
-        halts, travel = self._link.halts, self.travel
-        check_range(travel, travel.least_m, speed_m_s)
-        with self._lock:
-            if self._move:
-                raise DeviceError("the stage is moving already; wait for it, or stop() it")
-            self._note_restart()
-            start_mm = self._look()
-            x, y, z = self._mount.sensor_m(start_mm)
-            self._go(start_mm, self._mount.machine_mm((x, y, z + by_m)), speed_m_s, halts)
+    def _need_standing(self, why: str = "the stage is moving; stop() it first") -> None:
+        if self._move:
+            raise DeviceError(why)
 
     def unlock(self) -> None:
         """Refuse, since a Marlin controller that gave up (M112) only restarts.
@@ -201,13 +177,6 @@ class MarlinStage(Closing):
             DeviceError: always.
         """
         raise DeviceError("a Marlin controller that gave up cannot be unlocked: switch it off and on again")
-
-    def _go(self, start_mm: Triple, target_mm: Triple, speed_m_s: float, halts: int) -> None:
-        self._link.command("G90", halts=halts)
-        self._stored.move(start_mm, target_mm)
-        words = " ".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
-        self._move = MarlinMove(start_mm, target_mm, speed_m_s, start_mm, self._clock.now_ns())
-        self._send_move(f"G1 {words} F{fixed(feed_mm_min(speed_m_s), 3)}", halts)
 
     def moving(self) -> bool:
         """Whether the last move is still under way. See `palpate.core.Stage`."""
@@ -253,14 +222,11 @@ class MarlinStage(Closing):
         """
         halts = self._link.halts
         with self._lock:
-            if self._move:
-                raise DeviceError("the stage is moving; stop() it first")
+            self._need_standing()
             self._note_restart()
             self._lose("homing was not finished")
             self._link.command("G28", timeout_s=self._spec.home_s, halts=halts, moves=True)
-            place = self._ask()
-            place_mm = self._machine.place_mm(place.counts)
-            self._check_counts(place, place_mm)
+            _, place_mm = self._counted()
             self._mount, self._homed = self._mount.at_origin(), True
             self._regain(place_mm)
 
@@ -281,11 +247,8 @@ class MarlinStage(Closing):
             )
         with self._lock:
             self._note_restart()
-            if self._move:
-                raise DeviceError("the stage is moving; stop() it first")
-            place = self._ask()
-            place_mm = self._machine.place_mm(place.counts)
-            self._check_counts(place, place_mm)
+            self._need_standing()
+            _, place_mm = self._counted()
             self._mount = self._mount.placed(place_mm, position_m)
             self._regain(place_mm)
 
@@ -300,9 +263,7 @@ class MarlinStage(Closing):
         """
         with self._lock:
             self._note_restart()
-            place = self._ask()
-            place_mm = self._machine.place_mm(place.counts)
-            self._check_counts(place, place_mm)
+            place, place_mm = self._counted()
             evidence = PositionEvidence(
                 self._motors_hold,
                 round(place.extruder_mm or 0.0),
@@ -318,17 +279,6 @@ class MarlinStage(Closing):
             self._lost, self._mount = "", Mount(self._spec.axes, stored.origin_mm)
             self._settle(place_mm)
 
-    def close(self) -> None:
-        """Stop, and let go of the port. Closing again does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            if self._link.restless or not self._link.dead:
-                self.stop()
-        finally:
-            self._link.close()
-
     def _greet(self) -> MarlinMachine:
         """Get into step with a controller that may be booting or moving, and ask what it is."""
         self._link.listen(self._spec.boot_s)
@@ -337,10 +287,10 @@ class MarlinStage(Closing):
                 self._link.begin()
                 about = _texts(self._link.command("M115"))
                 break
-            except MarlinCutError:  # it boots only now
+            except CutOffError:  # it boots only now
                 if last:
                     raise
-            except MarlinSilenceError as e:
+            except SilenceError as e:
                 raise DeviceError(
                     f"nothing at {self._spec.port} answers as Marlin does (M118 and M115), "
                     f"{self._link.tail.in_words()}; check that this is the stage's port, power, cable, baud "
@@ -395,22 +345,19 @@ class MarlinStage(Closing):
             )
         return tuple(v for v in (sudden, fastest, spec.top_speed_m_s) if v)
 
-    def _box_m(self) -> tuple[Position, Position]:
-        low_mm, high_mm = self._machine.box_mm or ((0.0,) * 3, (0.0,) * 3)
-        x, y, z = (
-            sorted(pair)
-            for pair in zip(self._mount.sensor_m(low_mm), self._mount.sensor_m(high_mm), strict=True)
-        )
-        return (x[0], y[0], z[0]), (x[1], y[1], z[1])
-
-    def _send_move(self, line: str, halts: int) -> None:
+    def _send_move(self, start_mm: Triple, target_mm: Triple, speed_m_s: float, halts: int) -> None:
+        self._link.command("G90", halts=halts)
+        self._stored.move(start_mm, target_mm)
+        words = " ".join(f"{axis}{fixed(value)}" for axis, value in zip("XYZ", target_mm, strict=True))
+        self._move = MarlinMove(start_mm, target_mm, speed_m_s, start_mm, self._clock.now_ns())
+        line = f"G1 {words} F{fixed(feed_mm_min(speed_m_s), 3)}"
         try:
             said = self._link.command(line, halts=halts, moves=True)
-        except MarlinCutError:
+        except CutOffError:
             if not self._link.restless:  # recalled before it was sent
                 self._move = None
             raise
-        except MarlinSilenceError:
+        except SilenceError:
             self._link.halt()
             self._bring_to_stand()  # it may have begun to move
             raise
@@ -443,20 +390,23 @@ class MarlinStage(Closing):
         self._check_restart()
         try:
             place = self._ask()
-        except MarlinCutError:
+        except CutOffError:
             self._check_restart()  # the better reason
             raise
         self._check_restart()
         return self._machine.place_mm(place.counts)
 
-    def _check_counts(self, place: StepReport, place_mm: Triple) -> None:
-        """Refuse a machine whose steps are not its axes, or whose coordinates are shifted."""
+    def _counted(self) -> tuple[StepReport, Triple]:
+        """Place of a machine whose steps are its axes and whose coordinates are not shifted [mm]."""
+        place = self._ask()
+        place_mm = self._machine.place_mm(place.counts)
         if math.dist(place.planned_mm, place_mm) > self._machine.tolerance_mm + 0.01:  # it states 0.01 mm
             raise DeviceError(
                 f"the stage states {shown(place.planned_mm)} and counts steps for {shown(place_mm)}: switch "
                 "bed levelling off (M420 S0) and undo offsets (G92, M206), then open it anew",
                 code="bed-leveling",
             )
+        return place, place_mm
 
     def _check_place(self, place_mm: Triple) -> None:
         stray, within = "", self._machine.tolerance_mm
@@ -513,10 +463,10 @@ class MarlinStage(Closing):
         while self._clock.now_ns() - began_ns < self._spec.stop_s * NS_PER_S:
             try:
                 place = self._link.command("M114")
-            except MarlinCutError:
+            except CutOffError:
                 self._note_restart()
                 continue
-            except MarlinSilenceError:
+            except SilenceError:
                 break
             now = next((one for one in place if isinstance(one, StepReport)), None)
             if now is not None:
