@@ -261,7 +261,7 @@ FEEDS: dict[str, Feed] = {
         "rig.plans.plan_files:plan_of", "a.toml", text("a.toml", lambda: toml_of("record-with-a-rig", 0))
     ),
     "setup answers": simple(
-        "rig.commissioning.setup_answers:FileAnswers.read", "a.toml",
+        "rig.commissioning.setup_answers:Answers.read", "a.toml",
         text("a.toml", "may_move = true\nmass_g = 200\n"),
     ),
     "softness bench": simple(

@@ -19,8 +19,9 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core import DeviceError, InputError, MonotonicClock
 from palpate.rig.commissioning.bench import bench_status, open_bench
-from palpate.rig.commissioning.hand_motion import home_clear, jog
-from palpate.rig.commissioning.toml_text import toml_text
+from palpate.rig.commissioning.hand_motion import jog
+from palpate.rig.commissioning.homing import home_clear
+from palpate.rig.commissioning.setup_answers import toml_text
 from palpate.rig.rig_file import UrArmPart, open_rig, read_rig
 
 HOST = "127.{}.{}.1".format(*divmod(os.getpid() % 60_000, 250))  # an arm has one holder

@@ -15,8 +15,16 @@ from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import RangeError
 from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.rig.commissioning.force_touch import touch_twice
-from palpate.rig.commissioning.hand_motion import await_push, home_clear, jog, lift_clear, touch_off, zero
+from palpate.rig.commissioning.first_touch import touch_twice
+from palpate.rig.commissioning.hand_motion import (
+    Hand,
+    await_push,
+    jog,
+    lift_clear,
+    touch_off,
+    zero,
+)
+from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.rig import Rig
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import Fault, virtual_rig
@@ -192,12 +200,12 @@ def test_a_jog_beyond_its_ceilings_is_refused_with_both_numbers(given: dict[str,
 
 
 def test_a_zero_in_the_air_is_the_sensors_own_and_one_in_contact_is_refused() -> None:
-    air = zero(*devices(virtual_rig()))
+    air = zero(Hand(*devices(virtual_rig())))
     assert air.lifted_mm == pytest.approx(0.6)
     touching = in_contact()
     with pytest.raises(Tripped, match="in contact"):
-        zero(*devices(touching))
-    again = zero(*devices(touching))  # the refusal left it in the air
+        zero(Hand(*devices(touching)))
+    again = zero(Hand(*devices(touching)))  # the refusal left it in the air
     assert again.force_n == pytest.approx(air.force_n, abs=0.05)
 
 
@@ -258,7 +266,7 @@ def test_a_touch_off_with_a_numb_sensor_does_not_leave_the_probe_in_the_skin() -
     while rig.stage.moving():
         rig.clock.sleep(0.01)
     with pytest.raises(Tripped, match="lifted again") as refusal:
-        touch_off(Switched(rig), Numb(rig), rig.mounting, rig.clock, (0.0, 0.0, 0.0), pushed=False)
+        touch_off(Hand(Switched(rig), Numb(rig), rig.mounting, rig.clock), (0.0, 0.0, 0.0), pushed=False)
     assert refusal.value.reason is Reason.NO_CONTACT
     assert rig.stage.position_m()[2] < -1e-3
 
@@ -302,7 +310,7 @@ def test_a_touch_off_after_a_push_states_the_position_of_the_skin() -> None:
     rig.stage.move_to((0.0, 0.0, -2e-3), 5e-3)
     while rig.stage.moving():
         rig.clock.sleep(0.01)
-    touch_off(stage, Pushed(rig, 1.0, 1.0, 2.0), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    touch_off(Hand(stage, Pushed(rig, 1.0, 1.0, 2.0), *devices(rig)[2:]), (0.0, 0.0, 0.0))  # type: ignore[arg-type]
     assert stage.stated_m == pytest.approx((0.0, 0.0, -2e-3))
     assert rig.stage.position_m()[2] == pytest.approx(-2e-3, abs=0.2e-3)
 
@@ -339,7 +347,7 @@ def test_a_change_of_force_that_is_no_push_along_the_press_moves_nothing(kind: s
     rig = virtual_rig()
     start = rig.stage.position_m()
     with pytest.raises(Tripped) as refusal:
-        touch_off(Switched(rig), Disturbed(rig, kind), *devices(rig)[2:], (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+        touch_off(Hand(Switched(rig), Disturbed(rig, kind), *devices(rig)[2:]), (0.0, 0.0, 0.0))  # type: ignore[arg-type]
     assert refusal.value.reason is reason
     assert rig.stage.position_m() == start
 
@@ -387,7 +395,7 @@ def test_a_lift_that_leads_into_a_soft_skin_is_stopped_by_the_whole_change(
     while rig.stage.moving():
         rig.clock.sleep(0.01)
     with pytest.raises(Tripped) as refusal:
-        lift_clear(TurnedStage(rig), SoftSkin(rig, n_m), rig.mounting, rig.clock)  # type: ignore[arg-type]
+        lift_clear(Hand(TurnedStage(rig), SoftSkin(rig, n_m), rig.mounting, rig.clock))  # type: ignore[arg-type]
     assert refusal.value.reason is Reason.FORCE_LIMIT
     assert rig.stage.position_m()[2] * 1e3 < most_mm
 
@@ -411,6 +419,8 @@ def test_a_knock_in_a_search_gives_no_position() -> None:
             ]
 
     with pytest.raises(Tripped) as refusal:
-        touch_off(Referenced(rig), Knocked(rig, 4000.0), *devices(rig)[2:], (0.0, 0.0, 0.0), pushed=False)  # type: ignore[arg-type]
+        touch_off(
+            Hand(Referenced(rig), Knocked(rig, 4000.0), *devices(rig)[2:]), (0.0, 0.0, 0.0), pushed=False
+        )  # type: ignore[arg-type]
     assert refusal.value.reason in (Reason.FORCE_NOISE, Reason.NO_CONTACT)
     assert rig.stage.position_m()[2] < -1e-3, "lifted again"

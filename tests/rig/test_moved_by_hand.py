@@ -18,7 +18,7 @@ from palpate.devices.device_proxies import driver_errors
 from palpate.rig.commissioning.bench import Bench, frame_times
 from palpate.rig.commissioning.hand_motion import discard
 from palpate.rig.commissioning.rig_setup import _three_words
-from palpate.rig.commissioning.setup_answers import PromptAnswers, text, until_good
+from palpate.rig.commissioning.setup_answers import Answers
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.rig_file import MarlinPart, open_rig
 
@@ -157,10 +157,10 @@ def test_a_person_who_names_no_stage_is_asked_again() -> None:
             raise DeviceError("nothing there")
         return int(answer)
 
-    answers = PromptAnswers(read=lambda question: next(typed))
-    assert until_good(answers, take) == 7
+    answers = Answers(read=lambda question: next(typed))
+    assert answers.until_good(take) == 7
 
 
 @pytest.mark.parametrize("typed", ["N", "yes", "3.10", "true"])
 def test_words_are_kept_as_they_were_typed(typed: str) -> None:
-    assert text(PromptAnswers(read=lambda question: typed), "unit", "Unit") == typed
+    assert Answers(read=lambda question: typed).text("unit", "Unit") == typed

@@ -24,15 +24,7 @@ from palpate.core import Clock, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
 from palpate.devices.motion_limits import Tripped
 from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
-from palpate.rig.commissioning.setup_answers import (
-    Answers,
-    FileAnswers,
-    PromptAnswers,
-    kept_answers,
-    number,
-    text,
-    until_good,
-)
+from palpate.rig.commissioning.setup_answers import Answers, kept_answers
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.real.grbl import GrblSpec, GrblStage
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
@@ -112,7 +104,7 @@ class Lab:
         return x, y, z
 
 
-class LabAnswers(FileAnswers):
+class LabAnswers(Answers):
     """Answers from a file, of somebody who also lays the weight on and takes it off."""
 
     def __init__(self, lab: Lab, answers: dict[str, Any]) -> None:
@@ -263,7 +255,7 @@ class Leading(LabAnswers):
 
 def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_stands(tmp_path: Path) -> None:
     with lab() as one:
-        given = answers_of(one, mass_g=0)._answers
+        given = answers_of(one, mass_g=0)._stated
         led = Leading(one, given, ["x 0.5", "z 80", "y-0.5", "x 999", "nowhere"])
         with pytest.raises(Led):
             set_up(tmp_path / "rig.toml", led, lambda line: None)
@@ -287,9 +279,7 @@ def test_the_version_of_a_firmware_that_said_no_banner_is_asked_for(tmp_path: Pa
     assert file["stage"]["baud"] == 57600
 
 
-def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(
-    tmp_path: Path,
-) -> None:
+def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(tmp_path: Path) -> None:
     typed = "\n".join(["bench 7", "", "", "/dev/no-such-port", "", "0.1", "", ""])
     out = tmp_path / "rig.toml"
     ended = CliRunner().invoke(app, ["rig", "setup", "--out", str(out)], input=typed)
@@ -300,15 +290,14 @@ def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(
     assert answers["name"] == "bench 7"
     assert "may_move" not in answers
     assert not out.exists()
-    person = PromptAnswers(read=lambda question: "typed")
-    asked = FileAnswers.read(kept, person=person)
+    asked = Answers.read(kept, read=lambda question: "typed")
     assert asked.ask("name", "Name") == "bench 7"
     assert asked.ask("host", "Host") == "typed"
     assert asked.again("not that")
     assert asked.ask("name", "Name") == "bench 7"
 
 
-def typed_by(*words: str) -> PromptAnswers:
+def typed_by(*words: str, **stated: Any) -> Answers:
     """Somebody who types these, and then goes away."""
     left = list(words)
 
@@ -317,13 +306,13 @@ def typed_by(*words: str) -> PromptAnswers:
             raise EOFError
         return left.pop(0)
 
-    return PromptAnswers(read=read)
+    return Answers(stated, read=read)
 
 
 def test_nobody_at_the_prompt_ends_a_question_that_would_be_asked_again() -> None:
     person = typed_by("99")
     with pytest.raises(InputError, match="nobody answered"):
-        number(person, "force_N", "Force", 1.0, 10.0)
+        person.number("force_N", "Force", 1.0, 10.0)
     assert person.given == {}
 
 
@@ -331,18 +320,17 @@ def test_a_device_that_does_not_answer_is_asked_for_again_with_what_was_said_as_
     taken = list[tuple[str, str]]()
 
     def take(answers: Answers) -> str:
-        taken.append((text(answers, "host", "Host", "a"), text(answers, "port", "Port", "1")))
+        taken.append((answers.text("host", "Host", "a"), answers.text("port", "Port", "1")))
         if taken[-1][0] != "right":
             raise DeviceError("no answer")
         return "open"
 
-    person = typed_by("right", "")
-    answers = FileAnswers({"host": "wrong", "port": "7", "later": 1}, person=person)
-    assert until_good(answers, lambda: take(answers)) == "open"
+    answers = typed_by("right", "", host="wrong", port="7", later=1)
+    assert answers.until_good(lambda: take(answers)) == "open"
     assert taken == [("wrong", "7"), ("right", "1")]
     again = typed_by("wrong", "7", "right", "")
     taken.clear()
-    assert until_good(again, lambda: take(again)) == "open"
+    assert again.until_good(lambda: take(again)) == "open"
     assert taken == [("wrong", "7"), ("right", "7")]
     assert again.given == {"host": "right", "port": "7"}
 

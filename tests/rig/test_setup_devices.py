@@ -20,7 +20,7 @@ from palpate.core import MonotonicClock
 from palpate.core.clock import NS_PER_S
 from palpate.core.errors import DeviceError, InputError, PositionUnknownError
 from palpate.rig.commissioning.rig_setup import set_up
-from palpate.rig.commissioning.setup_answers import PromptAnswers, confirm, number, three
+from palpate.rig.commissioning.setup_answers import Answers
 from palpate.rig.rig_file import open_rig, read_rig
 
 pytest.importorskip("serial", reason="a stage's port needs pyserial")
@@ -58,7 +58,7 @@ def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> P
 
 def walk(one: Any, out: Path, **changed: Any) -> tuple[dict[str, Any], str]:
     said: list[str] = []
-    base = answers_of(one, may_move=False, mass_g=0, **changed)._answers
+    base = answers_of(one, may_move=False, mass_g=0, **changed)._stated
     set_up(out, Person(one, base), said.append)
     return tomllib.loads(out.read_text()), "\n".join(said)
 
@@ -146,12 +146,12 @@ def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(
         rest = iter(lines)
         return lambda question: next(rest)
 
-    assert number(PromptAnswers(read=typed("many", "99", "7")), "n", "How many", 0.0, 10.0) == 7.0
-    assert confirm(PromptAnswers(read=typed("perhaps", "yes")), "c", "Is it so")
-    assert three(PromptAnswers(read=typed("1, 2", "[1, 2]", "[1, 2, 3]")), "t", "Where") == (1.0, 2.0, 3.0)
+    assert Answers(read=typed("many", "99", "7")).number("n", "How many", 0.0, 10.0) == 7.0
+    assert Answers(read=typed("perhaps", "yes")).confirm("c", "Is it so")
+    assert Answers(read=typed("1, 2", "[1, 2]", "[1, 2, 3]")).three("t", "Where") == (1.0, 2.0, 3.0)
     assert "99" in capsys.readouterr().err
     with pytest.raises(InputError):
-        number(PromptAnswers(yes=True), "n", "How many", 0.0, 10.0, 11.0)
+        Answers(yes=True, read=input).number("n", "How many", 0.0, 10.0, 11.0)
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path)
 
     with lab() as one:
         for left in (0, 3, 4, 7, 10, 12, 14):
-            person = Leaves(one, answers_of(one, may_move=False, mass_g=0)._answers)
+            person = Leaves(one, answers_of(one, may_move=False, mass_g=0)._stated)
             person.left = left
             with pytest.raises(KeyboardInterrupt):
                 set_up(tmp_path / "rig.toml", person, lambda line: None)

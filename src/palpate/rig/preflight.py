@@ -69,10 +69,8 @@ def check_promises(rig: Rig) -> None:
     if known_s > rig.limits.force_latency_s * (1 + 1e-9):
         raise RangeError(
             f"the rig's limit force_latency_s is {rig.limits.force_latency_s:g} s, and its force sensor, "
-            "with "
-            f"{rate_hz:g} samples a second and a delay of {delay_s:g} s, tells of a force up to "
-            f"{known_s:.3g} "
-            f"s late: the probe would run on further than is stated; give {known_s:.3g} or more"
+            f"with {rate_hz:g} samples a second and a delay of {delay_s:g} s, tells of a force up to "
+            f"{known_s:.3g} s late: the probe would run on further than is stated; give {known_s:.3g} or more"
         )
 
 
@@ -154,10 +152,8 @@ def _check_force(rig: Rig, heard: Heard) -> None:
         raise Tripped(
             Reason.FORCE_FAULT,
             f"the force sensor reads {air_n:.2f} N before anything moved, and measures to {range_n:g} N: "
-            "with "
-            f"the limit force_N of {rig.limits.force_n:g} N it would saturate before anything stops. Take "
-            "off "
-            "what loads it, see whether its load cell is plugged in, or lower force_N",
+            f"with the limit force_N of {rig.limits.force_n:g} N it would saturate before anything stops. "
+            "Take off what loads it, see whether its load cell is plugged in, or lower force_N",
         )
 
 
@@ -170,8 +166,7 @@ def _check_samples(name: str, sensor: ForceSensor, samples: list[Wrench], second
         raise Tripped(
             Reason.FORCE_FAULT,
             f"the {name} says: {faulty[-1].fault}, in {len(faulty)} of {len(samples)} samples before "
-            "anything "
-            "moved; is its load cell plugged in, and nothing pressing on it?",
+            "anything moved; is its load cell plugged in, and nothing pressing on it?",
         )
     if rate_hz < MIN_FORCE_SHARE * sensor.rate_hz:
         raise Tripped(

@@ -38,7 +38,7 @@ def home(
     Example: palpate rig home bench.toml
     """
     from palpate.rig.commissioning.bench import open_bench
-    from palpate.rig.commissioning.hand_motion import home_clear
+    from palpate.rig.commissioning.homing import home_clear
 
     typer.echo("lifting by force, then homing; Ctrl-C stops", err=True)
     with stopped_by_signals(), open_bench(rig, ("force", "stage"), position="nowhere") as bench:
@@ -170,10 +170,12 @@ def zero(rig: RigName, position: PositionSource = None) -> None:
 
     Example: palpate rig zero bench.toml
     """
-    from palpate.rig.commissioning.hand_motion import zero as zero_force
+    from palpate.rig.commissioning.hand_motion import Hand, zero as zero_force
 
     with stopped_by_signals(), opened_at(position, lambda source: _placed_bench(rig, source)) as bench:
-        found = zero_force(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock, bench.limits)
+        found = zero_force(
+            Hand(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock), bench.limits
+        )
     x, y, z = found.force_n
     text = (
         f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "
@@ -186,8 +188,7 @@ def zero(rig: RigName, position: PositionSource = None) -> None:
 def _answers_kept(out: Path, asked: Any) -> Iterator[None]:
     """Where a setup ends early, keep what was answered beside the file that was to be."""
     from palpate.core.files import new_file
-    from palpate.rig.commissioning.setup_answers import kept_answers
-    from palpate.rig.commissioning.toml_text import toml_text
+    from palpate.rig.commissioning.setup_answers import kept_answers, toml_text
 
     try:
         yield
@@ -219,10 +220,10 @@ def setup(
     Example: palpate rig setup --out bench.toml
     """
     from palpate.rig.commissioning.rig_setup import set_up
-    from palpate.rig.commissioning.setup_answers import Answers, FileAnswers, PromptAnswers
+    from palpate.rig.commissioning.setup_answers import Answers
 
-    person = PromptAnswers(yes=yes) if answers is None or sys.stdin.isatty() else None
-    asked: Answers = FileAnswers.read(answers, yes=yes, person=person) if answers else PromptAnswers(yes=yes)
+    prompt = input if answers is None or sys.stdin.isatty() else None
+    asked = Answers.read(answers, yes=yes, read=prompt) if answers else Answers(yes=yes, read=prompt)
     with stopped_by_signals(), _answers_kept(out, asked):
         found = set_up(out, asked, lambda line: typer.echo(line, err=True))
     wrong = [one for one in found.checks if not one.ok]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -110,17 +110,13 @@ class AirNoise:
         With a repeat of probability p, at most the upper bound of two standard errors on what was seen, a row
         of n has the probability p^n; never less than twice the longest row that was seen.
         """
-        share = max(self._most_often(), _pooled([*before, self])._most_often())
+        airs = [*before, self]
+        pooled = _most_often(sum(one.repeats for one in airs), sum(one.count for one in airs))
+        share = max(_most_often(self.repeats, self.count), pooled)
         chance = CHANCE if all(self.fine) else CHANCE_COARSE
         run = math.ceil(math.log(chance) / math.log(share)) if share < 1 else MAX_RUN
-        longest = max(one.longest for one in (*before, self))
+        longest = max(one.longest for one in airs)
         return min(max(run, 2 * longest, MIN_RUN), MAX_RUN)
-
-    def _most_often(self) -> float:
-        """Upper bound of the probability of a repeat, by Agresti's and Coull's interval, two errors wide."""
-        n = self.count + 4
-        share = (self.repeats + 2) / n
-        return min(share + 2 * math.sqrt(share * (1 - share) / n), 1.0)
 
 
 def period_of(times_s: Float[ndarray, " n"], stated_hz: float | None) -> float:
@@ -237,19 +233,11 @@ def constant_air(air: AirNoise, was_alive: bool) -> Tripped:
     )
 
 
-def _pooled(airs: Sequence[AirNoise]) -> AirNoise:
-    last = airs[-1]
-    return AirNoise(
-        last.mean,
-        last.noise_n,
-        last.fine,
-        last.spans_n,
-        last.quantum_n,
-        sum(one.repeats for one in airs),
-        sum(one.count for one in airs),
-        max(one.longest for one in airs),
-        last.period_s,
-    )
+def _most_often(repeats: int, count: int) -> float:
+    """Upper bound of the probability of a repeat, by Agresti's and Coull's interval, two errors wide."""
+    n = count + 4
+    share = (repeats + 2) / n
+    return min(share + 2 * math.sqrt(share * (1 - share) / n), 1.0)
 
 
 def _quantum(values: Float[ndarray, " n"]) -> float:
@@ -260,8 +248,4 @@ def _quantum(values: Float[ndarray, " n"]) -> float:
 
 def _longest(equal: ndarray) -> int:
     """Longest row of True."""
-    longest = row = 0
-    for one in equal:
-        row = row + 1 if one else 0
-        longest = max(longest, row)
-    return longest
+    return max((len(list(row)) for alike, row in groupby(equal) if alike), default=0)

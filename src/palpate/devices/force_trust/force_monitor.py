@@ -116,19 +116,12 @@ class ForceMonitor:
         self.corridor = StiffnessCorridor()
         self._airs: deque[AirNoise] = deque(maxlen=AIRS)
         self._before: deque[tuple[int, Six]] = deque(maxlen=KEPT)
-        self._phase, self._speed, self._length_m, self._begun_ns = Phase.STAND, 0.0, 0.0, 0
-        self._way_m, self._turned_n, self._turned_ns = 0.0, 0.0, 0
-        self._sending_s = 0.0
-        self._reported_m: float | None = None
+        self._phase, self._turned_n, self._turned_ns = Phase.STAND, 0.0, 0
         self._ended_ns: int | None = 0
-        self._asked_ns = 0
-        self._ended_before_ns: int | None = 0
-        self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
-        self._climb, self._behind_n = ForceClimb(), 0.0
-        self._stood_m: float | None = None
-        self._way_felt_m, self._felt_m, self._felt_step_m, self._went = 0.0, 0.0, 0.0, False
         self._felt: list[tuple[float, float, float]] | None = []
         self.restart()
+        self.begin(Phase.STAND, 0.0, 0.0, 0, 0)
+        self._ended_ns = 0
 
     def new_tool(self, stated: StiffnessRange | None = None) -> None:
         """Another tool or skin: what was learnt of stiffness is forgotten, and a stated range counts."""
@@ -206,11 +199,13 @@ class ForceMonitor:
         self._phase, self._speed, self._length_m, self._begun_ns = phase, speed_m_s, length_m, sent_ns
         self._asked_ns, self._ended_before_ns = asked_ns, self._ended_ns
         self._sending_s = (sent_ns - asked_ns) / NS_PER_S
-        self._way_m, self._reported_m, self._ended_ns = 0.0, None, None
+        self._way_m, self._ended_ns = 0.0, None
+        self._reported_m: float | None = None
         self._feel_move()
-        self._felt, self._stood_m = [], None
+        self._felt = []
+        self._stood_m: float | None = None
         self._way_felt_m, self._felt_m, self._felt_step_m, self._went = 0.0, 0.0, 0.0, False
-        self._is_over = False
+        self._is_over = False  # the way is gone, whether or not anybody has seen that the stage stands
         self._climb = ForceClimb()
         self._began_touched = self._counts = self._touched
         self._behind_n = self._held if phase is Phase.UP else self._deficit if self._touched else 0.0
@@ -244,11 +239,13 @@ class ForceMonitor:
             self._felt = None  # as in `stood`
         if self.air is None or self._climb.from_n is None:
             return None
+        from_n, rise_n = self._climb.from_n, self._climb.rise_n
         if self._phase is Phase.UP:
-            return self._arrived_up(self._climb.rise_n)
-        return self._arrived_down(self._climb.from_n, self._climb.rise_n)
-
-    def _arrived_down(self, from_n: float, rise_n: float) -> Doubt | None:
+            if self._is_let_go:
+                return None
+            least = self.corridor.least_n_m(self._level_n) / 2
+            self._held = self._behind(self._held, least, rise_n)
+            return self._lags("holds", self._held, least)
         if self._began_touched and (doubt := self._outside(self._length_m - self._way_m, 0.0)) is not None:
             return doubt
         if from_n < CONTACT * self._noise_n:
@@ -258,14 +255,7 @@ class ForceMonitor:
             self.corridor.feel(from_n + rise_n / 2, rise_n, self._length_m)
         least = self.corridor.least_between_n_m(from_n, from_n + rise_n)
         self._deficit = self._behind(self._deficit, least, rise_n)
-        return self._flat(least)
-
-    def _arrived_up(self, fall_n: float) -> Doubt | None:
-        if self._is_let_go:
-            return None
-        least = self.corridor.least_n_m(self._level_n) / 2
-        self._held = self._behind(self._held, least, fall_n)
-        return self._holds(least)
+        return self._lags("flat", self._deficit, least)
 
     def _behind(self, summed_n: float, least_n_m: float, climb_n: float) -> float:
         """Force that is missing after a whole move: by its samples, less what may have gone before the stage
@@ -423,8 +413,7 @@ class ForceMonitor:
         return self._doubt(
             "jump",
             f"the normal force went from {self._normal_n:.3f} to {normal_n:.3f} N from one sample to the "
-            f"next, "
-            f"over at most {way_m * 1e3:.3f} mm of way",
+            f"next, over at most {way_m * 1e3:.3f} mm of way",
         )
 
     def _way(self, phase: Phase, step_m: float, rise_n: float, time_ns: int) -> Doubt | None:
@@ -460,7 +449,9 @@ class ForceMonitor:
         else:
             self._feel(force_n, rise_n)
             self._deficit = max(self._deficit + least * step_m - rise_n, 0.0)
-        if (doubt := self._outside(step_m, rise_n) or self._flat(least, self._early_s)) is not None:
+        if (
+            doubt := self._outside(step_m, rise_n) or self._lags("flat", self._deficit, least, self._early_s)
+        ) is not None:
             return doubt
         if self._excess > self._slack_n(EXCESS, greatest, self._sending_s):
             return self._doubt(
@@ -503,10 +494,12 @@ class ForceMonitor:
                 )
         return None
 
-    def _flat(self, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
-        if self._deficit <= self._slack_n(DEFICIT, least_n_m, early_s):
+    def _lags(self, kind: str, behind_n: float, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
+        """Doubt about a force that follows less than the least stiffness, down or back."""
+        if behind_n <= self._slack_n(DEFICIT, least_n_m, early_s):
             return None
-        return self._doubt("flat", f"{self._level_n:.3f} N does not rise on the way down as it did before")
+        does = "rise on the way down" if kind == "flat" else "fall on the way back"
+        return self._doubt(kind, f"{self._level_n:.3f} N does not {does} as it did before")
 
     def _on_the_way_back(self, step_m: float, rise_n: float, sent: bool) -> Doubt | None:
         if self._is_let_go:
@@ -515,17 +508,12 @@ class ForceMonitor:
         least = self.corridor.least_n_m(self._level_n) / 2
         summed_n = self._held + least * step_m + rise_n if sent else self._behind_n - self._climb.rise_n
         self._held = max(summed_n, 0.0)
-        return self._holds(least, self._early_s)
+        return self._lags("holds", self._held, least, self._early_s)
 
     @property
     def _is_let_go(self) -> bool:
         """Whether so little force is left on the way back that it need not fall any more."""
         return self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n)
-
-    def _holds(self, least_n_m: float, early_s: float = 0.0) -> Doubt | None:
-        if self._held <= self._slack_n(DEFICIT, least_n_m, early_s):
-            return None
-        return self._doubt("holds", f"{self._level_n:.3f} N does not fall on the way back as it did before")
 
     def _slack_n(self, noises: float, stiffness_n_m: float, early_s: float = 0.0) -> float:
         """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N].

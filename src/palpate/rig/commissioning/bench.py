@@ -29,7 +29,7 @@ from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
 from palpate.devices.rpc import find, hold, supervisor_name
 from palpate.devices.rpc_client import RpcClient
-from palpate.rig.commissioning.hand_motion import discard, touch_off
+from palpate.rig.commissioning.hand_motion import Hand, discard, touch_off
 from palpate.rig.real.device_hold import DeviceHeldError
 from palpate.rig.rig_file import (
     FollowingPart,
@@ -172,14 +172,8 @@ def open_bench(
             raise
     if position == "touch-off":
         try:
-            touch_off(
-                bench.need_stage(),
-                bench.need_force(),
-                bench.mounting,
-                bench.clock,
-                bench.origin_m,
-                pushed=not isinstance(file.force, FollowingPart),
-            )
+            hand = Hand(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock)
+            touch_off(hand, bench.origin_m, pushed=not isinstance(file.force, FollowingPart))
         except BaseException:
             bench.close()
             raise

@@ -1,30 +1,43 @@
-"""The first motion of a rig that is set up: home, lead the probe over the skin, touch, and lift again."""
+"""The first motion of a rig that is set up: home, lead the probe over the skin, touch twice, and lift again.
+
+A gentle touch shows the force sensor's axis and sign, and a known weight its scale.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from palpate.core import Clock, ForceSensor, InputError, Position, RangeError, Stage
 from palpate.devices import Limits, Mounting
 from palpate.devices.force_bias import Force
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.rig.commissioning.force_touch import MAX_REACH_M, touch_twice
 from palpate.rig.commissioning.hand_motion import (
     AXES,
+    CHANGED_N,
+    FLAT_M,
     JOG_N,
     LIFT_SPEED_M_S,
     MAX_JOG_M,
     MAX_JOG_M_S,
     PUSH,
+    Hand,
     await_push,
     guard_from_air,
-    home_clear,
+    has_room_to_lift,
     hop_to,
+    lift_clear,
+    mean_force,
+    move_watched,
 )
-from palpate.rig.commissioning.setup_answers import Answers, Three, confirm, number, three_of, until_good
+from palpate.rig.commissioning.homing import home_clear
+from palpate.rig.commissioning.setup_answers import Answers, Three, three_of
 from palpate.rig.rig_file import RigFile, open_part
 
 MM = 1e3
@@ -41,6 +54,19 @@ HOLD = (
 )
 
 Say = Callable[[str], None]
+STEP_M = 0.05e-3
+SPEED_M_S = 1e-3
+TOUCH_N = 0.3  # a change of force, along any axis, that is contact
+MAX_TOUCH_N = 2.0  # and one at which the move under way is stopped
+MAX_REACH_M = 5e-3
+AGREE_M = 0.3e-3  # between two touches
+AGREE_SHARE = 0.5  # of the touch's force that may be left, or lie across its axis
+G_M_S2 = 9.80665  # standard acceleration of free fall (CGPM 1901)
+BLOCKS = 10
+BLOCK_S = 0.2
+ALLOWED_SHARE = 0.02  # by which a scale may be off without a factor
+LOCAL_G_SHARE = 0.003  # free fall from pole to equator is within this of the standard value
+MIN_ALONG = 0.95  # of a weight's force that must lie along the press
 
 
 def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: Clock) -> dict[str, Any]:
@@ -69,17 +95,17 @@ def first_touch(file: RigFile, homing: bool, answers: Answers, say: Say, clock: 
         opened.callback(force.close)
         say(PUSH)
         pushed_n = await_push(force, clock)
-        homes = homing and confirm(answers, "home", "Home the stage now, the probe free", True)
+        homes = homing and answers.confirm("home", "Home the stage now, the probe free", True)
         stage = open_part("stage", file.stage, clock, "nowhere" if homes else "reference")
         opened.callback(stage.close)
-        if not getattr(stage, "motors_hold", True) and confirm(answers, "hold_motors", HOLD, False):
+        if not getattr(stage, "motors_hold", True) and answers.confirm("hold_motors", HOLD, False):
             stage.hold_motors()
         if homes:
             say("homing, on your word that the probe hangs free")
             home_clear(stage, force, Mounting(), clock, lifted=True)
-        _lead_above(stage, force, _mounting_of(pushed_n), limits, clock, answers)
-        reach_mm = number(
-            answers, "reach_mm", "How far down to feel for the skin [mm]", 0.1, MAX_REACH_M * MM, 5.0
+        _lead_above(Hand(stage, force, _mounting_of(pushed_n), clock), limits, answers)
+        reach_mm = answers.number(
+            "reach_mm", "How far down to feel for the skin [mm]", 0.1, MAX_REACH_M * MM, 5.0
         )
         say("touching twice, gently")
         touch = touch_twice(stage, force, limits, clock, reach_mm / MM)
@@ -101,10 +127,9 @@ def _mounting_of(pushed_n: Force) -> Mounting:
     return Mounting((x, y, f"{'-' if pushed_n[i] < 0 else ''}{AXES[i]}"))
 
 
-def _lead_above(
-    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, answers: Answers
-) -> None:
+def _lead_above(hand: Hand, limits: Limits, answers: Answers) -> None:
     """Go to the place that is answered; a person may also lead the probe there in steps."""
+    stage = hand.stage
 
     def take() -> bool:
         at = stage.position_m()
@@ -113,10 +138,9 @@ def _lead_above(
         try:
             if step is None:
                 x, y, z = three_of("above_mm", WHERE, answer)
-                _go_above(stage, force, mounting, limits, clock, (x / MM, y / MM, z / MM))
+                _go_above(hand, limits, (x / MM, y / MM, z / MM))
                 return True
-            target = _stepped(at, limits, step[1], float(step[2]) / MM)
-            _go_above(stage, force, mounting, limits, clock, target)
+            _go_above(hand, limits, _stepped(at, limits, step[1], float(step[2]) / MM))
         except Tripped as e:
             if not answers.again(f"{e}; the stage stands at {_mm(stage.position_m())} mm"):
                 raise
@@ -125,7 +149,7 @@ def _lead_above(
             raise InputError("above_mm is a step, which is for a person; give three numbers, as [0, 0, -5]")
         return False
 
-    while not until_good(answers, take):
+    while not answers.until_good(take):
         pass
 
 
@@ -137,12 +161,10 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
     return x, y, z
 
 
-def _go_above(
-    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, above: Three
-) -> None:
+def _go_above(hand: Hand, limits: Limits, above: Three) -> None:
     """Aside first and then down, stopped by a change of force of 1 N from that of the air."""
-    at = stage.position_m()
-    guard = guard_from_air(stage, force, mounting, limits, clock, JOG_N)
+    stage, at = hand.stage, hand.stage.position_m()
+    guard = guard_from_air(hand, limits, JOG_N)
     speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
     try:
         for target in ((above[0], above[1], min(at[2], above[2])), above):
@@ -151,7 +173,7 @@ def _go_above(
     except Tripped:  # perhaps in the skin
         x, y, z = stage.position_m()
         if z > at[2]:
-            hop_to(stage, clock, (x, y, at[2]), LIFT_SPEED_M_S)
+            hop_to(stage, hand.clock, (x, y, at[2]), LIFT_SPEED_M_S)
         raise
 
 
@@ -168,3 +190,168 @@ def _check_same_axis(pushed_n: Force, axis: str) -> None:
 
 def _mm(at: Position) -> list[float]:
     return [round(MM * d, 3) + 0.0 for d in at]  # + 0.0: no minus zero
+
+
+@dataclass(frozen=True, slots=True)
+class SkinTouch:
+    """What a touch showed.
+
+    Attributes:
+        axes: for `Mounting`: the third is the axis that felt the press, with the sign that makes compression
+            positive. The other two are in the sensor's own order and signs, and not measured.
+        surface_m: place of the stage at the touch [m].
+        force_n: change of force along the press [N].
+    """
+
+    axes: tuple[str, str, str]
+    surface_m: Position
+    force_n: float
+
+
+def touch_twice(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, reach_m: float) -> SkinTouch:
+    """Touch twice from where the probe hangs, in steps of 0.05 mm, and lift again.
+
+    It is first lifted until the force no longer changes, since a touch that begins in the skin agrees with
+    the next one that does.
+
+    Raises:
+        RangeError: more than `MAX_REACH_M`.
+        Tripped: nothing was felt, no axis stands out, the touches differ, or the force does not return.
+    """
+    if not 0 < reach_m <= MAX_REACH_M:
+        raise RangeError(f"a touch over {reach_m * 1e3:g} mm; {MAX_REACH_M * 1e3:g} mm are the most")
+    if has_room_to_lift(stage, limits):
+        lift_clear(Hand(stage, force, Mounting(), clock), limits)
+        reach_m += FLAT_M
+    first, second = (_touch(stage, force, limits, clock, reach_m) for _ in range(2))
+    apart_m = abs(first.surface_m[2] - second.surface_m[2])
+    if first.axes != second.axes or apart_m > AGREE_M:
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"two touches differ: {first.axes[2]} and {second.axes[2]}, {apart_m * 1e3:.2f} mm apart "
+            f"({AGREE_M * 1e3:g} mm are allowed); is the probe fixed, and the sensor quiet?",
+        )
+    return second
+
+
+def _touch(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, reach_m: float) -> SkinTouch:
+    start, air = stage.position_m(), mean_force(force, Mounting(), clock)
+    limits.check_target((start[0], start[1], start[2] + reach_m))
+    speed = min(SPEED_M_S, limits.fastest_m_s(stage.travel))
+    pressed = air
+    at = start
+    try:
+        while math.dist(pressed.force_n, air.force_n) < TOUCH_N:
+            if at[2] - start[2] >= reach_m - 1e-9:
+                raise Tripped(
+                    Reason.NO_CONTACT,
+                    f"nothing was felt within {reach_m * 1e3:g} mm: the probe hangs higher than that, or the "
+                    "force sensor is dead",
+                )
+            goal = min(at[2] + STEP_M, start[2] + reach_m)
+            move_watched(stage, force, clock, (at[0], at[1], goal), speed, air.force_n, MAX_TOUCH_N)
+            at = stage.position_m()
+            pressed = mean_force(force, Mounting(), clock)
+    finally:
+        stage.move_to(start, speed)
+        while stage.moving():
+            clock.sleep(0.01)
+    left_n = math.dist(mean_force(force, Mounting(), clock).force_n, air.force_n)
+    change = np.subtract(pressed.force_n, air.force_n)
+    touched_n = float(np.abs(change).max())
+    if left_n > max(CHANGED_N, AGREE_SHARE * touched_n):
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"{left_n:.2f} N of a touch of {touched_n:.2f} N were left after the probe was lifted: the "
+            "sensor drifts, or something else pushes it",
+        )
+    return SkinTouch(_axes(change), at, touched_n)
+
+
+def _axes(change_n: np.ndarray) -> tuple[str, str, str]:
+    """The sensor's axes for the skin's; the one that changed most is the press."""
+    order = np.argsort(-np.abs(change_n))
+    most, next_ = (abs(float(change_n[i])) for i in order[:2])
+    if next_ > AGREE_SHARE * most:
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"the touch changed the sensor's axes by {', '.join(f'{f:.2f}' for f in change_n)} N: none of "
+            "them lies along the press; turn the sensor so that one does",
+        )
+    normal = int(order[0])
+    x, y = (name for i, name in enumerate("xyz") if i != normal)
+    return x, y, ("-" if change_n[normal] < 0 else "") + "xyz"[normal]
+
+
+@dataclass(frozen=True, slots=True)
+class WeighingResult:
+    """What a known weight showed.
+
+    Attributes:
+        expected_n, read_n: force of the weight, and the change that the sensor read [N].
+        factor: true over read.
+        uncertainty: of the factor, for 95 %.
+    """
+
+    expected_n: float
+    read_n: float
+    factor: float
+    uncertainty: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the sensor's scale is right within 2 %, or within the uncertainty where that is more."""
+        return abs(self.factor - 1.0) <= max(ALLOWED_SHARE, self.uncertainty)
+
+
+def weigh(
+    force: ForceSensor,
+    axis: str,
+    clock: Clock,
+    mass_g: float,
+    mass_tolerance_g: float,
+    lay: Callable[[], None],
+) -> WeighingResult:
+    """Compare a known weight with the change of force that it makes.
+
+    Args:
+        axis: of the sensor, along which the weight acts; the last letter counts.
+        mass_g, mass_tolerance_g: of the weight, and its half-width [g].
+        lay: returns once the weight lies on the sensor, or hangs from it.
+
+    Raises:
+        InputError: its force was not felt along the press.
+        RangeError: it is heavier than the sensor's range.
+    """
+    expected_n = mass_g * 1e-3 * G_M_S2
+    normal = "xyz".index(axis[-1])
+    if expected_n > force.range_n[normal]:
+        raise RangeError(
+            f"{mass_g:g} g weigh {expected_n:.2f} N, and the sensor measures to {force.range_n[normal]:g} N; "
+            "take a lighter weight"
+        )
+    before, before_u = _blocks(force, clock)
+    lay()
+    after, after_u = _blocks(force, clock)
+    change = np.subtract(after, before)
+    read_n = float(abs(change[normal]))
+    if read_n < MIN_ALONG * float(np.linalg.norm(change)) or read_n < 0.05 * expected_n:
+        raise InputError(
+            f"the weight of {expected_n:.3f} N changed the force by {', '.join(f'{c:.3f}' for c in change)} "
+            "N; it has to act along the press, upright: lay it on or hang it so, and begin anew"
+        )
+    factor = expected_n / read_n
+    half = 2.0 * math.hypot(before_u[normal], after_u[normal]) / read_n
+    share = math.sqrt(half**2 + (mass_tolerance_g / mass_g) ** 2 + LOCAL_G_SHARE**2)
+    return WeighingResult(expected_n, read_n, factor, factor * share)
+
+
+def _blocks(force: ForceSensor, clock: Clock) -> tuple[Force, Force]:
+    """Mean of some blocks of samples and its standard error, along each axis [N]."""
+    means = []
+    for _ in range(BLOCKS):
+        means.append(mean_force(force, Mounting(), clock).force_n)
+        clock.sleep(BLOCK_S - 0.1)
+    x, y, z = np.mean(means, axis=0).tolist()
+    ux, uy, uz = (np.std(means, axis=0, ddof=1) / math.sqrt(BLOCKS)).tolist()
+    return (x, y, z), (ux, uy, uz)

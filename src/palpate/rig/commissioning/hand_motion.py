@@ -10,7 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from palpate.core import (
     NS_PER_S,
@@ -32,7 +32,6 @@ STEP_M = 0.2e-3  # of a lift; the force is measured after each
 SAME_M = 1e-6  # between two positions that are the same
 FLAT_M = 0.6e-3  # of lifting without a change of force, which proves the air
 MAX_LIFT_M = 20e-3
-HOMING_LIFT_M = 8e-3  # at least, before homing, whatever the force says: a numb sensor reads as air does
 HOP_M = 0.5e-3  # of a motion that no force bounds: where this process dies, the stage ends such a hop
 LIFT_SPEED_M_S = 2e-3
 CHANGED_N = 0.05  # a change of force that is contact, unless the noise is larger
@@ -66,6 +65,23 @@ PUSH = (
     f"Push the probe's tip towards the stage, by hand, as the skin will, with more than {PUSH_N:g} N, and "
     " let go: the stage moves only once the force sensor has responded"
 )
+
+
+class Hand(NamedTuple):
+    """What a motion by hand needs: a stage, the force sensor that guards it, its mounting, and time."""
+
+    stage: Stage
+    force: ForceSensor
+    mounting: Mounting
+    clock: Clock
+
+    def felt(self) -> AirForce:
+        """Mean of fresh samples in the skin's axes, at a stand."""
+        return mean_force(self.force, self.mounting, self.clock)
+
+    def felt_raw(self) -> AirForce:
+        """The same in the sensor's own axes."""
+        return mean_force(self.force, Mounting(), self.clock)
 
 
 @runtime_checkable
@@ -227,32 +243,22 @@ def _difference(a: AirForce, b: AirForce) -> Force:
 
 
 def lift_clear(
-    stage: Stage,
-    force: ForceSensor,
-    mounting: Mounting,
-    clock: Clock,
-    limits: Limits | None = None,
-    *,
-    reach_m: float = math.inf,
-    rise_n: float = RISE_N,
+    hand: Hand, limits: Limits | None = None, *, reach_m: float = math.inf, rise_n: float = RISE_N
 ) -> AirForce:
     """Lift the probe in steps until the force no longer changes: it hangs in the air.
 
     Args:
-        stage: it is moved along its z alone, away from the skin; its place need not be known.
-        force: what guards the lift.
-        mounting: of the force sensor.
-        clock: of both.
+        hand: the stage is moved along its z alone, away from the skin; its place need not be known.
         limits: soft limits that it keeps to, where the stage's place is known.
         reach_m: way at which it ends, whatever the force [m].
-        rise_n: by which compression may rise [N].
+        rise_n: by which compression may rise, and any force of a lift that begins in the air [N].
 
     Raises:
         Tripped: a soft limit, before it is passed; compression rises, the force changes by more than the
             rig's limit, goes on changing over `MAX_LIFT_M`, or cannot be believed.
         DeviceError: the stage fails, or its controller refuses to go higher.
     """
-    at = start = mean_force(force, mounting, clock)
+    at = start = hand.felt()
     most_n = MAX_CHANGE_N if limits is None else limits.force_n
     lifted_m, reference, flat_m = 0.0, at, 0.0
     while flat_m < FLAT_M - 1e-9 and lifted_m < reach_m - 1e-9:
@@ -263,14 +269,12 @@ def lift_clear(
                 "the sensor drifts; look at the rig",
             )
         if limits is not None:
-            x, y, z = stage.position_m()
+            x, y, z = hand.stage.position_m()
             limits.check_target((x, y, z - STEP_M))
         step_m = min(STEP_M, reach_m - lifted_m)
-        _retreat(
-            stage, force, mounting, clock, step_m, LIFT_SPEED_M_S, start=start, rise_n=rise_n, most_n=most_n
-        )
+        retreat(hand, step_m, LIFT_SPEED_M_S, start=start, rise_n=rise_n, most_n=most_n)
         lifted_m, flat_m = lifted_m + step_m, flat_m + step_m
-        at = mean_force(force, mounting, clock)
+        at = hand.felt()
         if math.dist(at.force_n, reference.force_n) > _contact_n(at, reference):
             reference, flat_m = at, 0.0
         elif lifted_m == step_m:  # it began in the air, where nothing changes the force but a skin above it
@@ -278,44 +282,7 @@ def lift_clear(
     return replace(at, lifted_mm=lifted_m * 1e3)
 
 
-def home_clear(
-    stage: Stage, force: ForceSensor | None, mounting: Mounting, clock: Clock, *, lifted: bool = False
-) -> AirForce | None:
-    """Home a stage, never from within the skin: the probe is first lifted by force.
-
-    A stage that an alarm has locked is unlocked for the lift. Flat force does not prove air, since a numb
-    sensor gives it in the skin as well: the probe is lifted by `HOMING_LIFT_M` at least.
-
-    Args:
-        lifted: take the caller's word that the probe hangs free, and do not lift.
-
-    Raises:
-        Tripped: the lift found no air.
-        DeviceError: there are no switches, no force sensor and no word, or the stage fails.
-    """
-    if not isinstance(stage, Homing):
-        raise DeviceError("this stage has no homing; state where it stands by reference in the rig's file")
-    found = None
-    if not lifted:
-        found = _lift_locked(stage, force, mounting, clock)
-    if force is None:
-        stage.home()
-    else:
-        from palpate.rig.commissioning.watched_homing import home_watched
-
-        home_watched(stage, force, clock)
-    return found
-
-
-def touch_off(
-    stage: Stage,
-    force: ForceSensor,
-    mounting: Mounting,
-    clock: Clock,
-    surface_m: Position,
-    *,
-    pushed: bool = True,
-) -> AirForce:
+def touch_off(hand: Hand, surface_m: Position, *, pushed: bool = True) -> AirForce:
     """Find the skin below the probe by two guarded searches, and take the stage's position from them.
 
     The operator states that the probe hangs above the skin's center, `SEARCH_REACH_M` at most, and shows by
@@ -332,56 +299,55 @@ def touch_off(
             air.
         DeviceError: the stage has no need of it, or fails.
     """
+    stage = hand.stage
     if not isinstance(stage, Homing):
         raise DeviceError("this stage always knows its position; leave --position touch-off out")
-    if pushed and mounting.to_skin(await_push(force, clock, mounting.normal))[2] < 0:
+    if pushed and hand.mounting.to_skin(await_push(hand.force, hand.clock, hand.mounting.normal))[2] < 0:
         raise Tripped(
             Reason.FORCE_REVERSED,
             "the push towards the stage was felt as a pull, so nothing moved: correct the sign of z in the "
             "axes of the force sensor in the rig's file, or push as the skin will",
         )
-    lift_clear(stage, force, mounting, clock)
-    air = mean_force(force, Mounting(), clock)
-    _search(stage, force, mounting, clock, air, SEARCH_REACH_M)
-    left = _lift_off(stage, force, mounting, clock, air)
-    again_m = _search(stage, force, mounting, clock, left, TOUCH_OFF_LIFT_M + 2 * AGREE_M)
+    lift_clear(hand)
+    air = hand.felt_raw()
+    _search(hand, air, SEARCH_REACH_M)
+    left = _lift_off(hand, air)
+    again_m = _search(hand, left, TOUCH_OFF_LIFT_M + 2 * AGREE_M)
     if abs(again_m - TOUCH_OFF_LIFT_M) > AGREE_M:  # the first was a knock, or the second
-        _retreat(stage, force, mounting, clock, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
+        retreat(hand, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
         raise Tripped(
             Reason.FORCE_NOISE,
             f"two searches for the skin differ by {abs(again_m - TOUCH_OFF_LIFT_M) * 1e3:.2f} mm, and "
             f"{AGREE_M * 1e3:g} mm are allowed: something knocked the probe, or it is loose; repeat",
         )
-    left = _lift_off(stage, force, mounting, clock, left)
+    left = _lift_off(hand, left)
     x, y, z = surface_m
     stage.reference((x, y, z - TOUCH_OFF_LIFT_M))
     return replace(left, lifted_mm=TOUCH_OFF_LIFT_M * 1e3)
 
 
-def _search(
-    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, air: AirForce, reach_m: float
-) -> float:
+def _search(hand: Hand, air: AirForce, reach_m: float) -> float:
     """Go down in steps until the force differs from that of the air; the way [m]."""
     lowered_m = 0.0
     while True:
         if lowered_m > reach_m:  # perhaps deep in a skin that the sensor does not feel
-            _retreat(stage, force, mounting, clock, lowered_m, LIFT_SPEED_M_S, most_n=math.inf)
+            retreat(hand, lowered_m, LIFT_SPEED_M_S, most_n=math.inf)
             raise Tripped(
                 Reason.NO_CONTACT,
                 f"no contact within {reach_m * 1e3:g} mm below the probe, which was lifted again; hang it "
                 "above the skin's center, nearer than that, and press the force sensor by hand",
             )
-        _search_step(stage, force, clock, air)  # type: ignore[arg-type]
+        _search_step(hand, air)
         lowered_m += SEARCH_STEP_M
-        at = mean_force(force, Mounting(), clock)
+        at = hand.felt_raw()
         if math.dist(at.force_n, air.force_n) > _contact_n(at, air):
             return lowered_m
 
 
-def _lift_off(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, air: AirForce) -> AirForce:
+def _lift_off(hand: Hand, air: AirForce) -> AirForce:
     """Lift by `TOUCH_OFF_LIFT_M` from the skin, to the force of the air."""
-    _retreat(stage, force, mounting, clock, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
-    left = mean_force(force, Mounting(), clock)
+    retreat(hand, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
+    left = hand.felt_raw()
     if math.dist(left.force_n, air.force_n) > _contact_n(left, air):
         raise Tripped(
             Reason.FORCE_DRIFT,
@@ -391,22 +357,20 @@ def _lift_off(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock
     return left
 
 
-def _search_step(stage: Homing, force: ForceSensor, clock: Clock, air: AirForce) -> None:
+def _search_step(hand: Hand, air: AirForce) -> None:
     """Go down by one step, stopped on the way by a change of force."""
 
     def look() -> None:
-        for one in _fresh(force):
+        for one in _fresh(hand.force):
             if math.dist(one.force_n, air.force_n) > SEARCH_N:
-                stage.stop()
+                hand.stage.stop()
 
-    discard(force)
-    stage.approach(SEARCH_STEP_M, SEARCH_SPEED_M_S)
-    _await(stage, clock, SEARCH_STEP_M / SEARCH_SPEED_M_S, look)  # type: ignore[arg-type]
+    discard(hand.force)
+    hand.stage.approach(SEARCH_STEP_M, SEARCH_SPEED_M_S)  # type: ignore[attr-defined]
+    _await(hand.stage, hand.clock, SEARCH_STEP_M / SEARCH_SPEED_M_S, look)
 
 
-def zero(
-    stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock, limits: Limits | None = None
-) -> AirForce:
+def zero(hand: Hand, limits: Limits | None = None) -> AirForce:
     """Measure the force in the air; nothing is set in the device.
 
     The probe is lifted by `FLAT_M`, which shows that it touched nothing.
@@ -414,7 +378,7 @@ def zero(
     Raises:
         Tripped: it touched something.
     """
-    found = lift_clear(stage, force, mounting, clock, limits)
+    found = lift_clear(hand, limits)
     if found.lifted_mm > FLAT_M * 1e3 + 1e-6:
         raise Tripped(
             Reason.TOUCHED_EARLY,
@@ -429,9 +393,7 @@ def has_room_to_lift(stage: Stage, limits: Limits) -> bool:
     return stage.position_m()[2] - FLAT_M >= limits.least_m[2]
 
 
-def guard_from_air(
-    stage: Stage, force: ForceSensor, mounting: Mounting, limits: Limits, clock: Clock, stop_n: float
-) -> MotionGuard:
+def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
     """Return a guard whose zero is the air, with the stage back where it stood.
 
     A guard that is zeroed where the probe stands allows `stop_n` more in each motion: repeated, they would
@@ -440,12 +402,13 @@ def guard_from_air(
     Raises:
         Tripped: the probe was in contact, and is lifted; or a limit of the way back.
     """
+    stage, force, mounting, clock = hand
     at = stage.position_m()
     guard = MotionGuard(
         stage, force, replace(limits, force_n=stop_n), ForceBias(mounting), clock, OperatorControl()
     )
     if has_room_to_lift(stage, limits):
-        seen = zero(stage, force, mounting, clock, limits)
+        seen = zero(hand, limits)
         if (unseen_n := _contact_n(seen, seen)) > UNSEEN_N:
             raise Tripped(
                 Reason.FORCE_NOISE,
@@ -494,27 +457,15 @@ def jog(
     if force is None:
         hop_to(stage, clock, target, speed_m_s)
     elif axis == "z" and distance_m < 0:
-        _jog_away(stage, force, mounting, limits, clock, -distance_m, speed_m_s, stop_n)
+        hand = Hand(stage, force, mounting, clock)
+        found = lift_clear(hand, limits, reach_m=-distance_m, rise_n=stop_n)
+        left_m = -distance_m - found.lifted_mm * 1e-3
+        if left_m > SAME_M:  # in the air, any change ends it: z may be turned round
+            retreat(hand, left_m, speed_m_s, start=found, rise_n=stop_n, most_n=stop_n)
     else:
         limits.check_speed(speed_m_s, stage.travel)  # before anything moves
-        guard_from_air(stage, force, mounting, limits, clock, stop_n).towards(target, speed_m_s)
-
-
-def _jog_away(
-    stage: Stage,
-    force: ForceSensor,
-    mounting: Mounting,
-    limits: Limits,
-    clock: Clock,
-    distance_m: float,
-    speed_m_s: float,
-    stop_n: float,
-) -> None:
-    """Lift until the force is flat, and go on, stopped by any change from there: z may be turned round."""
-    found = lift_clear(stage, force, mounting, clock, limits, reach_m=distance_m, rise_n=stop_n)
-    left_m = distance_m - found.lifted_mm * 1e-3
-    if left_m > SAME_M:
-        _retreat(stage, force, mounting, clock, left_m, speed_m_s, start=found, rise_n=stop_n, most_n=stop_n)
+        hand = Hand(stage, force, mounting, clock)
+        guard_from_air(hand, limits, stop_n).towards(target, speed_m_s)
 
 
 def move_watched(
@@ -577,44 +528,13 @@ def _jog_target(
     return x, y, z
 
 
-def _lift_locked(stage: Stage, force: ForceSensor | None, mounting: Mounting, clock: Clock) -> AirForce:
-    how = "lift the probe by hand and home with --lifted, your word that it hangs free"
-    if force is None:
-        raise DeviceError(f"no force sensor can tell whether the probe is free, so it was not homed; {how}")
-    try:
-        return _lift_well_clear(stage, force, mounting, clock)
-    except DeviceError:
-        assert isinstance(stage, Homing)  # as the caller made sure of
-        stage.unlock()
-    try:
-        return _lift_well_clear(stage, force, mounting, clock)
-    except DeviceError as e:
-        raise DeviceError(
-            f"the probe could not be lifted, so the stage was not homed ({e}); its lock was taken off: "
-            f"believe no place of it until it is homed; {how}"
-        ) from e
-
-
-def _lift_well_clear(stage: Stage, force: ForceSensor, mounting: Mounting, clock: Clock) -> AirForce:
-    """Lift until the force is flat, and by `HOMING_LIFT_M` at least: a flat force alone proves no air."""
-    found = lift_clear(stage, force, mounting, clock)
-    more_m = HOMING_LIFT_M - found.lifted_mm * 1e-3
-    if more_m <= 0:
-        return found
-    _retreat(stage, force, mounting, clock, more_m, LIFT_SPEED_M_S, start=found, most_n=RISE_N)
-    return replace(found, lifted_mm=HOMING_LIFT_M * 1e3)
-
-
 def _contact_n(a: AirForce, b: AirForce) -> float:
     """Change between two means that noise does not explain [N]."""
     return max(CHANGED_N, SIGMAS * math.hypot(a.error_n, b.error_n))
 
 
-def _retreat(
-    stage: Stage,
-    force: ForceSensor,
-    mounting: Mounting,
-    clock: Clock,
+def retreat(
+    hand: Hand,
     distance_m: float,
     speed_m_s: float,
     *,
@@ -629,12 +549,12 @@ def _retreat(
         rise_n: Allowed rise of compression since then [N].
         most_n: Allowed change of force since then, of any sign: z or the sensor may be turned round [N].
     """
-    start = start or mean_force(force, mounting, clock)
+    stage, start = hand.stage, start or hand.felt()
     from_n, noise_n = start.force_n, SIGMAS * start.noise_n
 
     def look() -> None:
-        for one in _fresh(force):
-            _check_lift(mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
+        for one in _fresh(hand.force):
+            _check_lift(hand.mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
     x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)
     count = math.ceil(distance_m / HOP_M - 1e-6)
@@ -643,7 +563,7 @@ def _retreat(
             stage.retreat(distance_m / count, speed_m_s)
         else:
             stage.move_to((x, y, z - distance_m * k / count), speed_m_s)
-        _await(stage, clock, distance_m / count / speed_m_s, look)
+        _await(stage, hand.clock, distance_m / count / speed_m_s, look)
 
 
 def hop_to(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Answers to what a guided setup asks: of a person at a prompt, or from a file for scripts."""
+"""Answers to what a guided setup asks: of a person at a prompt, or from a file for scripts; and TOML text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 from palpate.core import DeviceError, InputError, RangeError
 from palpate.core.parsing import parser
@@ -15,45 +15,42 @@ from palpate.devices import Tripped
 from palpate.devices.file_fields import read_toml
 
 Three = tuple[float, float, float]
-
-
-@runtime_checkable
-class Answers(Protocol):
-    """Source of answers, each with a name, by which a file gives it.
-
-    Attributes:
-        asked: names in the order in which they were asked for.
-    """
-
-    asked: list[str]
-
-    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any: ...
-    def again(self, why: str, since: int = -1) -> bool: ...  # whether answers since then may be given anew
-    def unused(self) -> list[str]: ...  # names that were answered and never asked for
+Good = TypeVar("Good")
 
 
 class NobodyError(InputError):
     """Nobody is there to answer, and asking again is of no use."""
 
 
-class FileAnswers:
-    """Answers by name; what is missing is taken as proposed, where `yes` says so, or asked of a person.
+class Answers:
+    """Answers by name, from a file, as proposed where `yes` says so, or of a person at a prompt.
 
     Args:
-        answers: by name.
-        yes: take what is proposed.
-        person: is asked what the answers do not say; None where nobody is there.
+        stated: answers by name.
+        yes: take what is proposed, where something is.
+        read: asks a person; None where nobody is there. An empty answer takes the proposal, which stands in
+            brackets.
+
+    Attributes:
+        asked: names in the order in which they were asked for.
+        given: answers so far, to go on with; not those that could not be taken.
     """
 
     def __init__(
-        self, answers: Mapping[str, Any], *, yes: bool = False, person: PromptAnswers | None = None
+        self,
+        stated: Mapping[str, Any] | None = None,
+        *,
+        yes: bool = False,
+        read: Callable[[str], str] | None = None,
     ) -> None:
-        self._answers, self._yes, self._person = dict(answers), yes, person
+        self._stated, self._yes, self._read = dict(stated or {}), yes, read
         self.asked: list[str] = []
+        self.given: dict[str, Any] = {}
+        self._before: dict[str, Any] = {}
 
     @classmethod
     @parser("setup answers", InputError)
-    def read(cls, path: Path, *, yes: bool = False, person: PromptAnswers | None = None) -> FileAnswers:
+    def read(cls, path: Path, *, yes: bool = False, read: Callable[[str], str] | None = None) -> Answers:
         """Read a TOML file, one answer a line.
 
         Raises:
@@ -61,63 +58,22 @@ class FileAnswers:
         """
         if not path.is_file():
             raise InputError(f"there is no file of answers {str(path)!r}")
-        return cls(read_toml(path), yes=yes, person=person)
+        return cls(read_toml(path), yes=yes, read=read)
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-        """The answer of this name.
+        """The answer of this name; a person's lists, true and numbers are JSON, unless words are asked for.
 
         Raises:
             InputError: there is none.
         """
         self.asked.append(name)
-        if name in self._answers:
-            return self._answers[name]
+        if name in self._stated:
+            self.given[name] = self._stated[name]
+            return self._stated[name]
         if self._yes and proposal is not None:
             return proposal
-        if self._person is not None:
-            return self._person.ask(name, question, proposal, words=words)
-        raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
-
-    def again(self, why: str, since: int = -1) -> bool:
-        """Where a person can answer instead: a file says the same again, and is not asked any more."""
-        if self._person is None:
-            return False
-        for name in self.asked[since:]:
-            self._answers.pop(name, None)
-            self._person.given.pop(name, None)
-        return self._person.again(why)
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """Answers that were asked for, to go on with."""
-        known = {name: self._answers[name] for name in self._answers if name in self.asked}
-        return known | (self._person.given if self._person is not None else {})
-
-    def unused(self) -> list[str]:
-        """Names that were answered and never asked for."""
-        return sorted(set(self._answers) - set(self.asked))
-
-
-class PromptAnswers:
-    """Answers of a person; an empty one takes the proposal, which stands in brackets.
-
-    Attributes:
-        given: answers so far, by name; not those that could not be taken.
-    """
-
-    def __init__(self, *, yes: bool = False, read: Callable[[str], str] = input) -> None:
-        self._yes, self._read = yes, read
-        self.given: dict[str, Any] = {}
-        self.asked: list[str] = []
-        self._before: dict[str, Any] = {}
-
-    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-        """Ask until something is answered; lists, true and numbers are read as JSON, unless words are asked
-        for.
-        """
-        self.asked.append(name)
-        if self._yes and proposal is not None:
-            return proposal
+        if self._read is None:
+            raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
         proposal = self._before.pop(name, proposal)
         shown = "" if proposal is None else f" [{json.dumps(proposal)}]"
         while True:
@@ -130,16 +86,67 @@ class PromptAnswers:
                 return self.given[name]
 
     def again(self, why: str, since: int = -1) -> bool:
-        """Say what is wrong, and let the person answer anew; not where all is taken as proposed."""
+        """Whether answers since then may be given anew: by a person, since a file says the same again."""
+        if self._read is None:
+            return False
         print(why, file=sys.stderr)
         names = set(self.asked[since:])
-        taken = {name: self.given.pop(name) for name in names if name in self.given}
-        self._before = kept_answers(taken) if len(names) > 1 else {}  # any of several may be the wrong one
+        given = {name: self.given.pop(name) for name in names if name in self.given}
+        typed = {name: value for name, value in given.items() if self._stated.pop(name, self) is self}
+        self._before = kept_answers(typed) if len(names) > 1 else {}  # any of several may be the wrong one
         return not self._yes
 
     def unused(self) -> list[str]:
-        """None: a person is asked one thing at a time."""
-        return []
+        """Names that were answered and never asked for."""
+        return sorted(set(self._stated) - set(self.asked))
+
+    def until_good(self, take: Callable[[], Good]) -> Good:
+        """Answers that can be taken; a person who gave some that cannot, or of no device, is asked again."""
+        while True:
+            since = len(self.asked)
+            try:
+                return take()
+            except NobodyError:
+                raise
+            except (InputError, RangeError, DeviceError, Tripped) as e:
+                if not self.again(str(e), since):
+                    raise
+
+    def confirm(self, name: str, question: str, proposal: bool | None = None) -> bool:
+        """An answer that is yes or no."""
+
+        def take() -> bool:
+            answer = self.ask(name, f"{question} (yes/no)", proposal)
+            if not isinstance(answer, bool):
+                raise InputError(f"{name} is {answer!r}; answer yes or no, in a file true or false")
+            return answer
+
+        return self.until_good(take)
+
+    def number(
+        self, name: str, question: str, low: float, high: float, proposal: float | None = None
+    ) -> float:
+        """An answer that is a number from `low` to `high`."""
+
+        def take() -> float:
+            answer = self.ask(name, f"{question}, {low:.10g} to {high:.10g}", proposal)
+            good = isinstance(answer, int | float) and not isinstance(answer, bool) and math.isfinite(answer)
+            if not good or not low <= answer <= high:
+                raise InputError(f"{name} is {answer!r}; {low:.10g} to {high:.10g} are allowed ({question})")
+            return float(answer)
+
+        return self.until_good(take)
+
+    def three(self, name: str, question: str, proposal: Three | None = None) -> Three:
+        """An answer that is three finite numbers [mm]."""
+        proposed = None if proposal is None else list(proposal)
+        asked = f"{question}, as [x, y, z] in mm"
+        return self.until_good(lambda: three_of(name, question, self.ask(name, asked, proposed)))
+
+    def text(self, name: str, question: str, proposal: str | None = None) -> str:
+        """An answer in words."""
+        answer = self.ask(name, question, proposal, words=True)
+        return answer if isinstance(answer, str) else json.dumps(answer)
 
 
 def _value(text: str) -> Any:
@@ -164,56 +171,6 @@ def kept_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in answers.items() if name not in MOMENTS}
 
 
-Good = TypeVar("Good")
-
-
-def until_good(answers: Answers, take: Callable[[], Good]) -> Good:
-    """Answers that can be taken; a person who gave some that cannot, or of no device, is asked again."""
-    while True:
-        since = len(answers.asked)
-        try:
-            return take()
-        except NobodyError:
-            raise
-        except (InputError, RangeError, DeviceError, Tripped) as e:
-            if not answers.again(str(e), since):
-                raise
-
-
-def confirm(answers: Answers, name: str, question: str, proposal: bool | None = None) -> bool:
-    """An answer that is yes or no."""
-
-    def take() -> bool:
-        answer = answers.ask(name, f"{question} (yes/no)", proposal)
-        if not isinstance(answer, bool):
-            raise InputError(f"{name} is {answer!r}; answer yes or no, in a file true or false")
-        return answer
-
-    return until_good(answers, take)
-
-
-def number(
-    answers: Answers, name: str, question: str, low: float, high: float, proposal: float | None = None
-) -> float:
-    """An answer that is a number from `low` to `high`."""
-
-    def take() -> float:
-        answer = answers.ask(name, f"{question}, {low:.10g} to {high:.10g}", proposal)
-        good = isinstance(answer, int | float) and not isinstance(answer, bool) and math.isfinite(answer)
-        if not good or not low <= answer <= high:
-            raise InputError(f"{name} is {answer!r}; {low:.10g} to {high:.10g} are allowed ({question})")
-        return float(answer)
-
-    return until_good(answers, take)
-
-
-def three(answers: Answers, name: str, question: str, proposal: Three | None = None) -> Three:
-    """An answer that is three finite numbers [mm]."""
-    proposed = None if proposal is None else list(proposal)
-    asked = f"{question}, as [x, y, z] in mm"
-    return until_good(answers, lambda: three_of(name, question, answers.ask(name, asked, proposed)))
-
-
 def three_of(name: str, question: str, answer: Any) -> Three:
     """Three finite numbers of an answer.
 
@@ -228,7 +185,30 @@ def three_of(name: str, question: str, answer: Any) -> Three:
     return x, y, z
 
 
-def text(answers: Answers, name: str, question: str, proposal: str | None = None) -> str:
-    """An answer in words."""
-    answer = answers.ask(name, question, proposal, words=True)
-    return answer if isinstance(answer, str) else json.dumps(answer)
+def toml_text(fields: Mapping[str, Any]) -> str:
+    """Fields of texts, numbers, lists of these, and one depth of tables.
+
+    Example:
+        >>> print(toml_text({"name": "a", "stage": {"home": True, "axes": ["+X"]}}), end="")
+        name = "a"
+        <BLANKLINE>
+        [stage]
+        home = true
+        axes = ["+X"]
+    """
+    plain = [
+        f"{name} = {_toml_value(value)}" for name, value in fields.items() if not isinstance(value, Mapping)
+    ]
+    for name, table in fields.items():
+        if isinstance(table, Mapping):
+            plain += ["", f"[{name}]", *(f"{key} = {_toml_value(value)}" for key, value in table.items())]
+    return "\n".join(plain) + "\n"
+
+
+def _toml_value(value: Any) -> str:
+    """A value; JSON's texts, numbers, lists and truths are TOML's, but for the character DEL."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{json.dumps(str(k))} = {_toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml_value(one) for one in value)}]"
+    return json.dumps(value, allow_nan=False).replace("\x7f", "\\u007f")

@@ -23,14 +23,15 @@ from palpate.core import (
     MonotonicClock,
     RangeError,
     Stage,
+    Wrench,
 )
 from palpate.core.parsing import parser
 from palpate.core.provenance import Provenance
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
-from palpate.rig.commissioning.hand_motion import home_clear, touch_off
-from palpate.rig.commissioning.scaled_force import ScaledForce
+from palpate.rig.commissioning.hand_motion import Hand, touch_off
+from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.rig import VIRTUAL, Region, Rig
 
 if TYPE_CHECKING:
@@ -299,7 +300,8 @@ def open_guarded(
             _check_before_motion(limits, stage, force, mounting)
         if position == "touch-off":
             surface_m = metres(file.origin_mm)
-            touch_off(stage, force, mounting, clock, surface_m, pushed=not _follows(file.force))
+            hand = Hand(stage, force, mounting, clock)
+            touch_off(hand, surface_m, pushed=not _follows(file.force))
         else:
             home_clear(stage, force, mounting, clock)
     stage.position_m()  # refused here, where it is not known, and not at the first motion
@@ -402,3 +404,43 @@ def _check_range(rig: Rig) -> None:
 
 def _regions(file: RigFile) -> tuple[Region, ...]:
     return tuple(Region(one.name, one.box_px) for one in file.regions)
+
+
+class ScaledForce:
+    """A `palpate.core.ForceSensor` behind a factor; its range grows by the same.
+
+    Args:
+        sensor: what measures.
+        scale: true force over the one that is read.
+    """
+
+    def __init__(self, sensor: ForceSensor, scale: float) -> None:
+        self._sensor, self.scale = sensor, scale
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        return self._sensor.rate_hz
+
+    @property
+    def range_n(self) -> tuple[float, float, float]:
+        """Greatest force along each axis [N]."""
+        x, y, z = (self.scale * force for force in self._sensor.range_n)
+        return x, y, z
+
+    def latest(self) -> Wrench:
+        """The newest sample. See `palpate.core.ForceSensor`."""
+        return self._scaled(self._sensor.latest())
+
+    def drain(self) -> list[Wrench]:
+        """All samples since the last call. See `palpate.core.ForceSensor`."""
+        return [self._scaled(one) for one in self._sensor.drain()]
+
+    def close(self) -> None:
+        """Let go of the sensor."""
+        self._sensor.close()
+
+    def _scaled(self, sample: Wrench) -> Wrench:
+        fx, fy, fz = (self.scale * force for force in sample.force_n)
+        tx, ty, tz = (self.scale * torque for torque in sample.torque_nm)
+        return replace(sample, force_n=(fx, fy, fz), torque_nm=(tx, ty, tz))

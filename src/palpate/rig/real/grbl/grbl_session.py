@@ -15,15 +15,7 @@ from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
 from palpate.rig.real.gcode_link import CutOffError, SilenceError
 from palpate.rig.real.gcode_spec import Millimetres, Mount, shown
 from palpate.rig.real.gcode_stage import PositionLostError
-from palpate.rig.real.grbl.grbl_link import (
-    CANCEL,
-    HOLD,
-    STOP,
-    STOP_PINS,
-    GrblLink,
-    HeardStatus,
-    RefusedError,
-)
+from palpate.rig.real.grbl.grbl_link import CANCEL, HOLD, STOP, STOP_PINS, GrblLink, HeardStatus, RefusedError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblMessage, GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_supervisor import (
@@ -540,8 +532,7 @@ def _input(status: GrblStatus) -> str:
     name = " and ".join(pins) or "a hold that this programme did not ask for"
     return (
         f"{name} (it is in {status.in_words}); see why, free that input, then stop() it (palpate rig stop) "
-        "and "
-        "begin again"
+        "and begin again"
     )
 
 

@@ -14,15 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from palpate.core import (
-    NS_PER_S,
-    Clock,
-    DeviceError,
-    Position,
-    PositionUnknownError,
-    RangeError,
-    Travel,
-)
+from palpate.core import NS_PER_S, Clock, DeviceError, Position, PositionUnknownError, RangeError, Travel
 from palpate.rig.real.gcode_link import CutOffError, SilenceError
 from palpate.rig.real.gcode_spec import MM_PER_M, S_PER_MIN, feed_mm_min, fixed
 from palpate.rig.real.gcode_stage import GcodeStage

@@ -141,8 +141,7 @@ def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
     if spec.top_speed_m_s is not None and spec.top_speed_m_s * MM_PER_M > fastest * (1 + 1e-9):
         raise RangeError(
             f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated, and the machine's slowest "
-            "axis "
-            f"does {fastest:g} mm/s ($110 to $112); state that or less"
+            f"axis does {fastest:g} mm/s ($110 to $112); state that or less"
         )
     if spec.least_m is None or spec.greatest_m is None:
         if not machine.homing:

@@ -337,11 +337,9 @@ class MarlinStage(GcodeStage):
         fastest = min(machine.top_mm_s) / MM_PER_M
         if spec.top_speed_m_s is not None and spec.top_speed_m_s > min(fastest, sudden) * (1 + 1e-9):
             raise RangeError(
-                f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated; the stage's slowest "
-                "axis does "
-                f"{fastest * MM_PER_M:g} mm/s (M203), and can stop dead from {sudden * MM_PER_M:g} mm/s; "
-                "state "
-                "the least of these or less"
+                f"a top speed of {spec.top_speed_m_s * MM_PER_M:g} mm/s is stated; the stage's slowest axis "
+                f"does {fastest * MM_PER_M:g} mm/s (M203), and can stop dead from {sudden * MM_PER_M:g} "
+                "mm/s; state the least of these or less"
             )
         return tuple(v for v in (sudden, fastest, spec.top_speed_m_s) if v)
 

@@ -104,7 +104,6 @@ class HexSensor(SerialForceSensor):
     def in_silence(self) -> str:
         """Say that nothing comes, and what to check."""
         return (
-            f"no sample that can be read came, {self.heard()}; check its cable, that its "
-            "interface switch fits the port (USB or UART), and that its mode lights show a rate: in trigger "
-            "mode it is silent"
+            f"no sample that can be read came, {self.heard()}; check its cable, that its interface switch "
+            "fits the port (USB or UART), and that its mode lights show a rate: in trigger mode it is silent"
         )

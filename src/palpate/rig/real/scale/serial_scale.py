@@ -99,8 +99,7 @@ class ScaleSpec:
         if self.range_n > most_n:
             raise RangeError(
                 f"range_n is {self.range_n:g} N, and at {abs(self.count_n or 0.0):g} N a count its 24 bits "
-                "end "
-                f"at {most_n:.4g} N; give that or less"
+                f"end at {most_n:.4g} N; give that or less"
             )
         if not re.fullmatch(r"[78][NEO][12]", self.frame):
             raise InputError(f"frame is {self.frame!r}; give data bits, parity and stop bits, such as '7E1'")

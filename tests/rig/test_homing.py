@@ -8,7 +8,7 @@ import pytest
 
 from palpate.core import DeviceError, MonotonicClock, Position, Wrench
 from palpate.devices import Reason, Tripped
-from palpate.rig.commissioning.watched_homing import home_watched
+from palpate.rig.commissioning.homing import home_watched
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine
 
 
