@@ -1,4 +1,4 @@
-"""Homing, after a lift and under the watch of the force sensor: switches may be broken or on the skin's side."""
+"""Homing, after a lift and under the watch of the force sensor: switches may lie on the skin's side."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 
-from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor
+from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor, Stage
 from palpate.devices import Mounting, Reason, Tripped
 from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force
@@ -43,16 +43,16 @@ def home_clear(
         Tripped: the lift found no air, or the force changed in homing.
         DeviceError: there are no switches, no force sensor and no word, or the stage fails.
     """
+    hand = None if force is None else Hand(stage, force, mounting, clock)
     if not isinstance(stage, Homing):
         raise DeviceError("this stage has no homing; state where it stands by reference in the rig's file")
     found = None
     if not lifted:
         how = "lift the probe by hand and home with --lifted, your word that it hangs free"
-        if force is None:
+        if hand is None:
             raise DeviceError(
                 f"no force sensor can tell whether the probe is free, so it was not homed; {how}"
             )
-        hand = Hand(stage, force, mounting, clock)
         try:
             found = _lift_well_clear(hand)
         except DeviceError:

@@ -87,8 +87,8 @@ class GrblMachine:
 
     def homes_into_skin(self, axes: tuple[str, str, str]) -> bool:
         """Whether homing drives the axis of the skin's z towards the skin, for the axes of a mount."""
-        goes_down = bool(self.homes_down >> _index(axes[2]) & 1)
-        return goes_down == (_sign(axes[2]) < 0)
+        goes_down = bool(self.homes_down >> "XYZ".index(axes[2][-1]) & 1)
+        return goes_down == axes[2].startswith("-")
 
     @property
     def least_mm(self) -> Millimetres:
