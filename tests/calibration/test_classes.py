@@ -322,7 +322,7 @@ def test_numbers_that_floats_cannot_tell_apart_are_no_classes() -> None:
 def test_classes_are_no_groups_that_leak(blobs) -> None:
     folder, run = blobs
     calibrate(run, plan_of(classes={"object": ()}, split="random"), folder / "random")
-    assert "object" not in read_card(folder / "random").split.audit
+    assert "object" not in read_card(folder / "random").split.audit_text
 
 
 def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:

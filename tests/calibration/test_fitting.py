@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate, fitting
+from palpate.calibration.calibration_job import find_untouched
 from palpate.calibration.fitting import representative_fold
-from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks.model_interface import refuse_unfit
@@ -314,7 +314,7 @@ def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "random")
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="group:press"), tmp_path / "grouped")
     assert not read_card(tmp_path / "random").split.clean
-    assert "press" in read_card(tmp_path / "random").split.audit
+    assert "press" in read_card(tmp_path / "random").split.audit_text
     assert read_card(tmp_path / "grouped").split.clean
 
 

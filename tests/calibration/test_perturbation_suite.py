@@ -7,9 +7,14 @@ import pytest
 from scipy.stats import norm
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate
-from palpate.calibration.coverage.told_targets import told_targets
-from palpate.calibration.robustness import KINDS, perturbed
-from palpate.calibration.robustness.perturbation_suite import MIN_ROWS, _harm, _more_often, _text
+from palpate.calibration.robustness.perturbation_suite import (
+    MIN_ROWS,
+    _harm,
+    _more_often,
+    _text,
+    told_targets,
+)
+from palpate.calibration.robustness.perturbations import KINDS, perturbed
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
 from palpate.estimators.finding_cards import PerturbationCard
@@ -50,7 +55,7 @@ def test_the_sentence_says_that_slight_changes_cost_less_than_a_tenth() -> None:
     def cell(ratio: float, refused: float) -> PerturbationCard:
         return PerturbationCard(
             kind="zoom", size=0.25, unit="%", frames=12, error_ratio=ratio, covered=0.9, beyond=0.0,
-            refused=refused, silent=0.0,
+            refused=refused, silent=0.0, passes=False,
         )  # fmt: skip
 
     said = _text([cell(1.09, 0.25), cell(1.11, 0.75)], 400, 0.01, 0.003)

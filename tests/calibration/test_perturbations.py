@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from palpate.calibration.robustness import KINDS, kinds_for, perturbed
+from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.core import InputError, RangeError
 from palpate.estimators.guard import SIGNATURES
 

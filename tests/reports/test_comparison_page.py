@@ -16,7 +16,7 @@ from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError
 from palpate.core.provenance import Provenance
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.findings import Finding, FindingCode
 from palpate.estimators.model_card import sealed
 from palpate.estimators.session_folder import SESSION_FILE
 from palpate.recordings.table_files import read_table
@@ -181,9 +181,7 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     page = write_comparison(found, tmp_path / "compared.html").read_text()
     assert "same recording" in page
     card = read_card(folders[0])
-    finding = ConfoundFindingCard(
-        kind="outside", target="x_mm", severity="fails", text="the rim tells it", remedy="crop"
-    )
+    finding = Finding(code=FindingCode.ROWS_SHIFTED, target="x_mm")
     confounds = card.confounds.model_copy(update={"findings": (finding,), "failed": True})
     text = sealed(card.model_dump(exclude={"id"}) | {"confounds": confounds}).model_dump_json()
     (folders[0] / "card.json").write_text(text)
@@ -245,11 +243,9 @@ def test_each_calibration_that_was_learnt_from_a_virtual_sensor_is_marked(calibr
 
 def test_an_audit_that_notes_something_did_not_find_nothing(calibrated) -> None:
     card = read_card(calibrated("one"))
-    note = ConfoundFindingCard(
-        kind="order", target="x_mm", severity="notes", text="in order", remedy="shuffle"
-    )
-    for severity, said in (("notes", "notes"), ("warns", "warns")):
-        found = (note, note.model_copy(update={"severity": severity}))
+    note = Finding(code=FindingCode.ORDER_CHECKED, target="x_mm")
+    for code, said in ((FindingCode.ORDER_CHECKED, "notes"), (FindingCode.FUNCTION, "warns")):
+        found = (note, note.model_copy(update={"code": code}))
         confounds = card.confounds.model_copy(update={"findings": found, "failed": False})
         assert _confounds_text(card.model_copy(update={"confounds": confounds})) == said
     nothing = card.confounds.model_copy(update={"findings": (), "failed": False})

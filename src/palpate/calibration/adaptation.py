@@ -22,16 +22,16 @@ import numpy as np
 import onnx
 import pandas as pd
 
+from palpate.calibration.calibration_job import CalibrationJob, rows_matching, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.evaluation import learnt_frames
 from palpate.calibration.leakage import audit
-from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
+from palpate.calibration.robustness.perturbation_suite import CertifiedModel, Suite, adapted_guard
 from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
-from palpate.calibration.training_data import learning_set, rows_matching, table_to_learn
 from palpate.core import (
     ImageError,
     InputError,
@@ -66,15 +66,12 @@ def intervals_of_presses(
     coverage: float,
     layout: TargetLayout | None = None,
 ) -> Intervals:
-    """Intervals that hold the truth at the rate `coverage` in presses not seen, where few were.
+    """Intervals that cover the truth at the rate `coverage` in presses not seen, where few were.
 
-    Rows of one press err alike, so that the rank of the quantile is raised by one press and not by one row:
-    of P presses, the rows' rate is coverage (P + 1) / P. With ten presses and 90 % that is 99 % of the rows.
-    So the presses' distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118,
-    2491 (2023), doi:10.1080/01621459.2022.2060112), which holds on average over presses.
-
-    Where presses are too few for a width that follows the estimate, the one width is the errors' own
-    quantile: scaling each by what the others' typical error is would only add their scatter.
+    Rows of one press err alike: of P presses, the rows' rate is coverage (P + 1) / P, so that the presses'
+    distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023),
+    doi:10.1080/01621459.2022.2060112). With too few presses for a width that follows the estimate, the one
+    width is the errors' own quantile.
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
@@ -136,28 +133,26 @@ def adapt(
     *,
     instruments: Mapping[str, ReferenceInstrument] | None = None,
 ) -> Card:
-    """Adapt a calibration to another copy of its sensor.
+    """Adapt a calibration to another unit of its sensor.
 
     Args:
         folder: the calibration; nothing in it is changed.
-        run: ten presses of the copy or more, labelled in the calibration's columns, with frames of the
-            untouched copy marked by the calibration's own rule.
+        run: ten presses or more, labeled in the calibration's columns, with frames of the untouched unit
+            marked by the calibration's own rule.
         out: the calibration folder to make; must not exist, and appears whole.
         progress: called with what is being done and how far it is.
-        instruments: what label columns were measured with; it goes before what the run's manifest states, and
-            that before the former calibration's.
+        instruments: what label columns were measured with; precedes the run's manifest.
 
     Returns:
-        The new calibration's card. Its scores are of presses that the correction had not learnt from;
-        `split.details["correction"]` holds, for each target, the error before and what was done.
+        The new card, with scores of presses that the correction had not seen; `split.details["correction"]`
+        holds each target's error before, and what was done.
 
     Raises:
         ExistsError: `out` exists.
         CertificateError: the calibration is damaged.
         ImageError: frames are of another size.
-        LabelError: a target, or the untouched sensor, is not among the labels; an instrument is given for
-            what is none of them.
-        InputError: too few presses, or the very run that the calibration has learnt from.
+        LabelError: a target, or the untouched sensor, is not among the labels, or an instrument's column.
+        InputError: too few presses, or the very run that the calibration was trained on.
     """
     out = Path(out)
     refuse_existing(out)
@@ -182,7 +177,6 @@ def adapt(
             def more(folder: Path) -> dict[str, Any]:
                 own = {"sessions": sessions_card(run, None, {}, card.coverage)}
                 return own | {
-                    "order": None,
                     "interval_reset": None,
                     "copy_of": copy_card(copies, card, run, folder),
                 }
@@ -278,8 +272,8 @@ def _result(
 ) -> tuple[CalibrationResult, Adapted]:
     table = table_to_learn(run.labels, plan)
     parts = _split(table, plan)
-    learning = learning_set(whole, plan, parts.groups, str(run.path))
-    data = learning.data
+    job = CalibrationJob.of(run, plan, parts, whole)
+    data = job.data
     progress("learning the correction", 0, 1)
     estimates = np.concatenate([estimator.values(x) for _, x in data.batches(np.arange(len(data.values)))])
     labels = plan.layout.encoded(data.values)
@@ -295,14 +289,11 @@ def _result(
     progress("learning the correction", 1, 1)
     fitted = _CorrectedNetwork(estimator, adapted.correction)
     intervals = intervals_by(intervals_of_presses, adapted.held_out, data, plan)
-    suite = Suite(run, learning, parts, adapted.held_out, fitted, plan, intervals)
+    suite = Suite(job, adapted.held_out, fitted, intervals)
     novelty, robustness = adapted_guard(suite, _former_frames(estimator), progress)
     result = CalibrationResult(
-        run=run,
-        plan=plan,
-        learning=learning,
-        split=parts,
-        audit=audit(learning.packed, parts),
+        job=job,
+        audit=audit(job.packed, parts),
         held_out=adapted.held_out,
         intervals=intervals,
         fitted=fitted,
@@ -322,10 +313,10 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
     """The copy's frames, untouched ones too, beside those that the former calibration knows."""
     former = _former_frames(estimator)
-    learning, fold = result.learning, np.zeros(len(result.learning.whole), np.int64)
-    for k, rows in enumerate(learning.folds_of_whole(result.split)):
+    job, fold = result.job, np.zeros(len(result.job.whole), np.int64)
+    for k, rows in enumerate(job.folds_of_whole()):
         fold[rows] = k
-    return tell_apart(learning.thumbnails(), fold, former.thumbs, former.groups)
+    return tell_apart(job.thumbnails(), fold, former.thumbs, former.groups)
 
 
 def _former_frames(estimator: Estimator) -> RenderedImages:

@@ -53,11 +53,11 @@ class HeldOutClasses:
     """Classes of a calibration's rows, and what models that had not seen a row gave for it.
 
     Attributes:
-        labels: of all rows, a column after the other.
+        labels: of all rows, by column.
         outputs: for all their classes ``[n k]``; NaN for rows not scored.
         cards: of each column.
         members: of each column, which classes are in the sets of the scored rows ``[m k]``, by thresholds
-            that the row's own group had no part in.
+            without the row's own group.
     """
 
     labels: tuple[ClassLabels, ...]

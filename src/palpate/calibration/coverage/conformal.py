@@ -73,17 +73,16 @@ def fit_intervals(
 ) -> Intervals:
     """Intervals from held-out predictions.
 
-    The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or one
+    The spread is a smooth function of the outputs fitted to the size of the errors: quadratic, linear, or one
     number with few rows or groups, see `spread_terms`. A row's own group has no part in the spread that its
-    error is scored by. Where there are groups enough, a target that does not come round again keeps its rate
-    in every part of its range, see `calibration.coverage`.
+    error is scored by. With groups enough, a target that is not periodic keeps its rate in every part of its
+    range.
 
     Args:
         predicted: held-out outputs of the model ``[n o]``.
         true: the labels ``[n t]``.
         groups: ``[n]`` label of each row's group.
-        coverage: how often intervals shall hold the truth, 0 to 1.
+        coverage: how often intervals shall cover the truth, 0 to 1.
         layout: of the targets in the outputs; None where each is one.
     """
     layout = layout or TargetLayout((None,) * true.shape[1])

@@ -102,10 +102,8 @@ MIN_GROUPS_OF_MEAN = 3
 def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
     """95 % interval of a mean over groups, seen and not, from rows that come in groups; None of fewer than 3.
 
-    It is Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard
-    error (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13). Groups drawn again
-    with replacement scatter too little where they are few: of five groups whose true mean is 0, such an
-    interval leaves 0 out in 15 of 100 draws instead of in 5.
+    Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard error
+    (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13).
     """
     sizes, index = group_sizes(groups)
     count, mean = len(sizes), float(values.mean())

@@ -75,18 +75,15 @@ class _Frames(NamedTuple):
 def tell_apart(
     own: np.ndarray, own_groups: Indices, former: np.ndarray, former_groups: Indices
 ) -> CopiesToldApart:
-    """Learn which of two copies an image is of.
+    """Train a discriminator of two sensor units.
 
-    How well that goes is judged by those of the former's frames that are most like this copy's, so that it is
-    the copies that are told apart, and not shallow presses from deep ones. The limit lies where of this
-    copy's own frames, each judged without its group, no more than the stated share is refused; where the
-    copies lie apart, in the middle of the gap.
+    It is judged by those of the former's frames that are most like this unit's. At its limit no more than the
+    stated ratio of this unit's own frames, each judged without its group, is refused; where the units lie
+    apart, it is the middle of the gap.
 
     Args:
-        own: thumbnails of the copy adapted to ``[n h w c]``.
-        own_groups: group (press) of each ``[n]``; two or more.
-        former: thumbnails of the former copy ``[m h w c]``.
-        former_groups: group of each ``[m]``; two or more.
+        own, former: thumbnails of the unit adapted to ``[n h w c]`` and of the former one ``[m h w c]``.
+        own_groups, former_groups: group (press) of each; two or more.
     """
     sides = [_Frames(_flat(own), own_groups), _Frames(_flat(former), former_groups)]
     count = min(FOLDS, *(len(np.unique(side.groups)) for side in sides))

@@ -1,18 +1,20 @@
-"""Training data from a packed recording: rows to learn from, their values, groups, references and inputs."""
+"""The one object that a calibration's fitting, scoring, audits, and report read from: rows, groups, folds."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
 from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
-from palpate.calibration.classes import target_values
-from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Shaped, Tensor
+from palpate.calibration.classes import ClassLabels, target_values, with_classes
+from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Tensor
 from palpate.estimators.guard import thumbnails
 from palpate.estimators.networks.model_interface import TrainingData
-from palpate.recordings import Manifest, PackedSet, Split
+from palpate.recordings import Manifest, PackedSet, Run, Split
+from palpate.recordings.splits import conventional_groups, group_names, within_session
 
 Box = tuple[int, int, int, int]
 
@@ -170,22 +172,91 @@ def _mean_images(
 
 
 @dataclass(frozen=True)
-class LearningSet:
-    """Packed rows to learn from, beside all that were packed.
+class CalibrationJob:
+    """Rows, labels, groups, sessions, and folds of a calibration.
 
     Attributes:
-        whole: every frame, those of the untouched sensor too.
-        rows: rows of `whole` to learn from.
+        run, plan: what was asked.
+        parts: how rows are held out.
+        whole: every frame, packed, those of the untouched sensor too.
+        rows: rows of `whole` to train on.
         packed: these rows, numbered anew.
         untouched: references, for every row of `whole`.
-        data: inputs, values and groups of `packed`.
+        data: inputs, values ``[n t]``, and groups of `packed`.
+        classes: of `packed`.
     """
 
+    run: Run
+    plan: CalibrationPlan
+    parts: Split
     whole: PackedSet
     rows: Indices
     packed: PackedSet
     untouched: Untouched
     data: TrainingData
+    classes: tuple[ClassLabels, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        run: Run,
+        plan: CalibrationPlan,
+        parts: Split,
+        whole: PackedSet,
+        classes: tuple[ClassLabels, ...] = (),
+    ) -> CalibrationJob:
+        """Select the rows to train on.
+
+        Raises:
+            LabelError, UnitError: a target column is missing, not a number, constant, or has no unit; or
+                there is no untouched frame and the plan needs one.
+        """
+        rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
+        packed = whole.only(rows)
+        references = untouched.groups[rows]
+
+        def fetch(chosen: Indices) -> Tensor:
+            inputs = packed.read(chosen).transpose(0, 3, 1, 2).astype(np.float32)
+            if plan.delta:
+                inputs -= untouched.images[references[chosen]]
+            return np.ascontiguousarray(inputs)
+
+        values = target_values(packed.table, plan.targets, str(run.path))
+        groups = np.arange(len(rows)) if parts.groups is None else parts.groups
+        data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
+        return cls(run, plan, parts, whole, rows, packed, untouched, data, classes)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Labels of `packed`."""
+        return self.packed.table
+
+    @cached_property
+    def outputs(self) -> TrainingData:
+        """The rows with the labels as the model's outputs ``[n o]``, those of classes last."""
+        layout = self.plan.layout
+        values = with_classes(layout.encoded(self.data.values), self.classes)
+        names = layout.names(self.data.names) + tuple(n for one in self.classes for n in one.output_names)
+        return replace(self.data, values=values, names=names)
+
+    @cached_property
+    def fold_of(self) -> Indices:
+        """Number of the fold that each row is held out in ``[n]``."""
+        fold = np.empty(len(self.packed), np.int64)
+        for k, rows in enumerate(self.parts.folds):
+            fold[rows] = k
+        return fold
+
+    @property
+    def in_recorded_order(self) -> bool:
+        """Whether rows lie in the order in which they were recorded."""
+        return self.run.manifest.order == "recorded"
+
+    @cached_property
+    def sessions(self) -> np.ndarray | None:
+        """Name of each row's session ``[n]`` where sessions are to be held out; None otherwise."""
+        asked = SESSION in self.parts.group_columns and SESSION in self.table
+        return group_names(self.table, (SESSION,)) if asked else None
 
     def thumbnails(self) -> np.ndarray:
         """Thumbnails of every frame ``[n h w c]``, few images in memory at a time."""
@@ -193,39 +264,60 @@ class LearningSet:
             frame for batch in self.whole.batches(np.arange(len(self.whole)), BATCH) for frame in batch
         )
 
-    def folds_of_whole(self, parts: Split) -> list[Indices]:
-        """Folds in rows of `whole`; rows that are not learnt from are dealt out to them."""
-        others = np.setdiff1d(np.arange(len(self.whole)), self.rows)
-        return [
-            np.append(self.rows[fold], others[k :: len(parts.folds)]) for k, fold in enumerate(parts.folds)
-        ]
+    def folds_of_whole(self) -> list[Indices]:
+        """Folds in rows of `whole`; rows that are not trained on are dealt out to them."""
+        others, folds = np.setdiff1d(np.arange(len(self.whole)), self.rows), self.parts.folds
+        return [np.append(self.rows[fold], others[k :: len(folds)]) for k, fold in enumerate(folds)]
 
 
-def learning_set(
-    whole: PackedSet, plan: CalibrationPlan, groups: Shaped[np.ndarray, " n"] | None, source: str
-) -> LearningSet:
-    """Select the rows to learn from.
+HELD_OUT_WHOLE = (SESSION, "sensor", "copy")
+"""Columns of which a new group is predicted where they are held out whole; the coarsest first."""
 
-    Args:
-        whole: all frames, packed.
-        plan: targets, reference, and whether inputs are differences from it.
-        groups: label of each row's group, of the rows to learn from; None where each row is its own.
-        source: name of the recording, for messages.
 
-    Raises:
-        LabelError, UnitError: a target column is missing, not a number, constant, or has no unit; or there
-            is no untouched frame and the plan needs one.
+def has_gaps(table: pd.DataFrame, columns: tuple[str, ...]) -> bool:
+    """True if a cell of these columns is empty."""
+    cells = table[list(columns)]
+    return bool(cells.isna().to_numpy().any() or (cells.astype(str) == "").to_numpy().any())
+
+
+def is_grouped(table: pd.DataFrame) -> bool:
+    """True if a conventional column without gaps groups the rows."""
+    return any(
+        not has_gaps(table, columns) and 1 < len(np.unique(group_names(table, columns))) < len(table)
+        for columns in conventional_groups(table)
+    )
+
+
+def finest_columns(table: pd.DataFrame) -> tuple[str, ...]:
+    """The finest conventional columns without gaps that group rows, such as the press; none if none does."""
+    finer = [columns for columns in conventional_groups(table) if columns[0] not in HELD_OUT_WHOLE]
+    whole = [columns for columns in finer if not has_gaps(table, columns)]
+    return within_session(table, whole[-1]) if whole else ()
+
+
+def groups_within(table: pd.DataFrame) -> Indices:
+    """Number of each row's finest conventional group ``[n]``; each row its own where there is none."""
+    columns = finest_columns(table)
+    if not columns:
+        return np.arange(len(table))
+    return np.unique(group_names(table, columns), return_inverse=True)[1]
+
+
+def presses_of(table: pd.DataFrame, parts: Split) -> Indices | None:
+    """Number of the press that each row is of ``[n]``; None where no column says.
+
+    A split's own groups are presses too, unless they are whole sessions, or blocks that only cut the order.
     """
-    rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
-    packed, references = whole.only(rows), untouched.groups[rows]
+    named = [groups_within(table)] if finest_columns(table) else []
+    fine = parts.groups is not None and parts.block_rows is None
+    if fine and (not parts.group_columns or set(parts.group_columns) - set(HELD_OUT_WHOLE)):
+        named.append(np.unique(np.asarray(parts.groups), return_inverse=True)[1])
+    if not named:
+        return None
+    return np.unique(np.column_stack(named), axis=0, return_inverse=True)[1].ravel()
 
-    def fetch(chosen: Indices) -> Tensor:
-        inputs = packed.read(chosen).transpose(0, 3, 1, 2).astype(np.float32)
-        if plan.delta:
-            inputs -= untouched.images[references[chosen]]
-        return np.ascontiguousarray(inputs)
 
-    values = target_values(packed.table, plan.targets, source)
-    groups = np.arange(len(rows)) if groups is None else groups
-    data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
-    return LearningSet(whole, rows, packed, untouched, data)
+def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
+    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
+    columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
+    return group_names(table, columns) if columns else None
