@@ -203,7 +203,8 @@ def _refuse_classes(card: Card) -> None:
     if card.classes:
         raise InputError(
             f"calibration {card.id} tells classes ({', '.join(one.column for one in card.classes)}), which a "
-            "correction from a few presses is not built for; calibrate on presses of your own copy"
+            "correction from a few presses is not built for; calibrate on presses of your own copy",
+            code="has-classes",
         )
 
 
@@ -234,7 +235,8 @@ def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
     card = estimator.card
     if run.hash == card.run.hash:
         raise InputError(
-            f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
+            f"{run.path} is the run that this calibration has learnt from; record presses of your own copy",
+            code="trained-on",
         )
     table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
@@ -244,10 +246,13 @@ def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
         what = "rows" if column == "row" else f"groups in its column {column!r}"
         raise InputError(
             f"{run.path} holds {presses} {what}; adapting takes {_min_presses(card.coverage)} presses or "
-            f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
+            f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones",
+            code="few-groups",
         )
     if why := learnt_frames(estimator, run).why:
-        raise InputError(f"{run.path} shows no copy of its own: {why}; record presses of your own copy")
+        raise InputError(
+            f"{run.path} shows no copy of its own: {why}; record presses of your own copy", code="trained-on"
+        )
 
 
 def _min_presses(coverage: float) -> int:
@@ -262,7 +267,8 @@ def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
         if shape[:2] != (height, width):
             raise ImageError(
                 f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
-                f"{width}x{height} px; record the copy with the same camera settings, or calibrate anew"
+                f"{width}x{height} px; record the copy with the same camera settings, or calibrate anew",
+                code="frame-size",
             )
     return pack(run, work / "packed", card.input.preparation, lambda n, of: progress("packing", n, of))
 

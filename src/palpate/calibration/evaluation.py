@@ -162,7 +162,8 @@ def evaluate(
     if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
         raise CertificateError(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
-            "which scores would leave out; calibrate again"
+            "which scores would leave out; calibrate again",
+            code="not-finite",
         )
     scores = _scores(card, run, true, table, spread, valid)
     outside = labels_outside(card, true)

@@ -164,7 +164,9 @@ def _process_group(plan: CalibrationPlan) -> ProcessGroup:
 def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     """Split the rows to learn from, and refuse at once what would fail after an hour."""
     if len(run) < 10:
-        raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
+        raise InputError(
+            f"{run.path} holds {len(run)} frames; a calibration needs 10 or more", code="few-frames"
+        )
     refuse_reserved(list(run.manifest.labels), str(run.path))
     check_instruments(run, plan.targets, plan.instruments)
     check_vector_names(plan.vectors, run.manifest.labels, str(run.path))
@@ -204,7 +206,8 @@ def _refuse_fewer_folds(plan: CalibrationPlan, parts: Split) -> None:
         column = f" of {' and '.join(parts.group_columns)}" if parts.group_columns else ""
         raise SplitError(
             f"{plan.folds} folds were asked for, and split {plan.split!r} makes {made} here, by {made} "
-            f"groups{column}: ask for at most {made}, for none in particular, or for another split"
+            f"groups{column}: ask for at most {made}, for none in particular, or for another split",
+            code="few-groups",
         )
 
 
@@ -253,14 +256,16 @@ def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Pa
     if isinstance(earlier, dict) and any(earlier.get(key) != request[key] for key in ("run", "plan")):
         raise ExistsError(
             f"{work} holds unfinished work towards another calibration named {out.name}; "
-            "run that one again to finish it, remove the folder, or choose another --out"
+            "run that one again to finish it, remove the folder, or choose another --out",
+            code="other-work",
         )
     with storage_errors(work):
         if work.exists():
             others = sorted(path.name for path in work.iterdir() if not WORK_FILE.fullmatch(path.name))
             if others:
                 raise ExistsError(
-                    f"{work} holds {others[0]}, which is not palpate's; move it away, or choose another --out"
+                    f"{work} holds {others[0]}, which is not palpate's; move it, or choose another --out",
+                    code="foreign-file",
                 )
             shutil.rmtree(work)
         work.mkdir(parents=True)

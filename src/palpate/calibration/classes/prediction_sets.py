@@ -109,7 +109,8 @@ def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:
             raise SplitError(
                 f"split {parts.kind} holds out each class of {one.column!r} whole, so that none was "
                 "learnt when it is asked for; record each class in several groups, or split by what repeats "
-                "within a class, as in --split group:press"
+                "within a class, as in --split group:press",
+                code="class-held-out",
             )
 
 

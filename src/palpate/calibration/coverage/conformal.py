@@ -42,10 +42,15 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
         RangeError: the coverage is not above 0 and at most 1.
     """
     if not 0 < coverage <= 1:
-        raise RangeError(f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9")
+        raise RangeError(
+            f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9", code="coverage-range"
+        )
     n = len(scores)
     if n == 0:
-        raise InputError("no held-out scores to set an interval by; give the calibration at least two folds")
+        raise InputError(
+            "no held-out scores to set an interval by; give the calibration at least two folds",
+            code="few-groups",
+        )
     rank = min(int(np.ceil((n + 1) * coverage)), n)
     return float(np.sort(scores)[rank - 1])
 

@@ -106,7 +106,8 @@ def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool
     if scores["calibration"] != card.id:
         raise CertificateError(
             f"these scores are of calibration {scores['calibration']}, and {folder} holds {card.id}; keep "
-            f"them with the calibration they are of"
+            f"them with the calibration they are of",
+            code="other-calibration",
         )
     record = _sealed(scores, reference)
     stem = f"{PREFIX}{str(record.run['hash'])[:DIGITS]}"
@@ -154,7 +155,8 @@ def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
     if record.calibration != card.id:
         raise CertificateError(
             f"{path} is of calibration {record.calibration}, and not of {card.id}, whose folder it lies in; "
-            "move it to its own"
+            "move it to its own",
+            code="other-calibration",
         )
     return record
 

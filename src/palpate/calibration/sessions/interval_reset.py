@@ -285,7 +285,8 @@ def _new_session(estimator: Estimator, run: Run) -> str:
     """Name of the one session that a run is of, which the calibration knows nothing of."""
     if why := same_session(estimator, run):
         raise InputError(
-            f"{run.path} sets no interval for another day: {why}; record rows of the new session"
+            f"{run.path} sets no interval for another day: {why}; record rows of the new session",
+            code="trained-on",
         )
     sessions = sorted(set(sessions_of(run).tolist()))
     if len(sessions) != 1:
@@ -302,7 +303,8 @@ def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
     least = next(n for n in range(1, 10_000) if is_distribution_free(n, coverage))
     raise InputError(
         f"{run.path} holds {rows} labelled rows of {groups} groups; {least} or more set intervals that hold "
-        f"{100 * coverage:g} % of new ones, and some tens set them well"
+        f"{100 * coverage:g} % of new ones, and some tens set them well",
+        code="few-groups",
     )
 
 

@@ -61,8 +61,12 @@ class CopyDiscriminator:
             arrays = read_arrays(path)
             axis, offset, limit = (arrays[name] for name in ("axis", "offset", "limit"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
-            raise CertificateError(f"{path} tells no copies apart ({e}); adapt again") from e
+            raise CertificateError(
+                f"{path} tells no copies apart ({e}); adapt again", code="file-damaged"
+            ) from e
         numbers = np.concatenate([axis.ravel(), offset.ravel(), limit.ravel()])
         if axis.shape != (size,) or numbers.dtype != np.float64 or not np.isfinite(numbers).all():
-            raise CertificateError(f"{path} does not fit the calibration's thumbnails; adapt again")
+            raise CertificateError(
+                f"{path} does not fit the calibration's thumbnails; adapt again", code="file-misfit"
+            )
         return cls(axis, float(offset), float(limit))
