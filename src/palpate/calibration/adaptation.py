@@ -22,20 +22,28 @@ import numpy as np
 import onnx
 import pandas as pd
 
-from palpate.calibration.calibration_job import CalibrationJob, rows_matching, table_to_learn
-from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.calibration_job import (
+    CalibrationJob,
+    refuse_other_size,
+    rule_in_run,
+    table_to_learn,
+)
+from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.evaluation import learnt_frames
 from palpate.calibration.leakage import audit
-from palpate.calibration.robustness.perturbation_suite import CertifiedModel, Suite, adapted_guard
-from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
+from palpate.calibration.robustness.perturbation_suite import (
+    CertifiedModel,
+    Suite,
+    adapted_guard,
+    former_frames,
+)
+from palpate.calibration.sessions.copies import CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
 from palpate.core import (
-    ImageError,
     InputError,
-    LabelError,
     PathText,
     Progress,
     Tensor,
@@ -44,8 +52,7 @@ from palpate.core import (
     silent,
     storage_errors,
 )
-from palpate.estimators.certified import Estimator, checked_file
-from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.certified import Estimator
 from palpate.estimators.intervals import Intervals, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
@@ -162,12 +169,14 @@ def adapt(
     _refuse_classes(card)
     check_instruments(run, card.columns, instruments or {})
     stated = run.manifest.instruments | dict(instruments or {})
-    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), stated)
+    plan = CalibrationPlan.of_card(card, rule_in_run(card, run), _grouping(run), stated)
     _check(estimator, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", suffix=".work", dir=out.parent) as work:
-            packed = _packed(run, Path(work), card, progress)
+            refuse_other_size(run, card, range(len(run)))
+            prepare, told = card.input.preparation, lambda n, of: progress("packing", n, of)
+            packed = pack(run, Path(work) / "packed", prepare, told)
             result, adapted = _result(estimator, run, packed, plan, progress)
             progress("writing the calibration", 0, 1)
             result = replace(result, seconds=time.monotonic() - started)
@@ -212,24 +221,6 @@ def _grouping(run: Run) -> str:
     return f"leave-one-out:{next((column for column in GROUPS if column in run.labels), 'row')}"
 
 
-def _rule(card: Card, run: Run) -> ReferenceRule | None:
-    """The calibration's own rule; None where it has none, or the run no such rows and does without."""
-    rule = ReferenceRule.of_card(card)
-    if rule is None:
-        return None
-    rule = rule.for_columns(run.labels.columns)
-    try:
-        rows_matching(run.labels, rule)
-    except LabelError as e:
-        if card.input.delta:
-            raise LabelError(
-                f"{run.path}: {e}; this calibration subtracts the untouched sensor, so each copy needs "
-                f"frames of its own, labelled {rule.column}={rule.value}"
-            ) from e
-        return None
-    return rule
-
-
 def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
     """Refuse what cannot be learnt from, before anything is written."""
     card = estimator.card
@@ -260,19 +251,6 @@ def _min_presses(coverage: float) -> int:
     return max(MIN_PRESSES, math.ceil(coverage / (1 - coverage) - 1e-9))
 
 
-def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
-    height, width = card.input.frame_px
-    for row in range(len(run)):
-        shape = run.frame(row).image.shape
-        if shape[:2] != (height, width):
-            raise ImageError(
-                f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
-                f"{width}x{height} px; record the copy with the same camera settings, or calibrate anew",
-                code="frame-size",
-            )
-    return pack(run, work / "packed", card.input.preparation, lambda n, of: progress("packing", n, of))
-
-
 def _result(
     estimator: Estimator, run: Run, whole: PackedSet, plan: CalibrationPlan, progress: Progress
 ) -> tuple[CalibrationResult, Adapted]:
@@ -296,7 +274,7 @@ def _result(
     fitted = _CorrectedNetwork(estimator, adapted.correction)
     intervals = intervals_by(intervals_of_presses, adapted.held_out, data, plan)
     suite = Suite(job, adapted.held_out, fitted, intervals)
-    novelty, robustness = adapted_guard(suite, _former_frames(estimator), progress)
+    novelty, robustness = adapted_guard(suite, former_frames(estimator), progress)
     result = CalibrationResult(
         job=job,
         audit=audit(job.packed, parts),
@@ -318,14 +296,8 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
     """The copy's frames, untouched ones too, beside those that the former calibration knows."""
-    former = _former_frames(estimator)
+    former = former_frames(estimator)
     job, fold = result.job, np.zeros(len(result.job.whole), np.int64)
     for k, rows in enumerate(job.folds_of_whole()):
         fold[rows] = k
     return tell_apart(job.thumbnails(), fold, former.thumbs, former.groups)
-
-
-def _former_frames(estimator: Estimator) -> RenderedImages:
-    """Frames that the former calibration's guard keeps, those of neighbouring presses together."""
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
-    return RenderedImages(former, np.arange(len(former)) // TOGETHER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,8 +11,9 @@ import pandas as pd
 
 from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
 from palpate.calibration.classes import ClassLabels, target_values, with_classes
-from palpate.core import Bool, Float32, Indices, InputError, Int, LabelError, Tensor
+from palpate.core import Bool, Float32, ImageError, Indices, InputError, Int, LabelError, Tensor
 from palpate.estimators.guard import thumbnails
+from palpate.estimators.model_card import Card
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings import Manifest, PackedSet, Run, Split
 from palpate.recordings.splits import conventional_groups, group_names, within_session
@@ -321,3 +323,42 @@ def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
     """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
     columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
     return group_names(table, columns) if columns else None
+
+
+def refuse_other_size(run: Run, card: Card, rows: Sequence[int]) -> None:
+    """Refuse frames of another size than a calibration's.
+
+    Raises:
+        ImageError: the message names the first such frame.
+    """
+    height, width = card.input.frame_px
+    for row in rows:
+        shape = run.frame(int(row)).image.shape
+        if shape[:2] != (height, width):
+            raise ImageError(
+                f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
+                f"{width}x{height} px; record with the same camera settings, or calibrate anew",
+                code="frame-size",
+            )
+
+
+def rule_in_run(card: Card, run: Run) -> ReferenceRule | None:
+    """A calibration's own rule of the untouched sensor; None where it has none, or the run no such rows.
+
+    Raises:
+        LabelError: the run has no such rows, and the calibration subtracts the untouched sensor.
+    """
+    rule = ReferenceRule.of_card(card)
+    if rule is None:
+        return None
+    rule = rule.for_columns(run.labels.columns)
+    try:
+        rows_matching(run.labels, rule)
+    except LabelError as e:
+        if card.input.delta:
+            raise LabelError(
+                f"{run.path}: {e}; this calibration subtracts the untouched sensor, so that each unit and "
+                f"session needs frames of its own, labeled {rule.column}={rule.value}"
+            ) from e
+        return None
+    return rule

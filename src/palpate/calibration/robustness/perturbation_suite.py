@@ -24,7 +24,7 @@ from palpate.calibration.coverage.circular_scores import (
 )
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.core import Bool, Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
-from palpate.estimators.certified import Estimator
+from palpate.estimators.certified import Estimator, checked_file
 from palpate.estimators.finding_cards import PerturbationCard, RobustnessCard
 from palpate.estimators.guard import (
     MAX_HARM,
@@ -485,6 +485,16 @@ class CertifiedModel:
         """The network as it stands in the certificate's folder."""
         file = self.estimator.folder / self.estimator.card.model.file
         return onnx.load(str(file), load_external_data=False)
+
+
+TOGETHER = 12
+"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
+
+
+def former_frames(estimator: Estimator) -> RenderedImages:
+    """Thumbnails that a calibration's guard keeps, those of neighboring presses together."""
+    kept = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
+    return RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
 
 
 def adapted_guard(

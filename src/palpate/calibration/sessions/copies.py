@@ -21,9 +21,6 @@ from palpate.recordings.joined_runs import SENSOR, run_names
 
 COPY_FILE = "copy.npz"
 
-TOGETHER = 12
-"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
-
 MAX_REFUSED_OWN = 0.03
 """Share of the copy's own frames that may be taken for the former's."""
 

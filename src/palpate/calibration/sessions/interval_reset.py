@@ -26,10 +26,11 @@ from palpate.calibration.calibration_job import (
     CalibrationJob,
     finest_columns,
     groups_within,
-    rows_matching,
+    refuse_other_size,
+    rule_in_run,
     table_to_learn,
 )
-from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import (
     PREDICTIONS_FILE,
     instrument_card,
@@ -49,13 +50,15 @@ from palpate.calibration.coverage.group_quantiles import (
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_limits import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
-from palpate.calibration.robustness.perturbation_suite import CertifiedModel, Suite, adapted_guard
-from palpate.calibration.sessions.copies import TOGETHER
+from palpate.calibration.robustness.perturbation_suite import (
+    CertifiedModel,
+    Suite,
+    adapted_guard,
+    former_frames,
+)
 from palpate.core import (
     Float,
-    ImageError,
     InputError,
-    LabelError,
     PathText,
     Progress,
     Values,
@@ -66,7 +69,7 @@ from palpate.core import (
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
-from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis, within
 from palpate.estimators.model_card import (
     Card,
@@ -258,22 +261,12 @@ class _SessionRows:
             known_codes(labels, one.column, one.values, str(run.path))
         groups = groups_within(labels)
         _check_count(len(np.unique(groups)), len(rows), card.coverage, run)
-        height, width = card.input.frame_px
-        for row in rows:
-            shape = run.frame(int(row)).image.shape
-            if shape[:2] != (height, width):
-                raise ImageError(
-                    f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
-                    f"{width}x{height} px; record the session with the same camera settings, or calibrate "
-                    "anew"
-                )
-        table = predictions(estimator, run, progress=progress)
+        refuse_other_size(run, card, rows.tolist())
+        read = predictions(estimator, run, progress=progress)
+        table = labels.assign(**{str(name): read[name] for name in read if str(name).startswith("estimate:")})
         zeros, layout = zeros_of(estimator, run), layout_of(card)
         every = np.concatenate([estimator.outputs(run.frame(int(row)), zeros.get(int(row))) for row in rows])
         outputs, of_classes = np.split(every, [layout.outputs], axis=1)
-        table = table.drop(
-            columns=[name for name in table if name not in labels and not str(name).startswith("estimate:")]
-        )
         names = [run.frame(int(row)).name for row in rows]
         return cls(
             session, rows, names, table, outputs, of_classes, layout.decoded(outputs), true,
@@ -316,9 +309,7 @@ def _guard(
     prefix = f".{beside.name}."
     with tempfile.TemporaryDirectory(prefix=prefix, suffix=".work", dir=beside.parent) as work:
         suite = _suite(estimator, run, intervals, Path(work))
-        kept = former.neighbours.thumbs
-        also = RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
-        detector, robustness = adapted_guard(suite, also, progress)
+        detector, robustness = adapted_guard(suite, former_frames(estimator), progress)
     if len(suite.job.untouched.rows):
         return detector, robustness
     detector = replace(
@@ -334,7 +325,7 @@ def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> 
     """The session's frames, whole groups in a fold, with what the network gives for them."""
     card = estimator.card
     whole = pack(run, work / "packed", card.input.preparation)
-    plan = CalibrationPlan.of_card(card, _rule(card, run))
+    plan = CalibrationPlan.of_card(card, rule_in_run(card, run))
     groups = groups_within(table_to_learn(run.labels, plan))
     count = min(FOLDS_OF_GUARD, len(np.unique(groups)))
     folds = tuple(held for _, held in GroupKFold(count).split(groups, groups=groups))
@@ -343,16 +334,6 @@ def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> 
     outputs = [estimator.values(x) for _, x in job.data.batches(np.arange(len(groups)))]
     held_out = np.concatenate(outputs)[:, : plan.layout.outputs]
     return Suite(job, held_out, CertifiedModel(estimator), intervals)
-
-
-def _rule(card: Card, run: Run) -> ReferenceRule | None:
-    """The calibration's rule of the untouched sensor; None where it has none, or the run no such rows."""
-    rule = ReferenceRule.of_card(card)
-    rule = rule and rule.for_columns(run.labels.columns)
-    try:
-        return rule if rule is not None and rows_matching(run.labels, rule).any() else None
-    except LabelError:
-        return None
 
 
 def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
