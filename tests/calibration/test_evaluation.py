@@ -9,9 +9,8 @@ from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.coverage.counted_groups import counted_groups, counted_text, held_out_groups
-from palpate.calibration.coverage.foreign_labels import shifted_labels
 from palpate.calibration.coverage.grouped_rates import coverage_interval
-from palpate.calibration.evaluation import learnt_frames, same_session, score
+from palpate.calibration.evaluation import learnt_frames, same_session, score, shifted_labels
 from palpate.calibration.learnt_frames import repeated_presses, shares_of_copies
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.core import CertificateError, InputError
