@@ -1,15 +1,10 @@
-"""Prediction sets that hold the true class at the stated rate in each class by itself.
+"""Prediction sets that cover the true class at the stated rate in each class by itself, and their scores.
 
 A row's score is how far the output of its true class falls short of 1. Each class has a threshold of its own,
-set by the scores of its own held-out rows, so that the rate holds for a rare class as for a frequent one
-(label-conditional, or Mondrian, conformal prediction: V. Vovk, A. Gammerman and G. Shafer, Algorithmic
-Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and L.
-Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). One threshold for all
-keeps the rate over all rows only, and covers the rare class less.
-
-Rows of one press err alike: each press counts once, as for intervals of a new group
-(`coverage.group_quantiles`). Where a class has too few groups for the rate, which is below nine at 90 %, no
-threshold can promise it: the class is then in every set, which holds it always and tells nothing of it.
+set by its held-out rows (label-conditional conformal prediction: V. Vovk, A. Gammerman and G. Shafer,
+Algorithmic Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and
+L. Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). Each press counts once
+(`coverage.group_quantiles`). With too few groups for the rate, below nine at 90 %, a class is in every set.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def find_skin(
     """The skin by what changes from press to press.
 
     Args:
-        images: prepared frames in the order they were taken, grey levels.
+        images: prepared frames in the order they were taken [grey levels].
         units: press of each.
         untouched: frames of the untouched sensor in their order, which show what changes without touch.
         sessions, rest_sessions: session of each image and of each untouched frame; None where there is one.

@@ -48,9 +48,8 @@ def target_functions(
     Args:
         values: ``[n t]``.
         names: columns of the targets.
-        units: ``[n]`` press of each row; a row is told by rows of other presses only.
-        columns: label column that each target is of, where several are of one: a direction's cosine and sine
-            tell each other over an arc, which is no finding. By default each is its own.
+        units: ``[n]`` press of each row; a row is predicted from other presses only.
+        columns: label column of each target, where several are of one, as a direction's cosine and sine.
     """
     columns = tuple(columns or names)
     values, first = np.unique(values, axis=0, return_index=True)  # a row told by its copy is no function

@@ -1,10 +1,9 @@
 """Conformal intervals: from errors on held-out rows to a half-width for every new reading.
 
-Each row's score is its held-out error over the spread expected there; the interval is the estimate plus
-and minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math.
-Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
-doi:10.1007/3-540-36755-1_29). Folds keep groups whole, so that the errors are those on groups not yet
-seen, and pooling the folds gives every row a score even where there are few groups.
+Each row's score is its held-out error over the spread expected there; the interval is the estimate plus and
+minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math. Artif. Intell.
+74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
+doi:10.1007/3-540-36755-1_29). Folds keep groups whole.
 """
 
 from __future__ import annotations
@@ -32,10 +31,7 @@ one width, by more than a standard error: of forty presses such widths held 94 t
 
 
 def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
-    """The score that a new one stays below with probability `coverage`.
-
-    The rank is raised by one row, ceil((n + 1) coverage), which is what makes the promise hold for
-    finite n; with too few scores for it the largest one is used.
+    """The score that a new one stays below with probability `coverage`, of rank ceil((n + 1) coverage).
 
     Raises:
         InputError: there are no scores.
@@ -58,8 +54,8 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
 def pooled_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
     """The score that a row of a new group stays below, each group with the same weight.
 
-    Where groups are of one size it is the conformal quantile of the rows. Else the level is raised by one of
-    as many rows as their weights are worth (Kish), so that few long groups do not set it.
+    The level is raised by one of as many rows as their weights are worth (Kish), so that few long groups do
+    not set it; with groups of one size it is the conformal quantile of the rows.
     """
     sizes, index = group_sizes(groups)
     if (sizes == sizes[0]).all():

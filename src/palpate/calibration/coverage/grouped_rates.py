@@ -1,9 +1,7 @@
 """Number of independent rows that rows in groups are worth, when a rate is counted over them.
 
-Rows of one group agree more than rows of different ones. How much is their correlation, and n rows count as
-n over the design effect (L. Kish, Survey Sampling, 1965). With few groups their scatter is known poorly, and
-most samples of a rate near 1 hold none of the few bad groups: there the correlation is raised towards 1, as
-if two groups more had been seen whose rows all agree. With two groups or one, a group is worth one row.
+n rows count as n over the design effect of their correlation within groups (L. Kish, Survey Sampling, 1965).
+With few groups the correlation is raised towards 1, as if two groups more had been seen whose rows all agree.
 """
 
 from __future__ import annotations
@@ -87,9 +85,8 @@ def coverage_interval(hits: int, n: int) -> tuple[float, float]:
 def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
     """95 % interval of a rate over groups, seen and not, from rows that come in groups.
 
-    It is Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey
-    Methodology 24, 193 (1998)): of all where each is its own group, of one or two where there are no more
-    groups, since these do not tell how groups differ.
+    Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey Methodology 24,
+    193 (1998)).
     """
     n = effective_rows(groups, cautious_correlation(inside, groups))
     return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)

@@ -37,11 +37,11 @@ Flat = Float[np.ndarray, "_ k"]
 
 @dataclass(frozen=True, slots=True)
 class CopiesToldApart:
-    """A discriminator, and how it judges frames that it has not learnt from.
+    """A discriminator of two sensor units, and how it judges frames that it has not seen.
 
     Attributes:
-        discriminator: learnt from all frames.
-        refused_own, refused_former: shares of each copy's frames that are taken for the former's, each
+        discriminator: trained on all frames.
+        refused_own, refused_former: ratios of each unit's frames that are assigned to the former's, each
             judged without its own group.
     """
 
