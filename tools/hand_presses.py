@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.calibration.calibration_job import CalibrationJob, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.evaluation import evaluate
 from palpate.calibration.fitting import calibrate, preparation_of
-from palpate.calibration.training_data import learning_set, table_to_learn
 from palpate.core import ManualClock
 from palpate.core.sensor import sensor
 from palpate.estimators.certified import Estimator
@@ -125,8 +125,8 @@ def cover(folder: Path, seed: int, plan: CalibrationPlan, frames: int) -> dict[s
         for name, one in (("learn", run), ("test", test)):
             pack(one, Path(work) / name, prepare)
             packed = PackedSet.open(Path(work) / name)
-            groups = split(table_to_learn(one.labels, plan), "group:press", folds=2).groups
-            sets.append(learning_set(packed, plan, groups, name).data)
+            parts = split(table_to_learn(one.labels, plan), "group:press", folds=2)
+            sets.append(CalibrationJob.of(one, plan, parts, packed).data)
         learn, held = sets
         pressed = (table_to_learn(test.labels, plan)["press"] != REST).to_numpy()
         parts = split(table_to_learn(run.labels, plan), "group:press", folds=plan.folds or 5, seed=plan.seed)

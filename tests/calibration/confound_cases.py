@@ -27,7 +27,7 @@ class Case:
         images: ``[n h w]`` or ``[n h w 3]``, 8-bit.
         table: labels, one row an image.
         targets: columns to calibrate.
-        wanted: kinds of finding of which one must be named; empty for a clean recording.
+        wanted: codes of findings of which one must be named; empty for a clean recording.
         split: how rows are held out.
     """
 
@@ -37,6 +37,9 @@ class Case:
     targets: tuple[str, ...]
     wanted: tuple[str, ...] = ()
     split: str = "random"
+
+
+DRIFTING = ("outside-drifts", "order-drifts", "order-unchecked")
 
 
 def eight_bit(images: np.ndarray) -> np.ndarray:
@@ -157,7 +160,7 @@ def ordered(case: Case, by: str) -> Case:
 def drifted(case: Case, kind: str, rng: np.random.Generator) -> Case:
     """Rows in the order of a label while something of the picture drifts with time."""
     case = lit(ordered(case, case.targets[0]), kind, rng)
-    return replace(case, wanted=("outside", "order"))
+    return replace(case, wanted=DRIFTING)
 
 
 def lit(case: Case, kind: str, rng: np.random.Generator) -> Case:
@@ -210,29 +213,30 @@ def burnt(case: Case, kind: str, rng: np.random.Generator) -> Case:
         else:
             row = 1 if top else height - 4
             images[i][row : row + 3, 1:4] = round(20 + 200 * share[i])
-    return replace(case, name=f"{case.name}, {kind} burnt in", images=images, wanted=("burnt in", "outside"))
+    return replace(
+        case, name=f"{case.name}, {kind} burnt in", images=images, wanted=("burnt-in", "outside-drifts")
+    )
 
 
 BURNT = ("text", "bar", "pixels")
 
 
 def bound(case: Case, kind: str, rng: np.random.Generator) -> Case:
-    """A target more that is a function of the first, or of the first two."""
-    a, b = (case.table[name].to_numpy() for name in case.targets[:2])
+    """A target more that is a function of the first."""
+    a = case.table[case.targets[0]].to_numpy()
     middle = float(np.median(a)) + 0.1 * np.ptp(a) * rng.uniform(-1, 1)
     made = {
         "multiple": rng.uniform(1, 5) * a,
         "square": a**2,
         "modulus": np.abs(a - middle),
         "sign": np.sign(a - middle),
-        "sum": a / np.ptp(a) + 2 * b / np.ptp(b),
     }[kind]
     table = case.table.assign(force_N=made)
     targets = (*case.targets, "force_N")
     return replace(case, name=f"{case.name}, {kind}", table=table, targets=targets, wanted=("function",))
 
 
-FUNCTIONS = ("multiple", "square", "modulus", "sign", "sum")
+FUNCTIONS = ("multiple", "square", "modulus", "sign")
 
 
 def copied(case: Case, kind: str, rng: np.random.Generator) -> Case:
@@ -260,7 +264,7 @@ def shifted(case: Case, rng: np.random.Generator) -> Case:
     """Labels paired with the images of other rows."""
     lag = int(rng.choice([-2, -1, 1, 2]))
     table = pd.DataFrame({name: np.roll(column, lag) for name, column in case.table.items()})
-    return replace(case, name=f"{case.name}, shifted by {lag}", table=table, wanted=("rows shifted",))
+    return replace(case, name=f"{case.name}, shifted by {lag}", table=table, wanted=("rows-shifted",))
 
 
 CONFOUNDS: tuple[tuple[Callable, str], ...] = (
@@ -313,9 +317,7 @@ def rim_drifted(case: Case, kind: str, rng: np.random.Generator) -> Case:
             images[i] += rim * (soft.reshape(images[i].shape) - images[i])
         elif kind == "exposure in steps":
             images[i] = (images[i] + 10 * rim) * (1 + 0.05 * np.floor(5 * time))
-    return replace(
-        case, name=f"{case.name}, {kind} drifts", images=eight_bit(images), wanted=("outside", "order")
-    )
+    return replace(case, name=f"{case.name}, {kind} drifts", images=eight_bit(images), wanted=DRIFTING)
 
 
 RIMS = ("colour of the rim", "vignetting", "moving shadow", "focus of the rim", "exposure in steps")

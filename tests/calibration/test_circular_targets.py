@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
@@ -234,36 +235,32 @@ def test_what_counts_turns_or_never_turns_is_refused() -> None:
     mixed = np.array([-179.0, -10.0, 170.0, 350.0])
     refuse_no_angles("a_deg", mixed, "deg", 360.0)
     refuse_no_angles("a_deg", mixed, "deg", 180.0)
-    with pytest.raises(LabelError, match="2 turns of 360 deg"):
+    with refused("counts-turns", LabelError):
         refuse_no_angles("a_deg", np.array([0.0, 100.0, 720.0]), "deg", 360.0)
-    with pytest.raises(LabelError, match="same direction everywhere"):
+    with refused("constant", LabelError):
         refuse_no_angles("a_deg", np.array([10.0, 370.0, 10.0]), "deg", 360.0)
 
 
 def test_images_that_are_turned_in_training_are_refused_beside_a_direction() -> None:
-    with pytest.raises(InputError, match="a direction would have to turn with them"):
+    with refused("turned-images", InputError):
         CalibrationPlan(
             ("angle_deg",), model="compact-cnn", circular={"angle_deg": None}, options={"turns": 6}
         )
 
 
 @pytest.mark.parametrize(
-    ("circular", "error", "message"),
+    ("circular", "error", "code"),
     [
-        ({"yaw_deg": None}, InputError, "not among the targets, angle_deg, x_mm"),
-        (
-            {"angle_deg": 100.0},
-            InputError,
-            "a period of 100 deg; it is a full turn, 360 deg, or a whole part",
-        ),
-        ({"angle_deg": 720.0}, InputError, "a period of 720 deg"),
-        ({"angle_deg": -360.0}, InputError, "a period of -360 deg"),
-        ({"angle_deg": float("nan")}, InputError, "a period of nan deg"),
-        ({"x_mm": None}, UnitError, "--circular phase_mm=PERIOD"),
+        ({"yaw_deg": None}, InputError, "no-target"),
+        ({"angle_deg": 100.0}, InputError, "period"),
+        ({"angle_deg": 720.0}, InputError, "period"),
+        ({"angle_deg": -360.0}, InputError, "period"),
+        ({"angle_deg": float("nan")}, InputError, "period"),
+        ({"x_mm": None}, UnitError, "unit"),
     ],
 )
-def test_a_period_that_does_not_fit_is_refused(circular, error, message) -> None:
-    with pytest.raises(error, match=message):
+def test_a_period_that_does_not_fit_is_refused(circular, error, code) -> None:
+    with refused(code, error):
         CalibrationPlan(("angle_deg", "x_mm"), circular=circular)
 
 
@@ -303,16 +300,16 @@ def test_an_angle_that_half_turns_spoil_is_not_said_to_be_read_no_better_than_by
     assert uninformative_width(2 * halves, 360.0, 0.9) == 0
     why = too_unsure(told_target(float(halves.mean()), 0.0))
     assert "mean" not in why
-    assert "as wide as directions drawn at random need" in why
-    assert why.endswith("if errors pile up at 180 deg, calibrate with --circular angle_deg=180")
+    assert why.endswith("--circular angle_deg=180")
     assert "random guesses" in too_unsure(told_target(60.0, 0.0))  # of other rows
 
 
 def test_no_interval_of_an_angle_is_said_to_be_longer_than_its_turn() -> None:
     target = told_target(200.0, 324.0)
-    assert too_unsure(target).startswith("its intervals are 360 deg wide on average")
+    assert "360 deg" in too_unsure(target)
     scores = {target.column: target.score}
     assert "±200" in scores_table(scores, {})
     assert "±200" not in scores_table(scores, {target.column: 360.0})
-    assert "the whole turn" in scores_table(scores, {target.column: 360.0})
-    assert "intervals are the whole turn wide on average" in verdict(target)
+    assert all(
+        "whole turn" in said for said in (scores_table(scores, {target.column: 360.0}), verdict(target))
+    )

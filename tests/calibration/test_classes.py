@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
@@ -240,7 +241,7 @@ def test_a_class_of_few_presses_is_in_every_set_and_named(blobs, tmp_path) -> No
     assert kind.thresholds[2] is None
     assert min(kind.groups[:2]) >= 9
     assert None not in kind.thresholds[:2]
-    assert f"large ({kind.groups[2]}); it is in every set" in " ".join(kind.findings)
+    assert f"large ({kind.groups[2]})" in " ".join(kind.findings)
     estimator = Estimator.open(tmp_path / "cal")
     assert all("large" in estimator.read(run.frame(i))["kind"].members for i in range(0, 120, 10))
 
@@ -274,7 +275,7 @@ def test_a_class_has_no_unit(blobs) -> None:
     reading = Estimator.open(folder / "cal").read(run.frame(0))["kind"]
     assert reading.column == "kind"
     assert reading.in_unit("") is reading
-    with pytest.raises(UnitError, match="a class, which cannot be shown in mm"):
+    with refused("unit", UnitError):
         reading.in_unit("mm")
 
 
@@ -300,7 +301,7 @@ def test_a_text_is_called_as_it_is_labelled_and_names_give_the_order() -> None:
         (found,) = class_labels(grades, {column: names}, "run")
         assert np.array(found.names)[found.codes].tolist() == grades["grade"].tolist()
         assert found.names == names
-    with pytest.raises(LabelError, match="texts are called as they are labelled"):
+    with refused("class-names", LabelError):
         class_labels(grades, {"grade": ("soft", "middle", "hard")}, "run")
 
 
@@ -309,7 +310,7 @@ def test_a_text_is_called_as_it_is_labelled_and_names_give_the_order() -> None:
     [["Soft", "hard", "soft"], ["yes", "1", "no"], ["True ", "true", "false"], ["no", "0", "yes"]],
 )
 def test_one_class_written_in_two_ways_is_refused(cells) -> None:
-    with pytest.raises(LabelError, match="one class written in two ways"):
+    with refused("class-spelling", LabelError):
         class_labels(pd.DataFrame({"kind": cells}), {"kind": ()}, "run")
 
 
@@ -322,41 +323,41 @@ def test_numbers_that_floats_cannot_tell_apart_are_no_classes() -> None:
 def test_classes_are_no_groups_that_leak(blobs) -> None:
     folder, run = blobs
     calibrate(run, plan_of(classes={"object": ()}, split="random"), folder / "random")
-    assert "object" not in read_card(folder / "random").split.audit
+    assert "object" not in read_card(folder / "random").split.audit_text
 
 
 def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
     _, run = blobs
     out = tmp_path / "cal"
-    with pytest.raises(LabelError, match=r"'x_mm' holds 480 distinct values.*a quantity that runs on"):
+    with refused("many-classes", LabelError, "480"):
         calibrate(run, plan_of(targets=("angle_deg",), classes={"x_mm": ()}), out)
-    with pytest.raises(LabelError, match=r"'press' holds 160 distinct values"):
+    with refused("many-classes", LabelError, "160"):
         calibrate(run, plan_of(classes={"press": ()}), out)
-    with pytest.raises(LabelError, match="no column 'colour' of classes"):
+    with pytest.raises(LabelError, match="colour"):
         calibrate(run, plan_of(classes={"colour": ()}), out)
-    with pytest.raises(LabelError, match="'kind': 2 names for the 3 classes, which are 1, 2, 3"):
+    with refused("class-names", LabelError, "kind"):
         calibrate(run, plan_of(classes={"kind": ("a", "b")}), out)
-    with pytest.raises(SplitError, match="holds out each class of 'object' whole"):
+    with refused("class-held-out", SplitError, "object"):
         calibrate(run, plan_of(classes={"object": ()}, split="leave-one-out:object"), out)
     alone = record_blobs(tmp_path / "alone", 12, kind=1)
-    with pytest.raises(LabelError, match="'kind' is 2 in every row: one class alone"):
+    with refused("one-class", LabelError, "kind"):
         calibrate(alone, plan_of(classes={"kind": ()}), out)
     untouched = ReferenceRule("wide", "false")
-    with pytest.raises(LabelError, match=r"'wide' is true in every row.*--learn-untouched"):
+    with refused("one-class", LabelError, "--learn-untouched"):
         calibrate(run, plan_of(classes={"wide": ()}, reference=untouched), out)
     assert not out.exists()
 
 
 def test_a_column_is_one_thing_at_once() -> None:
-    with pytest.raises(InputError, match="angle_deg is circular and a class at once"):
+    with refused("two-roles", InputError):
         CalibrationPlan(("angle_deg",), circular={"angle_deg": None}, classes={"angle_deg": ()})
-    with pytest.raises(InputError, match="x_mm is named as a target and as a class"):
+    with refused("two-roles", InputError):
         CalibrationPlan(("x_mm",), classes={"x_mm": ()})
-    with pytest.raises(InputError, match="each has a name of its own"):
+    with refused("class-names", InputError):
         CalibrationPlan(("x_mm",), classes={"kind": ("a", "a")})
-    with pytest.raises(InputError, match="learns no classes"):
+    with refused("model-classes", InputError):
         CalibrationPlan((), model="palm-compact", classes={"kind": ()})
-    with pytest.raises(InputError, match="no target to calibrate"):
+    with refused("no-target", InputError):
         CalibrationPlan(())
 
 
@@ -364,9 +365,9 @@ def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -
     _, run = blobs
     two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
     calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
-    with pytest.raises(LabelError, match=r"'object' is c in \d+ of 480 rows, which the calibration"):
+    with refused("unknown-class", LabelError, "object"):
         evaluate(Estimator.open(tmp_path / "cal"), run)
-    with pytest.raises(InputError, match=r"tells classes \(object\)"):
+    with refused("has-classes", InputError, "object"):
         adapt(tmp_path / "cal", run, tmp_path / "adapted")
 
 
@@ -378,7 +379,7 @@ def test_a_model_that_tells_nothing_is_said_to(blobs, tmp_path) -> None:
     (kind,) = read_card(tmp_path / "cal").classes
     assert kind.score.accuracy == kind.score.baseline
     assert kind.score.says_nothing
-    assert "do not tell from" in kind.findings[0]
+    assert len(kind.findings) == 1
 
 
 @pytest.mark.slow
@@ -425,7 +426,7 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
 
     assert findings(90, 88, 84) == ()
     (one,) = findings(90, 88, 73)
-    assert "sets held large in 73 of 100 of its rows, where 90 % was promised" in one
+    assert all(part in one for part in ("large", "73", "100"))
 
 
 def test_a_column_is_not_said_to_be_told_by_one_group() -> None:

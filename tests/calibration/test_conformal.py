@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 from scipy.stats import binomtest
+from tests.refusals import refused
 
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
 from palpate.calibration.coverage.counted_groups import press_groups
@@ -71,7 +72,7 @@ def test_the_quantile_is_the_least_score_whose_rank_promises_the_coverage(covera
 
 @pytest.mark.parametrize("coverage", [1.2, -0.1, 0.0, math.nan])
 def test_what_is_no_rate_has_no_quantile(coverage: float) -> None:
-    with pytest.raises(RangeError, match="above 0 and at most 1"):
+    with refused("coverage-range", RangeError):
         conformal_quantile(np.arange(10.0), coverage)
 
 
@@ -92,7 +93,7 @@ def test_the_promise_holds_for_few_scores(n: int) -> None:
 
 
 def test_no_scores_give_no_interval() -> None:
-    with pytest.raises(InputError, match="at least two folds"):
+    with refused("few-groups", InputError):
         conformal_quantile(np.empty(0), 0.9)
 
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import onnx
+import pandas as pd
 import pytest
 from tests.calibration.confound_cases import (
     CONFOUNDS,
@@ -27,13 +28,7 @@ from tests.slow_params import mostly_slow
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.confounds.confound_findings import (
-    Finding,
-    TargetEvidence,
-    function_finding,
-    outside_findings,
-    ranked,
-)
+from palpate.calibration.confounds.confound_audit import TargetEvidence, function_finding, target_confounds
 from palpate.calibration.confounds.deciding_pixels import (
     BLOCKS,
     MAX_ROWS,
@@ -44,19 +39,28 @@ from palpate.calibration.confounds.deciding_pixels import (
     rows_of_fold,
 )
 from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
-from palpate.calibration.confounds.near_copies import find_near_copies
 from palpate.calibration.confounds.outside_control import outside_control, telling_cells
 from palpate.calibration.confounds.recorded_units import RecordedUnits
-from palpate.calibration.confounds.row_order import OrderCheck, order_checks, shift_check
+from palpate.calibration.confounds.row_order import (
+    OrderCheck,
+    extrapolates,
+    label_gap,
+    order_checks,
+    shift_check,
+    told_by_neighbors,
+)
 from palpate.calibration.confounds.skin_region import boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
+from palpate.calibration.near_copies import find_near_copies
 from palpate.cli import app
 from palpate.core import ManualClock
 from palpate.estimators import read_card
+from palpate.estimators.findings import Finding, FindingCode, ranked
 from palpate.estimators.model_card import Card
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.label_tables import label_kinds
+from palpate.recordings.splits import split
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
@@ -244,19 +248,12 @@ def test_functions_of_targets_are_found_in_the_direction_they_go(rng, n) -> None
     one_way = {
         (f.target, f.of, f.both_ways) for f in target_functions(np.column_stack([a, abs(a)]), "xy", units)
     }
-    assert one_way == {("y", ("x",), False)}
+    assert one_way == {("y", "x", False)}
     both = target_functions(np.column_stack([b, 3 * b**2]), "xy", units)
-    assert [(f.of, f.both_ways) for f in both] == [(("y",), True)]
+    assert [(f.of, f.both_ways) for f in both] == [("y", True)]
     assert [f.target for f in target_functions(np.column_stack([a, np.sign(a)]), "xy", units)] == ["y"]
     assert not target_functions(np.column_stack([a, b]), "xy", units)
     assert not target_functions(np.column_stack([a, a + rng.normal(0, 0.2, n)]), "xy", units)
-
-
-def test_a_target_that_two_others_tell_together_is_found(rng) -> None:
-    a, b = rng.uniform(-1, 1, (2, 300))
-    (found,) = target_functions(np.column_stack([a, b, np.hypot(a, b)]), ("x", "y", "r"), np.arange(300))
-    assert set(found.of) | {found.target} == {"x", "y", "r"}
-    assert not target_functions(rng.normal(size=(300, 3)), ("x", "y", "r"), np.arange(300))
 
 
 def test_rows_of_one_press_do_not_make_one_target_a_function_of_another(rng) -> None:
@@ -275,20 +272,58 @@ def test_cosine_and_sine_of_one_direction_are_no_function_of_each_other(rng) -> 
     assert not target_functions(values, names, units, ("angle_deg", "angle_deg", "depth_mm"))
     values[:, 2] = np.cos(angle) ** 2
     told = target_functions(values, names, units, ("angle_deg", "angle_deg", "depth_mm"))
-    assert any("depth_mm" in (found.target, *found.of) for found in told)
+    assert any("depth_mm" in (found.target, found.of) for found in told)
 
 
 def test_findings_name_the_label_column_of_a_direction() -> None:
-    names, columns = (
-        ("angle_cos_ratio", "angle_sin_ratio", "depth_mm"),
-        ("angle_deg", "angle_deg", "depth_mm"),
-    )
-    found = function_finding(TargetFunction("depth_mm", ("angle_cos_ratio",), 1.0, True), names, columns)
-    assert "depth_mm and the cosine of angle_deg tell each other" in found.text
+    labels = {"angle_cos_ratio": "angle_deg", "angle_sin_ratio": "angle_deg", "depth_mm": "depth_mm"}
+    found = function_finding(TargetFunction("depth_mm", "angle_cos_ratio", 1.0, True), labels)
+    assert (found.target, found.values["of"]) == ("depth_mm", "the cosine of angle_deg")
     order = OrderCheck(rank_correlation=1.0, share=1.0, level=0.0, by_time=False)
-    (found,) = outside_findings(TargetEvidence("angle_sin_ratio", order, 0.9, label="angle_deg"), 50, "")
-    assert found.text.startswith("the sine of angle_deg follows")
-    assert found.target == "angle_deg"
+    evidence = TargetEvidence("angle_sin_ratio", order, 0.9, label="angle_deg")
+    (found,) = target_confounds(evidence, 50, "", "random")
+    assert (found.target, found.values["name"]) == ("angle_deg", "the sine of angle_deg")
+
+
+@pytest.mark.parametrize(
+    ("follows", "outside", "neighbors", "codes"),
+    [
+        (True, 0.9, None, {FindingCode.OUTSIDE_DRIFTS, FindingCode.ORDER_DRIFTS}),
+        (True, 0.0, None, {FindingCode.ORDER_CHECKED}),
+        (True, 0.0, 0.9, {FindingCode.ORDER_UNCHECKED}),
+        (True, None, None, {FindingCode.ORDER_UNCHECKED}),
+        (False, 0.0, 0.9, {FindingCode.ORDER_NEIGHBORS}),
+        (False, 0.0, -0.5, set()),
+        (False, 0.9, None, set()),
+    ],
+)
+def test_order_is_graver_where_outside_or_neighbors_predict_the_label(
+    follows, outside, neighbors, codes
+) -> None:
+    order = OrderCheck(1.0, 1.0, 0.0 if follows else 1.0, False)
+    one = TargetEvidence("x_mm", order, 0.9, outside, outside, neighbors=neighbors)
+    found = target_confounds(one, 100, "0,0,9,9", "random")
+    assert {finding.code for finding in found} == codes
+    assert all(finding.text and finding.target == "x_mm" for finding in found)
+
+
+@pytest.mark.parametrize("kind", ["random", "blocks"])
+def test_neighbors_in_order_predict_a_ramp_and_no_noise(kind, rng) -> None:
+    values = np.arange(500.0)
+    folds = split(pd.DataFrame({"x": values}), kind, folds=5).folds
+    assert told_by_neighbors(values, folds) > 0.99
+    # Two neighbors' mean of white noise has half its variance: R2 is 1 - 1.5.
+    noise = np.random.default_rng(0).normal(size=500)
+    assert told_by_neighbors(noise, folds) == pytest.approx(-0.55, abs=0.4)
+
+
+def test_blocks_as_long_as_a_part_of_the_range_extrapolate(rng) -> None:
+    values = np.arange(1000.0)
+    blocks = [np.arange(k, k + 100) for k in range(0, 1000, 100)]
+    # Distances to the nearer end of a block of 100 are 1 to 50; at both ends of the range, twice as far.
+    assert label_gap(values, blocks) == pytest.approx(0.028, abs=0.004)
+    assert extrapolates(values, blocks)
+    assert not extrapolates(rng.permutation(values), blocks)
 
 
 def test_a_copy_shifted_by_a_pixel_is_known_by_its_labels_too(rng) -> None:
@@ -393,7 +428,8 @@ def test_a_damaged_map_of_an_interrupted_run_is_left_out(tmp_path) -> None:
 
 
 def test_the_gravest_finding_stands_first() -> None:
-    found = [Finding("function", "", severity, "", "") for severity in ("notes", "warns", "fails")]
+    codes = FindingCode.ORDER_CHECKED, FindingCode.FUNCTION, FindingCode.BURNT_IN
+    found = [Finding(code=code) for code in codes]
     assert [f.severity for f in ranked(found)] == ["fails", "warns", "notes"]
 
 
@@ -420,9 +456,9 @@ def plan_of(case: Case, **changes) -> CalibrationPlan:
 
 
 def kinds_named(card: Card) -> set[str]:
-    """Kinds of finding that stand before the numbers; near-copies stand with the split."""
+    """Codes of findings that stand before the numbers; near-copies stand with the split."""
     assert card.confounds is not None
-    named = {finding.kind for finding in card.confounds.findings if finding.severity != "notes"}
+    named = {str(finding.code) for finding in card.confounds.findings if finding.severity != "notes"}
     return named if card.split.clean else named | {"copies"}
 
 
@@ -434,16 +470,14 @@ def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_
     run = str(tmp_path / "run")
     printed = CliRunner().invoke(app, ["calibrate", run, "--out", str(tmp_path / "cal"), *options])
     assert printed.exit_code == 0, printed.output
-    assert 0 < printed.stdout.index("audit failed") < printed.stdout.index("of mean")
     card = read_card(tmp_path / "cal")
     assert card.confounds is not None
     assert card.confounds.failed
-    assert [(f.kind, f.target) for f in card.confounds.findings] == [
-        ("outside", "depth_mm"),
-        ("order", "depth_mm"),
+    assert [(f.code, f.target) for f in card.confounds.findings] == [
+        (FindingCode.OUTSIDE_DRIFTS, "depth_mm"),
+        (FindingCode.ORDER_DRIFTS, "depth_mm"),
     ]
-    remedy = card.confounds.findings[0].remedy
-    crop = remedy.split("`--crop ")[1].split("`")[0]
+    crop = str(card.confounds.findings[0].values["crop"])
     x, y, width, height = map(int, crop.split(","))
     assert min(x, y, 96 - x - width, 96 - y - height) >= 5
     assert min(width, height) >= 40
@@ -451,7 +485,7 @@ def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_
     printed = CliRunner().invoke(app, ["calibrate", run, "--out", str(tmp_path / "cut"), *options, *again])
     assert printed.exit_code == 0, printed.output
     findings = json.loads(printed.stdout)["confounds"]["findings"]
-    assert "outside" not in {finding["kind"] for finding in findings}
+    assert "outside-drifts" not in {finding["code"] for finding in findings}
 
 
 def test_the_map_of_pixels_is_a_file_of_the_calibration(tmp_path, rng) -> None:
@@ -479,7 +513,7 @@ def test_the_skin_can_be_given(tmp_path, rng) -> None:
 def test_labels_of_other_rows_are_named_on_the_card(tmp_path, rng) -> None:
     case = shifted(pins(rng, 150), rng)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
-    assert "rows shifted" in kinds_named(card)
+    assert "rows-shifted" in kinds_named(card)
 
 
 def test_a_dozen_rows_are_audited_without_alarm(tmp_path, rng) -> None:

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate, fitting
+from palpate.calibration.calibration_job import find_untouched
 from palpate.calibration.fitting import representative_fold
-from palpate.calibration.training_data import find_untouched
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks.model_interface import refuse_unfit
@@ -152,7 +153,7 @@ def test_work_by_another_version_or_with_other_folds_begins_anew(record_spots, t
 def test_a_work_folder_with_a_file_of_the_user_s_is_not_removed(name, record_spots, tmp_path) -> None:
     (tmp_path / ".cal.work").mkdir()
     (tmp_path / ".cal.work" / name).write_text("mine")
-    with pytest.raises(ExistsError, match=f"holds {name}, which is not palpate's; move it away"):
+    with refused("foreign-file", ExistsError, name):
         calibrate(record_spots("run", 10), RIDGE, tmp_path / "cal")
     assert (tmp_path / ".cal.work" / name).read_text() == "mine"
 
@@ -166,16 +167,14 @@ def test_a_model_that_predicts_no_number_is_refused_by_its_fold(record_spots, tm
 
     monkeypatch.setattr(MeanBaseline, "fit", lost)
     plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
-    with pytest.raises(
-        InputError, match=r"mean, fold 2: predict gave .* 10 of 10 rows are no finite numbers"
-    ):
+    with pytest.raises(InputError, match=r"mean, fold 2"):
         calibrate(record_spots("run", 10), plan, tmp_path / "cal")
 
 
 def test_estimates_of_another_shape_are_not_spread_over_rows() -> None:
     refuse_unfit(np.zeros((3, 2)), (3, 2), "m")
     for shape in ((1, 2), (3, 1)):
-        with pytest.raises(InputError, match="3 of 3 rows"):
+        with pytest.raises(InputError, match="3 of"):
             refuse_unfit(np.zeros(shape), (3, 2), "m")
 
 
@@ -208,42 +207,38 @@ def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> 
     with pytest.raises(KeyboardInterrupt):
         calibrate(run, PLAN, tmp_path / "cal", stop)
     other = CalibrationPlan(targets=("x_mm",), split="group:press", size_px=(24, 32))
-    with pytest.raises(ExistsError, match="unfinished work towards another calibration"):
+    with refused("other-work", ExistsError):
         calibrate(run, other, tmp_path / "cal")
 
 
 def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
     (tmp_path / "cal").mkdir()
-    with pytest.raises(ExistsError, match="nothing is ever overwritten"):
+    with refused("exists", ExistsError):
         calibrate(record_spots("run", 10), PLAN, tmp_path / "cal")
     assert list((tmp_path / "cal").iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("plan", "error", "says"),
+    ("plan", "error", "code"),
     [
-        (CalibrationPlan(("depth_mm",)), LabelError, "x_mm"),
-        (CalibrationPlan(("flat_mm",)), LabelError, "flat_mm"),
-        (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "press"),
-        (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "at most 10 folds"),
-        (
-            CalibrationPlan(("x_mm",), folds=11),
-            SplitError,
-            "11 folds were asked for, and split 'auto' makes 10 here, by 10 groups of press: ask for at most",
-        ),
-        (CalibrationPlan(TWO, vectors={"p q": TWO}), InputError, "'p q_mm': its name has"),
-        (CalibrationPlan(TWO, vectors={"p/q": TWO}), InputError, "'p/q_mm': its name has"),
-        (CalibrationPlan(TWO, vectors={"_mm": TWO}), InputError, "'_mm': its name has"),
-        (CalibrationPlan(TWO, vectors={"flat": TWO}), InputError, "has a label column of that name"),
-        (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "weight_g"),
-        (CalibrationPlan(("x_mm",), reference=ReferenceRule("press", "none")), LabelError, "press=none"),
+        (CalibrationPlan(("depth_mm",)), LabelError, "label"),
+        (CalibrationPlan(("flat_mm",)), LabelError, "label"),
+        (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "split"),
+        (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "few-groups"),
+        (CalibrationPlan(("x_mm",), folds=11), SplitError, "few-groups"),
+        (CalibrationPlan(TWO, vectors={"p q": TWO}), InputError, "vector-name"),
+        (CalibrationPlan(TWO, vectors={"p/q": TWO}), InputError, "vector-name"),
+        (CalibrationPlan(TWO, vectors={"_mm": TWO}), InputError, "vector-name"),
+        (CalibrationPlan(TWO, vectors={"flat": TWO}), InputError, "name-taken"),
+        (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "label"),
+        (CalibrationPlan(("x_mm",), reference=ReferenceRule("press", "none")), LabelError, "label"),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
-    plan, error, says, record_spots, tmp_path
+    plan, error, code, record_spots, tmp_path
 ) -> None:
     run = record_spots("run", 10)
-    with pytest.raises(error, match=says):
+    with refused(code, error):
         calibrate(run, plan, tmp_path / "cal")
     assert left_over(tmp_path) == []
 
@@ -255,30 +250,30 @@ def test_folds_are_as_many_as_asked_and_by_default_as_the_groups_allow(folds, ma
 
 
 @pytest.mark.parametrize(
-    ("fields", "says"),
+    ("fields", "code"),
     [
-        ({"targets": ()}, "no target"),
-        ({"targets": ("x_mm", "x_mm")}, "named twice"),
-        ({"targets": ("x_mm", "press")}, "'press' carries no unit"),
-        ({"targets": "x_mm, height_mm"}, r"give \('x_mm', 'height_mm',\)"),
-        ({"coverage": 1.0}, "coverage"),
-        ({"model": "resnet"}, "compact-cnn"),
-        ({"split": "by-hand"}, "group:COLUMN"),
-        ({"split": "group:"}, "group:COLUMN"),
-        ({"folds": 1}, "2 or more"),
-        ({"scored_folds": 0}, "at least 1"),
-        ({"seed": -1}, "0 or more"),
-        ({"size_px": (0, 32)}, "1 px or more"),
-        ({"crop_px": (-1, 0, 20, 20)}, "x and y are 0 or more"),
+        ({"targets": ()}, "no-target"),
+        ({"targets": ("x_mm", "x_mm")}, "target-twice"),
+        ({"targets": ("x_mm", "press")}, "no-unit"),
+        ({"targets": "x_mm, height_mm"}, "input"),
+        ({"coverage": 1.0}, "plan-range"),
+        ({"model": "resnet"}, "unknown-name"),
+        ({"split": "by-hand"}, "split"),
+        ({"split": "group:"}, "split"),
+        ({"folds": 1}, "plan-range"),
+        ({"scored_folds": 0}, "plan-range"),
+        ({"seed": -1}, "plan-range"),
+        ({"size_px": (0, 32)}, "plan-range"),
+        ({"crop_px": (-1, 0, 20, 20)}, "plan-range"),
     ],
 )
-def test_a_plan_without_sense_is_refused(fields, says) -> None:
-    with pytest.raises(InputError, match=says):
+def test_a_plan_without_sense_is_refused(fields, code) -> None:
+    with refused(code, InputError):
         CalibrationPlan(**{"targets": ("x_mm",), **fields})
 
 
 def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
-    with pytest.raises(InputError, match="10 or more"):
+    with refused("few-frames", InputError):
         calibrate(record_spots("run", 1), PLAN, tmp_path / "cal")
 
 
@@ -314,7 +309,7 @@ def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "random")
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="group:press"), tmp_path / "grouped")
     assert not read_card(tmp_path / "random").split.clean
-    assert "press" in read_card(tmp_path / "random").split.audit
+    assert "press" in read_card(tmp_path / "random").split.audit_text
     assert read_card(tmp_path / "grouped").split.clean
 
 
@@ -349,7 +344,7 @@ def test_the_card_says_in_how_many_steps_a_network_has_learnt(record_spots, tmp_
     # Of 80 rows learnt from, those of 2 in 16 presses are watched: 5 batches a pass.
     assert (training.steps, training.epochs, training.batch, training.stopped) == (15, 3, 16, False)
     assert training.best_step in (5, 10, 15)
-    assert training.sentence.startswith("15 steps of up to 16 rows (3 epochs), to the end of its schedule")
+    assert training.sentence.startswith("15 steps")
     card = read_card(calibrate(run, CalibrationPlan(("x_mm",), "pca-ridge", **given), tmp_path / "ridge"))
     assert card.training is None
 

@@ -15,6 +15,7 @@ import pytest
 from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
+from palpate.estimators.findings import FindingCode
 from palpate.recordings import Manifest, PackedSet, Run, RunWriter, pack, split
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.preparation import Preparation
@@ -64,7 +65,8 @@ def test_a_still_scene_recorded_often_leaks_under_a_random_split_and_not_by_pres
     assert random.near_duplicates >= 0.99 * len(packed)
     assert not random.clean
     assert random.shared_groups == {"press": 20}
-    assert "500 of 500" in random.text or f"{random.near_duplicates} of 500" in random.text
+    (same,) = (one for one in random.findings if one.code == FindingCode.LOOK_ALIKES)
+    assert 0 < same.values["count"] <= same.values["held"] == 500
     assert by_press.near_duplicates == 0
     assert by_press.clean
     assert by_press.checked_pairs == 500 * 400  # five folds of a hundred against the other four hundred
@@ -101,12 +103,13 @@ def test_equal_pictures_are_copies_whatever_their_labels(tmp_path, rng):
     table = pd.DataFrame({"image_file": names, "press": np.arange(61.0), "depth_mm": depths})
     found = audited(packed_set(tmp_path, images, table), "leave-one-out:press")
     assert (found.near_duplicates, found.altered_copies, found.clean) == (2, 0, False)
-    assert "the same picture has two labels (touch_7.png, copy.png), in 2 of 61" in found.text
+    assert found.findings[0].code == FindingCode.CONTRADICTING_LABELS
+    assert found.findings[0].values == {"count": 2, "held": 61, "first": "touch_7.png", "second": "copy.png"}
     table["depth_mm"] = np.append(depths[:60], depths[7])
     (tmp_path / "agreeing").mkdir()
     found = audited(packed_set(tmp_path / "agreeing", images, table), "leave-one-out:press")
     assert found.near_duplicates == 2
-    assert "two labels" not in found.text
+    assert FindingCode.CONTRADICTING_LABELS not in {one.code for one in found.findings}
 
 
 @pytest.mark.parametrize(("grey_levels", "twins"), [(4, 0), (1, 16)])
@@ -165,8 +168,9 @@ def test_groups_on_both_sides_are_counted_by_column_and_text(tmp_path, rng):
     by_press = audited(packed, "group:press")
     assert by_press.shared_groups == {"material": 2}
     assert by_press.clean  # a new press of a known material is a fair question, and the text says which it is
-    assert "new press" in by_press.text
-    assert "material" in by_press.text
+    (one,) = by_press.findings
+    assert (one.code, one.values["held_out"]) == (FindingCode.GROUPS_NOT_HELD_OUT, "press")
+    assert "material" in str(one.values["groups"])
     assert audited(packed, "random", group_columns=["press"]).shared_groups.keys() == {"press"}
 
 

@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import binom, norm
 
 from palpate.calibration.certificate import interval_fields
-from palpate.calibration.coverage import failing, range_cards, range_scores, range_sentences
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals, pooled_quantile
 from palpate.calibration.coverage.range_fit import cell_limits, grouped_quantile
-from palpate.calibration.coverage.range_limits import usual_reach
-from palpate.calibration.coverage.range_scores import chance_of_so_few
+from palpate.calibration.coverage.range_limits import range_cards, usual_reach
+from palpate.calibration.coverage.range_scores import chance_of_so_few, failing, range_scores, range_sentences
 from palpate.estimators.intervals import ErrorCells, Intervals, intervals_of
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
 

@@ -10,12 +10,13 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from palpate.calibration.confounds.confound_findings import order_not_asked
+from palpate.calibration.calibration_job import presses_of, recordings_of
+from palpate.calibration.confounds.confound_audit import order_not_tested
 from palpate.calibration.confounds.recorded_units import recorded_units
 from palpate.calibration.confounds.row_order import OrderCheck, order_checks
-from palpate.calibration.sessions.session_findings import presses_of, recordings_of
 from palpate.cli import app
 from palpate.core import ManualClock
+from palpate.estimators.findings import Finding, FindingCode
 from palpate.recordings import Manifest, RunWriter
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.splits import split
@@ -117,9 +118,8 @@ def test_order_is_asked_from_six_presses_of_one_session_on() -> None:
         label, session = (of % presses).astype(float), of // presses
         check = checked(label, session, of)
         assert check.asked == check.follows == asked
-        notes = order_not_asked(recorded_units(label[:, None], of, session))
-        assert [note.severity for note in notes] == [] if asked else ["notes"]
-        assert all("order could not be asked" in note.text for note in notes)
+        notes = order_not_tested(recorded_units(label[:, None], of, session))
+        assert [note.code for note in notes] == ([] if asked else [FindingCode.ORDER_OF_FEW])
 
 
 def test_sessions_and_blocks_are_no_presses_and_what_a_split_names_otherwise_is() -> None:
@@ -162,9 +162,7 @@ def test_a_rim_that_drifts_in_each_session_fails_where_sessions_are_held_out(
     assert printed.exit_code == 0, printed.output
     confounds = json.loads(printed.stdout)["confounds"]
     assert confounds["failed"] == ordered
-    failing = [f["kind"] for f in confounds["findings"] if f["severity"] == "fails"]
-    assert failing == (["outside", "order"] if ordered else [])
-    if ordered:
-        (order,) = [f for f in confounds["findings"] if f["kind"] == "order"]
-        assert "shuffled rows do as well" in order["text"]
-        assert "column press" in order["remedy"]
+    found = [Finding(**one) for one in confounds["findings"]]
+    failing = [one.code for one in found if one.severity == "fails"]
+    assert failing == ([FindingCode.OUTSIDE_DRIFTS, FindingCode.ORDER_DRIFTS] if ordered else [])
+    assert all(one.values["units"] == "rows" for one in found if one.code == FindingCode.ORDER_DRIFTS)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import beta, norm, t as student
+from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
@@ -38,12 +39,12 @@ from palpate.cli.calibrate.calibrate_verbs import _reset_text
 from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.findings import FindingCode
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import intervals_of, mahalanobis
 from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.table_files import read_table
-from palpate.reports.sections import ReportedCalibration
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 MIN_ROWS = perturbation_suite.MIN_ROWS
@@ -177,7 +178,7 @@ def test_many_groups_give_the_same_by_drawing_and_by_weights(rng) -> None:
 
 
 def test_too_few_groups_for_the_rate_are_refused_with_the_number(rng) -> None:
-    with pytest.raises(InputError, match="give 9 or more"):
+    with refused("few-groups", InputError):
         new_group_quantile(rng.random(80), np.repeat(np.arange(8), 10), 0.9)
 
 
@@ -250,8 +251,6 @@ def test_runs_are_joined_each_as_a_session_that_is_held_out_whole(days, tmp_path
     assert table.groupby("held_out_in_fold")["session"].nunique().tolist() == [1, 1, 1]
     # Each session's untouched frames are its own reference.
     assert card.reference.by == ("session",)
-    assert "Tested on 3 sessions" in card.sessions.text
-    assert "no guarantee" in card.sessions.text
 
 
 def test_nine_sessions_are_distribution_free_and_cover_the_tenth(days, tmp_path) -> None:
@@ -269,9 +268,7 @@ def test_one_session_is_said_not_to_be_tested_and_is_covered_less_on_the_next(da
     first, second = days(1, presses=30)[0], days(1, presses=12, first=1)[0]
     calibrate(first, PLAN, tmp_path / "cal")
     card = read_card(tmp_path / "cal")
-    assert card.sessions.text.startswith("Not yet tested on another day")
-    assert "between 53 and 95 %" in card.sessions.text
-    assert (card.sessions.held_out, card.sessions.runs) == (0, ())
+    assert (card.sessions.rule, card.sessions.held_out, card.sessions.runs) == ("one session", 0, ())
     found = evaluate(Estimator.open(tmp_path / "cal"), second)
     assert found["same_session"] == ""
     assert found["targets"]["height_mm"]["coverage_90"] < 0.5
@@ -284,7 +281,7 @@ def test_a_split_within_sessions_promises_no_other_day(days, tmp_path) -> None:
     assert card.split.columns == ("session", "press")
     assert card.split.groups == 24  # press 0 of one day is not press 0 of another
     assert card.sessions.rule == "one session"
-    assert card.sessions.text.startswith("Not yet tested on another day: rows of each of 3 sessions")
+    assert len(card.sessions.names) == 3
 
 
 def test_one_run_in_a_list_is_that_run(days, tmp_path) -> None:
@@ -299,7 +296,7 @@ def test_one_run_in_a_list_is_that_run(days, tmp_path) -> None:
 def test_one_session_under_two_names_is_refused(days, tmp_path, rewritten) -> None:
     first, second = days(2)
     again = rewritten(first, tmp_path / "again")
-    with pytest.raises(InputError, match="one session under two names"):
+    with refused("session-twice", InputError):
         calibrate([first, second, again], PLAN, tmp_path / "cal")
     with pytest.raises(InputError, match="one recording"):
         calibrate([first, first], PLAN, tmp_path / "cal")
@@ -312,12 +309,12 @@ def test_two_recordings_of_one_session_are_one(days, tmp_path, rewritten) -> Non
         rewritten(run, tmp_path / f"part{k}", lambda row: {**row, "session": "monday"})
         for k, run in enumerate((first, second))
     ]
-    with pytest.raises(SplitError, match="all rows are of one session"):
+    with refused("one-session", SplitError):
         calibrate(runs, CalibrationPlan(("x_mm",), split="session", size_px=(24, 32)), tmp_path / "cal")
 
 
 def test_a_session_split_of_one_session_is_refused_with_the_remedy(days, tmp_path) -> None:
-    with pytest.raises(SplitError, match="give the runs of several days"):
+    with refused("one-session", SplitError):
         calibrate(days(1)[0], CalibrationPlan(("x_mm",), split="session"), tmp_path / "cal")
 
 
@@ -345,7 +342,7 @@ def test_labels_of_another_kind_are_refused_and_columns_of_one_run_alone_are_lef
     with RunWriter.create(tmp_path / "numbered", manifest, overflow="wait") as writer:
         for i, row in enumerate(second.labels.to_dict("records")):
             writer.frame(second.frame(i).image, labels=numbered(row))
-    with pytest.raises(LabelError, match="'press' is a number"):
+    with pytest.raises(LabelError, match="'press'"):
         calibrate([first, Run.open(tmp_path / "numbered")], PLAN, tmp_path / "cal2")
 
 
@@ -360,11 +357,11 @@ def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named
         return rewritten(run, name, lambda row: {**row, "height_mm": 1.0 + k + jitter * rng.normal()})
 
     plan = CalibrationPlan(("height_mm",), size_px=(24, 32))
-    with pytest.raises(SplitError, match="the session is the target"):
+    with refused("session-is-target", SplitError):
         calibrate([held(run, k, 0.0) for k, run in enumerate(runs)], plan, tmp_path / "cal")
     calibrate([held(run, k, 0.05) for k, run in enumerate(runs)], plan, tmp_path / "cal")
     (finding,) = read_card(tmp_path / "cal").sessions.findings
-    assert "of the variance of height_mm lies between sessions" in finding
+    assert (finding.code, finding.target) == (FindingCode.SESSION_TELLS_TARGET, "height_mm")
     calibrate(runs, PLAN, tmp_path / "sound")
     assert read_card(tmp_path / "sound").sessions.findings == ()
 
@@ -410,9 +407,9 @@ def test_an_altered_or_foreign_evaluation_is_refused_by_name(calibrated, days, t
     calibrate(run, PLAN, tmp_path / "other")
     shutil.move(path, tmp_path / "other" / path.name)
     (tmp_path / "other" / path.name).write_text(text)
-    with pytest.raises(CertificateError, match=f"{path.name} is of calibration {card.id}"):
+    with refused("other-calibration", CertificateError, card.id):
         read_evaluations(tmp_path / "other", read_card(tmp_path / "other"))
-    with pytest.raises(CertificateError, match="keep them with the calibration"):
+    with refused("other-calibration", CertificateError):
         keep_evaluation(tmp_path / "other", evaluate(Estimator.open(calibrated), run))
 
 
@@ -426,7 +423,7 @@ def test_a_run_of_a_session_that_was_learnt_from_is_no_other_day(days, tmp_path,
     named = rewritten(runs[2], tmp_path / "named", lambda row: {**row, "session": "day0"})
     found = evaluate(estimator, named)
     assert not found["learnt_from_this_run"]
-    assert "session day0 is one" in found["same_session"]
+    assert "day0" in found["same_session"]
 
 
 @pytest.mark.slow
@@ -469,9 +466,6 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
     expected = ExpectedCoverage.of(25, 0.9)  # presses, since five frames are of one press
     assert (card.interval_reset.groups, card.interval_reset.rank) == (25, expected.rank)
     assert card.interval_reset.coverage_mean == expected.mean
-    assert (
-        "drawn from each group, the expected score of rank 24 of 25 press groups" in card.interval_reset.text
-    )
     # The card's rates are counted, and so is how much wider the intervals are: rows and not rules say it.
     table, was = read_table(tmp_path / "anew" / "predictions.csv.gz"), intervals_of(former)
     for j, target in enumerate(card.targets):
@@ -485,22 +479,14 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
             np.mean(before[1] - before[0], axis=0)[j] / 2
         )
         ratio = target.score.half_width / card.interval_reset.former_half_widths[name]
-        said = f"{name}: intervals {ratio:.2f} times as wide as before, on average over these rows"
-        assert said in _reset_text(card, tmp_path / "anew", "report.html")
-    # A card of before states what is to be expected; its report counts, and so says the same.
-    reset = card.interval_reset.model_copy(update={"former_half_widths": None})
-    expects = {"coverage_90": expected.mean, "coverage_90_low": expected.low}
-    older = [t.model_copy(update={"score": t.score.model_copy(update=expects)}) for t in card.targets]
-    before = card.model_copy(update={"interval_reset": reset, "targets": tuple(older)})
-    counted = ReportedCalibration(tmp_path / "anew", before).targets
-    assert [t.score for t in counted] == [t.score for t in card.targets]
+        assert f"{ratio:.2f} times" in _reset_text(card, tmp_path / "anew", "report.html")
     assert evaluate(Estimator.open(tmp_path / "anew"), few)["learnt_from_this_run"]
     # The lamp has changed: the former intervals fail, the new ones are wider and hold.
     spread = intervals_of(card).quantile / intervals_of(former).quantile
     assert spread[1] > 3
-    with pytest.raises(InputError, match="the calibration has learnt from"):
+    with refused("trained-on", InputError):
         reset_intervals(tmp_path / "cal", first, tmp_path / "none")
-    with pytest.raises(InputError, match="9 or more"):
+    with refused("few-groups", InputError):
         reset_intervals(tmp_path / "cal", fresh, tmp_path / "none")
     with pytest.raises(ExistsError):
         reset_intervals(tmp_path / "cal", few, tmp_path / "anew")
@@ -519,18 +505,16 @@ def test_the_verbs_say_what_day_was_tested(days, tmp_path) -> None:
         return result.output
 
     targets = ("--targets", "x_mm,height_mm", "--size", "24x32")
-    assert "\nNot yet tested on another day" in text(
-        "calibrate", names[0], *targets, "--out", str(tmp_path / "one")
-    )
-    two = text("calibrate", *names[:2], *targets, "--out", str(tmp_path / "two"))
-    assert "\nTested on 2 sessions" in two
+    for name, runs in (("one", names[:1]), ("two", names[:2])):
+        said = text("calibrate", *runs, *targets, "--out", str(tmp_path / name))
+        assert read_card(tmp_path / name).sessions.text in said
     assert "another session" in text("evaluate", str(tmp_path / "two"), names[2])
     assert len(list((tmp_path / "two").glob("evaluation-*.json"))) == 1
     told = run(app, ["evaluate", str(tmp_path / "one"), names[0], "--json", "--no-keep"])
     assert json.loads(told.stdout)["same_session"]
     assert not list((tmp_path / "one").glob("evaluation-*.json"))
     anew = text("adapt", str(tmp_path / "one"), more, "--intervals-only", "--out", str(tmp_path / "anew"))
-    assert "set anew for session day4 by 60 labelled rows" in anew
+    assert read_card(tmp_path / "anew").interval_reset.text in anew
 
 
 def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_rows_set() -> None:
@@ -602,7 +586,7 @@ def test_a_calibration_of_angles_vectors_and_classes_is_set_anew_whole(days, tmp
     assert now.radius > before.radius  # the lamp has changed
     assert now.covered * now.n == pytest.approx(round(now.covered * now.n))  # counted, as all scores are
     printed = _reset_text(card, tmp_path / "anew", "report.html")
-    assert "p_mm: all of x_mm, height_mm in their joint region in" in printed
+    assert "p_mm: all" in printed
     table = read_table(tmp_path / "anew" / "predictions.csv.gz")
     assert {"low:angle_deg", "high:angle_deg", "set:right", "output:right=True"} <= set(table)
     assert set(table["estimate:right"].astype(str)) <= {"True", "False"}

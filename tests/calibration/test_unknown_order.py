@@ -9,11 +9,12 @@ import pytest
 from tests.conftest import spots
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.confounds.confound_findings import order_not_asked
+from palpate.calibration.confounds.confound_audit import order_not_tested
 from palpate.calibration.confounds.recorded_units import recorded_units
-from palpate.calibration.sessions.session_labels import label_findings
+from palpate.calibration.sessions.session_findings import label_findings
 from palpate.core import LabelError
 from palpate.estimators.certified import read_card
+from palpate.estimators.findings import FindingCode
 from palpate.recordings import Manifest, Run, import_images
 from palpate.recordings.joined_runs import JoinedRun
 
@@ -37,10 +38,8 @@ def test_order_of_names_is_no_order_of_recording(named_by_place, tmp_path) -> No
     assert run.manifest.order == "names"
     plan = CalibrationPlan(("x_mm",), model="mean", split="random", size_px=(24, 32))
     card = read_card(calibrate(run, plan, tmp_path / "cal"))
-    assert card.order is None
-    (found,) = [one for one in card.confounds.findings if one.kind == "order"]
-    assert found.severity == "notes"
-    assert "order of recording is not known" in found.text
+    assert [one.code for one in card.confounds.findings] == [FindingCode.ORDER_UNKNOWN]
+    assert [one.neighbors_r2 for one in card.confounds.targets] == [None]
 
 
 def test_a_column_says_in_which_order_the_images_were_taken(named_by_place, tmp_path) -> None:
@@ -55,7 +54,7 @@ def test_a_column_says_in_which_order_the_images_were_taken(named_by_place, tmp_
     assert "order" not in json.loads((tmp_path / "run" / "manifest.json").read_text())  # as versions before
     import_images(folder, tmp_path / "timed", name_pattern=pattern, rate_hz=30)
     assert Manifest.read(tmp_path / "timed").order == "recorded"
-    with pytest.raises(LabelError, match="no column of numbers 'when'"):
+    with pytest.raises(LabelError, match="when"):
         import_images(folder, tmp_path / "none", name_pattern=pattern, order_by="when")
 
 
@@ -64,7 +63,7 @@ def test_a_number_twice_gives_no_order(tmp_path) -> None:
     folder.mkdir()
     for name in ("1_1", "2_1", "3_2"):
         cv2.imwrite(str(folder / f"{name}.png"), np.zeros((8, 8), np.uint8))
-    with pytest.raises(LabelError, match="the number of another row"):
+    with pytest.raises(LabelError, match="shot"):
         import_images(folder, tmp_path / "run", name_pattern="{x_mm}_{shot}.png", order_by="shot")
 
 
@@ -81,6 +80,7 @@ def test_runs_joined_have_an_order_only_where_each_has(named_by_place, record_sp
 def test_sorted_rows_and_alternating_sessions_are_findings_only_of_an_order_of_recording() -> None:
     table = pd.DataFrame({"session": ["cup", "pin"] * 30, "x_mm": np.arange(60.0)})
     values = table[["x_mm"]].to_numpy()
-    assert any("alternate" in one for one in label_findings(table, values, ["x_mm"]))
-    assert not any("alternate" in one for one in label_findings(table, values, ["x_mm"], False))
-    assert order_not_asked(recorded_units(values)) == []
+    alternate = FindingCode.SESSIONS_ALTERNATE
+    assert alternate in {one.code for one in label_findings(table, values, ["x_mm"])}
+    assert alternate not in {one.code for one in label_findings(table, values, ["x_mm"], False)}
+    assert order_not_tested(recorded_units(values)) == []

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
+from palpate.calibration.calibration_job import ReferenceRule
 from palpate.calibration.sessions import reset_intervals
-from palpate.calibration.training_data import ReferenceRule
 from palpate.core import Image, Lens
 from palpate.core.refusal import ReasonCode
 from palpate.estimators import Estimator, read_card

@@ -33,7 +33,7 @@ RAW = {
 OTHERS = {
     "calibration/fitting.py": "its own checkpoints, in a folder that it made",
     "calibration/lens/boards.py": "OpenCV gives None for damage, which is refused",
-    "calibration/robustness/adapted_guard.py": "a model that the estimator has admitted",
+    "calibration/robustness/perturbation_suite.py": "a model that the estimator has admitted",
     "calibration/robustness/perturbations.py": "images that it has just encoded",
     "calibration/shear/shear_calibration.py": "a field of a calibration record",
     "cli/stop_command.py": "a rig's file, for its port; the command tree reports damage",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.robustness import KINDS, kinds_for, perturbed
+from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.estimators import Estimator
 from palpate.recordings import Run, import_images
 

@@ -32,7 +32,7 @@ def test_the_page_shows_every_target_and_the_audit(calibration, tmp_path) -> Non
     card = read_card(calibration)
     for target in card.targets:
         assert verdict(target, groups=16).split(":")[0][:30] in page
-    assert card.split.audit in html.unescape(page)
+    assert card.split.audit_text in html.unescape(page)
     assert page.count("<svg") >= 3 * len(card.targets)
     assert page.count("data:image/png") >= 6 + 2  # worst cases, an example and the untouched sensor
     assert "<script" not in page

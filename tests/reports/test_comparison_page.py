@@ -16,7 +16,7 @@ from palpate.cli import app
 from palpate.core import CertificateError, ExistsError, InputError
 from palpate.core.provenance import Provenance
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.findings import Finding, FindingCode
 from palpate.estimators.model_card import sealed
 from palpate.estimators.session_folder import SESSION_FILE
 from palpate.recordings.table_files import read_table
@@ -88,7 +88,7 @@ def test_a_calibration_beside_its_twin_is_not_called_better(calibrated) -> None:
     assert "tell which" in judgement(found.targets[0])
     few = replace(found.targets[0].paired, groups=2, difference=-1.0, low=None, high=None)
     told = judgement(replace(found.targets[0], paired=few))
-    assert "2 groups" in told
+    assert told == "x: these rows cannot tell which errs less (2 groups of press; 3 or more are needed)."
 
 
 def test_two_sessions_or_blocks_of_rows_are_counted_as_such(calibrated) -> None:
@@ -102,17 +102,17 @@ def test_two_sessions_or_blocks_of_rows_are_counted_as_such(calibrated) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "code"),
+    ("changes", "says"),
     [
-        ({"run": "another"}, "recordings-differ"),
-        ({"split": "random"}, "split-differs"),
-        ({"scored_folds": 2}, "rows-differ"),
-        ({"seed": 5}, "folds-differ"),
+        ({"run": "another"}, "different recordings"),
+        ({"split": "random"}, "held out in different ways, group:press and random"),
+        ({"scored_folds": 2}, "different rows: 80 and"),
+        ({"seed": 5}, "the folds differ"),
     ],
 )
-def test_scores_of_different_rows_are_not_compared(calibrated, changes, code) -> None:
+def test_scores_of_different_rows_are_not_compared(calibrated, changes, says) -> None:
     found = compare_calibrations(calibrated("one"), calibrated("two", **changes))
-    assert code in [one.code for one in found.obstacles]
+    assert says in " ".join(found.obstacles)
     assert all(one.paired is None for one in found.targets)
     assert "errs less" not in comparison_text(found)
     assert "NOT COMPARABLE" in comparison_text(found)
@@ -145,7 +145,7 @@ def test_errors_of_an_angle_and_of_a_plain_number_are_not_compared(calibrated) -
     found = compare_calibrations(
         calibrated("one", targets=("x_mm",)), calibrated("two", targets=("x_mm",), circular={"x_mm": 9.0})
     )
-    assert "period-differs" in [one.code for one in found.obstacles]
+    assert "comes round" in " ".join(found.obstacles)
     assert found.targets[0].paired is None
 
 
@@ -181,9 +181,7 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     page = write_comparison(found, tmp_path / "compared.html").read_text()
     assert "same recording" in page
     card = read_card(folders[0])
-    finding = ConfoundFindingCard(
-        kind="outside", target="x_mm", severity="fails", text="rim tells", remedy="crop"
-    )
+    finding = Finding(code=FindingCode.ROWS_SHIFTED, target="x_mm")
     confounds = card.confounds.model_copy(update={"findings": (finding,), "failed": True})
     text = sealed(card.model_dump(exclude={"id"}) | {"confounds": confounds}).model_dump_json()
     (folders[0] / "card.json").write_text(text)
@@ -191,7 +189,9 @@ def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
     warning, left_out = again.warnings
     assert "its scores" in warning
     assert again.targets[0].column == "x_mm"
-    assert read_card(folders[0]).id in headline(again, again.targets[0])
+    assert f"held-out errors cannot decide, as the audit of {read_card(folders[0]).id} failed" in headline(
+        again, again.targets[0]
+    )
     assert headline(again, again.targets[1]) == judgement(again.targets[1])
     assert left_out.startswith("Left out: ")  # the evaluation names the card as it was
     assert next(folders[0].glob("evaluation-*.json")).name in left_out
@@ -207,7 +207,9 @@ def test_a_calibration_whose_network_was_altered_is_not_compared(calibrated) -> 
 
 def test_that_neither_reads_a_target_is_said_before_which_errs_less(calibrated) -> None:
     found = compare_calibrations(calibrated("one", model="mean"), calibrated("two", model="mean"))
-    assert not any("errs less" in judgement(one) for one in found.targets)
+    assert {judgement(one).split(": ")[1] for one in found.targets} == {
+        "neither reads it, both are no better than always saying the mean."
+    }
 
 
 def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) -> None:
@@ -241,11 +243,9 @@ def test_each_calibration_that_was_learnt_from_a_virtual_sensor_is_marked(calibr
 
 def test_an_audit_that_notes_something_did_not_find_nothing(calibrated) -> None:
     card = read_card(calibrated("one"))
-    note = ConfoundFindingCard(
-        kind="order", target="x_mm", severity="notes", text="in order", remedy="shuffle"
-    )
-    for severity, said in (("notes", "notes"), ("warns", "warns")):
-        found = (note, note.model_copy(update={"severity": severity}))
+    note = Finding(code=FindingCode.ORDER_CHECKED, target="x_mm")
+    for code, said in ((FindingCode.ORDER_CHECKED, "notes"), (FindingCode.FUNCTION, "warns")):
+        found = (note, note.model_copy(update={"code": code}))
         confounds = card.confounds.model_copy(update={"findings": found, "failed": False})
         assert _confounds_text(card.model_copy(update={"confounds": confounds})) == said
     nothing = card.confounds.model_copy(update={"findings": (), "failed": False})

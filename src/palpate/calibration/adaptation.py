@@ -22,20 +22,28 @@ import numpy as np
 import onnx
 import pandas as pd
 
-from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.calibration_job import (
+    CalibrationJob,
+    refuse_other_size,
+    rule_in_run,
+    table_to_learn,
+)
+from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import CalibrationResult, intervals_by, split_card, write_certificate
 from palpate.calibration.correction import AS_IT_WAS, Adapted, Choice, Correction, correct
 from palpate.calibration.coverage.conformal import GROUPS_FOR_SPREAD, fit_intervals, pooled_quantile
 from palpate.calibration.evaluation import learnt_frames
 from palpate.calibration.leakage import audit
-from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
-from palpate.calibration.sessions.copies import TOGETHER, CopiesToldApart, copy_card, tell_apart
+from palpate.calibration.robustness.perturbation_suite import (
+    CertifiedModel,
+    Suite,
+    adapted_guard,
+    former_frames,
+)
+from palpate.calibration.sessions.copies import CopiesToldApart, copy_card, tell_apart
 from palpate.calibration.sessions.session_findings import sessions_card
-from palpate.calibration.training_data import learning_set, rows_matching, table_to_learn
 from palpate.core import (
-    ImageError,
     InputError,
-    LabelError,
     PathText,
     Progress,
     Tensor,
@@ -44,8 +52,7 @@ from palpate.core import (
     silent,
     storage_errors,
 )
-from palpate.estimators.certified import Estimator, checked_file
-from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.certified import Estimator
 from palpate.estimators.intervals import Intervals, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
@@ -66,15 +73,12 @@ def intervals_of_presses(
     coverage: float,
     layout: TargetLayout | None = None,
 ) -> Intervals:
-    """Intervals that hold the truth at the rate `coverage` in presses not seen, where few were.
+    """Intervals that cover the truth at the rate `coverage` in presses not seen, where few were.
 
-    Rows of one press err alike, so that the rank of the quantile is raised by one press and not by one row:
-    of P presses, the rows' rate is coverage (P + 1) / P. With ten presses and 90 % that is 99 % of the rows.
-    So the presses' distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118,
-    2491 (2023), doi:10.1080/01621459.2022.2060112), which holds on average over presses.
-
-    Where presses are too few for a width that follows the estimate, the one width is the errors' own
-    quantile: scaling each by what the others' typical error is would only add their scatter.
+    Rows of one press err alike: of P presses, the rows' rate is coverage (P + 1) / P, so that the presses'
+    distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023),
+    doi:10.1080/01621459.2022.2060112). With too few presses for a width that follows the estimate, the one
+    width is the errors' own quantile.
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
@@ -136,28 +140,26 @@ def adapt(
     *,
     instruments: Mapping[str, ReferenceInstrument] | None = None,
 ) -> Card:
-    """Adapt a calibration to another copy of its sensor.
+    """Adapt a calibration to another unit of its sensor.
 
     Args:
         folder: the calibration; nothing in it is changed.
-        run: ten presses of the copy or more, labelled in the calibration's columns, with frames of the
-            untouched copy marked by the calibration's own rule.
+        run: ten presses or more, labeled in the calibration's columns, with frames of the untouched unit
+            marked by the calibration's own rule.
         out: the calibration folder to make; must not exist, and appears whole.
         progress: called with what is being done and how far it is.
-        instruments: what label columns were measured with; it goes before what the run's manifest states, and
-            that before the former calibration's.
+        instruments: what label columns were measured with; precedes the run's manifest.
 
     Returns:
-        The new calibration's card. Its scores are of presses that the correction had not learnt from;
-        `split.details["correction"]` holds, for each target, the error before and what was done.
+        The new card, with scores of presses that the correction had not seen; `split.details["correction"]`
+        holds each target's error before, and what was done.
 
     Raises:
         ExistsError: `out` exists.
         CertificateError: the calibration is damaged.
         ImageError: frames are of another size.
-        LabelError: a target, or the untouched sensor, is not among the labels; an instrument is given for
-            what is none of them.
-        InputError: too few presses, or the very run that the calibration has learnt from.
+        LabelError: a target, or the untouched sensor, is not among the labels, or an instrument's column.
+        InputError: too few presses, or the very run that the calibration was trained on.
     """
     out = Path(out)
     refuse_existing(out)
@@ -167,12 +169,14 @@ def adapt(
     _refuse_classes(card)
     check_instruments(run, card.columns, instruments or {})
     stated = run.manifest.instruments | dict(instruments or {})
-    plan = CalibrationPlan.of_card(card, _rule(card, run), _grouping(run), stated)
+    plan = CalibrationPlan.of_card(card, rule_in_run(card, run), _grouping(run), stated)
     _check(estimator, run, plan)
     with storage_errors(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", suffix=".work", dir=out.parent) as work:
-            packed = _packed(run, Path(work), card, progress)
+            refuse_other_size(run, card, range(len(run)))
+            prepare, told = card.input.preparation, lambda n, of: progress("packing", n, of)
+            packed = pack(run, Path(work) / "packed", prepare, told)
             result, adapted = _result(estimator, run, packed, plan, progress)
             progress("writing the calibration", 0, 1)
             result = replace(result, seconds=time.monotonic() - started)
@@ -182,7 +186,6 @@ def adapt(
             def more(folder: Path) -> dict[str, Any]:
                 own = {"sessions": sessions_card(run, None, {}, card.coverage)}
                 return own | {
-                    "order": None,
                     "interval_reset": None,
                     "copy_of": copy_card(copies, card, run, folder),
                 }
@@ -209,7 +212,8 @@ def _refuse_classes(card: Card) -> None:
     if card.classes:
         raise InputError(
             f"calibration {card.id} tells classes ({', '.join(one.column for one in card.classes)}), which a "
-            "correction from a few presses is not built for; calibrate on presses of your own copy"
+            "correction from a few presses is not built for; calibrate on presses of your own copy",
+            code="has-classes",
         )
 
 
@@ -217,30 +221,13 @@ def _grouping(run: Run) -> str:
     return f"leave-one-out:{next((column for column in GROUPS if column in run.labels), 'row')}"
 
 
-def _rule(card: Card, run: Run) -> ReferenceRule | None:
-    """The calibration's own rule; None where it has none, or the run no such rows and does without."""
-    rule = ReferenceRule.of_card(card)
-    if rule is None:
-        return None
-    rule = rule.for_columns(run.labels.columns)
-    try:
-        rows_matching(run.labels, rule)
-    except LabelError as e:
-        if card.input.delta:
-            raise LabelError(
-                f"{run.path}: {e}; this calibration subtracts the untouched sensor, so each copy needs "
-                f"frames of its own, labelled {rule.column}={rule.value}"
-            ) from e
-        return None
-    return rule
-
-
 def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
     """Refuse what cannot be learnt from, before anything is written."""
     card = estimator.card
     if run.hash == card.run.hash:
         raise InputError(
-            f"{run.path} is the run that this calibration has learnt from; record presses of your own copy"
+            f"{run.path} is the run that this calibration has learnt from; record presses of your own copy",
+            code="trained-on",
         )
     table = table_to_learn(run.labels, plan)
     targets_from(table, plan.targets, str(run.path))
@@ -250,10 +237,13 @@ def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
         what = "rows" if column == "row" else f"groups in its column {column!r}"
         raise InputError(
             f"{run.path} holds {presses} {what}; adapting takes {_min_presses(card.coverage)} presses or "
-            f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones"
+            f"more, since fewer cannot set intervals that hold {100 * card.coverage:g} % of new ones",
+            code="few-groups",
         )
     if why := learnt_frames(estimator, run).why:
-        raise InputError(f"{run.path} shows no copy of its own: {why}; record presses of your own copy")
+        raise InputError(
+            f"{run.path} shows no copy of its own: {why}; record presses of your own copy", code="trained-on"
+        )
 
 
 def _min_presses(coverage: float) -> int:
@@ -261,25 +251,13 @@ def _min_presses(coverage: float) -> int:
     return max(MIN_PRESSES, math.ceil(coverage / (1 - coverage) - 1e-9))
 
 
-def _packed(run: Run, work: Path, card: Card, progress: Progress) -> PackedSet:
-    height, width = card.input.frame_px
-    for row in range(len(run)):
-        shape = run.frame(row).image.shape
-        if shape[:2] != (height, width):
-            raise ImageError(
-                f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
-                f"{width}x{height} px; record the copy with the same camera settings, or calibrate anew"
-            )
-    return pack(run, work / "packed", card.input.preparation, lambda n, of: progress("packing", n, of))
-
-
 def _result(
     estimator: Estimator, run: Run, whole: PackedSet, plan: CalibrationPlan, progress: Progress
 ) -> tuple[CalibrationResult, Adapted]:
     table = table_to_learn(run.labels, plan)
     parts = _split(table, plan)
-    learning = learning_set(whole, plan, parts.groups, str(run.path))
-    data = learning.data
+    job = CalibrationJob.of(run, plan, parts, whole)
+    data = job.data
     progress("learning the correction", 0, 1)
     estimates = np.concatenate([estimator.values(x) for _, x in data.batches(np.arange(len(data.values)))])
     labels = plan.layout.encoded(data.values)
@@ -295,14 +273,11 @@ def _result(
     progress("learning the correction", 1, 1)
     fitted = _CorrectedNetwork(estimator, adapted.correction)
     intervals = intervals_by(intervals_of_presses, adapted.held_out, data, plan)
-    suite = Suite(run, learning, parts, adapted.held_out, fitted, plan, intervals)
-    novelty, robustness = adapted_guard(suite, _former_frames(estimator), progress)
+    suite = Suite(job, adapted.held_out, fitted, intervals)
+    novelty, robustness = adapted_guard(suite, former_frames(estimator), progress)
     result = CalibrationResult(
-        run=run,
-        plan=plan,
-        learning=learning,
-        split=parts,
-        audit=audit(learning.packed, parts),
+        job=job,
+        audit=audit(job.packed, parts),
         held_out=adapted.held_out,
         intervals=intervals,
         fitted=fitted,
@@ -321,14 +296,8 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
     """The copy's frames, untouched ones too, beside those that the former calibration knows."""
-    former = _former_frames(estimator)
-    learning, fold = result.learning, np.zeros(len(result.learning.whole), np.int64)
-    for k, rows in enumerate(learning.folds_of_whole(result.split)):
+    former = former_frames(estimator)
+    job, fold = result.job, np.zeros(len(result.job.whole), np.int64)
+    for k, rows in enumerate(job.folds_of_whole()):
         fold[rows] = k
-    return tell_apart(learning.thumbnails(), fold, former.thumbs, former.groups)
-
-
-def _former_frames(estimator: Estimator) -> RenderedImages:
-    """Frames that the former calibration's guard keeps, those of neighbouring presses together."""
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
-    return RenderedImages(former, np.arange(len(former)) // TOGETHER)
+    return tell_apart(job.thumbnails(), fold, former.thumbs, former.groups)

@@ -42,7 +42,10 @@ class ReferenceRule:
         """
         column, equals, value = text.partition("=")
         if not (column and equals and value):
-            raise InputError(f"reference {text!r} is not COLUMN=VALUE, as in mass_g=0 or touched=false")
+            raise InputError(
+                f"reference {text!r} is not COLUMN=VALUE, as in mass_g=0 or touched=false",
+                code="reference-form",
+            )
         return cls(column.strip(), value.strip(), by)
 
     @classmethod
@@ -151,12 +154,14 @@ class CalibrationPlan:
                 f"turns={self.options['turns']} turns training images, and a direction would have to "
                 f"turn with "
                 f"them, which is not built; leave turns out, or calibrate {', '.join(self.circular)} "
-                f"by itself"
+                f"by itself",
+                code="turned-images",
             )
         object.__setattr__(self, "vectors", _vectors(self.vectors, self.targets, self.circular))
         if both := sorted(self.vectors.keys() & self.classes.keys()):
             raise InputError(
-                f"{', '.join(both)} is a vector and a class at once; give the vector another name"
+                f"{', '.join(both)} is a vector and a class at once; give the vector another name",
+                code="name-taken",
             )
 
     @classmethod
@@ -210,21 +215,33 @@ class CalibrationPlan:
 
     def _check_numbers(self) -> None:
         if self.folds is not None and self.folds < 2:
-            raise InputError(f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out")
+            raise InputError(
+                f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out",
+                code="plan-range",
+            )
         if self.scored_folds is not None and self.scored_folds < 1:
-            raise InputError(f"{self.scored_folds} folds to score; at least 1 must be held out")
+            raise InputError(
+                f"{self.scored_folds} folds to score; at least 1 must be held out", code="plan-range"
+            )
         if self.seed < 0:
-            raise InputError(f"seed {self.seed}; a seed is 0 or more")
+            raise InputError(f"seed {self.seed}; a seed is 0 or more", code="plan-range")
         if self.channels not in (1, 3):
-            raise InputError(f"{self.channels} channels; 1 for grey or 3 for RGB")
+            raise InputError(f"{self.channels} channels; 1 for grey or 3 for RGB", code="plan-range")
         if not 0.5 <= self.coverage < 1:
-            raise InputError(f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1")
+            raise InputError(
+                f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1",
+                code="plan-range",
+            )
         if self.size_px is not None and min(self.size_px) < 1:
-            raise InputError(f"an input of {self.size_px} px; its height and width are 1 px or more")
+            raise InputError(
+                f"an input of {self.size_px} px; its height and width are 1 px or more", code="plan-range"
+            )
         boxes = {"crop": self.crop_px, "second crop": self.beside_px, "skin": self.skin_px}
         for name, box in boxes.items():
             if box is not None and (min(box[:2]) < 0 or min(box[2:]) < 1):
-                raise InputError(f"{name} {box} px; x and y are 0 or more, width and height 1 or more")
+                raise InputError(
+                    f"{name} {box} px; x and y are 0 or more, width and height 1 or more", code="plan-range"
+                )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -241,7 +258,10 @@ def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str
     periods: dict[str, float | None] = {}
     for column, period in asked.items():
         if column not in targets:
-            raise InputError(f"circular {column} is not among the targets, {', '.join(targets) or 'none'}")
+            raise InputError(
+                f"circular {column} is not among the targets, {', '.join(targets) or 'none'}",
+                code="no-target",
+            )
         symbol = split_column(column)[1].symbol
         period = default_period(symbol) if period is None else period
         turn = FULL_TURN.get(symbol)
@@ -250,7 +270,9 @@ def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str
             allowed = (
                 "above 0" if turn is None else f"a full turn, {turn:.6g} {symbol}, or a whole part of it"
             )
-            raise InputError(f"circular {column}: a period of {period:g} {symbol}; it is {allowed}")
+            raise InputError(
+                f"circular {column}: a period of {period:g} {symbol}; it is {allowed}", code="period"
+            )
         periods[column] = float(period)
     return periods
 
@@ -263,9 +285,14 @@ def _vectors(
     for name, parts in asked.items():
         column = vector_column(name, parts, targets)
         if turning := [part for part in parts if part in circular]:
-            raise InputError(f"vector {name}: {', '.join(turning)} is circular, and an ellipsoid has no turn")
+            raise InputError(
+                f"vector {name}: {', '.join(turning)} is circular, and an ellipsoid has no turn",
+                code="circular-component",
+            )
         if column in vectors:
-            raise InputError(f"two vectors are called {column}; give each a name of its own")
+            raise InputError(
+                f"two vectors are called {column}; give each a name of its own", code="name-taken"
+            )
         vectors[column] = tuple(parts)
     return vectors
 
@@ -290,12 +317,14 @@ def check_vector_names(vectors: Iterable[str], labels: Iterable[str], source: st
         if not VECTOR_NAME.fullmatch(column):
             raise InputError(
                 f"vector {column!r}: its name has letters, digits, _, - and . alone, and begins with a "
-                "letter or a digit, as in force"
+                "letter or a digit, as in force",
+                code="vector-name",
             )
         if column in labels:
             raise InputError(
                 f"vector {column}: {source} has a label column of that name; give the vector a name "
-                "of its own"
+                "of its own",
+                code="name-taken",
             )
 
 
@@ -306,18 +335,23 @@ def _check_classes(plan: CalibrationPlan) -> None:
     for column, names in plan.classes.items():
         if column in plan.circular:
             raise InputError(
-                f"{column} is circular and a class at once: an angle is no class; say one of both"
+                f"{column} is circular and a class at once: an angle is no class; say one of both",
+                code="two-roles",
             )
         if column in plan.targets:
-            raise InputError(f"{column} is named as a target and as a class; say one of both")
+            raise InputError(
+                f"{column} is named as a target and as a class; say one of both", code="two-roles"
+            )
         if len(set(names)) < len(names) or not all(name.strip() and "|" not in name for name in names):
             raise InputError(
-                f"classes of {column}: {', '.join(names)}; each has a name of its own, without |"
+                f"classes of {column}: {', '.join(names)}; each has a name of its own, without |",
+                code="class-names",
             )
     if plan.classes and model_kind(plan.model).targets:
         raise InputError(
             f"model {plan.model} was made for {', '.join(model_kind(plan.model).targets)} alone, and "
-            "learns no classes; take another, such as kernel-ridge"
+            "learns no classes; take another, such as kernel-ridge",
+            code="model-classes",
         )
 
 
@@ -328,10 +362,12 @@ def _targets(names: Sequence[str], *, classes: bool = False) -> tuple[str, ...]:
         raise InputError(f"targets are a tuple of names, not the text {names!r}; give ({hint},)")
     targets = tuple(names)
     if not targets and not classes:
-        raise InputError("no target to calibrate; name label columns, as in --targets depth_mm,force_N")
+        raise InputError(
+            "no target to calibrate; name label columns, as in --targets depth_mm,force_N", code="no-target"
+        )
     repeated = sorted({t for t in targets if targets.count(t) > 1})
     if repeated:
-        raise InputError(f"targets named twice: {', '.join(repeated)}; name each once")
+        raise InputError(f"targets named twice: {', '.join(repeated)}; name each once", code="target-twice")
     for name in targets:
         split_column(name)
     return targets

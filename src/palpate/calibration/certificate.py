@@ -15,20 +15,19 @@ import onnx
 import onnxruntime
 import pandas as pd
 
+from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.classes import HeldOutClasses
-from palpate.calibration.confounds import ConfoundAudit
-from palpate.calibration.confounds.deciding_pixels import MAP_FILE
-from palpate.calibration.coverage import range_cards
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
 from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of, uninformative_width
 from palpate.calibration.coverage.joint_regions import vector_cards
+from palpate.calibration.coverage.range_limits import range_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
-from palpate.calibration.training_data import LearningSet
 from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column
 from palpate.estimators.card_ground import FileCard, RunCard
 from palpate.estimators.certified import CARD_FILE, checked_file
-from palpate.estimators.finding_cards import ChoiceCard, RobustnessCard, TrainingCard, TrialCard
+from palpate.estimators.finding_cards import ChoiceCard, ConfoundCard, RobustnessCard, TrainingCard, TrialCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import (
@@ -48,7 +47,7 @@ from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Chooses, Fitted, LearnsInSteps, TrainingData
 from palpate.estimators.reference_uncertainty import reference_half_width
 from palpate.estimators.target_layout import Outputs, TargetLayout
-from palpate.recordings import Run, Split
+from palpate.recordings import Run
 from palpate.recordings.exchange import image_files
 from palpate.recordings.label_tables import with_own
 from palpate.recordings.reference_instruments import ReferenceInstrument
@@ -61,24 +60,16 @@ class CalibrationResult:
     """Result of a calibration: everything a certificate is written from.
 
     Attributes:
-        run, plan: what was asked.
-        learning: the rows learnt from, those of the untouched sensor only where that was asked for, and its
-            frames.
-        split, audit: how rows were held out, and what stands on both sides.
-        held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN for rows not
-            scored.
+        job: what was asked, and the rows and folds.
+        audit: what is on both sides of the split.
+        held_out: outputs ``[n o]`` of models that had not seen the row's group; NaN for rows not scored.
         intervals: made from these.
-        fitted, novelty: what was learnt from all of them.
+        fitted, novelty: trained on all of them.
         seconds: time it took [s].
-        robustness: what changes of the camera cost; None where that was not tried.
-        confounds: what other than touch could have told the labels; None where that was not asked.
-        classes: labels of classes, their outputs and their sets; None where there are none.
+        robustness, confounds, classes, pixels: None where not measured.
     """
 
-    run: Run
-    plan: CalibrationPlan
-    learning: LearningSet
-    split: Split
+    job: CalibrationJob
     audit: LeakageAudit
     held_out: Outputs
     intervals: Intervals
@@ -86,13 +77,14 @@ class CalibrationResult:
     novelty: NoveltyDetector
     seconds: float = 0.0
     robustness: RobustnessCard | None = None
-    confounds: ConfoundAudit | None = None
+    confounds: ConfoundCard | None = None
     classes: HeldOutClasses | None = None
+    pixels: DecidingPixels | None = None
 
     @property
     def data(self) -> TrainingData:
         """Inputs, values and groups of these rows."""
-        return self.learning.data
+        return self.job.data
 
     @property
     def scored(self) -> Indices:
@@ -102,12 +94,12 @@ class CalibrationResult:
     @property
     def one_fold(self) -> bool:
         """True if only one fold was held out, and the kept model has not seen it."""
-        return any(np.array_equal(self.scored, np.sort(rows)) for rows in self.split.folds)
+        return any(np.array_equal(self.scored, np.sort(rows)) for rows in self.job.parts.folds)
 
     @property
     def layout(self) -> TargetLayout:
         """The order of the model's outputs."""
-        return self.plan.layout
+        return self.job.plan.layout
 
     @property
     def estimates(self) -> Values:
@@ -135,13 +127,12 @@ def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
 
 
 def most_missed(errors: Values, span: Float[np.ndarray, " t"], read: Sequence[bool]) -> Indices:
-    """Rows whose error, in units of each target's range, is the largest, the worst first.
+    """Rows whose error is the largest in units of each target's range, the worst first.
 
     Args:
         errors: signed, or their sizes ``[n t]``.
         span: lengths of the targets' ranges; 0 counts as 1.
-        read: of each target, whether it is read: errors of the others say nothing of the frame. Where none
-            is, all count.
+        read: of each target, whether it is read; where none is, all count.
     """
     counted = np.array(read, bool) if any(read) else np.ones(len(span), bool)
     shares = np.abs(errors) / np.where(span > 0, span, 1.0)
@@ -150,7 +141,7 @@ def most_missed(errors: Values, span: Float[np.ndarray, " t"], read: Sequence[bo
 
 def write_pictures(result: CalibrationResult, folder: Path, read: Sequence[bool]) -> None:
     """Write the pictures that the report shows; `read` as of `worst_rows`."""
-    packed, untouched = result.learning.packed, result.learning.untouched
+    packed, untouched = result.job.packed, result.job.untouched
     chosen = [(f"worst-{row}.png", int(row)) for row in worst_rows(result, read)]
     for name, row in [*chosen, ("example.png", len(packed) // 2)]:
         write_picture(folder / name, packed.read(np.array([row]))[0])
@@ -194,7 +185,7 @@ def interval_fields(
         intervals: of all targets.
         j: which target.
         over_range: its card over its range.
-        untold_width: width from which on its interval tells nothing, where it is circular.
+        untold_width: width from which its interval carries no information, where it is circular.
     """
     spread, layout = intervals.spread, intervals.layout
     outputs, circular = slice(j, j + 1), None
@@ -223,12 +214,12 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
         _range_of(column, period) for column, period in zip(values.T, result.layout.periods, strict=True)
     ]
     over_range = range_cards(intervals, outputs, values[scored], groups[scored], ranges)
-    for j, column in enumerate(result.plan.targets):
+    for j, column in enumerate(result.job.plan.targets):
         (quantity, unit), true, period = split_column(column), values[:, j], result.layout.periods[j]
         least, greatest = ranges[j]
         mean_of_others = np.empty_like(true)
-        for k, rows in enumerate(result.split.folds):
-            mean_of_others[rows] = mean_of(true[result.split.training_rows(k)], period)
+        for k, rows in enumerate(result.job.parts.folds):
+            mean_of_others[rows] = mean_of(true[result.job.parts.training_rows(k)], period)
         scores = score(
             unit.symbol,
             true[scored],
@@ -248,8 +239,8 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
             greatest=greatest,
             training_mean=mean_of(true, period),
             measured_by=instrument_card(
-                result.plan.instruments.get(column) or result.run.manifest.instruments.get(column),
-                result.plan.coverage,
+                result.job.plan.instruments.get(column) or result.job.run.manifest.instruments.get(column),
+                result.job.plan.coverage,
             ),
             **interval_fields(intervals, j, over_range[j], 0.0 if scores.says_nothing else untold),
             score=scores,
@@ -270,13 +261,13 @@ def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> Inst
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
     """Rule by which the untouched sensor was found."""
-    rule = result.learning.untouched.rule
+    rule = result.job.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
         value=rule.value if rule else None,
         by=rule.by if rule else (),
-        frames=len(result.learning.untouched.rows),
-        learnt=result.plan.learn_untouched,
+        frames=len(result.job.untouched.rows),
+        learnt=result.job.plan.learn_untouched,
     )
 
 
@@ -337,7 +328,7 @@ def write_certificate(
     Args:
         result: what was calibrated.
         out: the folder to make.
-        former: card of the calibration that was adapted, whose model and input stay; None for a new one.
+        former: card of the adapted calibration, whose model and input stay; None for a new one.
         split: how rows were held out; None takes the result's own.
         more: further fields of the card, from the folder, to which it may add files.
 
@@ -357,25 +348,27 @@ def write_certificate(
         targets = tuple(target_cards(result, intervals, halves))
         write_pictures(result, folder, [target.is_read for target in targets])
         further = dict(more(folder))
-        if result.confounds is not None and result.confounds.pixels is not None:
-            result.confounds.pixels.save(folder / MAP_FILE)
+        if result.pixels is not None:
+            result.pixels.save(folder / MAP_FILE)
         constant = _plan_fields(result) if former is None else former.model_dump(exclude={"id"})
         card = sealed(
             constant
-            | {"sensor": result.run.manifest.sensor}
+            | {"sensor": result.job.run.manifest.sensor}
             | made_fields(folder)
             | {
                 "targets": targets,
                 "reference": reference_card(result),
                 "split": split or split_card(result),
-                "run": run_card(result.run),
+                "run": run_card(result.job.run),
                 "agreement": agrees,
                 "seconds": round(result.seconds, 1),
                 "adapted_from": former and former.id,
-                "vectors": vector_cards(result.plan.vectors, result.plan.targets, intervals, *held_out)
+                "vectors": vector_cards(
+                    result.job.plan.vectors, result.job.plan.targets, intervals, *held_out
+                )
                 or None,
                 "robustness": result.robustness,
-                "confounds": result.confounds and result.confounds.card(),
+                "confounds": result.confounds,
                 "classes": result.classes and result.classes.cards,
             }
             | further
@@ -398,20 +391,12 @@ def made_fields(folder: Path) -> dict[str, Any]:
 
 
 def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) -> pd.DataFrame:
-    """One row a scored frame: its labels, and for each target the estimate when it was held out.
-
-    Args:
-        result: what was calibrated.
-        ends: of the intervals around the scored rows' estimates ``[n t]``.
-    """
-    fold = np.empty(len(result.learning.packed), np.int64)
-    for k, rows in enumerate(result.split.folds):
-        fold[rows] = k
+    """One row a scored frame: labels, held-out estimates, and interval ends ``[n t]``."""
     rows = result.scored
-    names = [result.learning.packed.names[row] for row in rows]
-    own = {"row": rows, "frame": names, "held_out_in_fold": fold[rows]}
-    table = with_own(result.learning.packed.table.iloc[rows].reset_index(drop=True), own)
-    for j, column in enumerate(result.plan.targets):
+    names = [result.job.packed.names[row] for row in rows]
+    own = {"row": rows, "frame": names, "held_out_in_fold": result.job.fold_of[rows]}
+    table = with_own(result.job.table.iloc[rows].reset_index(drop=True), own)
+    for j, column in enumerate(result.job.plan.targets):
         table[f"estimate:{column}"] = result.estimates[result.scored, j]
         low, high = (end[:, j] for end in ends)
         table[f"half_width:{column}"] = (high - low) / 2
@@ -420,7 +405,7 @@ def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) ->
 
 
 def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
-    """The held-out predictions of a calibration, as they were written.
+    """Held-out predictions of a calibration.
 
     Raises:
         CertificateError: they are missing, or not those that the card names.
@@ -433,7 +418,7 @@ def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
 
 
 def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
-    plan, preparation = result.plan, result.learning.packed.preparation
+    plan, preparation = result.job.plan, result.job.packed.preparation
     return {
         "format": FORMAT,
         "seed": plan.seed,
@@ -443,7 +428,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
         "choice": choice_card(result.fitted),
         "training": training_card(result.fitted),
         "input": InputCard(
-            frame_px=result.run.frame(0).image.shape[:2],
+            frame_px=result.job.run.frame(0).image.shape[:2],
             size_px=preparation.size_px,
             channels=preparation.channels,
             crop_px=preparation.crop_px,
@@ -473,15 +458,15 @@ def training_card(fitted: Fitted) -> TrainingCard | None:
 def split_card(result: CalibrationResult) -> SplitCard:
     """Split of the rows, and the findings of its audit."""
     return SplitCard(
-        kind=result.split.kind,
-        reason=result.split.reason,
-        block_rows=result.split.block_rows,
-        columns=result.split.group_columns,
+        kind=result.job.parts.kind,
+        reason=result.job.parts.reason,
+        block_rows=result.job.parts.block_rows,
+        columns=result.job.parts.group_columns,
         groups=len(np.unique(result.data.groups)),
-        folds=len(result.split.folds),
-        rows_learnt=len(result.learning.packed) - (len(result.scored) if result.one_fold else 0),
+        folds=len(result.job.parts.folds),
+        rows_learnt=len(result.job.packed) - (len(result.scored) if result.one_fold else 0),
         rows_scored=len(result.scored),
         clean=result.audit.clean,
-        audit=result.audit.text,
+        findings=result.audit.findings,
         details=result.audit.to_dict(),
     )

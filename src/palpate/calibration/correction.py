@@ -35,8 +35,8 @@ class Correction:
 
     Attributes:
         centre, scale: of the estimates ``[t]``, in the targets' units.
-        least, greatest: of the scaled estimates met in learning ``[t]``: beyond them the products stay as
-            they are there, since a parabola must not run away; the linear terms go on.
+        least, greatest: of the scaled training estimates ``[t]``: beyond them the products stay constant, and
+            the linear terms go on.
         weights: W ``[k t]``; zeros where a target keeps its estimate.
     """
 
@@ -151,18 +151,18 @@ class Adapted:
 def correct(
     estimates: Values, true: Values, presses: Indices, start: Correction, *, linear: tuple[int, ...] = ()
 ) -> Adapted:
-    """Learn a correction, or keep the estimates where it does not help.
+    """Fit a correction, or keep the estimates where it does not help.
 
-    A target's correction is kept only where leaving one press out shows it better than the estimates as they
-    were, in mean absolute error over presses, by more than its standard error.
+    A target's correction is kept only where leaving one press out shows it better in mean absolute error over
+    presses by more than its standard error.
 
     Args:
         estimates: of the network ``[n t]``.
         true: the labels ``[n t]``, in the same units.
         presses: number of each row's press ``[n]``, 0, 1, 2, and so on.
         start: the identity, with the scales to work in.
-        linear: targets whose correction is linear at most, as for the cosine and the sine of one direction: a
-            quadratic in both, whose squares add up to nearly 1, errs more on new presses than on these.
+        linear: targets whose correction is linear at most, as the cosine and sine of one direction, whose
+            squares add up to nearly 1.
     """
     folds = _LeavePressOut(start.terms(estimates), true - estimates, presses, linear)
     held_out, targets = estimates.copy(), range(true.shape[1])

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.calibration_job import rows_matching
 from palpate.calibration.calibration_plan import SESSION, ReferenceRule
 from palpate.calibration.classes import (
     SEPARATOR,
@@ -15,14 +16,12 @@ from palpate.calibration.classes import (
     score_of_run,
     target_values,
 )
-from palpate.calibration.coverage import range_scores, target_findings
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
 from palpate.calibration.coverage.counted_groups import ROW, counted_groups, press_column, press_groups
-from palpate.calibration.coverage.foreign_labels import labels_outside, shifted_labels
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
+from palpate.calibration.coverage.range_scores import range_scores, target_findings
 from palpate.calibration.learnt_frames import LearntFrames, find_learnt_frames
-from palpate.calibration.training_data import rows_matching
 from palpate.core import (
     Bool,
     CertificateError,
@@ -59,12 +58,11 @@ def score(
 
     Args:
         unit_: unit of everything given.
-        true, predicted, half: labels, estimates and half-widths of their intervals.
+        true, predicted, half: labels, estimates and half-widths of their intervals ``[n]``.
         mean: the training mean, as an estimate of every row.
-        groups: label of each row's group; rows of one group are not independent.
-        inside: whether each interval held the truth; None where estimates lie in their middles.
-        period: after which the target comes round again, so that errors are the shortest way round, and R² is
-            of their squares; None where it does not.
+        groups: label of each row's group ``[n]``.
+        inside: whether each interval covered the truth; None where estimates lie in their middles.
+        period: after which the target is periodic: errors are the shortest way round.
     """
     error, away = shortest(predicted - true, period), shortest(true - mean, period)
     inside = np.abs(error) <= half if inside is None else inside
@@ -91,13 +89,12 @@ def valid_score(
     groups: Shaped[np.ndarray, " n"],
     valid: Shaped[np.ndarray, " n"],
 ) -> ValidScoreCard:
-    """Score the valid readings of one target alone: those that a user is told to use.
+    """Score the valid readings of one target alone.
 
     Args:
-        error: sizes of the errors.
-        inside: whether each interval held the truth.
-        groups: label of each row's group.
-        valid: whether each reading is valid.
+        error: sizes of the errors ``[n]``.
+        inside, valid: whether each interval covered the truth, and each reading is valid ``[n]``.
+        groups: label of each row's group ``[n]``.
     """
     if not valid.any():
         return ValidScoreCard(n=0)
@@ -112,10 +109,7 @@ def valid_score(
 
 
 def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
-    """No-contact references found in a run by the calibration's own rule: row -> reference.
-
-    Empty where the calibration knows none or the run has none.
-    """
+    """No-contact references found in a run by the calibration's own rule: row -> reference; may be empty."""
     table = run.labels
     rule = ReferenceRule.of_card(estimator.card)
     by = [] if rule is None else list(rule.for_columns(table.columns).by)
@@ -142,22 +136,14 @@ def evaluate(
         progress: called with how far it is.
 
     Returns:
-        ``{"targets": {column: {"unit", "n", "mae", "rmse", "r2", "coverage_90", …}}, "valid_readings":
-        {column: {"n", "mae", "covered", "low", "high"} of its valid readings alone}, "tenths": {column:
-        scores of the tenths of its range}, "findings": sentences on those that do not keep the promise,
-        "findings_of": {column: those on this target}, "coverage_with_instrument" and "instruments": {column:
-        the share that readings' intervals hold, and a sentence on it} where the labels are of another
-        instrument than the card's or of none that is stated, "vectors": {column: {"n", "covered", "low",
-        "high"}}, "classes": {column: scores of its classes}, "frames_valid": frames that tell some target,
-        and of which neither guard nor range rule refuses a reading of a target that they tell,
-        "frames_untold": {column: frames that do not tell this target, the interval being as wide as its
-        range; all where it is not read}, "frames_all_valid": frames of which every reading is valid
-        of what the calibration reads, "frames_drifted": frames read by an untouched image that has drifted,
-        "learnt_frames": {"compared": frames of touches, "equal": those that the calibration has learnt from,
-        "presses": of a simulated run, "repeated": those that it has learnt from, simulated again},
-        "simulated": whether the calibration or the run is of a virtual sensor,
-        "counted_groups" and "counted_by": groups that the intervals of the rates count, and what they are,
-        …}``.
+        By target column ``targets`` (unit, n, mae, rmse, bias, r2, coverage_90, ...), ``valid_readings``
+        (scores of valid readings alone), ``tenths`` of its range, ``findings_of`` (sentences),
+        ``frames_untold`` (frames whose interval is as wide as the range), ``coverage_with_instrument`` and
+        ``instruments`` where the labels are by another instrument than the card's; ``vectors`` and
+        ``classes`` with their scores; ``findings`` (all sentences); counts ``frames_scored``,
+        ``frames_read``, ``frames_valid`` (something is identifiable, and no reading refused),
+        ``frames_all_valid``, ``frames_drifted``; ``learnt_frames`` (train/test overlap); ``same_session``
+        (why it tests no other day); ``simulated``; ``counted_groups`` and ``counted_by``.
 
     Raises:
         LabelError: a target column is missing or unfit, or a row is of a class that was not calibrated.
@@ -175,7 +161,8 @@ def evaluate(
     if any(run.frame(int(row)).image.shape[:2] == card.input.frame_px for row in rows[~finite]):
         raise CertificateError(
             f"{run.path}: calibration {card.id} gives no finite number for some of {np.sum(~finite)} frames, "
-            "which scores would leave out; calibrate again"
+            "which scores would leave out; calibrate again",
+            code="not-finite",
         )
     scores = _scores(card, run, true, table, spread, valid)
     outside = labels_outside(card, true)
@@ -198,13 +185,11 @@ def predictions(
     Args: as of `evaluate`.
 
     Returns:
-        The labels of the frames that would be scored, which need not have the targets; of each target
-        ``estimate:COLUMN``, ``half_width:COLUMN``, ``low:COLUMN`` and ``high:COLUMN`` in the column's unit,
-        NaN where a frame could not be read; of each component of a vector ``joint_half_width:COLUMN``, the
-        reach of the joint region; ``own:valid``, as to the targets that the frame tells, ``own:all_valid``,
-        as to all that the calibration reads, ``own:drifted``, and ``own:why`` it is not valid, also without
-        ``own:`` where no label is called so; of each label of classes ``estimate:COLUMN`` and
-        ``set:COLUMN``, the names in the set with ``|`` between them.
+        Labels of the frames that would be scored; of each target ``estimate:COLUMN``, ``half_width:COLUMN``,
+        ``low:COLUMN`` and ``high:COLUMN`` in its unit, NaN where a frame could not be read; of each component
+        of a vector ``joint_half_width:COLUMN``; of each column of classes ``estimate:COLUMN`` and
+        ``set:COLUMN``, names joined by ``|``; ``own:valid`` of what the frame tells, ``own:all_valid``,
+        ``own:drifted``, ``own:why``.
 
     Raises:
         ImageError: the calibration is differential and the run has no reference.
@@ -365,9 +350,7 @@ def _target_scores(
     valid: Bool[np.ndarray, " n"],
     groups: Shaped[np.ndarray, " n"],
 ) -> dict[str, Any]:
-    """One target over the frames read: its score, that of valid readings, tenths of its range if it has
-    one, and the share held with the run's instrument in the interval.
-    """
+    """One target over the frames read: score, that of valid readings, tenths of its range, coverage."""
     estimate, half, low, high = (
         table[f"{kind}:{t.column}"].to_numpy(float) for kind in ("estimate", "half_width", "low", "high")
     )
@@ -468,10 +451,9 @@ def _recordings(card: Card) -> dict[str, str]:
 
 
 def same_session(estimator: Estimator, run: Run, found: LearntFrames | None = None) -> str:
-    """Why a run tests no other day than a calibration has learnt from; empty where it is another session.
+    """Why a run tests no other day than those trained on; empty where it is another session.
 
-    A run's name alone does not make it the same: sessions are compared by name where the run labels them. Nor
-    does a name make it another: its frames are compared with those that the calibration's guard keeps.
+    Sessions are compared by name where the run labels them, and its frames with those that the guard keeps.
 
     Args:
         estimator: the calibration.
@@ -499,3 +481,52 @@ def learnt_frames(estimator: Estimator, run: Run) -> LearntFrames:
     """What of a run's frames that show a touch a calibration has learnt from."""
     touched = np.setdiff1d(np.arange(len(run)), _untouched_rows(estimator.card, run.labels))
     return find_learnt_frames(estimator, run, touched)
+
+
+MAX_INSIDE = 0.05
+"""Share of a target's labels within the calibrated range up to which the run shows nothing of that range."""
+
+
+def labels_outside(card: Card, true: Values) -> dict[str, str]:
+    """Sentences on targets of which hardly any label ``[n t]`` lies in the calibrated range, by column."""
+    found = {}
+    for target, labels in zip(card.targets, true.T, strict=True):
+        room = 0.05 * (target.greatest - target.least)
+        inside = (labels >= target.least - room) & (labels <= target.greatest + room)
+        if target.circular is None and inside.mean() <= MAX_INSIDE:
+            found[target.column] = (
+                f"labels of {target.column} run from {labels.min():.4g} to {labels.max():.4g} {target.unit} "
+                f"and lie outside what was calibrated ({target.least:.4g} to {target.greatest:.4g} "
+                f"{target.unit}): check their unit; these scores say nothing of the model"
+            )
+    return found
+
+
+MAX_LAG, SHIFT_GAIN, MIN_SHIFTED_ROWS = 5, 0.5, 60
+"""Rows by which labels are tried against estimates; squared error over that of their own rows, below which
+they are shifted; and how many rows are asked at least."""
+
+
+def shifted_labels(card: Card, true: Values, table: pd.DataFrame) -> list[str]:
+    """A sentence where estimates fit the labels ``[n t]`` of other rows much better; else none."""
+    for j, target in enumerate(card.targets):
+        estimate, label = table[f"estimate:{target.column}"].to_numpy(float), true[:, j]
+        if target.circular is not None or len(label) < MIN_SHIFTED_ROWS or not np.ptp(label) > 0:
+            continue
+        middle = np.arange(MAX_LAG, len(label) - MAX_LAG)
+        middle = middle[np.isfinite(estimate[middle])]
+        if not len(middle):
+            continue
+        lags = range(-MAX_LAG, MAX_LAG + 1)
+        errors = {lag: float(np.mean((estimate[middle] - label[middle + lag]) ** 2)) for lag in lags}
+        best = min(errors, key=lambda lag: errors[lag])
+        if best and errors[best] < SHIFT_GAIN * min(errors[0], float(np.var(label))):
+            beside = f"row i {'+' if best > 0 else '-'} {abs(best)}"
+            share = 100 * errors[best] / errors[0]
+            text = (
+                f"labels and images look shifted against each other: the estimate of image i fits "
+                f"{target.column} of {beside} with {share:.0f} % of the squared error of its own row; check "
+                "the order before you trust these scores"
+            )
+            return [text]
+    return []

@@ -16,7 +16,6 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.calibration_job import CalibrationJob, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan, check_vector_names
 from palpate.calibration.certificate import (
     CalibrationResult,
@@ -33,10 +33,7 @@ from palpate.calibration.certificate import (
 )
 from palpate.calibration.classes import ClassLabels, class_labels, target_values, with_classes
 from palpate.calibration.classes.prediction_sets import check_learnable, held_out_classes
-from palpate.calibration.confounds import AuditedRows, ConfoundAudit, audit_confounds
-from palpate.calibration.confounds.deciding_pixels import (
-    DecidingPixels,
-)
+from palpate.calibration.confounds.confound_audit import audit_confounds
 from palpate.calibration.coverage.circular_scores import refuse_no_angles
 from palpate.calibration.fold_fits import (
     FoldFits,
@@ -48,18 +45,14 @@ from palpate.calibration.fold_fits import (
 )
 from palpate.calibration.leakage import audit
 from palpate.calibration.model_check import check_plugged_in
-from palpate.calibration.robustness import Suite, try_changes
-from palpate.calibration.sessions.order_check import ScoredSplit, order_card, split_beside
+from palpate.calibration.robustness.perturbation_suite import Suite, try_changes
 from palpate.calibration.sessions.session_findings import (
     check_sessions,
     held_out_sessions,
     interval_fit,
-    presses_of,
-    recordings_of,
     refuse_copied_sessions,
-    session_fields,
+    result_sessions,
 )
-from palpate.calibration.training_data import LearningSet, learning_set, table_to_learn
 from palpate.core import (
     ExistsError,
     InputError,
@@ -77,8 +70,7 @@ from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.guard import LearnsFromRendered, NoveltyDetector, fit_novelty_detector
 from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, TimeBoxed
-from palpate.estimators.target_layout import Outputs
+from palpate.estimators.networks.model_interface import Fitted
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import check_instruments, joined
 from palpate.recordings.label_tables import refuse_reserved
@@ -119,40 +111,36 @@ def calibrate(
     processes = _process_group(plan)
     if not processes.first:  # train along, from the set that the first packs, and write nothing
         work = _work_path(out)
-        learning = _learning_set(run, plan, parts, work, silent, processes)
-        labels = _classes(run, plan, learning.packed.table)
-        _scored(learning, FoldFits.of(learning.data, parts, plan, work, silent, processes, classes=labels))
+        job = _job(run, plan, parts, work, silent, processes)
+        _scored(FoldFits(job, make_model(plan.model, plan.options), work, silent, processes))
         processes.wait()
         return out
     work = _work_folder(run, plan, parts, out)
     with storage_errors(work):
-        learning = _learning_set(run, plan, parts, work, progress, processes)
-        refuse_copied_sessions(learning.packed, parts.group_columns)
-        leakage = audit(learning.packed, parts, classes=plan.classes)
-        labels = _classes(run, plan, learning.packed.table)
-        fits = FoldFits.of(learning.data, parts, plan, work, progress, processes, classes=labels)
-        outputs, fitted, pixels = _scored(learning, fits)
+        job = _job(run, plan, parts, work, progress, processes)
+        refuse_copied_sessions(job.packed, parts.group_columns)
+        leakage = audit(job.packed, parts, classes=plan.classes)
+        outputs, fitted, pixels = _scored(
+            FoldFits(job, make_model(plan.model, plan.options), work, progress, processes)
+        )
         held_out, of_classes = np.split(outputs, [plan.layout.outputs], axis=1)
         classes = None
-        if labels:
-            classes = held_out_classes(labels, of_classes, learning.data.groups, plan.coverage)
-        in_order = run.manifest.order == "recorded"
-        beside = _split_beside(learning, fits, in_order)
-        sessions = held_out_sessions(learning.packed.table, parts, scored_rows(outputs))
-        intervals = intervals_by(interval_fit(sessions), held_out, learning.data, plan)
-        detector = _novelty_detector(learning, parts, fitted, plan, progress)
-        suite = Suite(run, learning, parts, held_out, fitted, plan, intervals)
+        if job.classes:
+            classes = held_out_classes(job.classes, of_classes, job.data.groups, plan.coverage)
+        sessions = held_out_sessions(job.table, parts, scored_rows(outputs))
+        intervals = intervals_by(interval_fit(sessions), held_out, job.data, plan)
+        suite = Suite(job, held_out, fitted, intervals)
+        detector = _novelty_detector(job, fitted, progress)
         with plugin_calls(
             f"model {plan.model}: predict failed on a changed frame ({ERROR})", passed_errors(plan)
         ):
             detector, robustness = try_changes(suite, detector, progress)
-        confounds = _confounds(run, plan, learning, parts, outputs, labels, pixels, progress)
+        confounds = audit_confounds(job, outputs, pixels=pixels, progress=progress)
         result = CalibrationResult(
-            run, plan, learning, parts, leakage, held_out, intervals, fitted, detector,
-            time.monotonic() - started, robustness, confounds, classes,
+            job, leakage, held_out, intervals, fitted, detector, time.monotonic() - started, robustness,
+            confounds, classes, pixels,
         )  # fmt: skip
-        fields = session_fields(result, sessions) | (_order_fields(result, beside) if in_order else {})
-        write_certificate(result, out, more=lambda _: fields)
+        write_certificate(result, out, more=lambda _: {"sessions": result_sessions(result, sessions)})
         processes.wait()
         shutil.rmtree(work)
     return out
@@ -177,7 +165,9 @@ def _process_group(plan: CalibrationPlan) -> ProcessGroup:
 def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
     """Split the rows to learn from, and refuse at once what would fail after an hour."""
     if len(run) < 10:
-        raise InputError(f"{run.path} holds {len(run)} frames; a calibration needs 10 or more")
+        raise InputError(
+            f"{run.path} holds {len(run)} frames; a calibration needs 10 or more", code="few-frames"
+        )
     refuse_reserved(list(run.manifest.labels), str(run.path))
     check_instruments(run, plan.targets, plan.instruments)
     check_vector_names(plan.vectors, run.manifest.labels, str(run.path))
@@ -217,7 +207,8 @@ def _refuse_fewer_folds(plan: CalibrationPlan, parts: Split) -> None:
         column = f" of {' and '.join(parts.group_columns)}" if parts.group_columns else ""
         raise SplitError(
             f"{plan.folds} folds were asked for, and split {plan.split!r} makes {made} here, by {made} "
-            f"groups{column}: ask for at most {made}, for none in particular, or for another split"
+            f"groups{column}: ask for at most {made}, for none in particular, or for another split",
+            code="few-groups",
         )
 
 
@@ -227,8 +218,9 @@ def _refuse_few_to_learn(parts: Split, rows: int) -> None:
     if rows - largest < MIN_LEARNT:
         raise SplitError(
             f"split {parts.kind}: one fold holds out {largest} of {rows} rows, and {rows - largest} are left "
-            f"to learn from; {MIN_LEARNT} or more are needed: record more of the other groups, or split "
-            "otherwise"
+            f"to train on; {MIN_LEARNT} or more are needed: record more of the other groups, or split "
+            "otherwise",
+            code="split-trains-few",
         )
 
 
@@ -249,7 +241,7 @@ def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
     return Preparation(plan.crop_px, size, plan.channels, lens=plan.lens)
 
 
-WORK_FILE = re.compile(r"plan\.json|packed|beside|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..+\.partial")
+WORK_FILE = re.compile(r"plan\.json|packed|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..+\.partial")
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
@@ -265,14 +257,16 @@ def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Pa
     if isinstance(earlier, dict) and any(earlier.get(key) != request[key] for key in ("run", "plan")):
         raise ExistsError(
             f"{work} holds unfinished work towards another calibration named {out.name}; "
-            "run that one again to finish it, remove the folder, or choose another --out"
+            "run that one again to finish it, remove the folder, or choose another --out",
+            code="other-work",
         )
     with storage_errors(work):
         if work.exists():
             others = sorted(path.name for path in work.iterdir() if not WORK_FILE.fullmatch(path.name))
             if others:
                 raise ExistsError(
-                    f"{work} holds {others[0]}, which is not palpate's; move it away, or choose another --out"
+                    f"{work} holds {others[0]}, which is not palpate's; move it, or choose another --out",
+                    code="foreign-file",
                 )
             shutil.rmtree(work)
         work.mkdir(parents=True)
@@ -294,109 +288,35 @@ def _work_path(out: Path) -> Path:
     return out.with_name(f".{out.name}.work")
 
 
-def _learning_set(
+def _job(
     run: Run, plan: CalibrationPlan, parts: Split, work: Path, progress: Progress, processes: ProcessGroup
-) -> LearningSet:
+) -> CalibrationJob:
     folder = work / "packed"
     if processes.first and not folder.exists():
         prepare = preparation_of(run, plan)
         pack(run, folder, prepare, progress=lambda done, total: progress("packing", done, total))
     processes.wait()
-    return learning_set(PackedSet.open(folder), plan, parts.groups, str(run.path))
-
-
-def _confounds(
-    run: Run,
-    plan: CalibrationPlan,
-    learning: LearningSet,
-    parts: Split,
-    outputs: Outputs,
-    classes: tuple[ClassLabels, ...],
-    pixels: DecidingPixels | None,
-    progress: Progress,
-) -> ConfoundAudit:
-    """Audit of what other than touch could have told the labels."""
-    untouched = learning.whole.only(learning.untouched.rows)
-    table = learning.packed.table
-    rows = AuditedRows(
-        packed=learning.packed,
-        values=with_classes(plan.layout.encoded(learning.data.values), classes),
-        names=plan.layout.names(tuple(plan.targets)) + tuple(n for one in classes for n in one.output_names),
-        split=parts,
-        held_out=outputs,
-        classes=outputs.shape[1] - plan.layout.outputs,
-        untouched=untouched,
-        frame_px=run.frame(0).image.shape[:2],
-        columns=tuple(
-            column
-            for column, period in zip(plan.targets, plan.layout.periods, strict=True)
-            for _ in range(1 if period is None else 2)
-        ),
-        presses=presses_of(table, parts),
-        sessions=recordings_of(table),
-        untouched_sessions=recordings_of(untouched.table),
-        in_recorded_order=run.manifest.order == "recorded",
-    )
-    skin_px = plan.skin_px or run.manifest.regions.get("skin")
-    return audit_confounds(rows, skin_px=skin_px, pixels=pixels, progress=progress)
-
-
-def _scored(learning: LearningSet, fits: FoldFits) -> ScoredModel:
-    count = folds_to_score(fits.plan, fits.parts)
-    values = fits.data.values if fits.plan.classes else learning.data.values
-    if fits.plan.fold_by:
-        values = target_values(learning.packed.table, fits.plan.fold_by, "fold_by", constant=True)
-    return fits.scored(count, representative_fold(fits.parts, values))
-
-
-def _split_beside(learning: LearningSet, fits: FoldFits, in_order: bool) -> ScoredSplit | None:
-    """Shuffled folds beside blocks, or blocks beside shuffled folds; None where that is left out.
-
-    Of rows that lie in no order of recording, blocks are pieces of a sorted table, and say nothing.
-    """
-    plan, parts = fits.plan, fits.parts
-    other = split_beside(learning.packed.table, parts, len(parts.folds), plan.seed)
-    if not in_order or other is None or not plan.targets or _left_out(plan, parts):
-        return None
-    folder = fits.work / "beside"
-    folder.mkdir(exist_ok=True)
-    beside = replace(fits, parts=other, work=folder, processes=ProcessGroup(), named=f"by {other.kind}, ")
-    return ScoredSplit(other, beside.all_held_out()[:, : plan.layout.outputs])
-
-
-def _left_out(plan: CalibrationPlan, parts: Split) -> str:
-    """Why no other split is scored beside the plan's; empty where it is."""
-    count = folds_to_score(plan, parts)
-    takes_long = model_kind(plan.model).costly or isinstance(make_model(plan.model, plan.options), TimeBoxed)
-    if count == len(parts.folds) and not takes_long:
-        return ""
-    other = "Blocks of the order in which rows were taken" if parts.groups is None else "Shuffled folds"
-    return (
-        f"{other} were left out, since {plan.model} takes long and {count} of {len(parts.folds)} folds were "
-        "scored; a quick model shows what they would say (--model pca-ridge)."
+    packed = PackedSet.open(folder)
+    return CalibrationJob.of(
+        run, plan, parts, packed, _classes(run, plan, table_to_learn(packed.table, plan))
     )
 
 
-def _order_fields(result: CalibrationResult, beside: ScoredSplit | None) -> dict[str, Any]:
-    """The card's part on order, where rows come one by one."""
-    plan, parts, data = result.plan, result.split, result.data
-    other = split_beside(result.learning.packed.table, parts, len(parts.folds), plan.seed)
-    if other is None or not plan.targets:
-        return {}
-    own = ScoredSplit(parts, result.held_out)
-    both = (own,) if beside is None else (own, beside)
-    return {"order": order_card(both, data.values, plan.targets, result.intervals, _left_out(plan, parts))}
+def _scored(fits: FoldFits) -> ScoredModel:
+    job, plan = fits.job, fits.job.plan
+    values = job.outputs.values if plan.classes else job.data.values
+    if plan.fold_by:
+        values = target_values(job.table, plan.fold_by, "fold_by", constant=True)
+    return fits.scored(folds_to_score(plan, job.parts), representative_fold(job.parts, values))
 
 
-def _novelty_detector(
-    learning: LearningSet, parts: Split, fitted: Fitted, plan: CalibrationPlan, progress: Progress
-) -> NoveltyDetector:
+def _novelty_detector(job: CalibrationJob, fitted: Fitted, progress: Progress) -> NoveltyDetector:
     """A detector that knows every frame, untouched ones too, and rendered ones that the model has seen."""
     progress("learning what frames look like", 0, 1)
-    thumbs = learning.thumbnails()
+    thumbs = job.thumbnails()
     also = fitted.rendered_images if isinstance(fitted, LearnsFromRendered) else None
     detector = fit_novelty_detector(
-        thumbs, learning.folds_of_whole(parts), thumbs[learning.untouched.rows], also=also, seed=plan.seed
+        thumbs, job.folds_of_whole(), thumbs[job.untouched.rows], also=also, seed=job.plan.seed
     )
     progress("learning what frames look like", 1, 1)
     return detector

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import ks_2samp
 
+from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.classes import ClassLabels, with_classes
 from palpate.calibration.confounds.deciding_pixels import (
     DecidingPixels,
     deciding_pixels,
@@ -23,13 +23,12 @@ from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.errors import CertificateError
 from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
-from palpate.estimators.networks import MODELS, make_model, model_kind
+from palpate.estimators.networks import MODELS, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import (
     Fitted,
     Model,
     TimeBoxed,
-    TrainingData,
     predict_rows,
     refuse_unfit,
 )
@@ -57,48 +56,18 @@ class FoldFits:
     """Fits of a plan's model on the folds of a split.
 
     Attributes:
-        data: inputs, and labels as the model's outputs ``[n o]``.
-        parts: how rows are held out.
-        plan: names the model.
+        job: rows, folds, and plan.
         model: what is fitted.
         work: folder that finished folds are kept in.
         progress: told what is being done.
         processes: those that train together; the first writes.
-        named: what stands before a fold's number in `progress`.
     """
 
-    data: TrainingData
-    parts: Split
-    plan: CalibrationPlan
+    job: CalibrationJob
     model: Model
     work: Path
     progress: Progress
     processes: ProcessGroup
-    named: str = ""
-
-    @classmethod
-    def of(
-        cls,
-        labels: TrainingData,
-        parts: Split,
-        plan: CalibrationPlan,
-        work: Path,
-        progress: Progress,
-        processes: ProcessGroup,
-        named: str = "",
-        classes: tuple[ClassLabels, ...] = (),
-    ) -> FoldFits:
-        """Fits on rows labelled with the targets ``[n t]``, and with classes, whose outputs come last."""
-        layout = plan.layout
-        values = with_classes(layout.encoded(labels.values), classes)
-        names = layout.names(labels.names) + tuple(name for one in classes for name in one.output_names)
-        data = replace(labels, values=values, names=names)
-        model = make_model(plan.model, plan.options)
-        return cls(data, parts, plan, model, work, progress, processes, named)
-
-    def all_held_out(self) -> Outputs:
-        """Outputs for every row by a model that had not seen its fold ``[n o]``."""
-        return self._gathered((k, self.held_out(k)) for k in range(len(self.parts.folds)))
 
     def scored(self, count: int, alone: int) -> ScoredModel:
         """Hold out so many folds, or `alone` where that is one, and fit the model that is kept."""
@@ -108,23 +77,23 @@ class FoldFits:
         return self._scored(count, alone)
 
     def _scored(self, count: int, alone: int) -> ScoredModel:
-        what, seed = "the model that is kept", self.plan.seed
+        what, seed = "the model that is kept", self.job.plan.seed
         if count == 1:
-            fitted = self.fit("kept", what, self.parts.training_rows(alone), seed)
+            fitted = self.fit("kept", what, self.job.parts.training_rows(alone), seed)
             held_out = self._gathered([(alone, self.estimates(fitted, alone))])
             pixels = self._pixels(fitted, alone, 1) if self.processes.first else None
             return ScoredModel(held_out, fitted, pixels)
         held_out = self._gathered((k, self.held_out(k, count)) for k in range(count))
         maps = [DecidingPixels.kept(self._map_file(k)) for k in range(count)]
-        fitted = self.fit("kept", what, np.arange(len(self.data.values)), seed)
+        fitted = self.fit("kept", what, np.arange(len(self.job.outputs.values)), seed)
         return ScoredModel(
             held_out, fitted, DecidingPixels.joined([part for part in maps if part is not None])
         )
 
     def _gathered(self, parts: Iterable[tuple[int, np.ndarray]]) -> Outputs:
-        found = np.full_like(self.data.values, np.nan)
+        found = np.full_like(self.job.outputs.values, np.nan)
         for k, outputs in parts:
-            found[self.parts.folds[k]] = outputs
+            found[self.job.parts.folds[k]] = outputs
         return found
 
     def held_out(self, k: int, mapped: int = 0) -> Outputs:
@@ -136,11 +105,11 @@ class FoldFits:
         """
         # All processes see the same here: the first writes it after they have trained this fold together.
         file_path = self.work / f"fold-{k}.npy"
-        kept = _read_fold(file_path, (len(self.parts.folds[k]), self.data.values.shape[1]))
+        kept = _read_fold(file_path, (len(self.job.parts.folds[k]), self.job.outputs.values.shape[1]))
         if kept is not None:
             return kept
-        what = f"{self.named}fold {k + 1} of {len(self.parts.folds)}"
-        fitted = self.fit(f"fold-{k}", what, self.parts.training_rows(k), self.plan.seed + k + 1)
+        what = f"fold {k + 1} of {len(self.job.parts.folds)}"
+        fitted = self.fit(f"fold-{k}", what, self.job.parts.training_rows(k), self.job.plan.seed + k + 1)
         outputs = self.estimates(fitted, k)
         if self.processes.first:
             if mapped:
@@ -156,12 +125,12 @@ class FoldFits:
         def labelled(stage: str, done: int, total: int) -> None:
             self.progress(f"{what}: {stage}", done, total)
 
-        learnt = np.isin(np.arange(len(self.data.values)), rows)[:, None]
+        learnt = np.isin(np.arange(len(self.job.outputs.values)), rows)[:, None]
         # Held-out labels show themselves.
-        part = replace(self.data, values=np.where(learnt, self.data.values, np.nan))
+        part = replace(self.job.outputs, values=np.where(learnt, self.job.outputs.values, np.nan))
         with plugin_calls(
-            f"model {self.plan.model}: fit failed on {what}, {len(rows)} rows ({ERROR})",
-            passed_errors(self.plan),
+            f"model {self.job.plan.model}: fit failed on {what}, {len(rows)} rows ({ERROR})",
+            passed_errors(self.job.plan),
         ):
             return self.model.fit(
                 part, rows, seed=seed, progress=labelled, checkpoint=self.work / f"{name}.npz"
@@ -169,22 +138,22 @@ class FoldFits:
 
     def estimates(self, fitted: Fitted, k: int) -> Outputs:
         """What a model gives for fold `k`'s rows ``[m o]``."""
-        with plugin_calls(self._failed(k), passed_errors(self.plan)):
-            found = predict_rows(fitted, self.data, self.parts.folds[k])
-        shape = (len(self.parts.folds[k]), self.data.values.shape[1])
-        refuse_unfit(found, shape, f"{self.plan.model}, fold {k + 1}")
+        with plugin_calls(self._failed(k), passed_errors(self.job.plan)):
+            found = predict_rows(fitted, self.job.outputs, self.job.parts.folds[k])
+        shape = (len(self.job.parts.folds[k]), self.job.outputs.values.shape[1])
+        refuse_unfit(found, shape, f"{self.job.plan.model}, fold {k + 1}")
         return found
 
     def _pixels(self, fitted: Fitted, k: int, folds: int) -> DecidingPixels:
-        nothing = mean_input(self.data, self.parts.training_rows(k))
+        nothing = mean_input(self.job.outputs, self.job.parts.training_rows(k))
         rows = rows_of_fold(folds, k)
-        with plugin_calls(self._failed(k), passed_errors(self.plan)):
+        with plugin_calls(self._failed(k), passed_errors(self.job.plan)):
             return deciding_pixels(
-                fitted, self.data, self.parts.folds[k], nothing, rows, progress=self.progress
+                fitted, self.job.outputs, self.job.parts.folds[k], nothing, rows, progress=self.progress
             )
 
     def _failed(self, k: int) -> str:
-        return f"model {self.plan.model}: predict failed on fold {k + 1} ({ERROR})"
+        return f"model {self.job.plan.model}: predict failed on fold {k + 1} ({ERROR})"
 
     def _map_file(self, k: int) -> Path:
         return self.work / f"fold-{k}.pixels.npz"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from hashlib import sha256
 from typing import Any
 
@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 from sklearn.neighbors import NearestNeighbors
 
-from palpate.calibration.confounds.near_copies import NearCopies, find_near_copies
+from palpate.calibration.near_copies import NearCopies, find_near_copies
 from palpate.core import has_unit, split_column
+from palpate.estimators.findings import Finding, FindingCode
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.run_reader import NAME_COLUMN
@@ -54,23 +55,19 @@ _SECOND_DIFFERENCES = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.f
 
 @dataclass(frozen=True, slots=True)
 class LeakageAudit:
-    """Frames and groups that stand on both sides of a split.
+    """Frames and groups that are on both sides of a split.
 
     Attributes:
-        shared_groups: for each column (or columns) that groups frames, how many of its groups have frames
-            both held out and trained on in some fold; those with none are left out.
+        shared_groups: number of groups with frames on both sides, by the columns that group frames.
         shared_names: a few of these groups by name.
-        near_duplicates: how many held-out frames show, within the camera's noise, what a frame trained on
-            shows, or are an altered copy of one: noisier, brighter, or shifted by a pixel.
-        altered_copies: how many of them only the comparison after gain and shift has found.
+        near_duplicates: held-out frames that equal a trained one within camera noise, or are an altered copy.
+        altered_copies: those of them that only the comparison after gain and shift found.
         examples: names of a few such pairs, held-out frame first.
         checked_pairs: how many pairs were compared.
-        limit: largest root-mean-square difference between thumbnails that still counts as the same [grey
-            levels].
-        at_rest: how many frames were left out of the comparison because they show the untouched skin, which
-            looks the same in every press and in use.
+        limit: largest rms difference between thumbnails that still counts as the same [grey levels].
+        at_rest: frames of the untouched skin, which were left out.
         clean: no near-duplicates, and no group shared under a random split.
-        text: the finding in words.
+        findings: what this amounts to.
     """
 
     shared_groups: dict[str, int]
@@ -82,11 +79,11 @@ class LeakageAudit:
     limit: float
     at_rest: int
     clean: bool
-    text: str
+    findings: tuple[Finding, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The audit as JSON can hold it."""
-        return asdict(self)
+        """The numbers and names as JSON can hold them."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("findings", "clean")}
 
 
 def audit(
@@ -97,24 +94,20 @@ def audit(
     at_rest: np.ndarray | None = None,
     classes: Collection[str] = (),
 ) -> LeakageAudit:
-    """Look for groups and frames that stand on both sides of a split.
+    """Find groups and frames that are on both sides of a split.
 
     Two frames count as near-duplicates when their 16 × 16 thumbnails of area means differ by no more than
-    camera noise would make them. The noise is estimated from the frames themselves: from the differences
-    between frames that look most alike, where these are spread as evenly as noise is. Thumbnails average
-    most noise away and keep what a touch changes; a change much smaller than one of their cells may be taken
-    for none.
+    camera noise would make them. The noise is estimated from frames that look most alike, where their
+    differences are spread as evenly as noise is. A change much smaller than one cell may be missed.
 
     Args:
         packed: the frames and their labels.
         split: how they are parted.
-        group_columns: columns that group frames; by default the conventional ones that are there and every
-            text column in which a text recurs.
+        group_columns: columns that group frames; by default the conventional ones and every text column in
+            which a text recurs.
         at_rest: which rows show the untouched skin ``[n]``; by default those whose labels say so by a flag
             ``contact`` or by a depth and force of 0.
-        classes: columns that the model shall tell, which stand on both sides as any target does.
-
-    So a random split of a recording with 25 frames a press holds out frames whose twins it trains on.
+        classes: columns that the model predicts, which are on both sides as any target is.
     """
     table = packed.table
     shared = {name: _shared(groups, split) for name, groups in _groupings(table, group_columns)}
@@ -149,7 +142,7 @@ def audit(
         limit=limit,
         at_rest=int(np.count_nonzero(resting)),
         clean=clean,
-        text=_text(
+        findings=_findings(
             split,
             counts,
             len(same_pairs),
@@ -262,11 +255,7 @@ def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCo
 
 
 def _small(packed: PackedSet) -> np.ndarray:
-    """Grey area means of every frame ``[n h w]``, in which noise is averaged and a shift is not lost.
-
-    A shift is seen as a slope times a distance, which sharp edges do not follow. They are blurred before the
-    frame is made small: a shift by a part of a small pixel would change its aliases otherwise.
-    """
+    """Grey area means of every frame ``[n h w]``, blurred first, so that a shift is a slope."""
     blur = _SMALL_BLUR * max(1.0, max(packed.shape[:2]) / _SMALL_PX)
     batches = packed.batches(np.arange(len(packed)), _BATCH)
     greys = (frame.astype(np.float32).mean(axis=-1) for batch in batches for frame in batch)
@@ -275,14 +264,9 @@ def _small(packed: PackedSet) -> np.ndarray:
 
 
 def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
-    """Standard deviation of a thumbnail's cell between two frames by camera noise alone [grey levels].
+    """Standard deviation of a thumbnail's cell by camera noise alone [grey levels]; 0 where that is unknown.
 
-    It is asked of frames and those most like them, on either side of the split. Noise changes every place
-    alike, whereas another scene changes some places more: only if most pairs differ evenly is it noise that
-    was seen.
-
-    Returns:
-        The standard deviation; 0 where the differences are not those of noise.
+    It is estimated from frames and those most like them: only if most pairs differ evenly is it noise.
     """
     rows, others = _most_alike(thumbs)
     roughness = [_roughness(*packed.read(pair)) for pair in np.column_stack([rows, others])]
@@ -299,10 +283,10 @@ def _most_alike(thumbs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _roughness(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Difference of two frames from place to place [grey levels in a cell], and its evenness [0, 1].
+    """Difference of two frames by location [grey levels in a cell], and its evenness [0, 1].
 
-    Second differences see noise and not shading. They are taken at half a cell, because noise of neighbouring
-    pixels is often alike (interpolated colour, compression) and would be underrated pixel by pixel.
+    Second differences at half a cell: noise of neighboring pixels is often correlated (interpolation,
+    compression).
     """
     fine = 2 * _THUMB_PX
     apart = _shrunk(a[None], fine)[0] - _shrunk(b[None], fine)[0]
@@ -357,40 +341,27 @@ def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.nda
     return unseen
 
 
-def _text(
+def _findings(
     split: Split,
     shared: dict[str, int],
     twins: int,
     altered: int,
     held: int,
-    contradicting: Sequence[tuple[str, str]] = (),
-) -> str:
-    findings = []
+    contradicting: Sequence[tuple[str, str]],
+) -> tuple[Finding, ...]:
+    found = []
     if contradicting:
         first, second = contradicting[0]
-        findings.append(
-            f"the same picture has two labels ({first}, {second}), in {len(contradicting)} of {held} "
-            "held-out frames: at least one is wrong, so check which and take it out"
-        )
-    if altered:
-        findings.append(
-            f"{altered} of {held} held-out frames are altered copies of frames trained on, noisier, brighter "
-            "or shifted, or the same press again: take them out, or keep them with their originals by a "
-            "column that groups them"
-        )
-    if twins:
-        findings.append(
-            f"{twins} of {held} held-out frames look the same, within camera noise, as frames trained on: "
-            "the score says how well those are remembered, not how well new ones will be read"
-        )
+        values = {"count": len(contradicting), "held": held, "first": first, "second": second}
+        found.append(Finding(code=FindingCode.CONTRADICTING_LABELS, values=values))
+    for code, count in ((FindingCode.ALTERED_COPIES, altered), (FindingCode.LOOK_ALIKES, twins)):
+        if count:
+            found.append(Finding(code=code, values={"count": count, "held": held}))
     if shared and split.groups is None:
         names = ", ".join(f"{name} ({count} groups)" for name, count in shared.items())
-        findings.append(
-            f"the random split puts frames of one group on both sides: {names}; split by one of these"
-        )
+        found.append(Finding(code=FindingCode.GROUPS_SHARED, values={"groups": names}))
     elif shared:
-        held_out, names = " and ".join(split.group_columns) or "stretches of rows", ", ".join(shared)
-        findings.append(f"the test is of new {held_out}; of new {names} it says nothing, being on both sides")
-    if not findings:
-        return "No held-out frame looks the same as one trained on, and no group stands on both sides."
-    return "Found: " + ". Also: ".join(findings) + "."
+        held_out = " and ".join(split.group_columns) or "stretches of rows"
+        values = {"held_out": held_out, "groups": ", ".join(shared)}
+        found.append(Finding(code=FindingCode.GROUPS_NOT_HELD_OUT, values=values))
+    return tuple(found)

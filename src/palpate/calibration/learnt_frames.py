@@ -1,16 +1,9 @@
-"""Frames of a run that a calibration has learnt from, under whatever name: known by what its guard keeps.
+"""Train/test overlap of a run with a calibration, by the thumbnails that its guard keeps.
 
-The guard keeps a thumbnail of every recorded frame, or of some 2000 drawn from more. A frame that was learnt
-from lies on its own thumbnail. How near another day's frame may come by chance, the kept frames show: each
-has a distance to the next. Copies compressed anew lie within 0.6 of it, nine of ten; of frames drawn afresh
-along one line or on a plane of likenesses about a half do. Where kept frames look the same themselves, as
-of a touch too light to be seen, none is told.
-
-A simulation that is run again by the same seed gives the same presses with other noise. Its frames lie about
-as near to kept ones as frames of one press to each other, and far from its own other presses: of a virtual
-hand's 41 presses of a palm at a median of 0.04 of the way there, and of another seed's at 0.8. This is asked
-of simulated runs alone, and of presses with several frames each: a real sensor that is pressed by one plan on
-two days, or a virtual one that was changed between, differs by what the second day tests.
+A trained frame lies on its own thumbnail. How near another day's frame may come by chance, the kept frames
+show by their distance to the next: copies compressed anew lie within 0.6 of it. A simulation that is run
+again by the same seed gives the same presses with other noise: near kept frames, and far from its own other
+presses. That is tested of simulated runs alone.
 """
 
 from __future__ import annotations
@@ -54,14 +47,13 @@ SAY_NOTHING = "these scores say nothing about new presses"
 
 @dataclass(frozen=True)
 class LearntFrames:
-    """What of a run a calibration has learnt from.
+    """Overlap of a run with what a calibration was trained on.
 
     Attributes:
-        compared: frames of touches that were compared with those that the calibration's guard keeps.
-        equal: those that are kept ones to the last digit of their thumbnails.
-        presses, repeated: a simulated run's presses, and those that are learnt ones with other noise; both 0
-            where the run or the calibration was measured.
-        why: the run's frames test nothing new: a sentence, or nothing where they are others.
+        compared: frames of touches that were compared.
+        equal: those whose thumbnails are kept ones to the last digit.
+        presses, repeated: a simulated run's presses, and those that were trained on with other noise.
+        why: why the run tests nothing new; empty where it does.
     """
 
     compared: int = 0
@@ -118,10 +110,10 @@ def find_learnt_frames(estimator: Estimator, run: Run, rows: Indices) -> LearntF
 
 
 def shares_of_copies(thumbs: Float[np.ndarray, "n k"], kept: Float[np.ndarray, "m k"]) -> tuple[float, float]:
-    """Share of frames that are kept ones, and share of those much nearer to one than it is to the next.
+    """Ratios of frames that are kept ones, and that are much nearer to one than it is to the next.
 
     Args:
-        thumbs: of the frames asked about, flat, in whole grey levels.
+        thumbs: flat, in whole grey levels.
         kept: those that the calibration knows, two or more.
     """
     nearest = _squares(thumbs, kept).argmin(axis=1)
@@ -139,14 +131,13 @@ def repeated_presses(
     kept: Float[np.ndarray, "m k"],
     share: float,
 ) -> tuple[int, int]:
-    """Number of presses, and of those whose frames are kept ones but for noise, far from other presses.
+    """Number of presses, and of those whose frames are kept ones but for noise.
 
     Args:
-        thumbs: of the frames asked about, flat, in whole grey levels.
+        thumbs: flat, in whole grey levels.
         groups: label of each one's press.
         kept: those that the calibration knows.
-        share: how many frames the run has over those learnt from: among more kept ones the nearest is nearer
-            by chance, along one line in proportion, and less where presses differ in more ways.
+        share: frames of the run over those trained on: among more kept ones the nearest is nearer by chance.
     """
     presses = np.unique(groups)
     same, among = groups[:, None] == groups, np.maximum(_squares(thumbs, thumbs), 0.0)

@@ -70,14 +70,16 @@ def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None
         except (TypeError, ValueError) as e:
             raise InputError(
                 f"model {plan.model}: its field {name} is {type(value).__name__} that no certificate can "
-                f"tell ({e}); give numbers, texts, or lists of these"
+                f"tell ({e}); give numbers, texts, or lists of these",
+                code="field-kind",
             ) from e
     if plan.model not in MODELS:
         fixed = tuple(model_kind(plan.model).targets)
         if fixed not in ((), tuple(plan.targets)):
             raise InputError(
                 f"model {plan.model} estimates {', '.join(fixed)}; asked for were {', '.join(plan.targets)}; "
-                "ask for its own, in its order"
+                "ask for its own, in its order",
+                code="model-targets",
             )
         asked = (*plan.targets, *(f"{column}_ratio" for column in plan.classes))
         check_model(plan.model, plan.options, shape=shape, targets=asked)
@@ -136,11 +138,13 @@ def _fitted(plan: CalibrationPlan, sample: _MadeUp) -> Fitted:
         fitted = make_model(name, plan.options).fit(sample.data, rows, seed=0)
     if sample.trespass:
         raise PluginError(
-            f"model {name} fetched rows it may not learn from: {sample.trespass[:5]}; keep to `rows`"
+            f"model {name} fetched rows it may not learn from: {sample.trespass[:5]}; keep to `rows`",
+            code="held-out-read",
         )
     if not isinstance(fitted, Fitted):
         raise PluginError(
-            f"model {name}: fit gave a {type(fitted).__name__}, which lacks predict(inputs) or to_onnx()"
+            f"model {name}: fit gave a {type(fitted).__name__}, which lacks predict(inputs) or to_onnx()",
+            code="model-methods",
         )
     return fitted
 
@@ -153,11 +157,13 @@ def _predicted(name: str, fitted: Fitted, inputs: Tensor, count: int) -> Values:
         array = isinstance(estimates, np.ndarray)
         got = f"{estimates.dtype} {list(estimates.shape)}" if array else type(estimates).__name__
         raise PluginError(
-            f"model {name}: predict gave {got} for {len(inputs)} images, not floats {list(shape)}"
+            f"model {name}: predict gave {got} for {len(inputs)} images, not floats {list(shape)}",
+            code="model-output",
         )
     if not np.isfinite(estimates).all():
         raise PluginError(
-            f"model {name}: predict gave what is no number; it learns from `rows` and no others"
+            f"model {name}: predict gave what is no number; it learns from `rows` and no others",
+            code="not-finite",
         )
     return estimates
 
@@ -173,7 +179,8 @@ def _check_estimates(name: str, fitted: Fitted, sample: _MadeUp) -> None:
         if not low <= value <= high:
             raise PluginError(
                 f"model {name}: {column} is {value:.3g} on average over rows whose labels are {low:.3g} to "
-                f"{high:.3g} or nearer; predict gives the targets in their own units"
+                f"{high:.3g} or nearer; predict gives the targets in their own units",
+                code="model-units",
             )
 
 
@@ -182,7 +189,8 @@ def _check_same_again(plan: CalibrationPlan, fitted: Fitted, sample: _MadeUp) ->
     first, second = (_predicted(plan.model, one, sample.images, len(sample.names)) for one in (fitted, again))
     if not np.allclose(first, second, rtol=1e-6, atol=0):
         raise PluginError(
-            f"model {plan.model}: the same rows and seed give other estimates; draw all chance from `seed`"
+            f"model {plan.model}: the same rows and seed give other estimates; draw all chance from `seed`",
+            code="model-chance",
         )
 
 
@@ -198,7 +206,8 @@ def _check_onnx(name: str, fitted: Fitted, sample: _MadeUp) -> None:
     if (inputs, outputs) != expected:
         raise PluginError(
             f"model {name}: its ONNX model takes {inputs} and gives {outputs}, not {expected[0]} and "
-            f"{expected[1]} behind a free first axis"
+            f"{expected[1]} behind a free first axis",
+            code="onnx-shape",
         )
     try:
         admit_model(model.SerializeToString(), "its ONNX model", sample.images.shape[1:], len(sample.names))
@@ -210,5 +219,6 @@ def _check_onnx(name: str, fitted: Fitted, sample: _MadeUp) -> None:
     if not apart <= AGREEMENT:
         raise PluginError(
             f"model {name}: its ONNX model and predict differ by {apart:.2g} of a target's range; at most "
-            f"{AGREEMENT:g}"
+            f"{AGREEMENT:g}",
+            code="onnx-differs",
         )

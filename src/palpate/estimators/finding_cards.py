@@ -2,43 +2,25 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard
-
-
-class ConfoundFindingCard(CardPart):
-    """Finding of the confound audit: a sentence, and what to do.
-
-    Attributes:
-        kind: ``rows shifted``, ``outside``, ``burnt in``, ``order`` or ``function``.
-        target: column it is about; empty where it is about all.
-        severity: ``fails`` where scores cannot be relied on, ``warns`` where they say less than they seem to,
-            ``notes`` where nothing came of it.
-        text, remedy: sentences without their full stop.
-    """
-
-    kind: str
-    target: str
-    severity: Literal["fails", "warns", "notes"]
-    text: str
-    remedy: str
+from palpate.estimators.findings import Finding
 
 
 class TargetConfoundCard(CardPart):
-    """What other than touch tells of one target, beside the model; shares of variance (R²), held out.
+    """What other than touch predicts of one target, next to the model; held-out R².
 
     Attributes:
-        column: of the target.
         rank_correlation: Spearman's, with the row's number, both within their session.
-        order_r2: told by a smooth function of order or time, of the variance within sessions.
-        order_level: share of shufflings that tell as much, of whole presses (of rows, or stretches of nearly
-            equal labels, where no column says) within their session. Older cards whose split holds
-            sessions out shuffled whole sessions, over all rows joined.
-        model_r2: told by the model from the whole picture.
-        outside_r2, outside_r2_blocks: told by what lies outside the skin, on the calibration's folds and on
-            short interleaved blocks; None where there is no outside.
-        inside_r2: told by the skin, asked as the outside is.
+        order_r2: of a smooth function of order or time, of the variance within sessions.
+        order_level: ratio of shufflings of whole presses (or rows) within their session that do as well.
+        model_r2: of the model.
+        outside_r2, outside_r2_blocks: of what lies outside the skin, on the calibration's folds and on short
+            interleaved blocks; None where there is no outside.
+        inside_r2: of the skin, by the same kind of regression.
+        neighbors_r2: of the trained rows nearest in order; None where rows come in groups or their order is
+            unknown.
     """
 
     column: str
@@ -49,26 +31,26 @@ class TargetConfoundCard(CardPart):
     outside_r2: float | None
     outside_r2_blocks: float | None
     inside_r2: float | None
+    neighbors_r2: float | None
 
 
 class ConfoundCard(CardPart):
-    """Audit of what other than touch could have told the labels.
+    """Audit of what other than touch could predict the labels.
 
     Attributes:
-        failed: whether the scores cannot be relied on.
+        failed: whether the scores are unreliable.
         findings: the gravest first.
-        targets: what was asked of each.
-        outside_share: share of the prepared picture that lies outside the skin; None where none was found.
+        outside_share: ratio of the prepared picture that lies outside the skin; None where none was found.
         outside: how the outside was found, or why there is none.
         skin_px: box (x, y, width, height) around the skin [px of the recorded frame].
-        row_lag: rows by which labels come later than the images that they fit; 0 as it should be.
-        map_file: array ``[t y x]`` of the growth of each target's mean absolute error, in its unit, where a
-            block of the picture shows nothing; None where there is none.
-        map_rows: held-out rows that it is the mean of.
+        row_lag: rows by which labels come later than the images that they fit.
+        map_file, map_rows: array ``[t y x]`` of the growth of each target's mean absolute error, in its unit,
+            where a block of the picture is blank, and the held-out rows that it is the mean of; None where
+            not measured.
     """
 
     failed: bool
-    findings: tuple[ConfoundFindingCard, ...]
+    findings: tuple[Finding, ...]
     targets: tuple[TargetConfoundCard, ...]
     outside_share: float | None
     outside: str
@@ -93,19 +75,19 @@ class SessionErrorCard(CardPart):
 
 
 class SessionsCard(CardPart):
-    """Sessions that were learnt from, and what that promises of another one.
+    """Sessions that were trained on, and what that promises of another one.
 
     Attributes:
-        column: what tells them apart: ``session``, or ``sensor`` or ``copy`` where copies were held out.
-        names: of the sessions (or copies) learnt from.
+        column: what names them: ``session``, or ``sensor`` or ``copy`` where those were held out.
+        names: of the sessions (or sensor units).
         runs: the recordings, where there are several.
-        held_out: how many were held out whole and scored; 0 where none was.
-        rule: how the intervals were made: ``one session`` (for rows like those of the sessions learnt
-            from), ``parametric`` or ``distribution-free`` (for a new session).
+        held_out: how many were held out whole and scored.
+        rule: how the intervals were made: ``one session`` (for rows like those trained on), ``parametric`` or
+            ``distribution-free`` (for a new session).
         rank: of the score among one from each session, where the rule is distribution-free.
         factor: by which few sessions widen the intervals, where it is parametric.
         errors: of each target's column, where sessions were held out.
-        findings: what stands against the promise, in sentences.
+        findings: what stands against the promise.
         text: the promise, in words.
     """
 
@@ -117,7 +99,7 @@ class SessionsCard(CardPart):
     rank: int | None
     factor: float | None
     errors: dict[str, SessionErrorCard]
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     text: str
 
 
@@ -139,73 +121,18 @@ class ValidScoreCard(CardPart):
     high: float | None = None
 
 
-MAX_TOLD_BY_ORDER = 0.5
-"""Share of a target's variance told by the rows nearest in order, above which a split says nothing of it."""
-
-
-class SplitScoreCard(CardPart):
-    """Scores by one way of holding rows out.
-
-    Attributes:
-        kind: the split, as a person would type it.
-        folds, rows: how many, and how many rows were scored.
-        mae, r2, coverage: of each target's column; the coverage is that of this card's intervals.
-        order_r2: of each target's column, the share of its variance that a row's nearest neighbour in order
-            explains, of those that were trained on: what the clock alone tells.
-        meaningless: targets' columns whose scores by this split say nothing of new rows.
-    """
-
-    kind: str
-    folds: int
-    rows: int
-    mae: dict[str, float]
-    r2: dict[str, float]
-    coverage: dict[str, float]
-    order_r2: dict[str, float]
-    meaningless: tuple[str, ...]
-
-    def tells_by_order(self, column: str) -> bool:
-        """True where the rows nearest in order tell more than half of a target, without any picture."""
-        return self.order_r2[column] > MAX_TOLD_BY_ORDER
-
-
-class OrderCard(CardPart):
-    """Shuffled folds and short blocks of the order in which rows were taken, side by side.
-
-    Attributes:
-        splits: scores by each; the first is the card's own.
-        rank_correlation: Spearman's, of each target's column with the row's number.
-        text: what the two say, in words; and what was left out.
-    """
-
-    splits: tuple[SplitScoreCard, ...]
-    rank_correlation: dict[str, float]
-    text: str
-
-
-def is_sorted(rank_correlation: float) -> bool:
-    """True of a target so nearly sorted by the rows' order that no length of blocks hides it."""
-    return rank_correlation**2 > MAX_TOLD_BY_ORDER
-
-
 class IntervalResetCard(CardPart):
-    """Rows of a new session that set the intervals anew, the network being that of another calibration.
+    """Rows of a new session that recalibrated the intervals of another calibration.
 
     Attributes:
-        calibration: id of that calibration.
-        run: the recording of the new session.
-        session: its name.
-        rows, groups: how many set the intervals, and how many groups (presses) they are of.
+        calibration, run, session: id of that calibration, the recording of the session, and its name.
+        rows, groups: how many set the intervals, and of how many groups (presses).
         rank: of the score, among one from each group.
-        coverage_mean, coverage_low, coverage_high: coverage to expect in that session: its mean over
-            drawings of so many groups, and the range that holds 95 of 100 of them.
+        coverage_mean, coverage_low, coverage_high: expected coverage in that session: its mean over drawings
+            of so many groups, and the range that holds 95 % of them.
         text: all of it in words.
-        former_half_widths: of each target's column, the mean over these rows of the half-widths that the
-            former intervals have there; None in cards of before, whose scores state the coverage to expect in
-            the place of the share that was counted.
+        former_half_widths: of each target's column, mean half-width of the former intervals over these rows.
     """
-
-    added: ClassVar[tuple[str, ...]] = ("former_half_widths",)
 
     calibration: str
     run: RunCard
@@ -217,18 +144,18 @@ class IntervalResetCard(CardPart):
     coverage_low: float
     coverage_high: float
     text: str
-    former_half_widths: dict[str, float] | None = None
+    former_half_widths: dict[str, float]
 
 
 class CopyCard(CardPart):
-    """Copy of the sensor that a calibration was adapted to, and how its frames are told from the former's.
+    """Sensor unit that a calibration was adapted to, and how its frames are distinguished from the former's.
 
     Attributes:
-        name: of this copy, and of the `former` one.
-        run_id: of this copy's recording.
-        file: what tells the two apart.
-        refused_own: share of this copy's frames that it turned away, each judged without its own press.
-        refused_former: share of the former copy's frames that it turned away.
+        name, former: of this unit and of the former one.
+        run_id: of this unit's recording.
+        file: the discriminator.
+        refused_own, refused_former: ratio of each unit's frames that it rejects, judged without their own
+            press.
         text: what that means, in words.
     """
 
@@ -279,19 +206,13 @@ class PerturbationCard(CardPart):
 
     Attributes:
         kind, size, unit: see `calibration.robustness`.
-        frames: so many were changed.
-        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets that are
-            read (on cards of before over all, as all shares here).
-        covered: share of readings whose error was at most the half-width.
-        beyond: share of readings whose error was beyond twice the half-width.
-        refused: share of frames that the guard alone refused, by examples of other frames; the range's rule
-            and intervals as long as the range are not counted.
-        silent: share of readings beyond twice the half-width and not refused by the guard.
-        passes: whether frames pass wrong significantly more often than unchanged ones; None on cards of
-            before, which name every change whose `silent` is above theirs by more than 2 %.
+        frames: number of frames changed.
+        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets read.
+        covered, beyond: ratio of readings whose error was at most the half-width, and beyond twice it.
+        refused: ratio of frames that the guard alone refused, by examples of other frames.
+        silent: ratio of readings beyond twice the half-width and not refused by the guard.
+        passes: whether frames pass wrong significantly more often than unchanged ones.
     """
-
-    added: ClassVar[tuple[str, ...]] = ("passes",)
 
     kind: str
     size: float
@@ -302,7 +223,7 @@ class PerturbationCard(CardPart):
     beyond: float
     refused: float
     silent: float
-    passes: bool | None = None
+    passes: bool
 
 
 class RobustnessCard(CardPart):

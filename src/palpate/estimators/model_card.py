@@ -16,11 +16,11 @@ from palpate.estimators.finding_cards import (
     ConfoundCard,
     CopyCard,
     IntervalResetCard,
-    OrderCard,
     RobustnessCard,
     SessionsCard,
     TrainingCard,
 )
+from palpate.estimators.findings import Finding
 from palpate.estimators.reading_steps import StepsCard, reading_steps
 from palpate.recordings.preparation import Preparation
 
@@ -349,7 +349,7 @@ class ReferenceCard(CardPart):
 class SplitCard(CardPart):
     """Split by which rows were held out, numbers of rows learnt from and scored, and the audit."""
 
-    added = ("block_rows",)
+    added = ("audit", "block_rows", "findings")
 
     kind: str
     reason: str
@@ -360,8 +360,18 @@ class SplitCard(CardPart):
     rows_learnt: int
     rows_scored: int
     clean: bool
-    audit: str
+    audit: str | None = None  # of the first cards, which state no findings
+    findings: tuple[Finding, ...] | None = None
     details: dict[str, Any]
+
+    @property
+    def audit_text(self) -> str:
+        """What the leakage audit found, in words."""
+        if self.audit is not None:
+            return self.audit
+        if not self.findings:
+            return "no held-out frame equals a trained one, and no group is on both sides"
+        return "; ".join(one.text for one in self.findings)
 
 
 class Card(SealedCard):
@@ -374,7 +384,6 @@ class Card(SealedCard):
             None where it is a calibration of its own.
         vectors: targets that are also read together; None where there are none.
         sessions: what was learnt from, session by session; None on cards from before they were told apart.
-        order: the split beside another one; None where rows come in groups.
         interval_reset: what set the intervals anew; None where that were the rows held out.
         copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
         choice: what the model tried, and what it took; None where it had nothing to choose.
@@ -386,7 +395,7 @@ class Card(SealedCard):
     """
 
     added: ClassVar[tuple[str, ...]] = (
-        "adapted_from", "vectors", "sessions", "order", "interval_reset", "copy_of", "choice", "training",
+        "adapted_from", "vectors", "sessions", "interval_reset", "copy_of", "choice", "training",
         "robustness", "confounds", "classes", "steps",
     )  # fmt: skip
 
@@ -412,7 +421,6 @@ class Card(SealedCard):
     adapted_from: str | None = None
     vectors: tuple[VectorCard, ...] | None = None
     sessions: SessionsCard | None = None
-    order: OrderCard | None = None
     interval_reset: IntervalResetCard | None = None
     copy_of: CopyCard | None = None
     choice: ChoiceCard | None = None

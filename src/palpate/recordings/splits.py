@@ -364,7 +364,8 @@ def _fold_of_group(sizes: np.ndarray, folds: int, spec: str, rng: np.random.Gene
         instead = f", or for 'leave-one-out:{columns}'" if kind == "group" else ""
         raise SplitError(
             f"split {spec!r}: {len(sizes)} groups cannot fill {folds} folds; "
-            f"ask for at most {len(sizes)} folds{instead}"
+            f"ask for at most {len(sizes)} folds{instead}",
+            code="few-groups",
         )
     shuffled = rng.permutation(len(sizes))
     fold_of, rows = np.empty(len(sizes), dtype=np.int64), np.zeros(folds, dtype=np.int64)

@@ -1,7 +1,8 @@
-"""Head of what the audits found: whether they failed, and of which targets."""
+"""What the audits found: whether they failed, of which targets, and what remains to be done."""
 
 from __future__ import annotations
 
+from palpate.estimators.findings import ORDER_CODES, Finding
 from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
 
@@ -22,3 +23,26 @@ def not_relied_on(card: Card, target: TargetCard) -> bool:
     own = {target.column, *layout.names(card.columns)[layout.outputs_of(j)], ""}
     found = card.confounds.findings if card.confounds else ()
     return not card.split.clean or any(f.severity == "fails" and f.target in own for f in found)
+
+
+def remaining_remedy(card: Card, finding: Finding, elsewhere: bool = False) -> str:
+    """What a finding asks for; for an order also what helps meanwhile and has not been done.
+
+    Args:
+        card: of the calibration.
+        finding: of its audit.
+        elsewhere: whether it was evaluated on another session.
+    """
+    if finding.code not in ORDER_CODES:
+        return finding.remedy
+    if elsewhere or _tested_on_sessions(card):
+        return f"{finding.remedy}; until then, rely only on what was found on other sessions"
+    evaluated = "`palpate evaluate` on another session tests it"
+    if card.split.block_rows is not None:
+        return f"{finding.remedy}; until then, {evaluated}"
+    return f"{finding.remedy}; until then, `--split blocks` holds out stretches of time, and {evaluated}"
+
+
+def _tested_on_sessions(card: Card) -> bool:
+    """True where whole sessions were held out."""
+    return card.sessions is not None and card.sessions.held_out > 1 and card.sessions.column == "session"

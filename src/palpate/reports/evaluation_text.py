@@ -12,21 +12,17 @@ from palpate.recordings import Manifest
 from palpate.reports.score_intervals import percent
 
 
-def frames_text(
-    card: Card, scored: int, valid: int, untold: Mapping[str, int] | None, all_valid: int | None
-) -> str:
+def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], all_valid: int) -> str:
     """Sentence on the frames of an evaluation.
 
     Args:
         card: of the calibration.
         scored: frames scored.
         valid: those that tell some target and are refused neither by the guard nor by the range's rule.
-        untold: frames that do not tell a target, by its column; None in files of before.
-        all_valid: frames of which every reading is valid of what the calibration reads; None likewise.
+        untold: frames that do not tell a target, by its column.
+        all_valid: frames of which every reading is valid of what the calibration reads.
     """
     judged = f"{valid} of {scored} frames tell something and are refused by neither guard nor range rule"
-    if untold is None or all_valid is None:
-        return judged
     unread = [_name(t.quantity) for t in card.targets if t.is_never_valid]
     seldom = [
         f"{_name(t.quantity)} in {untold[t.column]}"
@@ -48,20 +44,16 @@ def frames_of(card: Card, found: EvaluationRecord) -> str:
     )
 
 
-def valid_readings_text(card: Card, found: Mapping[str, ValidScoreCard] | None) -> list[str]:
+def valid_readings_text(card: Card, found: Mapping[str, ValidScoreCard]) -> list[str]:
     """Sentence on the valid readings alone: how many there were of each target, and how often they were held.
 
     They are what a user is told to use, and need not be held more often than all.
 
     Args:
         card: of the calibration.
-        found: their scores, by column; None in files of before.
+        found: their scores, by column.
     """
-    told = [
-        f"{_name(t.quantity)} {_covered(found[t.column])}"
-        for t in card.targets
-        if found is not None and not t.is_never_valid
-    ]
+    told = [f"{_name(t.quantity)} {_covered(found[t.column])}" for t in card.targets if not t.is_never_valid]
     return [f"covered, valid readings only: {', '.join(told)}"] if told else []
 
 

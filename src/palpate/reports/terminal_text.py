@@ -10,8 +10,7 @@ import numpy as np
 
 from palpate.core import half_width_text, rounded
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
-from palpate.reports.audit_head import audit_head
-from palpate.reports.order_verdicts import remaining_remedy
+from palpate.reports.audit_head import audit_head, remaining_remedy
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,

@@ -222,7 +222,7 @@ def _on_both(study: StudyFolder, setup: CalibrationSetup) -> dict[str, Any]:
         "held_out": scores_of(study.held_out(setup), setup.columns),
         "new": new["targets"],
         "clean": card.split.clean,
-        "audit": card.split.audit,
+        "audit": card.split.audit_text,
         "training": training_of(card),
         "seconds": card.seconds,
     }

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.calibration_job import model_regions
 from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
 from palpate.calibration.certificate import read_predictions
 from palpate.calibration.evaluation import predictions
-from palpate.calibration.training_data import model_regions
 from palpate.core import DeviceError, Indices, InputError, Progress, silent
 from palpate.estimators.certified import Estimator, read_card
 from palpate.estimators.networks import model_kind

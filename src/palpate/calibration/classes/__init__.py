@@ -1,4 +1,4 @@
-"""Labels of classes: their one-hot outputs and their scores; `prediction_sets` makes their sets."""
+"""Labels of classes: their one-hot outputs, prediction sets, and scores."""
 
 from palpate.calibration.classes.class_labels import (
     SEPARATOR,
@@ -10,7 +10,7 @@ from palpate.calibration.classes.class_labels import (
     target_values,
     with_classes,
 )
-from palpate.calibration.classes.class_scores import (
+from palpate.calibration.classes.prediction_sets import (
     ClassAnswers,
     class_findings,
     class_score,

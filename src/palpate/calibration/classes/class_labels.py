@@ -53,11 +53,11 @@ class HeldOutClasses:
     """Classes of a calibration's rows, and what models that had not seen a row gave for it.
 
     Attributes:
-        labels: of all rows, a column after the other.
+        labels: of all rows, by column.
         outputs: for all their classes ``[n k]``; NaN for rows not scored.
         cards: of each column.
         members: of each column, which classes are in the sets of the scored rows ``[m k]``, by thresholds
-            that the row's own group had no part in.
+            without the row's own group.
     """
 
     labels: tuple[ClassLabels, ...]
@@ -121,23 +121,27 @@ def _class_labels(
     if len(values) > MAX_CLASSES:
         raise LabelError(
             f"{source}: {column!r} holds {len(values)} distinct values in {len(cells)} rows; classes are "
-            f"{MAX_CLASSES} at most: calibrate a quantity as a target, or label what it shall be told as"
+            f"{MAX_CLASSES} at most: calibrate a quantity as a target, or label what it shall be told as",
+            code="many-classes",
         )
     if len(values) < 2:
         raise LabelError(
             f"{source}: {column!r} is {values[0]} in every row: one class alone can be told from nothing"
-            f"{hint}; record the others too"
+            f"{hint}; record the others too",
+            code="one-class",
         )
     if alike := _written_alike(values):
         raise LabelError(
             f"{source}: {column!r} holds {alike[0]!r} and {alike[1]!r}, which look like one class written in "
-            "two ways; write it in one way"
+            "two ways; write it in one way",
+            code="class-spelling",
         )
     values, names = _in_order(values, names, f"{source}: {column!r}")
     if odd := [name for name in names or values if SEPARATOR in name]:
         raise LabelError(
             f"{source}: {column!r} holds {odd[0]!r}, and {SEPARATOR} stands between the classes of a set; "
-            "name them, as in --classes grade=soft/hard"
+            "name them, as in --classes grade=soft/hard",
+            code="class-names",
         )
     codes = pd.Categorical(cells, categories=values).codes.astype(np.int64)
     return ClassLabels(column, tuple(values), names or tuple(values), codes)
@@ -156,12 +160,14 @@ def _in_order(values: list[str], names: tuple[str, ...], column: str) -> tuple[l
     if not all(_is_number_or_flag(value) for value in values):
         raise LabelError(
             f"{column} is labelled {', '.join(values)}, and texts are called as they are labelled: leave the "
-            f"names out, or give these in the order wanted ({', '.join(names)} was asked)"
+            f"names out, or give these in the order wanted ({', '.join(names)} was asked)",
+            code="class-names",
         )
     if len(names) != len(values):
         raise LabelError(
             f"{column}: {len(names)} names for the {len(values)} classes, which are {', '.join(values)}; "
-            "name each, in this order"
+            "name each, in this order",
+            code="class-names",
         )
     return values, names
 
@@ -201,7 +207,8 @@ def known_codes(table: pd.DataFrame, column: str, values: Sequence[str], source:
         raise LabelError(
             f"{source}: {column!r} is {', '.join(strangers)} in {count} of {len(cells)} rows, which the "
             f"calibration does not know; it tells {', '.join(values)}. Leave these rows out, or calibrate on "
-            "them too"
+            "them too",
+            code="unknown-class",
         )
     return np.asarray(pd.Categorical(cells, categories=list(values)).codes.astype(np.int64))
 
@@ -226,7 +233,8 @@ def _cells(table: pd.DataFrame, column: str, source: str) -> np.ndarray:
         raise LabelError(
             f"{source}: {column!r} holds {len(np.unique(numbers))} distinct values such as {odd[0]:g}: a "
             "quantity that runs on, and no class; calibrate it as a target (--targets), or number classes "
-            "0, 1, 2"
+            "0, 1, 2",
+            code="many-classes",
         )
     if np.abs(numbers).max(initial=0.0) > MAX_EXACT:
         raise LabelError(

@@ -1,30 +1,35 @@
-"""Prediction sets that hold the true class at the stated rate in each class by itself.
+"""Prediction sets that cover the true class at the stated rate in each class by itself, and their scores.
 
 A row's score is how far the output of its true class falls short of 1. Each class has a threshold of its own,
-set by the scores of its own held-out rows, so that the rate holds for a rare class as for a frequent one
-(label-conditional, or Mondrian, conformal prediction: V. Vovk, A. Gammerman and G. Shafer, Algorithmic
-Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and L.
-Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). One threshold for all
-keeps the rate over all rows only, and covers the rare class less.
-
-Rows of one press err alike: each press counts once, as for intervals of a new group
-(`coverage.group_quantiles`). Where a class has too few groups for the rate, which is below nine at 90 %, no
-threshold can promise it: the class is then in every set, which holds it always and tells nothing of it.
+set by its held-out rows (label-conditional conformal prediction: V. Vovk, A. Gammerman and G. Shafer,
+Algorithmic Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and
+L. Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). Each press counts once
+(`coverage.group_quantiles`). With too few groups for the rate, below nine at 90 %, a class is in every set.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from sklearn.model_selection import GroupKFold
+import pandas as pd
 
-from palpate.calibration.classes.class_labels import ClassLabels, HeldOutClasses
-from palpate.calibration.classes.class_scores import ClassAnswers, class_findings, class_score
+from palpate.calibration.classes.class_labels import SEPARATOR, ClassLabels, HeldOutClasses, known_codes
 from palpate.calibration.coverage.group_quantiles import is_distribution_free, new_group_quantile
-from palpate.core import Float, Indices, SplitError
-from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts, members_of
+from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.range_scores import MARGIN, chance_of_so_few, failing
+from palpate.core import Bool, Float, Indices, SplitError
+from palpate.estimators.class_sets import (
+    ClassCard,
+    ClassCoverageCard,
+    ClassOutputs,
+    ClassScoreCard,
+    Members,
+    class_parts,
+    members_of,
+)
 from palpate.recordings import Split
 
 MAX_PARTS = 50
@@ -63,6 +68,8 @@ def members_without_own_group(
 
     Args: as of `fit_thresholds`.
     """
+    from sklearn.model_selection import GroupKFold  # here, since who evaluates needs no scikit-learn
+
     members = np.empty(outputs.shape, bool)
     parts = min(MAX_PARTS, len(np.unique(groups)))
     for rest, held in GroupKFold(parts).split(outputs, groups=groups):
@@ -109,7 +116,8 @@ def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:
             raise SplitError(
                 f"split {parts.kind} holds out each class of {one.column!r} whole, so that none was "
                 "learnt when it is asked for; record each class in several groups, or split by what repeats "
-                "within a class, as in --split group:press"
+                "within a class, as in --split group:press",
+                code="class-held-out",
             )
 
 
@@ -150,3 +158,104 @@ def _unpromised(card: ClassCard, coverage: float) -> Iterator[str]:
             f"promise {100 * coverage:g} %: {', '.join(few)}; "
             f"{'they are' if len(few) > 1 else 'it is'} in every set, whatever the frame shows"
         )
+
+
+@dataclass(frozen=True, slots=True)
+class ClassAnswers:
+    """Classes and sets of some rows, beside the truth.
+
+    Attributes:
+        true, likeliest: codes ``[n]``.
+        members: which classes are in each set ``[n k]``.
+        groups: label of each row's group ``[n]``; rows of one group are not independent.
+        baseline: where the most frequent class of the rows learnt from is the true one ``[n]``.
+    """
+
+    true: Indices
+    likeliest: Indices
+    members: Members
+    groups: np.ndarray
+    baseline: Bool[np.ndarray, " n"]
+
+
+def class_score(answers: ClassAnswers, coverage: float) -> ClassScoreCard:
+    """Score one column of classes, whose sets promise this coverage."""
+    right, (_, k) = answers.likeliest == answers.true, answers.members.shape
+    low, high = grouped_coverage_interval(right, answers.groups)
+    confusion = np.zeros((k, k), np.int64)
+    np.add.at(confusion, (answers.true, answers.likeliest), 1)
+    sizes = answers.members.sum(axis=1)
+    return ClassScoreCard(
+        n=len(right),
+        accuracy=float(right.mean()),
+        accuracy_low=low,
+        accuracy_high=high,
+        baseline=float(answers.baseline.mean()),
+        confusion=tuple(tuple(map(int, row)) for row in confusion),
+        coverage=tuple(_coverage(answers, one, coverage) for one in range(k)),
+        set_size=float(sizes.mean()),
+        empty=float(np.mean(sizes == 0)),
+        whole=float(np.mean(sizes == k)),
+    )
+
+
+def _coverage(answers: ClassAnswers, one: int, coverage: float) -> ClassCoverageCard:
+    rows = answers.true == one
+    inside, groups = answers.members[rows, one], answers.groups[rows]
+    low, high = grouped_coverage_interval(inside, groups) if rows.any() else (0.0, 1.0)
+    return ClassCoverageCard(
+        rows=int(rows.sum()),
+        groups=len(np.unique(groups)),
+        covered=int(inside.sum()),
+        low=low,
+        high=high,
+        p=chance_of_so_few(inside, groups, coverage - MARGIN) if rows.any() else 1.0,
+    )
+
+
+def class_findings(card: ClassCard, score: ClassScoreCard, coverage: float) -> tuple[str, ...]:
+    """Sentences on what cannot be relied on.
+
+    Args:
+        card: of the column.
+        score: its own, or that of another run.
+        coverage: that the sets promise.
+    """
+    found = []
+    if score.says_nothing:
+        found.append(
+            f"{card.column}: {100 * score.accuracy:.1f} % right (95 % interval "
+            f"{100 * score.accuracy_low:.1f} to {100 * score.accuracy_high:.1f} %), which these rows do not "
+            f"tell from the {100 * score.baseline:.1f} % of always saying {card.most_frequent}"
+        )
+    failed = failing(score.coverage)
+    for name, one in zip(card.names, score.coverage, strict=True):
+        if one in failed:
+            found.append(
+                f"{card.column}: sets held {name} in {one.covered} of {one.rows} of its rows, where "
+                f"{100 * coverage:g} % was promised"
+            )
+    return tuple(found)
+
+
+def score_of_run(
+    card: ClassCard, table: pd.DataFrame, groups: np.ndarray, coverage: float, source: str
+) -> ClassScoreCard:
+    """Score a column of classes of another run.
+
+    Args:
+        card: of the column.
+        table: its labels, ``estimate:COLUMN`` and ``set:COLUMN``, a row a frame that was read.
+        groups: label of each row's group.
+        coverage: that the sets promise.
+        source: what the labels came from, for messages.
+
+    Raises:
+        LabelError: a row is of a class that was not calibrated.
+    """
+    true = known_codes(table, card.column, card.values, source)
+    likeliest = np.array([card.names.index(name) for name in table[f"estimate:{card.column}"]])
+    sets = [set(text.split(SEPARATOR)) for text in table[f"set:{card.column}"]]
+    members = np.array([[name in one for name in card.names] for one in sets])
+    baseline = true == card.names.index(card.most_frequent)
+    return class_score(ClassAnswers(true, likeliest, members, groups, baseline), coverage)

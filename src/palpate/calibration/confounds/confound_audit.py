@@ -1,207 +1,269 @@
-"""Confound audit of a calibration: what other than touch could have told the labels."""
+"""Confound audit of a calibration: what other than touch could predict the labels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from palpate.calibration.confounds.confound_findings import (
-    Finding,
-    TargetEvidence,
-    function_finding,
-    min_outside_share,
-    order_not_asked,
-    outside_findings,
-    ranked,
-    shift_finding,
-)
+from palpate.calibration.calibration_job import CalibrationJob, is_grouped, presses_of, recordings_of
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
-from palpate.calibration.confounds.kernel_regression import (
-    Kernels,
-    explained_share,
-    interleaved_blocks,
-)
-from palpate.calibration.confounds.outside_control import outside_control, telling_cells
-from palpate.calibration.confounds.recorded_units import recorded_units
+from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
+from palpate.calibration.confounds.outside_control import TellingCell, outside_control, telling_cells
+from palpate.calibration.confounds.recorded_units import RecordedUnits, recorded_units
 from palpate.calibration.confounds.row_order import (
     OrderCheck,
     ShiftCheck,
+    extrapolates,
     folds_among,
     order_checks,
     sampled,
     shift_check,
+    told_by_neighbors,
 )
 from palpate.calibration.confounds.skin_region import RegionSource, SkinRegion, boxed, find_skin
 from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
 from palpate.core import Float32, Indices, Progress, Values, silent
-from palpate.estimators.finding_cards import ConfoundCard, ConfoundFindingCard, TargetConfoundCard
-from palpate.recordings import PackedSet, Split
+from palpate.estimators.finding_cards import ConfoundCard, TargetConfoundCard
+from palpate.estimators.findings import Finding, FindingCode, ranked
+from palpate.estimators.target_layout import Outputs
+from palpate.recordings import PackedSet
 
-MAX_ROWS = 400
-"""Rows that are asked, evenly spaced over the recording."""
-SMALL_PX = 64
-"""Longer side of the pictures that are asked [px]."""
+MAX_ROWS = 400  # rows that are tested, evenly spaced over the recording
+SMALL_PX = 64  # longer side of the images that are tested
 MIN_ROWS = 20
-SHRINKS = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
+MIN_OUTSIDE_SHARE, OUTSIDE_SHARE_PER_UNIT = 0.1, 4.0
+"""R² from which what lies outside the skin predicts a label, and what is added over the number of presses."""
+MIN_CELL_SHARE, CELL_SHARE_PER_UNIT = 0.3, 8.0
+"""The same of the best of some sixty locations."""
+MAX_AROUND = 0.5
+"""R² around a location, over its own, up to which it stands alone: light that a press spreads does not."""
+EXACT_SHARE, EXACT_ERROR = 0.98, 0.1
+"""R² of a location from which it is exact, and its squared error over that around: touch fades."""
+MIN_BORDER_SHARE = 0.5
+MORE_THAN_SKIN = 0.7
+"""Squared error of what lies far from the skin, over the skin's, up to which touch cannot have spread it."""
+BORDER_ERROR = 2.0
+"""Squared error of a location at the border, over the model's, up to which it predicts as much."""
+SHRINKS, MAX_LEFT_OUTSIDE = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7), 0.01
 """Sizes of a crop tried, over the box that just holds the skin; 0.7 lies within a round one."""
-MAX_LEFT_OUTSIDE = 0.01
+MAX_BY_NEIGHBORS = 0.5
+"""R² of the trained rows nearest in order, above which folds do not test a label."""
 Box = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True)
-class ConfoundAudit:
-    """Audit of what other than touch could have told the labels.
+@dataclass(frozen=True, slots=True)
+class TargetEvidence:
+    """What was measured of one output.
 
     Attributes:
-        findings: the gravest first.
-        evidence: of each target.
-        outside_share: share of the picture that lies outside the skin; None where none was found.
-        outside_text: how the outside was found, or why there is none.
-        skin_px: box (x, y, width, height) around the skin [px of the recorded frame]; None without outside.
-        shift: labels of neighbouring rows against the images.
-        functions: targets that follow from others.
-        pixels: which pixels decide; None where no rows were held out.
+        column: the target, or the name of one of a direction's two outputs.
+        order: the label against order and time.
+        model: R² of the model's held-out estimates.
+        outside, outside_blocks: R² of the outside on the calibration's folds and on short interleaved blocks;
+            None where there is no outside.
+        far, inside: R² of what lies far from the skin, and of the skin; None where the outside told nothing.
+        cell: the location by itself that predicts best; None where none was tested.
+        cell_outside: whether that location lies outside the skin.
+        label: label column that it is of; empty where that is `column`.
+        neighbors: R² of the trained rows nearest in order; None where rows come in groups.
+        extrapolated: whether each fold holds out a part of the range that is not trained on.
     """
 
-    findings: tuple[Finding, ...]
-    evidence: tuple[TargetEvidence, ...]
-    outside_share: float | None
-    outside_text: str
-    skin_px: Box | None
-    shift: ShiftCheck
-    functions: tuple[TargetFunction, ...]
-    pixels: DecidingPixels | None = None
+    column: str
+    order: OrderCheck
+    model: float
+    outside: float | None = None
+    outside_blocks: float | None = None
+    far: float | None = None
+    inside: float | None = None
+    cell: TellingCell | None = None
+    cell_outside: bool = False
+    label: str = ""
+    neighbors: float | None = None
+    extrapolated: bool = False
 
     @property
-    def failed(self) -> bool:
-        """True if something was found that the scores cannot be relied on with."""
-        return any(finding.severity == "fails" for finding in self.findings)
+    def about(self) -> str:
+        """Label column that it is of."""
+        return self.label or self.column
 
-    def card(self) -> ConfoundCard:
-        """The audit as a part of a card."""
-        shown = self.pixels is not None
-        return ConfoundCard(
-            failed=self.failed,
-            findings=tuple(
-                ConfoundFindingCard(**{name: getattr(f, name) for name in ConfoundFindingCard.model_fields})
-                for f in self.findings
-            ),
-            targets=tuple(_target_card(evidence) for evidence in self.evidence),
-            outside_share=self.outside_share,
-            outside=self.outside_text,
-            skin_px=self.skin_px,
-            row_lag=self.shift.lag,
-            map_file=MAP_FILE if shown else None,
-            map_rows=self.pixels.rows if self.pixels is not None else None,
+    def told_outside(self, units: int) -> bool:
+        """True if the outside predicts the label beyond chance, with so many presses."""
+        best = max((r for r in (self.outside, self.outside_blocks) if r is not None), default=0.0)
+        return best >= MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / units
+
+    def finding(self, code: FindingCode, **values: float | str) -> Finding:
+        """A finding about it."""
+        name = output_in_words(self.column, self.about)
+        return Finding(code=code, target=self.about, values={"name": name, **values})
+
+    @property
+    def card(self) -> TargetConfoundCard:
+        """The same on a card."""
+        return TargetConfoundCard(
+            column=self.column,
+            rank_correlation=self.order.rank_correlation,
+            order_r2=self.order.share,
+            order_level=self.order.level,
+            model_r2=self.model,
+            outside_r2=self.outside,
+            outside_r2_blocks=self.outside_blocks,
+            inside_r2=self.inside,
+            neighbors_r2=self.neighbors,
         )
 
 
-def _target_card(evidence: TargetEvidence) -> TargetConfoundCard:
-    return TargetConfoundCard(
-        column=evidence.column,
-        rank_correlation=evidence.order.rank_correlation,
-        order_r2=evidence.order.share,
-        order_level=evidence.order.level,
-        model_r2=evidence.model,
-        outside_r2=evidence.outside,
-        outside_r2_blocks=evidence.outside_blocks,
-        inside_r2=evidence.inside,
-    )
+def output_in_words(name: str, label: str) -> str:
+    """A target by its label column, or as the cosine or the sine of that.
 
-
-@dataclass(frozen=True)
-class AuditedRows:
-    """Rows of a calibration that an audit asks.
-
-    Attributes:
-        packed: the prepared frames that were learnt from.
-        values: ``[n t]`` their labels.
-        names: of the targets.
-        split: how rows were held out.
-        held_out: ``[n t]`` estimates by models that had not seen the rows; NaN where there are none.
-        untouched: prepared frames of the untouched sensor, in their order; none where there are none.
-        frame_px: (height, width) of the recorded frames [px].
-        columns: label column of each target but classes: a direction's cosine and sine are of one; the names
-            by default.
-        classes: how many of the last are outputs for classes, which follow from each other by what they are.
-        presses: ``[n]`` label of what was recorded at one go, within its session; None where no column says.
-        sessions: ``[n]`` label of each row's session or copy; None where there is one.
-        untouched_sessions: the same of each untouched frame.
-        in_recorded_order: whether rows lie in the order in which they were taken.
+    Example:
+        >>> output_in_words("angle_cos_ratio", "angle_deg")
+        'the cosine of angle_deg'
     """
-
-    packed: PackedSet
-    values: Values
-    names: tuple[str, ...]
-    split: Split
-    held_out: Values
-    untouched: PackedSet | None
-    frame_px: tuple[int, int]
-    columns: tuple[str, ...] = ()
-    classes: int = 0
-    presses: np.ndarray | None = None
-    sessions: np.ndarray | None = None
-    untouched_sessions: np.ndarray | None = None
-    in_recorded_order: bool = True
+    if name == label:
+        return label
+    return f"the {'cosine' if name.endswith('_cos_ratio') else 'sine'} of {label}"
 
 
 def audit_confounds(
-    rows: AuditedRows,
+    job: CalibrationJob,
+    held_out: Outputs,
     *,
-    skin_px: Box | None = None,
     pixels: DecidingPixels | None = None,
     progress: Progress = silent,
-) -> ConfoundAudit:
-    """Look for what other than touch could have told the labels.
+) -> ConfoundCard:
+    """Test what other than touch could predict the labels.
 
     Args:
-        rows: of the calibration.
-        skin_px: where the skin is in the recorded frame, (x, y, width, height), where that is known [px].
-        pixels: which pixels decide, as found while folds were held out.
-        progress: told how far the work is.
+        job: rows, labels, and folds.
+        held_out: outputs ``[n o]`` of models that had not seen the rows; NaN where there are none.
+        pixels: which pixels decide; None where that was not measured.
+        progress: called with how far it is.
     """
-    steps, done = 4, 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        progress("looking for confounds", done, steps)
-
-    values, recorded = rows.values, recorded_units(rows.values, rows.presses, rows.sessions)
-    recorded = replace(recorded, in_recorded_order=rows.in_recorded_order)
-    units, count = recorded.of, recorded.count
-    orders = order_checks(values, recorded, rows.packed.times_s)
-    plain = len(rows.names) - rows.classes
-    functions = tuple(target_functions(values[:, :plain], rows.names[:plain], units, rows.columns or None))
-    step()
-    chosen = sampled(len(values), MAX_ROWS)
-    images = small_pictures(rows.packed, chosen)
-    region = _region(rows, images, units[chosen], recorded.sessions[chosen], skin_px)
-    shift = ShiftCheck(0, float("nan"), float("nan"))
-    if rows.in_recorded_order:  # labels in the images' own names are no other image's
-        shift = shift_check(Kernels.of(images.reshape(len(images), -1)), values, chosen)
-    step()
-    evidence = _evidence(rows, orders, images, region, chosen, units)
-    step()
-    crop = _crop_remedy(rows, images, region, chosen, count, evidence)
-    found = [f for e in evidence for f in outside_findings(e, count, crop)]
-    found += [function_finding(f, rows.names[:plain], rows.columns) for f in functions]
-    found += order_not_asked(recorded)
-    shifted = shift_finding(shift)
-    step()
-    return ConfoundAudit(
-        findings=ranked([shifted, *found] if shifted else found),
-        evidence=evidence,
-        outside_share=float(region.outside.mean()) if region.has_outside else None,
-        outside_text=region.source.value if region.has_outside else f"no outside: {_why_none(region)}",
-        skin_px=_in_frame(region.box, images.shape, rows) if region.has_outside and _one_view(rows) else None,
-        shift=shift,
-        functions=functions,
-        pixels=pixels,
+    rows = _AuditedRows.of(job, held_out)
+    progress("looking for confounds", 0, 2)
+    shift, evidence = rows.shift(), rows.evidence()
+    progress("looking for confounds", 1, 2)
+    count, plain = rows.units.count, len(rows.columns)
+    crop = rows.crop([j for j, one in enumerate(evidence) if one.told_outside(count)])
+    functions = target_functions(
+        rows.values[:, :plain], rows.names[:plain], rows.units.of, rows.columns or None
     )
+    found = [f for one in evidence for f in target_confounds(one, count, crop, job.parts.kind)]
+    found += [function_finding(f, dict(zip(rows.names, rows.labels, strict=True))) for f in functions]
+    found += order_not_tested(rows.units)
+    if shift.lag:
+        values: dict[str, int | float | str] = {"lag": shift.lag, "own": shift.own, "best": shift.best}
+        found.insert(0, Finding(code=FindingCode.ROWS_SHIFTED, values=values))
+    findings = ranked(found)
+    progress("looking for confounds", 2, 2)
+    region, shown = rows.region, pixels is not None
+    return ConfoundCard(
+        failed=any(one.severity == "fails" for one in findings),
+        findings=findings,
+        targets=tuple(one.card for one in evidence),
+        outside_share=float(region.outside.mean()) if region.has_outside else None,
+        outside=region.source.value if region.has_outside else f"no outside: {_why_none(region)}",
+        skin_px=rows.in_frame(region.box) if region.has_outside and rows.one_view else None,
+        row_lag=shift.lag,
+        map_file=MAP_FILE if shown else None,
+        map_rows=pixels.rows if pixels is not None else None,
+    )
+
+
+def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str) -> list[Finding]:
+    """Findings about order, outside and burnt-in labels of one output.
+
+    Args:
+        evidence: what was measured.
+        units: how many presses there are.
+        crop: X,Y,WIDTH,HEIGHT that cuts the outside off.
+        kind: of the split.
+    """
+    order, told, found = evidence.order, evidence.told_outside(units), []
+    cell = _lone_cell(evidence, units)
+    if told and (order.follows or (cell is None and _better_than_the_skin(evidence))):
+        code = FindingCode.OUTSIDE_DRIFTS if order.follows else FindingCode.OUTSIDE_LIT
+        shares = {"folds": evidence.outside or 0.0, "blocks": evidence.outside_blocks or 0.0}
+        found.append(evidence.finding(code, **shares, model=evidence.model, crop=crop))
+    elif cell is not None:
+        shares = {"share": cell.share, "around": cell.around, "model": evidence.model}
+        found.append(evidence.finding(FindingCode.BURNT_IN, **shares, crop=crop))
+    by_neighbors = evidence.neighbors is not None and evidence.neighbors > MAX_BY_NEIGHBORS
+    if order.follows:
+        checked = evidence.outside is not None and not by_neighbors
+        code = FindingCode.ORDER_CHECKED if checked else FindingCode.ORDER_UNCHECKED
+        found.append(
+            evidence.finding(
+                FindingCode.ORDER_DRIFTS if told else code,
+                scale="time" if order.by_time else "order",
+                share=order.share,
+                rank=order.rank_correlation,
+                level=order.level,
+                units=order.units,
+            )
+        )
+    elif by_neighbors:
+        share = evidence.neighbors or 0.0
+        found.append(evidence.finding(FindingCode.ORDER_NEIGHBORS, share=share, kind=kind))
+    if evidence.extrapolated:
+        found.append(evidence.finding(FindingCode.BLOCKS_EXTRAPOLATE))
+    return found
+
+
+def _better_than_the_skin(evidence: TargetEvidence) -> bool:
+    """Light that a press spreads fades with distance and predicts less than the skin; a text may not."""
+    if evidence.inside is None or evidence.far is None:
+        return False
+    left = 1 - evidence.far
+    return left <= MORE_THAN_SKIN * (1 - evidence.inside) and left <= BORDER_ERROR * (1 - evidence.model)
+
+
+def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
+    cell, by_chance = evidence.cell, CELL_SHARE_PER_UNIT / units
+    if cell is None or cell.share < MIN_CELL_SHARE + by_chance:
+        return None
+    if cell.share >= EXACT_SHARE and 1 - cell.share <= EXACT_ERROR * (1 - cell.around):
+        return cell
+    if cell.around > MAX_AROUND * cell.share:
+        return None
+    as_the_model = cell.share >= MIN_BORDER_SHARE + by_chance and 1 - cell.share <= BORDER_ERROR * (
+        1 - evidence.model
+    )
+    return cell if as_the_model or evidence.cell_outside else None
+
+
+def order_not_tested(units: RecordedUnits) -> list[Finding]:
+    """Note that the order of the rows could not be tested; none where it could."""
+    if units.can_be_ordered:
+        return []
+    if not units.in_recorded_order:
+        return [Finding(code=FindingCode.ORDER_UNKNOWN)]
+    values: dict[str, int | float | str] = {
+        "count": units.count,
+        "units": units.kind,
+        "sessions": len(units.in_sessions),
+    }
+    return [Finding(code=FindingCode.ORDER_OF_FEW, values=values)]
+
+
+def function_finding(function: TargetFunction, labels: dict[str, str]) -> Finding:
+    """Finding about targets that are functions of each other.
+
+    Args:
+        function: what was found.
+        labels: label column of each output, by the output's name.
+    """
+    own = labels[function.target]
+    values: dict[str, int | float | str] = {
+        "name": output_in_words(function.target, own),
+        "of": output_in_words(function.of, labels[function.of]),
+        "share": function.told,
+        "both_ways": int(function.both_ways),
+    }
+    return Finding(code=FindingCode.FUNCTION, target=own, values=values)
 
 
 def _why_none(region: SkinRegion) -> str:
@@ -210,8 +272,8 @@ def _why_none(region: SkinRegion) -> str:
     return "touch changes the picture up to its border"
 
 
-def small_pictures(packed: PackedSet, rows: Indices) -> Float32[np.ndarray, "n h w c"]:
-    """Area means of prepared frames, at most 64 along the longer side [grey levels]."""
+def small_images(packed: PackedSet, rows: Indices) -> Float32[np.ndarray, "n h w c"]:
+    """Area means of prepared frames, at most 64 px along the longer side [grey levels]."""
     height, width, channels = packed.shape
     scale = min(1.0, SMALL_PX / max(height, width))
     size = max(1, round(scale * width)), max(1, round(scale * height))
@@ -223,76 +285,172 @@ def small_pictures(packed: PackedSet, rows: Indices) -> Float32[np.ndarray, "n h
     return np.stack(small).reshape(len(rows), size[1], size[0], channels)
 
 
-def _one_view(rows: AuditedRows) -> bool:
-    return rows.packed.preparation.beside_px is None
+@dataclass
+class _AuditedRows:
+    """Rows of a calibration in the form that its tests need.
 
+    Attributes:
+        values: ``[n o]`` labels as outputs.
+        names, labels: of the outputs, and the label column of each.
+        columns: label column of each output but those of classes, which follow from each other.
+        chosen: rows whose images are tested.
+        images: small images of these.
+    """
 
-def _region(
-    rows: AuditedRows,
-    images: Float32[np.ndarray, "n h w c"],
-    units: np.ndarray,
-    sessions: np.ndarray,
-    skin_px: Box | None,
-) -> SkinRegion:
-    """The skin in small pictures: as given, or as found, in each view by itself."""
-    if skin_px is not None and _one_view(rows):
-        return boxed(images.shape[1:3], _in_small(skin_px, images.shape, rows))
-    untouched = rest = None
-    if rows.untouched is not None and len(rows.untouched) >= 4:
-        asked = sampled(len(rows.untouched), 100)
-        untouched = small_pictures(rows.untouched, asked)
-        if rows.untouched_sessions is not None:
-            rest = np.unique(rows.untouched_sessions[asked], return_inverse=True)[1]
-    if _one_view(rows):
-        return find_skin(images, units, untouched, sessions, rest)
-    half = images.shape[2] // 2
-    views = [
-        find_skin(
-            images[:, :, part], units, None if untouched is None else untouched[:, :, part], sessions, rest
+    job: CalibrationJob
+    held_out: Outputs
+    values: Values
+    names: tuple[str, ...]
+    columns: tuple[str, ...]
+    units: RecordedUnits
+    chosen: Indices
+    images: Float32[np.ndarray, "m h w c"]
+    region: SkinRegion = field(init=False)
+
+    @classmethod
+    def of(cls, job: CalibrationJob, held_out: Outputs) -> _AuditedRows:
+        layout, values = job.plan.layout, job.outputs.values
+        columns = tuple(
+            column
+            for column, period in zip(job.plan.targets, layout.periods, strict=True)
+            for _ in range(1 if period is None else 2)
         )
-        for part in (slice(0, half), slice(half, None))
-    ]
-    outside, inside = (
-        np.concatenate([getattr(view, name) for view in views], axis=1) for name in ("outside", "inside")
-    )
-    return SkinRegion(outside, inside, views[0].source)
+        units = recorded_units(values, presses_of(job.table, job.parts), recordings_of(job.table))
+        units = replace(units, in_recorded_order=job.in_recorded_order)
+        chosen = sampled(len(values), MAX_ROWS)
+        images = small_images(job.packed, chosen)
+        rows = cls(job, held_out, values, job.outputs.names, columns, units, chosen, images)
+        rows.region = rows._region()
+        return rows
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self.columns + self.names[len(self.columns) :]
 
-def _evidence(
-    rows: AuditedRows,
-    orders: Sequence[OrderCheck],
-    images: Float32[np.ndarray, "n h w c"],
-    region: SkinRegion,
-    chosen: Indices,
-    units: np.ndarray,
-) -> tuple[TargetEvidence, ...]:
-    """What order, outside and single places tell of each target, beside what the model does."""
-    values, folds = rows.values[chosen], folds_among(rows.split.folds, chosen)
-    model = explained_share(rows.values, rows.held_out)
-    labels = rows.columns + rows.names[len(rows.columns) :]
-    evidence = [
-        TargetEvidence(name, order, float(r2), label=label)
-        for name, label, order, r2 in zip(rows.names, labels, orders, model, strict=True)
-    ]
-    if len(chosen) < MIN_ROWS:
-        return tuple(evidence)
-    if region.has_outside:
-        control = outside_control(images, region, values, folds, interleaved_blocks(units[chosen]))
-        evidence = [
-            replace(
-                e,
-                outside=float(control.folds[j]),
-                outside_blocks=float(control.blocks[j]),
-                far=_finite(control.far[j]),
-                inside=_finite(control.inside[j]),
+    @property
+    def one_view(self) -> bool:
+        return self.job.packed.preparation.beside_px is None
+
+    def shift(self) -> ShiftCheck:
+        if not self.job.in_recorded_order:  # labels in the images' own names are no other image's
+            return ShiftCheck(0, float("nan"), float("nan"))
+        flat = self.images.reshape(len(self.images), -1)
+        return shift_check(Kernels.of(flat), self.values, self.chosen)
+
+    def _region(self) -> SkinRegion:
+        """The skin in small images: as given, or as found, in each view by itself."""
+        given = self.job.plan.skin_px or self.job.run.manifest.regions.get("skin")
+        if given is not None and self.one_view:
+            return boxed(self.images.shape[1:3], self._in_small(given))
+        rest = self.job.whole.only(self.job.untouched.rows)
+        untouched = of_rest = None
+        if len(rest) >= 4:
+            asked = sampled(len(rest), 100)
+            untouched = small_images(rest, asked)
+            if (names := recordings_of(rest.table)) is not None:
+                of_rest = np.unique(names[asked], return_inverse=True)[1]
+        units, sessions = self.units.of[self.chosen], self.units.sessions[self.chosen]
+        half = self.images.shape[2] // 2
+        parts = [slice(None)] if self.one_view else [slice(0, half), slice(half, None)]
+        views = [
+            find_skin(
+                self.images[:, :, part],
+                units,
+                None if untouched is None else untouched[:, :, part],
+                sessions,
+                of_rest,
             )
-            for j, e in enumerate(evidence)
+            for part in parts
         ]
-    cells = telling_cells(images, region, values, folds)
-    return tuple(
-        replace(e, cell=cell, cell_outside=cell is not None and _is_outside(region, cell.box))
-        for e, cell in zip(evidence, cells, strict=True)
-    )
+        outside, inside = (
+            np.concatenate([getattr(view, name) for view in views], axis=1) for name in ("outside", "inside")
+        )
+        return SkinRegion(outside, inside, views[0].source)
+
+    def evidence(self) -> list[TargetEvidence]:
+        """What order, outside and single locations predict of each output, next to what the model does."""
+        job, region = self.job, self.region
+        values, folds = self.values[self.chosen], folds_among(job.parts.folds, self.chosen)
+        model = explained_share(self.values, self.held_out)
+        orders = order_checks(self.values, self.units, job.packed.times_s)
+        by_rows = job.parts.groups is None or job.parts.block_rows is not None
+        in_turn = job.in_recorded_order and by_rows and not is_grouped(job.table)
+        evidence: list[TargetEvidence] = []
+        for name, label, order, r2, column in zip(
+            self.names, self.labels, orders, model, self.values.T, strict=True
+        ):
+            one = TargetEvidence(name, order, float(r2), label=label)
+            if in_turn and len(evidence) < len(self.columns):
+                one = replace(
+                    one,
+                    neighbors=told_by_neighbors(column, job.parts.folds),
+                    extrapolated=job.parts.block_rows is not None and extrapolates(column, job.parts.folds),
+                )
+            evidence.append(one)
+        if len(self.chosen) < MIN_ROWS:
+            return evidence
+        if region.has_outside:
+            blocks = interleaved_blocks(self.units.of[self.chosen])
+            control = outside_control(self.images, region, values, folds, blocks)
+            evidence = [
+                replace(
+                    one,
+                    outside=float(control.folds[j]),
+                    outside_blocks=float(control.blocks[j]),
+                    far=_finite(control.far[j]),
+                    inside=_finite(control.inside[j]),
+                )
+                for j, one in enumerate(evidence)
+            ]
+        cells = telling_cells(self.images, region, values, folds)
+        return [
+            replace(one, cell=cell, cell_outside=cell is not None and _is_outside(region, cell.box))
+            for one, cell in zip(evidence, cells, strict=True)
+        ]
+
+    def crop(self, told: list[int]) -> str:
+        """The largest crop about the skin in which the outside predicts none of these outputs that it did."""
+        if not self.one_view or not self.region.has_outside:
+            return "X,Y,WIDTH,HEIGHT"
+        x, y, width, height = box = self.region.box
+        for shrink in SHRINKS:
+            small = max(1, int(shrink * width)), max(1, int(shrink * height))
+            box = (x + (width - small[0]) // 2, y + (height - small[1]) // 2, *small)
+            if not told or self._is_silent(box, told):
+                break
+        return ",".join(map(str, self.in_frame(box)))
+
+    def _is_silent(self, box: Box, told: list[int]) -> bool:
+        """True if what is left of the outside within a crop predicts none of these outputs."""
+        x, y, width, height = box
+        beyond = ~self.region.inside[y : y + height, x : x + width]
+        if beyond.mean() <= MAX_LEFT_OUTSIDE:
+            return True
+        pixels = self.images[:, y : y + height, x : x + width][:, beyond].reshape(len(self.images), -1)
+        values, folds = self.values[self.chosen][:, told], folds_among(self.job.parts.folds, self.chosen)
+        shares = explained_share(values, Kernels.of(pixels).held_out(values, folds))
+        return bool(shares.max() < MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / self.units.count)
+
+    def _scale(self) -> tuple[int, int, float, float]:
+        """Corner of the prepared image in the frame, and frame pixels in a small one, across and down."""
+        height, width = self.images.shape[1:3]
+        frame = self.job.run.frame(0).image.shape
+        x, y, across, down = self.job.packed.preparation.crop_px or (0, 0, frame[1], frame[0])
+        return x, y, across / width, down / height
+
+    def in_frame(self, box: Box) -> Box:
+        """A box of the small images in the recorded frame [px]."""
+        x0, y0, across, down = self._scale()
+        x, y, width, height = box
+        corner = round(x0 + across * x), round(y0 + down * y)
+        return (*corner, max(1, int(across * width)), max(1, int(down * height)))
+
+    def _in_small(self, box: Box) -> Box:
+        x0, y0, across, down = self._scale()
+        x, y, width, height = box
+        left, top = max(0, int(np.ceil((x - x0) / across))), max(0, int(np.ceil((y - y0) / down)))
+        right, bottom = int((x + width - x0) / across), int((y + height - y0) / down)
+        return left, top, max(1, right - left), max(1, bottom - top)
 
 
 def _finite(value: float) -> float | None:
@@ -302,83 +460,3 @@ def _finite(value: float) -> float | None:
 def _is_outside(region: SkinRegion, box: Box) -> bool:
     x, y, width, height = box
     return bool(region.has_outside and region.outside[y : y + height, x : x + width].mean() > 0.5)
-
-
-def _crop_remedy(
-    rows: AuditedRows,
-    images: Float32[np.ndarray, "n h w c"],
-    region: SkinRegion,
-    chosen: Indices,
-    count: int,
-    evidence: Sequence[TargetEvidence],
-) -> str:
-    """The largest crop about the skin within which the outside tells none of the labels it told."""
-    told = [j for j, e in enumerate(evidence) if e.told_outside(count)]
-    again = "record it anew without, or cut it away"
-    if not _one_view(rows):
-        return f"crop both views closer to the skin (`--crop X,Y,WIDTH,HEIGHT` twice); {again}"
-    if not region.has_outside:
-        return f"cut the place away (`--crop X,Y,WIDTH,HEIGHT`), and calibrate again; {again}"
-    box = region.box
-    for shrink in SHRINKS:
-        box = _shrunk(region.box, shrink)
-        if not told or _silent(images, region, box, rows, chosen, count, told):
-            break
-    x, y, width, height = _in_frame(box, images.shape, rows)
-    return (
-        f"cut it away by `--crop {x},{y},{width},{height}`, calibrate again, and `palpate evaluate` both on "
-        "another session"
-    )
-
-
-def _shrunk(box: Box, factor: float) -> Box:
-    x, y, width, height = box
-    small = [max(1, int(factor * length)) for length in (width, height)]
-    return x + (width - small[0]) // 2, y + (height - small[1]) // 2, small[0], small[1]
-
-
-def _silent(
-    images: Float32[np.ndarray, "n h w c"],
-    region: SkinRegion,
-    box: Box,
-    rows: AuditedRows,
-    chosen: Indices,
-    count: int,
-    told: Sequence[int],
-) -> bool:
-    """True if what is left of the outside within a crop tells none of these labels."""
-    x, y, width, height = box
-    part = np.s_[y : y + height, x : x + width]
-    beyond = ~region.inside[part]
-    if beyond.mean() <= MAX_LEFT_OUTSIDE:
-        return True
-    pixels = images[:, part[0], part[1]][:, beyond].reshape(len(images), -1)
-    values, folds = rows.values[chosen][:, list(told)], folds_among(rows.split.folds, chosen)
-    shares = explained_share(values, Kernels.of(pixels).held_out(values, folds))
-    return all(float(r2) < min_outside_share(count) for r2 in shares)
-
-
-def _scale(shape: Sequence[int], rows: AuditedRows) -> tuple[int, int, float, float]:
-    """Corner of the prepared picture in the frame, and frame pixels in a small one, across and down."""
-    height, width = shape[1:3]
-    x, y, across, down = rows.packed.preparation.crop_px or (0, 0, rows.frame_px[1], rows.frame_px[0])
-    return x, y, across / width, down / height
-
-
-def _in_frame(box: Box, shape: Sequence[int], rows: AuditedRows) -> Box:
-    x0, y0, across, down = _scale(shape, rows)
-    x, y, width, height = box
-    return (
-        round(x0 + across * x),
-        round(y0 + down * y),
-        max(1, int(across * width)),
-        max(1, int(down * height)),
-    )
-
-
-def _in_small(box: Box, shape: Sequence[int], rows: AuditedRows) -> Box:
-    x0, y0, across, down = _scale(shape, rows)
-    x, y, width, height = box
-    left, top = max(0, int(np.ceil((x - x0) / across))), max(0, int(np.ceil((y - y0) / down)))
-    right, bottom = int((x + width - x0) / across), int((y + height - y0) / down)
-    return left, top, max(1, right - left), max(1, bottom - top)

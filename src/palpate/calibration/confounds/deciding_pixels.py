@@ -104,12 +104,12 @@ def deciding_pixels(
     """Read held-out rows again, each time with one block of the picture replaced.
 
     Args:
-        fitted: a model that has not learnt from these rows.
+        fitted: a model that has not seen these rows.
         data: inputs and labels.
         held_out: rows that it may read.
         nothing: ``[c h w]`` the input that a block is taken from, see `mean_input`.
         rows: how many of them are read, evenly spaced.
-        progress: told which block is being replaced.
+        progress: called with the block that is replaced.
     """
     chosen = held_out[np.unique(np.linspace(0, len(held_out) - 1, min(rows, len(held_out))).astype(np.int64))]
     inputs, true = data.fetch(chosen), data.values[chosen]

@@ -1,8 +1,7 @@
-"""Kernel ridge regression that asks what some numbers tell of the labels, on rows held out.
+"""Kernel ridge regression on held-out rows, as a test of what some numbers predict of the labels.
 
-It is a question put to data and no estimator: penalty and kernel are chosen inside each fold by the
-leave-one-out residual, which kernel ridge regression has in closed form (R. M. Rifkin and R. A. Lippert,
-Notes on regularized least squares, MIT-CSAIL-TR-2007-025).
+Penalty and kernel are chosen inside each fold by the leave-one-out residual in closed form (R. M. Rifkin and
+R. A. Lippert, Notes on regularized least squares, MIT-CSAIL-TR-2007-025).
 """
 
 from __future__ import annotations
@@ -89,16 +88,13 @@ def explained_share(values: Values, estimates: Values) -> Float[np.ndarray, " t"
 
 
 def interleaved_blocks(units: np.ndarray, folds: int = 5, rounds: int = 8) -> list[Indices]:
-    """Short stretches of neighbouring rows, dealt to the folds in turn.
+    """Rows of each fold in short stretches of neighboring rows, dealt in turn; empty folds are left out.
 
     Args:
-        units: ``[n]`` what each row belongs to; stretches end where a unit does. Where all rows belong to
-            one, they may end anywhere, since nothing else could be left to learn from.
+        units: ``[n]`` label of what each row belongs to; stretches end where a unit does, or anywhere where
+            all rows belong to one.
         folds: how many.
-        rounds: how many stretches each fold gets.
-
-    Returns:
-        Rows of each fold; those that would be empty are left out.
+        rounds: stretches of each fold.
     """
     starts = np.flatnonzero(np.r_[True, units[1:] != units[:-1]])
     starts = starts if len(starts) > 1 else np.arange(len(units))

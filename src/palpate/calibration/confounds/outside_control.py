@@ -1,8 +1,8 @@
-"""Control model: what the part of the picture that is no skin tells of the labels.
+"""Control model: what the part of the picture that is no skin predicts of the labels.
 
-What lies outside the skin should tell nothing. Where it tells a label, it shows the clock (a lamp that drifts
-while labels are taken in order), or the label itself (a text burnt into the picture), or light that a press
-spreads to the rim. The last is honest, and tells less than the skin does.
+It should predict nothing. Where it does, it shows the clock (a lamp that drifts while labels are taken in
+order), the label itself (a text burnt into the picture), or light that a press spreads to the rim, which
+predicts less than the skin does.
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ CELL_PENALTIES = np.logspace(-6, 0, 4)
 
 @dataclass(frozen=True)
 class OutsideControl:
-    """Share of each label's variance (R²) that the outside tells, held out.
+    """Held-out R² of each label ``[t]`` by regressions on parts of the picture.
 
     Attributes:
-        folds: ``[t]`` on the folds of the calibration.
-        blocks: ``[t]`` on short interleaved blocks of the recording.
-        far: ``[t]`` told by what lies a tenth of the picture away from the skin; −inf where nothing does.
-        inside: ``[t]`` that the skin tells the same kind of model, on the folds of the calibration.
+        folds, blocks: of the outside, on the folds of the calibration and on short interleaved blocks.
+        far: of what lies a tenth of the picture away from the skin; −inf where nothing does.
+        inside: of the skin, on the folds of the calibration.
     """
 
     folds: Float[np.ndarray, " t"]
@@ -52,14 +51,13 @@ def outside_control(
     folds: Sequence[Indices],
     blocks: Sequence[Indices],
 ) -> OutsideControl:
-    """Ask the outside, and the skin, for every label.
+    """Regress every label on the outside, and on the skin.
 
     Args:
-        images: small pictures, grey levels.
+        images: small pictures [grey levels].
         region: of the skin in them.
         values: ``[n t]``.
-        folds: of the calibration, in rows of `images`.
-        blocks: interleaved blocks, in rows of `images`.
+        folds, blocks: of the calibration, and interleaved; in rows of `images`.
     """
 
     def told(mask: Bool[np.ndarray, "h w"], parts: Sequence[Sequence[Indices]]) -> list[np.ndarray]:
@@ -97,10 +95,10 @@ class TellingCell:
 def telling_cells(
     images: Float32[np.ndarray, "n h w c"], region: SkinRegion, values: Values, folds: Sequence[Indices]
 ) -> list[TellingCell | None]:
-    """For each label the place outside the skin, or at the picture's border, that tells it best by itself.
+    """For each label the location outside the skin, or at the border, that predicts it best by itself.
 
     Args:
-        images: small pictures, grey levels.
+        images: small pictures [grey levels].
         region: of the skin in them.
         values: ``[n t]``.
         folds: in rows of `images`.
@@ -139,10 +137,10 @@ def _best(
     down: Int[np.ndarray, " d"],
     across: Int[np.ndarray, " a"],
 ) -> TellingCell | None:
-    """The telling cell that stands out most from what is told two cells away, and elsewhere as far out.
+    """The cell that stands out most from what two cells away, and others as far out, predict.
 
-    Light that a press spreads is told all along the rim, more the nearer; a text is told in one place.
-    `apart` is 0 for cells of the skin, and larger the farther they lie from it.
+    Light that a press spreads is found all along the rim; a text in one location. `apart` is 0 for cells of
+    the skin, and larger the farther they lie from it.
     """
     best, contrast = None, -np.inf
     for i, j in np.argwhere(apart).tolist():

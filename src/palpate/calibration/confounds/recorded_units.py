@@ -27,13 +27,12 @@ Kind = Literal["presses", "stretches of nearly equal labels", "rows"]
 
 @dataclass(frozen=True, slots=True)
 class RecordedUnits:
-    """What rows were recorded at one go.
+    """Groups of rows acquired without interruption.
 
     Attributes:
-        of: ``[n]`` number of each row's unit; no unit is of two sessions.
-        sessions: ``[n]`` number of each row's session.
-        kind: what the units are: what a column says, or what the labels show.
-        in_recorded_order: whether rows lie in the order in which they were taken, and not in that of names.
+        of, sessions: ``[n]`` number of each row's unit and session; no unit is of two sessions.
+        kind: source of the units: a column, or the labels.
+        in_recorded_order: whether rows lie in the order in which they were recorded.
     """
 
     of: Int[np.ndarray, " n"]
@@ -67,7 +66,7 @@ def recorded_units(
 ) -> RecordedUnits:
     """Units by the groups that a column names, else by the labels.
 
-    Without groups, neighbouring rows whose labels differ by no more than a hold's jitter are one unit, or,
+    Without groups, neighboring rows whose labels differ by no more than a hold's jitter are one unit, or,
     where there are no holds, those with equal labels.
 
     Args:
@@ -115,10 +114,10 @@ def _jitter_limits(values: Values, changes: Float[np.ndarray, "m t"]) -> Float[n
 def _are_holds(
     values: Values, begins: Bool[np.ndarray, " n"], another: Bool[np.ndarray, " n"], sessions: np.ndarray
 ) -> bool:
-    """True if stretches are holds and no pieces of a slope: what lies between them exceeds what is in them.
+    """True if stretches are holds and not pieces of a slope: changes between them exceed those within.
 
-    A hold may creep. But where there are too few to ask for their order, one that creeps and a piece of a
-    sorted table look the same, and rows are asked by themselves.
+    With too few to test their order, a hold that creeps and a piece of a sorted table look the same, and rows
+    are tested by themselves.
     """
     of = np.cumsum(begins) - 1
     starts = np.flatnonzero(begins)

@@ -27,17 +27,16 @@ MIN_SHIFTED_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class OrderCheck:
-    """What the order of the rows tells of one label.
+    """What the order of the rows predicts of one label.
 
     Attributes:
         rank_correlation: Spearman's, of the label with the row's number, both within their session [-1, 1].
-        share: of the label's variance within sessions that a smooth function of order or time tells, adjusted
-            for its freedom.
-        level: share of shufflings of whole units within their session that tell as much.
-        by_time: whether time tells more than the row's number.
+        share: of the label's variance within sessions by a smooth function of order or time (adjusted R²).
+        level: ratio of shufflings of whole units within their session that do as well.
+        by_time: whether time predicts more than the row's number.
         units: what was shuffled.
         asked: whether there are units enough for their order to be a finding.
-        sessions: how many there are, in each of which order counts anew.
+        sessions: how many there are.
     """
 
     rank_correlation: float
@@ -59,10 +58,9 @@ def order_checks(
 ) -> list[OrderCheck]:
     """Each label against the order of rows, and against time where it is another scale than order.
 
-    Order counts anew in each session, since a lamp warms up anew: labels are taken less their session's mean,
-    and are told by one course that all sessions share, or by one of each session's own.
-    The level is that of shuffling whole units within their session: twenty rows, or five presses of a hundred
-    frames, that happen to lie in order are no finding.
+    Order restarts in each session: labels are taken less their session's mean, and fitted by one curve that
+    all sessions share, or by one of each session's own. The level is that of shuffling whole units within
+    their session.
 
     Args:
         values: ``[n t]``.
@@ -215,3 +213,36 @@ def sampled(count: int, most: int) -> Indices:
 def folds_among(folds: Sequence[Indices], rows: Indices) -> list[Indices]:
     """Places in `rows` of each fold's rows; folds without any are left out."""
     return [found for fold in folds if (found := np.flatnonzero(np.isin(rows, fold))).size]
+
+
+MAX_GAP, MAX_GAPS = 0.01, 5.0
+"""Median distance from a held-out label to the nearest trained one, as a ratio of the range and over that of
+shuffled folds, above which blocks only extrapolate."""
+
+
+def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
+    """R² of a label interpolated between the trained rows nearest in order, for each held-out row."""
+    every, told = np.arange(len(values)), np.empty(len(values))
+    for fold in folds:
+        others = np.setdiff1d(every, fold)
+        told[fold] = np.interp(fold, others, values[others])
+    variance = float(np.var(values))
+    return 1 - float(np.mean((told - values) ** 2)) / variance if variance > 0 else 0.0
+
+
+def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
+    """Median distance from a held-out label to the nearest trained one, as a ratio of the range."""
+    gaps = []
+    for fold in folds:
+        others = np.sort(np.delete(values, fold))
+        place = np.searchsorted(others, values[fold])
+        near = [others[np.clip(place + step, 0, len(others) - 1)] for step in (-1, 0)]
+        gaps.append(np.min(np.abs(np.stack(near) - values[fold]), axis=0))
+    return float(np.median(np.concatenate(gaps))) / max(float(np.ptp(values)), np.finfo(float).tiny)
+
+
+def extrapolates(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> bool:
+    """True of blocks so long that each holds out a part of the range that is not trained on."""
+    shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), len(folds))
+    gap = label_gap(values, folds)
+    return gap > MAX_GAP and gap > MAX_GAPS * label_gap(values, shuffled)

@@ -1,9 +1,8 @@
 """The part of a picture that changes with touch, and what lies outside it.
 
-Where touch changes a picture it does so from one press to the next; a lamp, a reflection at the rim or the
-background changes slowly, if at all. So pairs of frames a little apart in order are compared: their
-difference shows touch and not drift. Large connected places that change are the skin, one in each view; a
-label burnt into a corner changes too, and is small and apart.
+Touch changes a picture from one press to the next; a lamp, a reflection or the background changes slowly, if
+at all. So frames a little apart in order are compared. Large connected locations that change are the skin,
+one in each view; a label burnt into a corner is small and apart.
 """
 
 from __future__ import annotations
@@ -115,7 +114,7 @@ def find_skin(
     """The skin by what changes from press to press.
 
     Args:
-        images: prepared frames in the order they were taken, grey levels.
+        images: prepared frames in the order they were taken [grey levels].
         units: press of each.
         untouched: frames of the untouched sensor in their order, which show what changes without touch.
         sessions, rest_sessions: session of each image and of each untouched frame; None where there is one.

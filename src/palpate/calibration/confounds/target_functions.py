@@ -1,4 +1,4 @@
-"""Targets that are functions of other targets, in either direction: certificates that are not independent."""
+"""Targets that are functions of another target: certificates that are not independent."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from palpate.calibration.confounds.kernel_regression import Kernels
 from palpate.core import Bool, Float, Indices, Int, Values
 
 EXACT = 0.02
@@ -19,23 +18,21 @@ MISSED = 3
 MAX_LEFT = 0.2
 """Share of the rows not told, over that by the median alone."""
 MIN_ROWS = 12
-MAX_ROWS, MAX_ROWS_OF_ALL = 600, 240
-FOLDS = 8
+MAX_ROWS = 600
 
 
 @dataclass(frozen=True, slots=True)
 class TargetFunction:
-    """A target that others tell.
+    """A target that another one tells.
 
     Attributes:
-        target: its column.
-        of: the columns that tell it.
+        target, of: its column, and that of the other.
         told: share of rows told within 2 % of its range.
         both_ways: whether the other is told by it, too.
     """
 
     target: str
-    of: tuple[str, ...]
+    of: str
     told: float
     both_ways: bool
 
@@ -46,14 +43,13 @@ def target_functions(
     units: Int[np.ndarray, " n"],
     columns: Sequence[str] | None = None,
 ) -> list[TargetFunction]:
-    """Targets that follow from one other, or else one that follows from all the others together.
+    """Targets that follow from one other.
 
     Args:
         values: ``[n t]``.
         names: columns of the targets.
-        units: ``[n]`` press of each row; a row is told by rows of other presses only.
-        columns: label column that each target is of, where several are of one: a direction's cosine and sine
-            tell each other over an arc, which is no finding. By default each is its own.
+        units: ``[n]`` press of each row; a row is predicted from other presses only.
+        columns: label column of each target, where several are of one, as a direction's cosine and sine.
     """
     columns = tuple(columns or names)
     values, first = np.unique(values, axis=0, return_index=True)  # a row told by its copy is no function
@@ -73,45 +69,10 @@ def target_functions(
     found: list[TargetFunction] = []
     for target in range(count):
         of = int(told[:, target].argmax())
-        if told[of, target] > 0 and not any(f.both_ways and f.of == (names[target],) for f in found):
+        if told[of, target] > 0 and not any(f.both_ways and f.of == names[target] for f in found):
             both = bool(told[target, of] > 0)
-            found.append(TargetFunction(names[target], (names[of],), float(told[of, target]), both))
-    few = np.unique(np.linspace(0, len(values) - 1, min(MAX_ROWS_OF_ALL, len(values))).astype(np.int64))
-    alone = len(set(columns)) == len(columns)
-    return found or (_of_all_others(values[few], names, units[few]) if alone else [])
-
-
-def _of_all_others(
-    values: Values, names: Sequence[str], units: Int[np.ndarray, " n"]
-) -> list[TargetFunction]:
-    if values.shape[1] < 3:
-        return []
-    told = [_told_by_others(values, target, units) for target in range(values.shape[1])]
-    best = int(np.argmax(told))
-    rest = tuple(name for name in names if name != names[best])
-    return [TargetFunction(names[best], rest, told[best], False)] if told[best] > 0 else []
-
-
-def _told_by_others(values: Values, target: int, units: Int[np.ndarray, " n"]) -> float:
-    """Share of a target's rows told by all others together, presses held out; 0 where that is no function.
-
-    It ends with the first presses that miss more rows than a function may: most targets are none.
-    """
-    number = np.unique(units, return_inverse=True)[1]
-    others, column = np.delete(values, target, axis=1), values[:, target]
-    kernels = Kernels.of(others / others.std(axis=0))
-    guess, most = np.full(len(values), np.nan), _most_missed(column, len(np.unique(units)))
-    missed = 0
-    for k in range(FOLDS):
-        fold = np.flatnonzero(number % FOLDS == k)
-        if not fold.size:
-            continue
-        rest = np.flatnonzero(number % FOLDS != k)
-        guess[fold] = kernels.regressed(values[:, [target]], rest, fold)[:, 0]
-        missed += int(np.sum(_misses(column, guess, fold)))
-        if missed > most * len(values):
-            return 0.0
-    return 1 - missed / len(values)
+            found.append(TargetFunction(names[target], names[of], float(told[of, target]), both))
+    return found
 
 
 def _along(
@@ -150,8 +111,8 @@ def _misses(
     return missed
 
 
-def _most_missed(target: Float[np.ndarray, " n"], units: int, rows: Indices | None = None) -> float:
+def _most_missed(target: Float[np.ndarray, " n"], units: int, rows: Indices) -> float:
     """Share of the rows that may be missed where a target is a function."""
-    asked = target if rows is None else target[rows]
+    asked = target[rows]
     by_median = float(np.mean(np.abs(asked - np.median(asked)) > EXACT * np.ptp(target)))
     return min(max(1 - MIN_TOLD, MISSED / units), MAX_LEFT * by_median)

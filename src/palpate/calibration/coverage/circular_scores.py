@@ -106,9 +106,11 @@ def refuse_no_angles(column: str, values: Row, symbol: str, period: float) -> No
             f"{span / turn:.3g} turns of "
             f"{turn:.6g} {symbol}: that counts turns and is no direction; leave it out of --circular, "
             f"or write it "
-            f"modulo {period:.6g}"
+            f"modulo {period:.6g}",
+            code="counts-turns",
         )
     if np.ptp(shortest(values - values[0], period)) < 1e-9 * period:
         raise LabelError(
-            f"{column} is the same direction everywhere, modulo {period:.6g} {symbol}: nothing to learn"
+            f"{column} is the same direction everywhere, modulo {period:.6g} {symbol}: nothing to learn",
+            code="constant",
         )

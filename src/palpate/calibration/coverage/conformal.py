@@ -1,10 +1,9 @@
 """Conformal intervals: from errors on held-out rows to a half-width for every new reading.
 
-Each row's score is its held-out error over the spread expected there; the interval is the estimate plus
-and minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math.
-Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
-doi:10.1007/3-540-36755-1_29). Folds keep groups whole, so that the errors are those on groups not yet
-seen, and pooling the folds gives every row a score even where there are few groups.
+Each row's score is its held-out error over the spread expected there; the interval is the estimate plus and
+minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math. Artif. Intell.
+74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
+doi:10.1007/3-540-36755-1_29). Folds keep groups whole.
 """
 
 from __future__ import annotations
@@ -32,20 +31,22 @@ one width, by more than a standard error: of forty presses such widths held 94 t
 
 
 def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
-    """The score that a new one stays below with probability `coverage`.
-
-    The rank is raised by one row, ceil((n + 1) coverage), which is what makes the promise hold for
-    finite n; with too few scores for it the largest one is used.
+    """The score that a new one stays below with probability `coverage`, of rank ceil((n + 1) coverage).
 
     Raises:
         InputError: there are no scores.
         RangeError: the coverage is not above 0 and at most 1.
     """
     if not 0 < coverage <= 1:
-        raise RangeError(f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9")
+        raise RangeError(
+            f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9", code="coverage-range"
+        )
     n = len(scores)
     if n == 0:
-        raise InputError("no held-out scores to set an interval by; give the calibration at least two folds")
+        raise InputError(
+            "no held-out scores to set an interval by; give the calibration at least two folds",
+            code="few-groups",
+        )
     rank = min(int(np.ceil((n + 1) * coverage)), n)
     return float(np.sort(scores)[rank - 1])
 
@@ -53,8 +54,8 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
 def pooled_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
     """The score that a row of a new group stays below, each group with the same weight.
 
-    Where groups are of one size it is the conformal quantile of the rows. Else the level is raised by one of
-    as many rows as their weights are worth (Kish), so that few long groups do not set it.
+    The level is raised by one of as many rows as their weights are worth (Kish), so that few long groups do
+    not set it; with groups of one size it is the conformal quantile of the rows.
     """
     sizes, index = group_sizes(groups)
     if (sizes == sizes[0]).all():
@@ -73,17 +74,16 @@ def fit_intervals(
 ) -> Intervals:
     """Intervals from held-out predictions.
 
-    The spread is a smooth function of the predicted values (a shallow tap tells less about shear than a
-    deep one), fitted to the size of the errors: a quadratic, or with fewer rows its linear terms, or one
+    The spread is a smooth function of the outputs fitted to the size of the errors: quadratic, linear, or one
     number with few rows or groups, see `spread_terms`. A row's own group has no part in the spread that its
-    error is scored by. Where there are groups enough, a target that does not come round again keeps its rate
-    in every part of its range, see `calibration.coverage`.
+    error is scored by. With groups enough, a target that is not periodic keeps its rate in every part of its
+    range.
 
     Args:
         predicted: held-out outputs of the model ``[n o]``.
         true: the labels ``[n t]``.
         groups: ``[n]`` label of each row's group.
-        coverage: how often intervals shall hold the truth, 0 to 1.
+        coverage: how often intervals shall cover the truth, 0 to 1.
         layout: of the targets in the outputs; None where each is one.
     """
     layout = layout or TargetLayout((None,) * true.shape[1])

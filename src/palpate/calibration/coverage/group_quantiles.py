@@ -60,7 +60,8 @@ def new_group_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, cove
         least = math.ceil(coverage / (1 - coverage) - 1e-9)
         raise InputError(
             f"{count} groups cannot set an interval that holds {100 * coverage:g} % of a new one's rows "
-            f"whatever the distribution; give {least} or more"
+            f"whatever the distribution; give {least} or more",
+            code="few-groups",
         )
     if count == len(scores):
         return float(np.sort(scores)[rank - 1])

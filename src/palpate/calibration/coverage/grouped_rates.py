@@ -1,9 +1,7 @@
 """Number of independent rows that rows in groups are worth, when a rate is counted over them.
 
-Rows of one group agree more than rows of different ones. How much is their correlation, and n rows count as
-n over the design effect (L. Kish, Survey Sampling, 1965). With few groups their scatter is known poorly, and
-most samples of a rate near 1 hold none of the few bad groups: there the correlation is raised towards 1, as
-if two groups more had been seen whose rows all agree. With two groups or one, a group is worth one row.
+n rows count as n over the design effect of their correlation within groups (L. Kish, Survey Sampling, 1965).
+With few groups the correlation is raised towards 1, as if two groups more had been seen whose rows all agree.
 """
 
 from __future__ import annotations
@@ -87,9 +85,8 @@ def coverage_interval(hits: int, n: int) -> tuple[float, float]:
 def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
     """95 % interval of a rate over groups, seen and not, from rows that come in groups.
 
-    It is Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey
-    Methodology 24, 193 (1998)): of all where each is its own group, of one or two where there are no more
-    groups, since these do not tell how groups differ.
+    Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey Methodology 24,
+    193 (1998)).
     """
     n = effective_rows(groups, cautious_correlation(inside, groups))
     return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
@@ -102,10 +99,8 @@ MIN_GROUPS_OF_MEAN = 3
 def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
     """95 % interval of a mean over groups, seen and not, from rows that come in groups; None of fewer than 3.
 
-    It is Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard
-    error (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13). Groups drawn again
-    with replacement scatter too little where they are few: of five groups whose true mean is 0, such an
-    interval leaves 0 out in 15 of 100 draws instead of in 5.
+    Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard error
+    (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13).
     """
     sizes, index = group_sizes(groups)
     count, mean = len(sizes), float(values.mean())

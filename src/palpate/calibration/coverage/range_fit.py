@@ -1,14 +1,13 @@
 """Fit of intervals that keep their rate over the whole range, from held-out errors.
 
-The cells are tenths of the range, joined with their neighbours until each holds `MIN_GROUPS` groups. Where
-the interval of one width covers enough of a cell's held-out rows, the cell needs no band. Else its band is
-the inner 90 % of the scaled errors, by quantiles of other groups, scaled about its middle by one factor: the
-conformal quantile of the cell's own scores, in which rows that are covered already count as 0
-(cross-conformal: V. Vovk, Ann. Math. Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; quantiles as
-a base: Y. Romano, E. Patterson and E. Candès, NeurIPS 2019).
-
-Rows of one group err alike: the rank is raised by one group, not by one row. What was tried instead, with
-its widths, stands in decision 0020.
+The cells are tenths of the range, joined until each holds `MIN_GROUPS` groups. Where the interval of one
+width covers too few of a cell's held-out rows, its band is the inner 90 % of the scaled errors, scaled about
+its middle by the conformal quantile of the cell's own scores, in which rows that are covered already count as
+0 (cross-conformal: V. Vovk, Ann. Math. Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; quantiles
+as a
+base: Y. Romano, E. Patterson and E. Candès, NeurIPS 2019). The rank is raised by one group; decision 0020
+    lists
+what else was tried.
 """
 
 from __future__ import annotations

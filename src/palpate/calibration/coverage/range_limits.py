@@ -1,14 +1,9 @@
-"""Where a range ends: how far beyond it frames within it are read, which says what is extrapolated.
+"""Where a range ends: how far beyond it frames within it are read, which defines extrapolation.
 
-A frame from the very end of the range is read beyond it half of the time. So an estimate, and an interval's
-end, may lie beyond the range as far as is usual for held-out frames within it: as far as in 97 % of the
-outermost tenth of them, in 97 % of those in the outermost tenth of the range, or in 99 % of all, whichever is
-farthest.
-
-An outermost tenth of few groups says little: four rows that are read within the range would let nothing
-beyond it. Where no rank of its groups promises 97 %, all rows tell how far a value lies beyond its own label:
-a frame within the range lies no farther beyond the range's end, so that 97 % are let go there, too, if errors
-at that end are like the others.
+An estimate, and an interval's end, may lie beyond the range as far as is usual for held-out frames within it:
+as far as in 97 % of the outermost tenth of them, in 97 % of those in the outermost tenth of the range, or in
+99 % of all, whichever is farthest. Where these tenths have too few groups for 97 %, the distance of all rows
+beyond their own label counts too.
 """
 
 from __future__ import annotations

@@ -16,7 +16,9 @@ from palpate.calibration.coverage.grouped_rates import (
 from palpate.calibration.coverage.range_fit import TENTHS
 from palpate.estimators.class_sets import ClassCoverageCard
 from palpate.estimators.intervals import Row
-from palpate.estimators.model_card import TenthCard
+from palpate.estimators.model_card import Card, TargetCard, TenthCard
+from palpate.estimators.reading_rules import too_unsure
+from palpate.estimators.target_layout import FULL_TURN
 
 MARGIN = 0.05
 """How far below its promise a tenth's rate is allowed: 85 % where 90 % is promised."""
@@ -123,3 +125,36 @@ def _where(part: TenthCard, parts: Sequence[TenthCard], unit: str) -> str:
 
 def _lean(part: TenthCard, unit: str) -> str:
     return f"{abs(part.bias):.2g} {unit} {'low' if part.bias < 0 else 'high'}"
+
+
+NEARLY_A_TURN = 350 / 360
+
+
+def card_findings(card: Card) -> tuple[str, ...]:
+    """What the reader of a certificate must know of its targets' ranges; empty where there is nothing."""
+    return tuple(sentence for target in card.targets for sentence in target_findings(target, card.coverage))
+
+
+def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
+    """Sentences on one target, with its name.
+
+    They name tenths of its range that cover too seldom, intervals as wide as the range, and a whole turn of
+    angles that was learnt as a plain number.
+
+    Args:
+        target: its card.
+        coverage: what its intervals promise.
+    """
+    name = target.quantity.replace("_", " ")
+    tenths = () if target.over_range is None else target.over_range.tenths
+    found = [f"{name}: {sentence}" for sentence in range_sentences(tenths, target.unit, coverage)]
+    if why := too_unsure(target):
+        found.append(f"{name} is not read: {why}")
+    turn, span = FULL_TURN.get(target.unit), target.greatest - target.least
+    if turn is not None and target.circular is None and span >= NEARLY_A_TURN * turn:
+        found.append(
+            f"{name} covers {span:.4g} {target.unit}, a whole turn, as a plain number: where the turn "
+            f"closes, "
+            f"readings are off by up to a turn; calibrate with --circular {target.column}"
+        )
+    return tuple(found)

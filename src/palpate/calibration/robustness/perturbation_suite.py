@@ -1,11 +1,8 @@
 """Perturbation suite: what changes of the camera cost a calibration's model, and a guard that knows it.
 
-Some of the held-out frames are changed by each kind and size of `perturbations.KINDS` and read by the model
-that is kept. A changed frame's estimate is taken to be its held-out one, moved as far as the kept model's
-moves with the change: so errors are those on groups not seen, and the change that of the model that will
-sense.
-
-The number of frames is bounded, so that this takes a few seconds for models that read quickly.
+Some held-out frames are changed by each kind and size of `perturbations.KINDS` and read by the model that is
+kept. A changed frame's estimate is its held-out one, moved as far as the kept model's moves with the change:
+so errors are those on groups not seen, and the change is that of the model that will sense.
 """
 
 from __future__ import annotations
@@ -15,30 +12,39 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import onnx
 from scipy.stats import fisher_exact
 
-from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.coverage.told_targets import told_targets
+from palpate.calibration.calibration_job import CalibrationJob
+from palpate.calibration.coverage.circular_scores import (
+    calibrated_arc,
+    mean_of,
+    shortest,
+    uninformative_width,
+)
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
-from palpate.calibration.training_data import LearningSet
-from palpate.core import Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
+from palpate.core import Bool, Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
+from palpate.estimators.certified import Estimator, checked_file
 from palpate.estimators.finding_cards import PerturbationCard, RobustnessCard
 from palpate.estimators.guard import (
     MAX_HARM,
     ChangeExamples,
     NoveltyDetector,
     Registration,
+    RenderedImages,
     cross_fitted,
     fit_known_changes,
+    fit_novelty_detector,
     frame_features,
     kept_rows,
     rescaled,
     thumbnail,
 )
 from palpate.estimators.intervals import Intervals
+from palpate.estimators.model_card import NO_BETTER
 from palpate.estimators.networks.model_interface import Fitted
-from palpate.estimators.target_layout import Outputs
-from palpate.recordings import Run, Split
+from palpate.estimators.target_layout import Outputs, TargetLayout
+from palpate.recordings import Split
 
 MIN_ROWS = 50
 """Held-out frames, with fewer of which neither the cost of a change nor false refusals can be told."""
@@ -59,21 +65,15 @@ class Suite:
     """A calibration's frames and its model, to be tried.
 
     Attributes:
-        run: the recording.
-        learning: the rows learnt from.
-        parts: their folds.
-        held_out: outputs ``[n o]`` for rows by a model that had not seen their group; NaN where not scored.
+        job: rows, folds, and the seed of which frames are changed, and how.
+        held_out: outputs ``[n o]`` by a model that had not seen the row's group; NaN where not scored.
         fitted: the model that is kept.
-        plan: its targets and reference, and the seed of which frames are changed, and how.
         intervals: those of its certificate.
     """
 
-    run: Run
-    learning: LearningSet
-    parts: Split
+    job: CalibrationJob
     held_out: Outputs
     fitted: Fitted
-    plan: CalibrationPlan
     intervals: Intervals
 
     @cached_property
@@ -81,7 +81,7 @@ class Suite:
         """Targets that the model reads: nothing is lost of the others. All where it reads none."""
         scored = np.flatnonzero(~np.isnan(self.held_out).any(axis=1))
         low, high = self.intervals.ends(self.held_out[scored])
-        layout, values = self.plan.layout, self.learning.data.values
+        layout, values = self.job.plan.layout, self.job.data.values
         told = told_targets(
             self.held_out[scored], values[scored], values, high - low, layout, self.intervals.coverage
         )
@@ -89,11 +89,11 @@ class Suite:
 
     def frame(self, row: int) -> Image:
         """The camera's frame of a row."""
-        return self.run.frame(int(self.learning.rows[row])).image
+        return self.job.run.frame(int(self.job.rows[row])).image
 
     def prepared(self, frame: Image) -> UInt8[np.ndarray, "_ _ _"]:
         """What the model is given of a frame."""
-        return self.learning.whole.preparation.apply(frame)
+        return self.job.whole.preparation.apply(frame)
 
     def outputs(self, rows: Indices, prepared: list[np.ndarray]) -> Outputs:
         """Outputs of the model that is kept, for prepared frames of these rows."""
@@ -103,10 +103,46 @@ class Suite:
 
     def _inputs(self, rows: Indices, prepared: list[np.ndarray]) -> Tensor:
         inputs = np.stack(prepared).transpose(0, 3, 1, 2).astype(np.float32)
-        if self.plan.delta:
-            untouched = self.learning.untouched
-            inputs -= untouched.images[untouched.groups[self.learning.rows[rows]]]
+        if self.job.plan.delta:
+            untouched = self.job.untouched
+            inputs -= untouched.images[untouched.groups[self.job.rows[rows]]]
         return np.ascontiguousarray(inputs)
+
+
+def told_targets(
+    held_out: Outputs,
+    true: Values,
+    learnt: Float[np.ndarray, "m t"],
+    widths: Values,
+    layout: TargetLayout,
+    coverage: float,
+) -> Bool[np.ndarray, " t"]:
+    """Targets predicted better than by the mean, with intervals shorter than their range.
+
+    It is the rule of `TargetCard.is_read`, but that the mean is one of all rows.
+
+    Args:
+        held_out: outputs ``[n o]`` for rows that the model had not seen.
+        true, widths: their labels, and the widths of their intervals ``[n t]``.
+        learnt: the labels of all rows ``[m t]``.
+        layout: of the targets in the outputs.
+        coverage: of the intervals.
+    """
+    error = np.abs(layout.differences(layout.decoded(held_out), true)).mean(axis=0)
+    told = [
+        error[j] <= NO_BETTER * np.abs(shortest(true[:, j] - mean_of(learnt[:, j], period), period)).mean()
+        and widths[:, j].mean() < _untold(learnt[:, j], widths[:, j], period, coverage)
+        for j, period in enumerate(layout.periods)
+    ]
+    return np.array(told, bool)
+
+
+def _untold(learnt: np.ndarray, widths: np.ndarray, period: float | None, coverage: float) -> float:
+    """Width from which on an interval tells nothing."""
+    if period is None:
+        return float(np.ptp(learnt))
+    least, greatest = calibrated_arc(learnt, period)
+    return uninformative_width(widths, greatest - least, coverage)
 
 
 @dataclass(frozen=True)
@@ -130,7 +166,7 @@ class Tried:
 def try_changes(
     suite: Suite, detector: NoveltyDetector, progress: Progress = silent
 ) -> tuple[NoveltyDetector, RobustnessCard]:
-    """Try what changes of the camera cost, and let the guard know.
+    """Measure what changes of the camera cost, and let the guard know.
 
     Args:
         suite: what to try.
@@ -141,11 +177,11 @@ def try_changes(
         The guard, which refuses what costs the model more than its intervals promise, and what was found.
     """
     scored = np.flatnonzero(~np.isnan(suite.held_out).any(axis=1))
-    if not suite.plan.targets:
+    if not suite.job.plan.targets:
         return detector, _no_target()
     if len(scored) < MIN_ROWS:
         return detector, _too_few(len(scored))
-    rng = np.random.default_rng([suite.plan.seed, OWN_STREAM])
+    rng = np.random.default_rng([suite.job.plan.seed, OWN_STREAM])
     rows = np.sort(rng.permutation(scored)[:MAX_UNCHANGED])
     tried = _tried(suite, rows, rng, progress)
     learnt = np.setdiff1d(np.arange(len(suite.held_out)), scored)
@@ -153,7 +189,7 @@ def try_changes(
     unchanged = _errors(suite, rows, np.zeros((len(rows), 1)))
     changed = _errors(suite, tried.row, tried.moved)
     before = _errors(suite, tried.row, np.zeros((len(tried.row), 1)))
-    turns = _turns([suite.plan.layout.periods[j] for j in suite.read], changed)
+    turns = _turns([suite.job.plan.layout.periods[j] for j in suite.read], changed)
     harm = _harm(unchanged.scaled, (changed.error - before.error) / changed.half, turns)
     progress("learning which changes cost", 0, 1)
     every, registration = _examples(suite, detector, rows, tried, harm, learnt)
@@ -173,7 +209,7 @@ def try_changes(
 
 def _parts(suite: Suite, rows: Indices) -> list[Indices]:
     """Rows dealt to a few parts, whole groups together; of one group alone, row by row."""
-    groups = suite.learning.data.groups[rows]
+    groups = suite.job.data.groups[rows]
     _, of = np.unique(groups if len(np.unique(groups)) > 1 else rows, return_inverse=True)
     return [rows[of % CROSS_FITS == k] for k in range(min(CROSS_FITS, int(of.max()) + 1))]
 
@@ -198,7 +234,7 @@ def _no_target() -> RobustnessCard:
 
 def _prepared(suite: Suite, rows: Indices) -> Iterator[np.ndarray]:
     for row in rows:
-        yield suite.learning.packed.read(np.array([row]))[0]
+        yield suite.job.packed.read(np.array([row]))[0]
 
 
 def _tried(suite: Suite, rows: Indices, rng: np.random.Generator, progress: Progress) -> Tried:
@@ -252,7 +288,7 @@ def _errors(suite: Suite, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Er
     low, high = suite.intervals.ends(outputs)
     half = np.maximum((high - low) / 2, np.finfo(np.float32).tiny)
     huge = float(np.finfo(np.float32).max)
-    error = suite.intervals.errors(outputs, suite.learning.data.values[rows])
+    error = suite.intervals.errors(outputs, suite.job.data.values[rows])
     return _Errors(np.nan_to_num(error, nan=huge, posinf=huge)[:, suite.read], half[:, suite.read])
 
 
@@ -268,12 +304,12 @@ def _turns(periods: Sequence[float | None], changed: _Errors) -> Values:
 def _harm(
     unchanged: Values, moved: Float[np.ndarray, "m t"], turns: Float[np.ndarray, "m t"]
 ) -> Float[np.ndarray, " m"]:
-    """Rise of the share of readings beyond twice their half-width, were every frame's estimate moved so far.
+    """Rise of the ratio of readings beyond twice their half-width, were every frame's estimate moved so far.
 
     Args:
         unchanged: errors of unchanged frames ``[n t]``, in half-widths.
-        moved: how far a change moves the estimates ``[m t]``, in half-widths.
-        turns: after what an error comes round again ``[m t]``, in half-widths; infinite where it does not.
+        moved, turns: shift of the estimates by each change, and period of the errors ``[m t]``, in
+            half-widths.
     """
     usual = np.mean(np.abs(unchanged) > BEYOND, axis=0)
     pairs = zip(np.nan_to_num(moved), turns, strict=True)
@@ -297,10 +333,10 @@ def _examples(
     harm: Float[np.ndarray, " m"],
     learnt: Indices,
 ) -> tuple[ChangeExamples, Registration]:
-    """Features and novelty of unchanged and changed frames, each beside thumbnails of other folds alone.
+    """Features and novelty of unchanged and changed frames, each next to thumbnails of other folds alone.
 
-    Frames that were learnt from and not scored are unchanged, too. Where few places are scored, a touch
-    between them would else be taken for a change, since only changed frames are anywhere near it.
+    Trained frames that were not scored count as unchanged: where few locations are scored, a touch between
+    them would otherwise resemble a change.
     """
     frame = np.concatenate([rows, tried.row, learnt])
     prepared = [*_prepared(suite, rows), *tried.prepared, *_prepared(suite, learnt)]
@@ -331,9 +367,9 @@ def _novelty(
     suite: Suite, detector: NoveltyDetector, frame: Indices, thumbs: list[np.ndarray]
 ) -> tuple[Float[np.ndarray, " m"], list[np.ndarray]]:
     """Novelty of thumbnails of these rows, and what is unlike those that the guard keeps of other folds."""
-    kept, total = kept_rows(len(suite.learning.whole), suite.plan.seed), len(detector.neighbours.thumbs)
+    kept, total = kept_rows(len(suite.job.whole), suite.job.plan.seed), len(detector.neighbours.thumbs)
     novelty, unlike = np.empty(len(frame)), [np.empty(0)] * len(frame)
-    for rows, whole in zip(suite.parts.folds, suite.learning.folds_of_whole(suite.parts), strict=True):
+    for rows, whole in zip(suite.job.parts.folds, suite.job.folds_of_whole(), strict=True):
         own = np.flatnonzero(np.isin(kept, whole))
         others = replace(detector, neighbours=detector.neighbours.among(np.setdiff1d(np.arange(total), own)))
         for i in np.flatnonzero(np.isin(frame, rows)):
@@ -362,6 +398,7 @@ def _card(
             beyond=_rounded(beyond.mean()),
             refused=_rounded(refused_changed[cell].mean()),
             silent=_rounded(np.mean(beyond & ~refused_changed[cell][:, None])),
+            passes=False,
         )
         table.append(row)
         wrong.append(int((beyond.any(axis=1) & ~refused_changed[cell]).sum()))
@@ -382,16 +419,14 @@ def _card(
 
 
 def _more_often(wrong: Sequence[int], frames: Sequence[int], usual: int, unchanged: int) -> list[bool]:
-    """Tell in which changes frames are wrong significantly more often than unchanged ones.
+    """Changes in which frames are wrong significantly more often than unchanged ones.
 
-    By Fisher's exact test of frames, since readings of one frame err together, and Holm's procedure over all
-    changes, so that a card names any by chance with a probability of 5 % at most: one wrong reading in a
-    dozen frames says nothing.
+    Fisher's exact test of frames, since readings of one frame err together, and Holm's procedure over all
+    changes.
 
     Args:
-        wrong: frames of each change that the guard lets pass with a reading beyond twice its half-width.
-        frames: how many were changed so.
-        usual, unchanged: such frames among unchanged ones, and the number of these.
+        wrong, frames: of each change, frames with a reading beyond twice its half-width, and all.
+        usual, unchanged: the same of unchanged frames.
     """
     tables = [[[k, n - k], [usual, unchanged - usual]] for k, n in zip(wrong, frames, strict=True)]
     p = np.array([fisher_exact(table, alternative="greater").pvalue for table in tables])
@@ -431,3 +466,68 @@ MAX_SILENT = 0.02
 """Readings beyond twice their half-width may pass by this share more often than of unchanged frames."""
 SIGNIFICANCE = 0.05
 """Probability of naming any change that passes wrong no more often than unchanged frames."""
+
+
+MAX_FOLDS = 10  # in which frames are set beside those of the others: each costs a look at all of them
+
+
+@dataclass(frozen=True, slots=True)
+class CertifiedModel:
+    """Network of a certificate, as a model that has learnt."""
+
+    estimator: Estimator
+
+    def predict(self, inputs: Tensor) -> Values:
+        """Outputs ``[n o]``, see `Estimator.values`."""
+        return self.estimator.values(inputs)
+
+    def to_onnx(self) -> onnx.ModelProto:
+        """The network as it stands in the certificate's folder."""
+        file = self.estimator.folder / self.estimator.card.model.file
+        return onnx.load(str(file), load_external_data=False)
+
+
+TOGETHER = 12
+"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
+
+
+def former_frames(estimator: Estimator) -> RenderedImages:
+    """Thumbnails that a calibration's guard keeps, those of neighboring presses together."""
+    kept = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
+    return RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
+
+
+def adapted_guard(
+    suite: Suite, former: RenderedImages, progress: Progress = silent
+) -> tuple[NoveltyDetector, RobustnessCard]:
+    """Guard of a calibration that is taken over to another unit of its sensor, or to another session.
+
+    It knows the former frames in addition to the new ones, which set its limits and test camera changes anew.
+    Where the former frames are too unlike these to help, they are left out.
+
+    Args:
+        suite: the new frames, with outputs of the network for them.
+        former: thumbnails that the former calibration's guard keeps.
+        progress: called with how far it is.
+
+    Returns:
+        The guard, and what was found; with too few frames it compares thumbnails alone.
+    """
+    job = suite.job
+    progress("learning what frames look like", 0, 1)
+    thumbs = job.thumbnails()
+    detector = fit_novelty_detector(
+        thumbs,
+        job.folds_of_whole(),
+        thumbs[job.untouched.rows],
+        also=former,
+        seed=job.plan.seed,
+    )
+    progress("learning what frames look like", 1, 1)
+    return try_changes(replace(suite, job=replace(job, parts=_in_few_folds(job.parts))), detector, progress)
+
+
+def _in_few_folds(parts: Split) -> Split:
+    """The same rows, several folds held out together where there are many."""
+    count = min(MAX_FOLDS, len(parts.folds))
+    return replace(parts, folds=tuple(np.concatenate(parts.folds[k::count]) for k in range(count)))

@@ -57,9 +57,14 @@ def perturbed(image: Image, kind: str, size: float, rng: Rng) -> Image:
         RangeError: the size is negative or not finite.
     """
     if kind not in KINDS:
-        raise InputError(f"no perturbation is called {kind!r}; there are {', '.join(KINDS)}")
+        raise InputError(
+            f"no perturbation is called {kind!r}; there are {', '.join(KINDS)}", code="unknown-kind"
+        )
     if not 0 <= size < math.inf:
-        raise RangeError(f"a perturbation of size {size} {KINDS[kind].unit}; sizes are 0 or more, and finite")
+        raise RangeError(
+            f"a perturbation of size {size} {KINDS[kind].unit}; sizes are 0 or more, and finite",
+            code="size-range",
+        )
     return KINDS[kind].change(image, size, rng) if size else image.copy()
 
 

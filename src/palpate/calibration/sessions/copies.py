@@ -21,9 +21,6 @@ from palpate.recordings.joined_runs import SENSOR, run_names
 
 COPY_FILE = "copy.npz"
 
-TOGETHER = 12
-"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
-
 MAX_REFUSED_OWN = 0.03
 """Share of the copy's own frames that may be taken for the former's."""
 
@@ -40,11 +37,11 @@ Flat = Float[np.ndarray, "_ k"]
 
 @dataclass(frozen=True, slots=True)
 class CopiesToldApart:
-    """A discriminator, and how it judges frames that it has not learnt from.
+    """A discriminator of two sensor units, and how it judges frames that it has not seen.
 
     Attributes:
-        discriminator: learnt from all frames.
-        refused_own, refused_former: shares of each copy's frames that are taken for the former's, each
+        discriminator: trained on all frames.
+        refused_own, refused_former: ratios of each unit's frames that are assigned to the former's, each
             judged without its own group.
     """
 
@@ -75,18 +72,15 @@ class _Frames(NamedTuple):
 def tell_apart(
     own: np.ndarray, own_groups: Indices, former: np.ndarray, former_groups: Indices
 ) -> CopiesToldApart:
-    """Learn which of two copies an image is of.
+    """Train a discriminator of two sensor units.
 
-    How well that goes is judged by those of the former's frames that are most like this copy's, so that it is
-    the copies that are told apart, and not shallow presses from deep ones. The limit lies where of this
-    copy's own frames, each judged without its group, no more than the stated share is refused; where the
-    copies lie apart, in the middle of the gap.
+    It is judged by those of the former's frames that are most like this unit's. At its limit no more than the
+    stated ratio of this unit's own frames, each judged without its group, is refused; where the units lie
+    apart, it is the middle of the gap.
 
     Args:
-        own: thumbnails of the copy adapted to ``[n h w c]``.
-        own_groups: group (press) of each ``[n]``; two or more.
-        former: thumbnails of the former copy ``[m h w c]``.
-        former_groups: group of each ``[m]``; two or more.
+        own, former: thumbnails of the unit adapted to ``[n h w c]`` and of the former one ``[m h w c]``.
+        own_groups, former_groups: group (press) of each; two or more.
     """
     sides = [_Frames(_flat(own), own_groups), _Frames(_flat(former), former_groups)]
     count = min(FOLDS, *(len(np.unique(side.groups)) for side in sides))

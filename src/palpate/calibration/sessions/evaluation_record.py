@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from palpate.core import CertificateError, PathText, new_file, storage_errors
 from palpate.core.parsing import parser
@@ -43,22 +43,12 @@ class EvaluationRecord(SealedCard):
             guard or range rule.
         frames_untold: how many frames do not tell a target, by its column; all where it is not read.
         frames_all_valid: how many gave a valid reading of everything that the calibration reads.
-        findings: sentences on each target's column whose intervals do not keep the promise here; these three
-            are None in files of before.
-        instruments: a sentence on each target's column whose labels are of another instrument than the
-            card's; None where there is none, and in files of before.
-        valid_readings: scores of each target's valid readings alone; None in files of before.
+        findings: sentences on each target's column whose intervals do not keep the promise here.
+        instruments: a sentence on each target whose labels are by another instrument than the card's.
+        valid_readings: scores of each target's valid readings alone.
         groups: how many groups (presses) these are of.
         reference: whether one image of the untouched sensor was given for all.
     """
-
-    added: ClassVar[tuple[str, ...]] = (
-        "frames_untold",
-        "frames_all_valid",
-        "findings",
-        "instruments",
-        "valid_readings",
-    )
 
     format: Literal["palpate-evaluation/1"]
     calibration: str
@@ -73,24 +63,15 @@ class EvaluationRecord(SealedCard):
     frames_valid: int
     groups: int
     reference: bool
-    frames_untold: dict[str, int] | None = None
-    frames_all_valid: int | None = None
-    findings: dict[str, tuple[str, ...]] | None = None
-    instruments: dict[str, str] | None = None
-    valid_readings: dict[str, ValidScoreCard] | None = None
+    frames_untold: dict[str, int]
+    frames_all_valid: int
+    findings: dict[str, tuple[str, ...]]
+    instruments: dict[str, str]
+    valid_readings: dict[str, ValidScoreCard]
 
     def findings_of(self, column: str) -> tuple[str, ...]:
         """Sentences on a target whose intervals do not keep the promise here, with its name."""
-        return (self.findings or {}).get(column, ())
-
-    def tells_less_than(self, other: EvaluationRecord) -> bool:
-        """True for a file of before, without findings or scores of valid readings, if the other has these
-        and the same scores of the same run.
-        """
-        same = ("run", "targets", "reference", "frames_scored")
-        alike = all(getattr(self, name) == getattr(other, name) for name in same)
-        later = ("findings", "valid_readings")
-        return alike and any(getattr(self, k) is None and getattr(other, k) is not None for k in later)
+        return self.findings.get(column, ())
 
     @property
     def of_another_session(self) -> bool:
@@ -125,7 +106,8 @@ def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool
     if scores["calibration"] != card.id:
         raise CertificateError(
             f"these scores are of calibration {scores['calibration']}, and {folder} holds {card.id}; keep "
-            f"them with the calibration they are of"
+            f"them with the calibration they are of",
+            code="other-calibration",
         )
     record = _sealed(scores, reference)
     stem = f"{PREFIX}{str(record.run['hash'])[:DIGITS]}"
@@ -150,7 +132,7 @@ def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
         software=f"palpate {__version__}",
         reference=reference,
         findings=scores["findings_of"],
-        instruments=scores["instruments"] or None,
+        instruments=scores["instruments"],
         **{name: scores[name] for name in (*names, *counts)},
     )
     return record.model_copy(update={"id": card_id(record.model_dump(mode="json"))})
@@ -173,7 +155,8 @@ def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
     if record.calibration != card.id:
         raise CertificateError(
             f"{path} is of calibration {record.calibration}, and not of {card.id}, whose folder it lies in; "
-            "move it to its own"
+            "move it to its own",
+            code="other-calibration",
         )
     return record
 
@@ -189,6 +172,5 @@ def read_evaluations(folder: PathText, card: Card) -> tuple[EvaluationRecord, ..
 
 
 def in_order(found: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
-    """Evaluations, the earliest first, but for files of before whose scores another tells with findings."""
-    told = [one for one in found if not any(one.tells_less_than(other) for other in found)]
-    return tuple(sorted(told, key=lambda one: one.created_utc))
+    """Evaluations, the earliest first."""
+    return tuple(sorted(found, key=lambda one: one.created_utc))

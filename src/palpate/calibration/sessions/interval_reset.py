@@ -1,17 +1,10 @@
-"""Intervals set anew for a session by some tens of its labelled rows, the network being as it was.
+"""Intervals recalibrated for a session by some tens of its labeled rows, with the network as it was.
 
-The network has seen nothing of the session, so that its errors there are exchangeable with those to come: of
-n rows, a new one's scaled error is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n +
-1), which is c or little more (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World,
-Springer 2005, doi:10.1007/b106715). Nothing is assumed of how the session differs. Rows of one press err
-alike; there n is the number of presses, and one row is drawn from each
-(`coverage.group_quantiles`).
-
-That probability is a mean over such sets of rows. With the rows in hand the coverage is one draw of a Beta
-distribution with parameters r and n + 1 - r: for n = 100 at 90 %, r = 91, the mean is 90.1 %, and 95 of 100
-such sets cover 83.6 to 95.1 %. Drawing the rank at random between two neighbours (smoothing) would make the
-mean 90 % to the digit, by at most 1 / (n + 1) narrower in coverage, and leave an interval to chance: it is
-not done.
+Errors of rows that the network has not seen are exchangeable with those to come: of n rows, a new one's
+scaled error is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n + 1) (V. Vovk, A.
+Gammerman and G. Shafer, Algorithmic Learning in a Random World, Springer 2005, doi:10.1007/b106715). Where
+rows come in presses, n counts presses and one row is drawn from each (`coverage.group_quantiles`). With the
+rows in hand the coverage is one draw of a Beta distribution with parameters r and n + 1 - r.
 """
 
 from __future__ import annotations
@@ -29,7 +22,15 @@ import pandas as pd
 from scipy.stats import beta
 from sklearn.model_selection import GroupKFold
 
-from palpate.calibration.calibration_plan import CalibrationPlan, ReferenceRule
+from palpate.calibration.calibration_job import (
+    CalibrationJob,
+    finest_columns,
+    groups_within,
+    refuse_other_size,
+    rule_in_run,
+    table_to_learn,
+)
+from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import (
     PREDICTIONS_FILE,
     instrument_card,
@@ -41,23 +42,23 @@ from palpate.calibration.certificate import (
 )
 from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
 from palpate.calibration.classes.prediction_sets import held_out_classes
-from palpate.calibration.coverage import range_cards
 from palpate.calibration.coverage.group_quantiles import (
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
 )
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.range_limits import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
-from palpate.calibration.robustness import CertifiedModel, Suite, adapted_guard
-from palpate.calibration.sessions.copies import TOGETHER
-from palpate.calibration.sessions.session_findings import finest_columns, groups_within
-from palpate.calibration.training_data import learning_set, rows_matching, table_to_learn
+from palpate.calibration.robustness.perturbation_suite import (
+    CertifiedModel,
+    Suite,
+    adapted_guard,
+    former_frames,
+)
 from palpate.core import (
     Float,
-    ImageError,
     InputError,
-    LabelError,
     PathText,
     Progress,
     Values,
@@ -68,7 +69,7 @@ from palpate.core import (
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
-from palpate.estimators.guard import NoveltyDetector, RenderedImages
+from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis, within
 from palpate.estimators.model_card import (
     Card,
@@ -96,7 +97,7 @@ class ExpectedCoverage:
     Attributes:
         rank: r.
         mean: r / (n + 1), over drawings of the n.
-        low, high: 2.5 and 97.5 % of those drawings cover less.
+        low, high: limits that hold 95 % of those drawings.
     """
 
     rank: int
@@ -106,7 +107,7 @@ class ExpectedCoverage:
 
     @classmethod
     def of(cls, n: int, coverage: float) -> ExpectedCoverage:
-        """From so many scores, for intervals of this coverage.
+        """Expected coverage of so many scores.
 
         Example:
             >>> found = ExpectedCoverage.of(100, 0.9)
@@ -119,15 +120,14 @@ class ExpectedCoverage:
 
 
 def intervals_set_anew(former: Intervals, outputs: Outputs, true: Values, groups: np.ndarray) -> Intervals:
-    """Intervals of a session, from rows that the network has not learnt from.
+    """Intervals of a session from rows that the network has not seen.
 
-    How their width follows the estimate stays; how wide they are is what these rows show. Bands for parts of
-    the range are the former session's, and go.
+    How their width follows the estimate stays; bands for parts of the range are the former session's, and go.
 
     Args:
         former: the calibration's.
         outputs: of the model for the rows ``[n o]``.
-        true: the labels ``[n t]``; errors of a circular target are taken the shortest way round.
+        true: the labels ``[n t]``.
         groups: label of each row's group ``[n]``, such as its press.
 
     Raises:
@@ -144,16 +144,13 @@ def radius_set_anew(
     groups: np.ndarray,
     coverage: float,
 ) -> float:
-    """Radius of a vector's joint region in a session, from rows that the network has not learnt from.
-
-    The ellipsoid's shape stays, as the width's dependence on the estimate does: the distances by it of these
-    rows and of those to come are exchangeable.
+    """Radius of a vector's joint region in a session; the ellipsoid's shape stays.
 
     Args:
         correlation: of the former session's errors, in units of their spread.
         scaled: signed errors of the rows, in these units.
         groups: label of each row's group ``[n]``.
-        coverage: how often the region shall hold all components at once.
+        coverage: how often the region shall cover all components at once.
 
     Raises:
         InputError: too few groups for the coverage.
@@ -170,28 +167,26 @@ def reset_intervals(
     *,
     instruments: Mapping[str, ReferenceInstrument] | None = None,
 ) -> Card:
-    """Set a calibration's intervals anew by some tens of labelled rows of a new session.
+    """Recalibrate a calibration's intervals by some tens of labeled rows of a new session.
 
-    The network stays, to the last byte; the novelty detector learns the session's frames besides those it
-    knew. The calibrated range stays that which the network was scored over.
+    The network stays, to the last byte; the novelty detector learns the session's frames in addition.
 
     Args:
         folder: the calibration; nothing in it is changed.
-        run: labelled rows of one new session, of nine groups or more at 90 %.
+        run: labeled rows of one new session, of nine groups or more at 90 %.
         out: the calibration folder to make; must not exist, and appears whole.
         progress: called with what is being done and how far it is.
-        instruments: what label columns were measured with; it goes before what the run's manifest states, and
-            that before the former calibration's.
+        instruments: what label columns were measured with; precedes the run's manifest.
 
     Returns:
-        The new calibration's card; `interval_reset` names the calibration and the run that set it.
+        The new card; `interval_reset` names the calibration and the run that set it.
 
     Raises:
         ExistsError: `out` exists.
         CertificateError: the calibration is damaged.
         ImageError: frames are of another size, or the untouched sensor is missing where it is subtracted.
         LabelError: a target is not among the labels, or an instrument is given for what is none of them.
-        InputError: too few rows, several sessions, or one that the calibration has learnt from.
+        InputError: too few rows, several sessions, or one that the calibration was trained on.
     """
     folder, out = Path(folder), Path(out)
     refuse_existing(out)
@@ -233,12 +228,8 @@ class _SessionRows:
     """Rows of the new session, as the calibration reads them.
 
     Attributes:
-        session: its name.
-        rows: of the run ``[n]``, those of the untouched sensor aside.
-        names: of the frames.
-        table: their labels, and the estimates.
-        outputs: of the network for the targets ``[n o]``.
-        of_classes: those for classes ``[n k]``.
+        rows: of the run ``[n]``, without those of the untouched sensor.
+        outputs, of_classes: of the network for the targets ``[n o]`` and for classes ``[n k]``.
         predicted, true: ``[n t]``.
         columns: label columns that name a group; none where each row is its own.
         groups: number of each row's group ``[n]``.
@@ -270,22 +261,12 @@ class _SessionRows:
             known_codes(labels, one.column, one.values, str(run.path))
         groups = groups_within(labels)
         _check_count(len(np.unique(groups)), len(rows), card.coverage, run)
-        height, width = card.input.frame_px
-        for row in rows:
-            shape = run.frame(int(row)).image.shape
-            if shape[:2] != (height, width):
-                raise ImageError(
-                    f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
-                    f"{width}x{height} px; record the session with the same camera settings, or calibrate "
-                    "anew"
-                )
-        table = predictions(estimator, run, progress=progress)
+        refuse_other_size(run, card, rows.tolist())
+        read = predictions(estimator, run, progress=progress)
+        table = labels.assign(**{str(name): read[name] for name in read if str(name).startswith("estimate:")})
         zeros, layout = zeros_of(estimator, run), layout_of(card)
         every = np.concatenate([estimator.outputs(run.frame(int(row)), zeros.get(int(row))) for row in rows])
         outputs, of_classes = np.split(every, [layout.outputs], axis=1)
-        table = table.drop(
-            columns=[name for name in table if name not in labels and not str(name).startswith("estimate:")]
-        )
         names = [run.frame(int(row)).name for row in rows]
         return cls(
             session, rows, names, table, outputs, of_classes, layout.decoded(outputs), true,
@@ -297,7 +278,8 @@ def _new_session(estimator: Estimator, run: Run) -> str:
     """Name of the one session that a run is of, which the calibration knows nothing of."""
     if why := same_session(estimator, run):
         raise InputError(
-            f"{run.path} sets no interval for another day: {why}; record rows of the new session"
+            f"{run.path} sets no interval for another day: {why}; record rows of the new session",
+            code="trained-on",
         )
     sessions = sorted(set(sessions_of(run).tolist()))
     if len(sessions) != 1:
@@ -314,32 +296,21 @@ def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
     least = next(n for n in range(1, 10_000) if is_distribution_free(n, coverage))
     raise InputError(
         f"{run.path} holds {rows} labelled rows of {groups} groups; {least} or more set intervals that hold "
-        f"{100 * coverage:g} % of new ones, and some tens set them well"
+        f"{100 * coverage:g} % of new ones, and some tens set them well",
+        code="few-groups",
     )
 
 
 def _guard(
     estimator: Estimator, run: Run, intervals: Intervals, beside: Path, progress: Progress
 ) -> tuple[NoveltyDetector, RobustnessCard]:
-    """A guard that knows the frames of the former sessions and of this one, whose limits this one sets.
-
-    What changes of the camera cost is tried on this one's frames, by the intervals that it has set.
-
-    Args:
-        estimator: the calibration.
-        run: rows of the new session.
-        intervals: set by them.
-        beside: path next to which work may lie.
-        progress: called with how far it is.
-    """
+    """A guard that knows the frames of all sessions; this one sets its limits and tests camera changes."""
     former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
     prefix = f".{beside.name}."
     with tempfile.TemporaryDirectory(prefix=prefix, suffix=".work", dir=beside.parent) as work:
         suite = _suite(estimator, run, intervals, Path(work))
-        kept = former.neighbours.thumbs
-        also = RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
-        detector, robustness = adapted_guard(suite, also, progress)
-    if len(suite.learning.untouched.rows):
+        detector, robustness = adapted_guard(suite, former_frames(estimator), progress)
+    if len(suite.job.untouched.rows):
         return detector, robustness
     detector = replace(
         detector,
@@ -354,25 +325,15 @@ def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> 
     """The session's frames, whole groups in a fold, with what the network gives for them."""
     card = estimator.card
     whole = pack(run, work / "packed", card.input.preparation)
-    plan = CalibrationPlan.of_card(card, _rule(card, run))
+    plan = CalibrationPlan.of_card(card, rule_in_run(card, run))
     groups = groups_within(table_to_learn(run.labels, plan))
     count = min(FOLDS_OF_GUARD, len(np.unique(groups)))
     folds = tuple(held for _, held in GroupKFold(count).split(groups, groups=groups))
-    learning = learning_set(whole, plan, groups, str(run.path))
-    outputs = [estimator.values(x) for _, x in learning.data.batches(np.arange(len(groups)))]
-    held_out = np.concatenate(outputs)[:, : plan.layout.outputs]
     parts = Split("session", (), groups, folds, "whole groups of the new session")
-    return Suite(run, learning, parts, held_out, CertifiedModel(estimator), plan, intervals)
-
-
-def _rule(card: Card, run: Run) -> ReferenceRule | None:
-    """The calibration's rule of the untouched sensor; None where it has none, or the run no such rows."""
-    rule = ReferenceRule.of_card(card)
-    rule = rule and rule.for_columns(run.labels.columns)
-    try:
-        return rule if rule is not None and rows_matching(run.labels, rule).any() else None
-    except LabelError:
-        return None
+    job = CalibrationJob.of(run, plan, parts, whole)
+    outputs = [estimator.values(x) for _, x in job.data.batches(np.arange(len(groups)))]
+    held_out = np.concatenate(outputs)[:, : plan.layout.outputs]
+    return Suite(job, held_out, CertifiedModel(estimator), intervals)
 
 
 def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
@@ -417,7 +378,6 @@ def _card(
         "seconds": round(seconds, 1),
         "interval_reset": reset,
         "sessions": _sessions(former, rows, reset.text),
-        "order": None,
         "robustness": robustness,
         "confounds": None,  # it was of the former's frames
         "vectors": former.vectors and tuple(_vector(v, former, rows) for v in former.vectors),

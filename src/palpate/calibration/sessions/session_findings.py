@@ -1,4 +1,4 @@
-"""What a calibration may promise of another day: its sessions, what speaks against them, and its words."""
+"""What a calibration promises of another day: its sessions, and what speaks against the promise."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.calibration_job import HELD_OUT_WHOLE, groups_within
 from palpate.calibration.certificate import CalibrationResult, IntervalFit, run_card
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
@@ -19,38 +20,30 @@ from palpate.calibration.sessions.session_intervals import (
     few_sessions_factor,
     intervals_of_sessions,
 )
-from palpate.calibration.sessions.session_labels import (
-    alike_sessions,
-    label_findings,
-    refuse_no_sessions,
-    unlabelled_runs,
-)
-from palpate.core import InputError, SplitError, Values
+from palpate.core import Bool, Float, Float32, Indices, InputError, SplitError, Values
 from palpate.estimators.finding_cards import SessionErrorCard, SessionsCard
+from palpate.estimators.findings import Finding, FindingCode
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
-from palpate.recordings.splits import SESSION, conventional_groups, group_names, within_session
-
-HELD_OUT_WHOLE = (SESSION, "sensor", "copy")
-"""Columns whose groups a new one of is asked for, when they are held out whole; the coarsest first."""
+from palpate.recordings.splits import SESSION, group_names
 
 MAX_COPIES = 0.05
-"""Share of a session's touched frames that may be another's to the last byte, as of a sensor that is dark at
-a light touch; more are one recording under two names."""
-
+"""Ratio of a session's frames that may equal another's, as of a sensor that is dark at a light touch."""
 MAX_ALTERED = 0.5
-"""Share of the scored frames that are altered copies of another session's, from which it is no other."""
-
+"""Ratio of the scored frames that are altered copies of another session's, from which it is no other."""
 MAX_SHARE_OF_VARIANCE = 0.9
-"""Share of a target's variance that lies between sessions, above which the session tells the target."""
-
-NOT_YET_TESTED = (
-    "Not yet tested on another day: all rows are of one session ({name}). Where that was measured "
-    "elsewhere, 90 % intervals covered between 53 and 95 % of the next session, in most cases less than "
-    "90 %. Record a second one and `palpate evaluate` on it."
-)
+"""Ratio of a target's variance between sessions, above which the session predicts the target."""
+MIN_ROWS = 10
+MAX_STRETCHES = 3.0
+"""Stretches of neighboring rows, over the number of sessions, above which sessions alternate."""
+MAX_SPANS = 20.0
+"""Ratio of a target's spans in two sessions, above which they may be in two units."""
+SHUFFLES, LEVEL = 199, 0.05
+MIN_UNITS = 8  # presses of a session, with fewer of which its frames are not compared with another's
+MAX_PAIRS, MAX_NAMED = 45, 3
+COMPONENTS, UNITS_A_COMPONENT = 20, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +51,7 @@ class HeldOutSessions:
     """Sessions of the scored rows, where a split has held them out whole.
 
     Attributes:
-        column: what tells them apart.
+        column: label column that names them.
         of: name of each scored row's session ``[n]``.
         groups: label of each scored row's group within them ``[n]``.
     """
@@ -69,18 +62,12 @@ class HeldOutSessions:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of sessions."""
         return len(np.unique(self.of))
 
 
-def held_out_sessions(table: pd.DataFrame, split: Split, scored: np.ndarray) -> HeldOutSessions | None:
-    """Sessions that were held out whole and scored; None where fewer than two were.
-
-    Args:
-        table: labels of the rows learnt from.
-        split: of these rows.
-        scored: which were scored.
-    """
+def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> HeldOutSessions | None:
+    """Sessions that were held out whole and scored; None where fewer than two were."""
     for column in HELD_OUT_WHOLE:
         if column not in split.group_columns or column not in table:
             continue
@@ -94,53 +81,8 @@ def held_out_sessions(table: pd.DataFrame, split: Split, scored: np.ndarray) -> 
     return None
 
 
-def finest_columns(table: pd.DataFrame) -> tuple[str, ...]:
-    """The finest conventional columns without gaps that group rows, such as the press; none if none does."""
-    finer = [columns for columns in conventional_groups(table) if columns[0] not in HELD_OUT_WHOLE]
-    whole = [columns for columns in finer if not has_gaps(table, columns)]
-    return within_session(table, whole[-1]) if whole else ()
-
-
-def has_gaps(table: pd.DataFrame, columns: tuple[str, ...]) -> bool:
-    """True if a cell of these columns is empty."""
-    cells = table[list(columns)]
-    return bool(cells.isna().to_numpy().any() or (cells.astype(str) == "").to_numpy().any())
-
-
-def groups_within(table: pd.DataFrame) -> np.ndarray:
-    """Number of each row's finest conventional group ``[n]``; each row its own where there is none."""
-    columns = finest_columns(table)
-    if not columns:
-        return np.arange(len(table))
-    return np.unique(group_names(table, columns), return_inverse=True)[1]
-
-
-def presses_of(table: pd.DataFrame, split: Split) -> np.ndarray | None:
-    """Number of what each row was recorded in at one go ``[n]``; None where no column says.
-
-    A split's own groups tell it too, unless they are whole sessions, or blocks that only cut the order.
-
-    Args:
-        table: labels of the rows learnt from.
-        split: of these rows.
-    """
-    named = [groups_within(table)] if finest_columns(table) else []
-    fine = split.groups is not None and split.block_rows is None
-    if fine and (not split.group_columns or set(split.group_columns) - set(HELD_OUT_WHOLE)):
-        named.append(np.unique(np.asarray(split.groups), return_inverse=True)[1])
-    if not named:
-        return None
-    return np.unique(np.column_stack(named), axis=0, return_inverse=True)[1].ravel()
-
-
-def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
-    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
-    columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
-    return group_names(table, columns) if columns else None
-
-
 def interval_fit(held: HeldOutSessions | None) -> IntervalFit:
-    """How intervals are made: for new sessions where such were held out, else as always."""
+    """Way to make intervals: for new sessions where such were held out."""
     return fit_intervals if held is None else partial(_for_sessions, held)
 
 
@@ -155,65 +97,121 @@ def _for_sessions(
     return intervals_of_sessions(predicted, true, held.of, held.groups, coverage, layout)
 
 
-def check_sessions(
-    table: pd.DataFrame,
-    values: Values,
-    columns: Sequence[str],
-    split: Split,
-    in_recorded_order: bool = True,
-) -> tuple[str, ...]:
-    """Findings on sessions that the labels alone show.
+def check_sessions(table: pd.DataFrame, values: Values, columns: Sequence[str], split: Split) -> None:
+    """Refuse to hold out sessions whose labels cannot name sessions.
 
     Args:
-        table: labels of the rows to learn from.
+        table: labels of the rows to train on.
         values: the targets ``[n t]``.
         columns: their names.
         split: of the rows.
-        in_recorded_order: whether rows lie in the order in which they were taken.
 
     Raises:
-        SplitError: sessions are to be held out, and their labels cannot name sessions, or a target has one
-            value in each: each would be asked for values that the others do not show.
+        SplitError: the label repeats a target, numbers rows, or spells one name in two ways; or a target has
+            one value in each session.
+    """
+    if SESSION not in table or SESSION not in split.group_columns:
+        return
+    sessions = group_names(table, (SESSION,))
+    names = np.unique(sessions)
+    if len(names) < 2:
+        return
+    remedy = "name what was recorded without re-mounting the sensor, such as the day, or use --split random"
+    for column in columns:
+        if column in table and np.array_equal(sessions, group_names(table, (column,))):
+            raise SplitError(f"label 'session' repeats target {column!r}; {remedy}", code="session-is-target")
+    if 2 * len(names) > len(sessions):
+        raise SplitError(
+            f"label 'session' has {len(names)} values in {len(sessions)} rows: it numbers rows; {remedy}",
+            code="session-numbers-rows",
+        )
+    spelt: dict[str, str] = {}
+    for name in map(str, names):
+        first = spelt.setdefault("".join(name.split()).casefold(), name)
+        if first != name:
+            raise SplitError(
+                f"sessions {first!r} and {name!r} are one name in two spellings; use one",
+                code="session-spelling",
+            )
+    for column, target in zip(columns, values.T, strict=True):
+        if share_between(target, sessions) > 1 - 1e-9:
+            raise SplitError(
+                f"target {column!r} has one value in each session, which no other session contains. Record "
+                "each session over the whole range, or split within sessions (--split blocks)",
+                code="session-is-target",
+            )
+
+
+def label_findings(
+    table: pd.DataFrame, values: Values, columns: Sequence[str], in_recorded_order: bool = True
+) -> list[Finding]:
+    """Findings on sessions by their labels and targets.
+
+    Args:
+        table: labels of the rows to train on, in the order they were recorded.
+        values: the targets ``[n t]``.
+        columns: their names.
+        in_recorded_order: whether that is the order in which the rows lie.
     """
     if SESSION not in table:
-        return ()
+        return []
     sessions = group_names(table, (SESSION,))
-    if len(np.unique(sessions)) < 2:
-        return ()
-    if SESSION in split.group_columns:
-        refuse_no_sessions(table, columns)
-    findings = label_findings(table, values, columns, in_recorded_order)
+    names, of, rows = np.unique(sessions, return_inverse=True, return_counts=True)
+    if len(names) < 2:
+        return []
+    found = [
+        Finding(code=FindingCode.SESSION_OF_FEW_ROWS, values={"session": str(name), "rows": int(count)})
+        for name, count in zip(names, rows, strict=True)
+        if count < MIN_ROWS
+    ]
+    times = int(np.sum(of[1:] != of[:-1]))
+    if in_recorded_order and 1 + times > MAX_STRETCHES * len(names):
+        found.append(
+            Finding(code=FindingCode.SESSIONS_ALTERNATE, values={"sessions": len(names), "times": times})
+        )
     for column, target in zip(columns, values.T, strict=True):
-        share = share_between(target, sessions)
-        if share > 1 - 1e-9 and SESSION in split.group_columns:
-            raise SplitError(
-                f"target {column!r} has one value in each session, so that the session is the target: held "
-                "out, a session asks for a value that no other shows. Record each session over the whole "
-                "range, or split within sessions (--split blocks), which tests no other day"
+        spans = np.array([np.ptp(target[of == k]) for k in range(len(names))])
+        if 0 < np.sum(spans == 0) < len(names):
+            constant = ", ".join(map(str, names[spans == 0][:MAX_NAMED]))
+            found.append(
+                Finding(code=FindingCode.CONSTANT_IN_SESSION, target=column, values={"session": constant})
             )
-        if share > MAX_SHARE_OF_VARIANCE:
-            findings.append(
-                f"{100 * share:.0f} % of the variance of {column} lies between sessions: what tells the "
-                "session, such as light or mounting, tells the target; record each session over the whole "
-                "range"
+        moving = (spans > 0) & (rows >= MIN_ROWS)
+        least, most = spans[moving].min(initial=np.inf), spans[moving].max(initial=0.0)
+        if moving.sum() > 1 and most > MAX_SPANS * least:
+            first, second = (str(names[moving][k]) for k in np.argsort(spans[moving])[[0, -1]])
+            ends = {"small": float(least), "large": float(most), "first": first, "second": second}
+            found.append(Finding(code=FindingCode.UNIT_OF_SESSION, target=column, values=ends))
+        if (share := share_between(target, sessions)) > MAX_SHARE_OF_VARIANCE:
+            found.append(
+                Finding(code=FindingCode.SESSION_TELLS_TARGET, target=column, values={"share": share})
             )
-    return tuple(findings)
+    return found
 
 
 def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
-    """Share of a target's variance ``[n]`` that lies between the sessions' means (eta squared)."""
+    """Ratio of a target's variance ``[n]`` that lies between the sessions' means (eta squared)."""
     _, of = np.unique(sessions, return_inverse=True)
     means = np.bincount(of, weights=target) / np.bincount(of)
     variance = float(np.var(target))
     return float(np.var(means[of])) / variance if variance > 0 else 0.0
 
 
+def unlabeled_runs(run: Run) -> list[Finding]:
+    """A finding on runs whose session is their name, joined with runs that label it."""
+    runs = run.runs if isinstance(run, JoinedRun) else ()
+    bare = [one.path.name for one in runs if SESSION not in one.manifest.labels]
+    if not bare or len(bare) == len(runs):
+        return []
+    return [Finding(code=FindingCode.RUNS_WITHOUT_SESSION, values={"runs": ", ".join(bare)})]
+
+
 def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
-    """Raise where one session stands under two names: its frames are another's, to the last byte.
+    """Raise where one session stands under two names: its frames equal another's.
 
     Args:
-        packed: the rows to learn from, without those of the untouched sensor, which look alike everywhere.
-        columns: of the split; nothing is asked where no session is held out.
+        packed: the rows to train on, without those of the untouched sensor, which look alike everywhere.
+        columns: of the split; nothing is compared where no session is held out.
 
     Raises:
         InputError: more frames of a session than by chance are another's.
@@ -221,8 +219,8 @@ def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
     if SESSION not in columns or SESSION not in packed.table:
         return
     sessions = group_names(packed.table, (SESSION,))
+    digests = [sha256(packed.read([row]).tobytes()).digest() for row in range(len(packed))]
     seen: dict[bytes, set[str]] = {}
-    digests = [_digest(packed, row) for row in range(len(packed))]
     for digest, session in zip(digests, sessions, strict=True):
         seen.setdefault(digest, set()).add(session)
     for session in np.unique(sessions):
@@ -231,14 +229,55 @@ def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
             copies = sum(other in seen[digest] for digest in own)
             if copies > MAX_COPIES * len(own) and copies > 1:
                 raise InputError(
-                    f"{copies} of {len(own)} frames of session {session} are frames of session {other}, "
-                    f"to the last byte: that is one session under two names, which tests no other day. Give "
-                    "it once, or under one name"
+                    f"{copies} of {len(own)} frames of session {session} equal frames of {other}. Give one "
+                    "session once, or under one name",
+                    code="session-twice",
                 )
 
 
-def _digest(packed: PackedSet, row: int) -> bytes:
-    return sha256(packed.read([row]).tobytes()).digest()
+def alike_sessions(
+    images: Float32[np.ndarray, "n h w c"], sessions: np.ndarray, units: Indices
+) -> list[Finding]:
+    """A finding on sessions whose frames differ no more than presses do.
+
+    Mean images of two sessions are compared, in their main components and in units of how much presses
+    differ (Hotelling's T²), with those of shuffled presses. A new mounting and another day's light differ.
+
+    Args:
+        images: small images of the frames.
+        sessions: of each ``[n]``.
+        units: press of each, which is shuffled whole.
+    """
+    _, of_unit = np.unique(units, return_inverse=True)
+    count = np.bincount(of_unit)
+    flat = images.reshape(len(images), -1).astype(np.float64)
+    means = np.zeros((len(count), flat.shape[1]))
+    np.add.at(means, of_unit, flat)
+    means /= count[:, None]
+    session_of = np.empty(len(count), dtype=sessions.dtype)
+    session_of[of_unit] = sessions
+    pairs = []
+    for first, second in list(combinations(np.unique(sessions), 2))[:MAX_PAIRS]:
+        part = np.isin(session_of, (first, second))
+        ours = session_of[part] == first
+        if min(ours.sum(), (~ours).sum()) >= MIN_UNITS and _level(means[part], ours) > LEVEL:
+            pairs.append(f"{first} and {second}")
+    if not pairs:
+        return []
+    return [Finding(code=FindingCode.SESSIONS_ALIKE, values={"pairs": "; ".join(pairs[:MAX_NAMED])})]
+
+
+def _level(means: Float[np.ndarray, "u d"], ours: Bool[np.ndarray, " u"]) -> float:
+    """Ratio of shufflings in which two groups of presses differ as much."""
+    centred = means - means.mean(axis=0)
+    axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    kept = min(COMPONENTS, len(means) // UNITS_A_COMPONENT, int((sizes > 1e-6 * max(sizes[0], 1e-12)).sum()))
+    scores = axes[:, : max(kept, 1)]
+    rng = np.random.default_rng(0)
+    orders = np.array([ours, *(rng.permutation(ours) for _ in range(SHUFFLES))], dtype=np.float64)
+    # Components have no mean, so that one group's sum is minus the other's.
+    differences = ((orders @ scores) ** 2).sum(axis=1)
+    return float((1 + np.sum(differences[1:] >= differences[0] * (1 - 1e-9))) / (1 + SHUFFLES))
 
 
 def sessions_card(
@@ -246,15 +285,15 @@ def sessions_card(
     held: HeldOutSessions | None,
     errors: Mapping[str, tuple[np.ndarray, np.ndarray]],
     coverage: float,
-    findings: tuple[str, ...] = (),
+    findings: tuple[Finding, ...] = (),
 ) -> SessionsCard:
     """The card's part on sessions.
 
     Args:
-        run: what was learnt from.
+        run: what was trained on.
         held: the sessions held out; None where none was.
         errors: of each target's column, signed errors of the scored rows ``[n]`` and whether their
-            intervals held the truth ``[n]``.
+            intervals covered the truth ``[n]``.
         coverage: of the intervals.
         findings: what stands against the promise.
     """
@@ -286,81 +325,51 @@ def _error_card(held: HeldOutSessions, errors: np.ndarray, inside: np.ndarray) -
     return SessionErrorCard(between=spread.between, within=spread.within, coverage_least=least)
 
 
+_ELSEWHERE = (
+    "where that was measured elsewhere, 90 % intervals covered 53 to 95 % of the next session, mostly less "
+    "than 90 %"
+)
+
+
 def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, factor: float | None) -> str:
     """What the intervals promise of a new session, in words."""
-    rate, what, many = f"{100 * coverage:g} %", column, "copies" if column == "copy" else f"{column}s"
+    rate, many = f"{100 * coverage:g} %", "copies" if column == "copy" else f"{column}s"
+    untested = "Not yet tested on another day"
     if count < 2 and len(names) < 2:
-        return NOT_YET_TESTED.format(name=names[0] if names else "not named")
+        return (
+            f"{untested}: all rows are of one session ({names[0] if names else 'not named'}); {_ELSEWHERE}. "
+            "Record a second one and `palpate evaluate` on it."
+        )
     if count < 2:
         return (
-            f"Not yet tested on another day: rows of each of {len(names)} sessions were trained on when "
-            "others of the same were held out, so that the intervals are for rows of these sessions, and "
-            "may cover less on another (elsewhere between 53 and 95 % where 90 % was promised, in most cases "
-            "less than 90 %). Hold sessions out (--split session)."
+            f"{untested}: rows of each of {len(names)} sessions were trained on; {_ELSEWHERE}. Hold sessions "
+            "out (--split session)."
         )
+    tested = f"Tested on {count} {many}, each held out whole. The {rate} intervals are for a new {column}"
     if factor is not None:
+        needed = next(n for n in range(2, 10_000) if is_distribution_free(n, coverage))
         return (
-            f"Tested on {count} {many}, each held out whole. The {rate} intervals are for a new {what}, "
-            f"by a Gaussian model of how {many} differ: {factor:.2f} times as wide as if many were known, "
-            f"since {count} say little of the next. That is no guarantee; one without an assumption takes "
-            f"{_sessions_needed(coverage)} {many}."
+            f"{tested}, by a Gaussian model of how {many} differ, and {factor:.2f} times as wide as if many "
+            f"were known. That is no guarantee; one without an assumption takes {needed} {many}."
         )
-    rank = rank_of_new_group(count, coverage)
     return (
-        f"Tested on {count} {many}, each held out whole. The {rate} intervals are for a new {what}, "
-        "whatever the errors' distribution, if larger ones are rarer than smaller ones: the expected score "
-        f"of rank {rank} among one from each of {count}. The rate is the mean over new {many}: a single one "
-        "may be covered less often."
+        f"{tested}, whatever the errors' distribution, if larger ones are rarer than smaller ones. The rate "
+        f"is the mean over new {many}: a single one may be covered less often."
     )
 
 
-def _sessions_needed(coverage: float) -> int:
-    count = 2
-    while not is_distribution_free(count, coverage):
-        count += 1
-    return count
-
-
-def session_fields(result: CalibrationResult, held: HeldOutSessions | None) -> dict[str, Any]:
-    """Fields of a card that say what sessions were learnt from."""
-    scored, plan, table, intervals = (
-        result.scored,
-        result.plan,
-        result.learning.packed.table,
-        result.intervals,
-    )
+def result_sessions(result: CalibrationResult, held: HeldOutSessions | None) -> SessionsCard:
+    """The card's part on sessions of a new calibration."""
+    job, scored, intervals = result.job, result.scored, result.intervals
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)
-    pairs = {column: (errors[:, j], inside[:, j]) for j, column in enumerate(plan.targets)}
-    findings = (
-        *_copied(result),
-        *_alike(result, table),
-        *unlabelled_runs(result.run),
-        *check_sessions(
-            table, result.data.values, plan.targets, result.split, result.run.manifest.order == "recorded"
-        ),
-    )
-    return {"sessions": sessions_card(result.run, held, pairs, plan.coverage, findings)}
-
-
-def _copied(result: CalibrationResult) -> list[str]:
-    """A sentence where most frames of held-out sessions are altered copies of others'."""
-    copies, scored = result.audit.near_duplicates, len(result.scored)
-    if SESSION not in result.split.group_columns or copies < MAX_ALTERED * scored:
-        return []
-    text = (
-        f"{copies} of {scored} frames look the same as frames of another session, within camera noise or but "
-        "for a shift or light: that is one session under two names, which tests no other day; give it once"
-    )
-    return [text]
-
-
-def _alike(result: CalibrationResult, table: pd.DataFrame) -> list[str]:
-    """Sentences on sessions whose frames cannot be told apart; none where there is one session."""
-    if SESSION not in table or SESSION not in result.split.group_columns:
-        return []
-    sessions = group_names(table, (SESSION,))
-    if len(np.unique(sessions)) < 2:
-        return []
-    pictures = result.learning.thumbnails()[result.learning.rows]
-    return alike_sessions(pictures, sessions, groups_within(table))
+    pairs = {column: (errors[:, j], inside[:, j]) for j, column in enumerate(job.plan.targets)}
+    found = unlabeled_runs(job.run)
+    found += label_findings(job.table, job.data.values, job.plan.targets, job.in_recorded_order)
+    if job.sessions is not None and len(np.unique(job.sessions)) > 1:
+        copies = result.audit.near_duplicates
+        if copies >= MAX_ALTERED * len(scored):
+            values: dict[str, int | float | str] = {"count": copies, "held": len(scored)}
+            found.append(Finding(code=FindingCode.SESSIONS_COPIED, values=values))
+        found += alike_sessions(job.thumbnails()[job.rows], job.sessions, groups_within(job.table))
+    return sessions_card(job.run, held, pairs, job.plan.coverage, tuple(found))

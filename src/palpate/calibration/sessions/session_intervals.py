@@ -110,10 +110,10 @@ def intervals_of_sessions(
     coverage: float,
     layout: TargetLayout | None = None,
 ) -> Intervals:
-    """Intervals that hold the truth at the rate `coverage` in a session not yet seen.
+    """Intervals that cover the truth at the rate `coverage` in a session not yet seen.
 
-    How their width follows the estimate is learnt as in `conformal.fit_intervals`, for each session's
-    scores from the other sessions.
+    How their width follows the estimate is fitted as in `conformal.fit_intervals`, for each session's scores
+    from the other sessions.
 
     Args:
         predicted: outputs ``[n o]`` of models that had not seen the row's session.

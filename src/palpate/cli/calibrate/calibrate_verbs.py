@@ -137,8 +137,8 @@ def calibrate(
     Example: palpate calibrate monday tuesday friday --split session --out cal
     Example: palpate calibrate run --targets none --classes object --split group:press --out cal
     """
+    from palpate.calibration.calibration_job import model_regions
     from palpate.calibration.calibration_plan import ReferenceRule
-    from palpate.calibration.training_data import model_regions
     from palpate.core import Lens
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
@@ -377,14 +377,13 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 
 
 def _card_text(card: Any, out: Path) -> str:
-    from palpate.calibration.coverage import card_findings
+    from palpate.calibration.coverage.range_scores import card_findings
     from palpate.reports.class_text import class_lines
-    from palpate.reports.order_verdicts import order_sentences
     from palpate.reports.terminal_text import confounds_text, instrument_lines
 
-    lines = [f"calibration {card.id}: {out}", *confounds_text(card), *order_sentences(card)]
+    lines = [f"calibration {card.id}: {out}", *confounds_text(card)]
     if card.sessions is not None:
-        lines += [card.sessions.text, *card.sessions.findings]
+        lines += [card.sessions.text, *(one.text for one in card.sessions.findings)]
     if card.targets:
         lines += [_card_scores(card), *instrument_lines(card.targets)]
     for one in card.classes or ():
@@ -394,9 +393,7 @@ def _card_text(card: Any, out: Path) -> str:
         lines += _choice_lines(card)
     if card.training is not None:
         lines.append(f"learnt in {card.training.sentence}")
-    if card.order is not None:
-        lines += [*_splits_table(card), card.order.text]
-    lines += [f"audit: {card.split.audit}", f"report: {out / 'report.html'}"]
+    lines += [f"audit: {card.split.audit_text}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
 
 
@@ -413,22 +410,6 @@ def _vector_text(vector: Any) -> str:
         f"{100 * vector.covered:.1f} % "
         f"of rows (95 % interval {100 * vector.low:.1f} to {100 * vector.high:.1f} %)"
     )
-
-
-def _splits_table(card: Any) -> list[str]:
-    """Each target's error and coverage by each split, where two were scored."""
-    from palpate.core import rounded
-    from palpate.reports.score_intervals import mean_error_half_width
-
-    splits = card.order.splits
-    if len(splits) < 2:
-        return []
-    lines = ["held out by       " + "".join(f"{one.kind:>24}" for one in splits)]
-    for target in card.targets:
-        name, off = target.column, mean_error_half_width(target.score, target.score.n)
-        cells = [f"MAE {rounded(one.mae[name], off)}, {100 * one.coverage[name]:.1f} %" for one in splits]
-        lines.append(f"{name:18}" + "".join(f"{cell:>24}" for cell in cells))
-    return lines
 
 
 def _choice_lines(card: Any) -> list[str]:
@@ -543,7 +524,7 @@ def _set_intervals_anew(calibration: Path, run: Path, out: Path, instruments: di
 
 
 def _reset_text(card: Any, out: Path, report: str) -> str:
-    from palpate.calibration.coverage import card_findings
+    from palpate.calibration.coverage.range_scores import card_findings
     from palpate.reports.class_text import class_lines
     from palpate.reports.terminal_text import instrument_lines
 
@@ -595,7 +576,7 @@ def _adapted_text(card: Any, out: Path, report: str) -> str:
             *table,
             *instrument_lines(card.targets),
             scored,
-            f"audit: {card.split.audit}",
+            f"audit: {card.split.audit_text}",
             f"report: {out / report}",
         ]
     )

@@ -1,17 +1,12 @@
-"""Order of colour channels: whether a frame has red where the calibration's frames have blue.
+"""Order of color channels: whether a frame has red where the calibration's frames have blue.
 
-A frame of blue, green and red, as OpenCV gives them, differs little from one of red, green and blue where
-the picture is nearly grey, and a network reads it all the same. What differs turns its sign: the difference
-of red and blue. It is compared, pixel by pixel, with that of the picture which the calibration's frames make
-of it.
-
-Light of another colour turns that difference as well, but changes it in proportion to the brightness or by a
-constant. So the difference is compared a second time after its linear regression on brightness is taken out.
-Exchanged are channels only where both comparisons say so, which no other lamp does, and where, exchanged
-back, the frame is like those calibrated on and its red less blue more so than before (see
-`NoveltyDetector.judge`), which a picture of a place that is badly known is not. Where red less blue goes with
-brightness all over, as on a skin of two colours, nothing can be told. Between lamps that face each other a
-mirrored picture is one with exchanged channels: what may as well be mirrored is refused without a name.
+The difference of red and blue is compared, pixel by pixel, with that of the picture rebuilt from the
+calibration's
+frames: as it is, and after its linear regression on brightness, since another lamp changes it in proportion
+    to
+brightness or by a constant. Channels are exchanged only where both comparisons agree and the frame, exchanged
+back, is like those calibrated on (see `NoveltyDetector.judge`). Between lamps that face each other a mirrored
+picture is one with exchanged channels, which is refused without a name.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Which of two copies of a sensor an image is of: the one adapted to, or the one that the network came from.
+"""Discriminator of two sensor units: the one adapted to, and the one that the network came from.
 
-An adapted calibration knows frames of both copies as good ones, so that its novelty detector passes both.
-Their thumbnails differ along one axis more than frames of either do: Fisher's discriminant. An image's place
-on it is 0 at the mean of the copy adapted to and 1 at the mean of the former.
+An adapted calibration knows frames of both units, so that its novelty detector passes both. Their thumbnails
+differ most along Fisher's discriminant axis: 0 is the mean of the unit adapted to, and 1 that of the former.
 """
 
 from __future__ import annotations
@@ -61,8 +60,12 @@ class CopyDiscriminator:
             arrays = read_arrays(path)
             axis, offset, limit = (arrays[name] for name in ("axis", "offset", "limit"))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
-            raise CertificateError(f"{path} tells no copies apart ({e}); adapt again") from e
+            raise CertificateError(
+                f"{path} tells no copies apart ({e}); adapt again", code="file-damaged"
+            ) from e
         numbers = np.concatenate([axis.ravel(), offset.ravel(), limit.ravel()])
         if axis.shape != (size,) or numbers.dtype != np.float64 or not np.isfinite(numbers).all():
-            raise CertificateError(f"{path} does not fit the calibration's thumbnails; adapt again")
+            raise CertificateError(
+                f"{path} does not fit the calibration's thumbnails; adapt again", code="file-misfit"
+            )
         return cls(axis, float(offset), float(limit))

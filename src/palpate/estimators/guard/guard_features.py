@@ -1,12 +1,8 @@
-"""Features of an image that see focus, geometry and light: what a thumbnail is too coarse for.
+"""Features of an image for focus, geometry and light, for which a thumbnail is too coarse.
 
-Differences between neighbouring pixels, in four orientations and several octaves, are the power spectrum in
-bands (mean squares) and tell soft edges from sharp ones (their mean sizes beside it). Grey levels, rows and
-columns, and the markers' number, size and places see light, faults of the camera and where the picture lies.
-How a thumbnail lies on the mean one tells shift, turn and zoom of the whole picture (image registration by
-gradients: Lucas and Kanade, IJCAI 1981, p. 674).
-All are logarithms or shares, so that an image of another size has others, and one of the same size is
-compared number by number.
+Differences between neighboring pixels in four orientations and several octaves (power in bands, and edges),
+grey levels, rows and columns, and number, size and positions of markers; registration of a thumbnail on the
+mean one by gradients for shift, turn and zoom (Lucas and Kanade, IJCAI 1981, p. 674).
 """
 
 from __future__ import annotations
@@ -145,10 +141,9 @@ def _tints(prepared: UInt8[np.ndarray, "_ _ c"]) -> list[float]:
 
 @dataclass(frozen=True)
 class Registration:
-    """Least-squares fit of a thumbnail to a calibration's mean one that was moved, lit and focused a little.
+    """Least-squares fit of a thumbnail to a calibration's mean one, moved, lit and focused a little.
 
-    Pixels count by how little they change from frame to frame, so that what a touch does not move tells
-    most: the rim, a frame, the light.
+    Pixels are weighted by how little they change from frame to frame.
 
     Attributes:
         mean: of the thumbnails, flat.

@@ -1,16 +1,11 @@
 """Known changes: frames that were changed on purpose, what that cost the model, and so what to refuse.
 
-Held-out frames of a calibration are perturbed (see `calibration.robustness`). Each such example keeps its
-features and its harm: by how much the share of readings rises whose error is beyond twice the half-width
-of their interval. A new frame is placed among the examples, in directions in which changes move the features
-and touches do not (whitened by the unchanged frames, then the principal axes of changed less unchanged:
-Fisher's discriminant, doi:10.1111/j.1469-1809.1936.tb02137.x, for many small classes), and its nearest ones
-foretell the harm (nearest-neighbour regression: Stone, Ann. Stat. 5:595 (1977),
-doi:10.1214/aos/1176343886).
-
-Where the frame is as near to examples as they are to each other, that is what decides, and its thumbnail may
-be as novel as harmless changes make it. Where it is not, nobody knows what it costs, and the thumbnail's
-own limit holds as if no change were known.
+Each example (see `calibration.robustness`) keeps its features and its harm: by how much the ratio of readings
+rises whose error is beyond twice the half-width. A new frame is placed among the examples in directions in
+which changes move the features and touches do not (Fisher's discriminant,
+doi:10.1111/j.1469-1809.1936.tb02137.x), and its nearest ones predict the harm (nearest-neighbor regression:
+Stone, Ann. Stat. 5:595 (1977), doi:10.1214/aos/1176343886). Far from all examples, the thumbnail's own limit
+holds.
 """
 
 from __future__ import annotations
@@ -72,8 +67,7 @@ class Verdict:
 
     Attributes:
         atypicality: beyond 1 the frame should not be trusted.
-        kind: of the change that it looks most like, a name in `SIGNATURES` or `MIRRORED`, or `EXCHANGED`; ""
-            where none is known.
+        kind: the change that it resembles, a name in `SIGNATURES` or `MIRRORED`, or `EXCHANGED`; "" for none.
         known: whether it is as near to known examples as they are to each other.
         costs: whether it was refused for what such a change costs the model.
     """
@@ -117,12 +111,12 @@ class ChangeExamples:
 
     Attributes:
         features: ``[m k]``, see `guard_features.frame_features`.
-        frame: which frame each is of; those of one frame are never each other's neighbours.
+        frame: number of the frame; those of one frame are never each other's neighbors.
         kind: number of its kind among `names`, from 1; 0 where it was not changed.
-        harm: rise of the share of readings beyond twice their half-width; 0 where it was not changed.
+        harm: rise of the ratio of readings beyond twice their half-width.
         novelty: of its thumbnail, over the limit that holds where no change is known.
         names: of the kinds.
-        local: whether the features have those of the thumbnail beside its neighbours.
+        local: whether the features include those of the thumbnail next to its neighbors.
     """
 
     features: Float[np.ndarray, "m k"]
@@ -158,12 +152,11 @@ class KnownChanges:
 
     Attributes:
         registration: of thumbnails on the mean one.
-        centre, spread, axes: from features to places ``[k]``, ``[k]``, ``[k d]``.
-        places: of the examples ``[m d]``.
-        spacing: how far the third nearest example of another frame is ``[m]``.
-        harm, novelty, kind, names: see `ChangeExamples`.
+        centre, spread, axes: from features to positions ``[k]``, ``[k]``, ``[k d]``.
+        places: positions of the examples ``[m d]``.
+        spacing: distance of the third nearest example of another frame ``[m]``.
+        harm, novelty, kind, names, local: see `ChangeExamples`.
         limits: of harm, of the spacing's ratio, of novelty among known changes, and what all is divided by.
-        local: whether features have those of the thumbnail beside its neighbours; guards of before have none.
     """
 
     registration: Registration
@@ -217,7 +210,7 @@ class KnownChanges:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KnownChanges | None:
-        """What `arrays` gave, among others; None where they hold none, as of a guard made before.
+        """Inverse of `arrays`; None where these hold no known changes.
 
         Raises:
             KeyError: a part is missing.
@@ -330,12 +323,12 @@ def _spacing(places: np.ndarray, frame: np.ndarray) -> tuple[Float32[np.ndarray,
 def cross_fitted(
     examples: ChangeExamples, registration: Registration, folds: Sequence[Indices]
 ) -> list[Verdict]:
-    """Verdict on every example by known changes that were learnt from frames of other folds.
+    """Verdict on every example by known changes trained on frames of other folds.
 
     Args:
         examples: unchanged and changed frames.
         registration: that their features were made with.
-        folds: frames of each; every frame of the examples in one, whole groups together.
+        folds: frames of each, whole groups together.
     """
     verdicts = [Verdict(np.inf)] * len(examples.frame)
     for fold in folds:
@@ -349,7 +342,7 @@ def cross_fitted(
 
 
 def rescaled(known: KnownChanges, unchanged: Float[np.ndarray, " n"]) -> tuple[KnownChanges, float]:
-    """The same with limits that let pass all but the share allowed of unchanged frames, and the factor.
+    """The same with limits that pass all but the allowed ratio of unchanged frames, and the factor.
 
     Args:
         known: changes of a calibration.

@@ -1,17 +1,15 @@
-"""Novelty detector: how far a new image lies from those that a calibration was learnt from.
+"""Novelty detector: distance of a new image from those that a calibration was trained on.
 
-A thumbnail of the image is rebuilt from the calibration's nearest ones, as their mean with weights that
-are not negative: so places between those recorded are known as well, and two touches at once are not, since a
-mean of one touch here and one there shows half of each. The residual is compared, block by block, with the
-residuals of those nearest ones when their own groups were held out: little near the untouched skin, much
-under a deep press. That is the idea of the local outlier factor (Breunig et al., SIGMOD 2000,
-doi:10.1145/335191.335388); weights that rebuild a point from its neighbours are those of locally linear
-embedding (Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323), here without negative ones.
+A thumbnail of the image is rebuilt from the calibration's nearest ones, as their mean with non-negative
+weights: locations between those recorded are known as well, and two touches at once are not. The residual is
+    compared,
+block by block, with the residuals of those nearest ones when their own groups were held out (the idea of the
+local outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388; weights that rebuild a point
+from its neighbors: Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323, here without negative
+ones).
 
-Novelty is two numbers, each with a limit; both limits together are such that a stated share of the
-calibration's frames, each compared with other groups, would have been turned away. Where it is known what
-changes of the camera cost the model (`known_changes`), that decides instead. Drift of the untouched sensor is
-judged beside it.
+Novelty is two numbers, each with a limit; both limits together reject a stated ratio of the calibration's
+frames, each compared with other groups. Where camera changes were tested (`known_changes`), these decide.
 """
 
 from __future__ import annotations
@@ -82,8 +80,8 @@ class NeighbourModel:
 
     Attributes:
         thumbs: in whole grey levels.
-        residual: squared means of it, over blocks and then over all of each channel ``[n m]``.
-        centre, axes: of the space that neighbours are searched in ``[k]``, ``[k a]``.
+        residual: its squared means over blocks, and then over all of each channel ``[n m]``.
+        centre, axes: of the space that neighbors are searched in ``[k]``, ``[k a]``.
     """
 
     thumbs: Kept
@@ -92,11 +90,7 @@ class NeighbourModel:
     axes: Float32[np.ndarray, "k a"]
 
     def novelty_score(self, thumb: Thumbnail) -> Float[np.ndarray, " 2"]:
-        """Residual of a thumbnail over the one expected from its neighbours: of its blocks, of its level.
-
-        The first is the root mean square over blocks of the mean of all channels. The second is the largest
-        over the channels, each as a whole: light that is brighter, darker or of another colour.
-        """
+        """Residual over that expected from the neighbors: rms over blocks, and largest over channels."""
         return self.novelty_of(self.reconstruct(thumb), thumb.shape[2])
 
     def novelty_of(self, rebuilt: Reconstruction, channels: int) -> Float[np.ndarray, " 2"]:
@@ -198,7 +192,7 @@ def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Genera
 
     Args:
         thumbs: in whole grey levels.
-        folds: rows of each, every row in one; whole groups together. Two or more.
+        folds: rows of each, whole groups together; two or more.
         rng: draws the rows that the axes are found from.
     """
     means, channels = _means(thumbs.shape[1:]).shape[1], thumbs.shape[3]
@@ -229,9 +223,9 @@ def _ratios(
 
 
 def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
-    """Weights w of neighbours, none negative, together 1, that make w'Gw least, G their Gram matrix.
+    """Weights w of neighbors, none negative, sum 1, that minimize w'Gw, G their Gram matrix.
 
-    Least squares of [L' ; s 1'] w = [0 ; s] with w >= 0 and LL' = G gives that very w up to its length.
+    Least squares of [L' ; s 1'] w = [0 ; s] with w >= 0 and LL' = G gives that w up to its length.
     """
     gram = _gram(apart).astype(np.float64)
     count = len(gram)
@@ -251,11 +245,7 @@ COLUMNS_AT_ONCE = 256  # few enough for BLAS to take one thread: see `NeighbourM
 
 
 def _gram(apart: Float32[np.ndarray, "r k"]) -> Float32[np.ndarray, "r r"]:
-    """Products of each two rows.
-
-    Differences of grey levels are whole numbers, so that float32 holds their sums exactly, whatever the
-    order, up to 2^24: thumbnails that lie 128 grey levels apart.
-    """
+    """Products of each two rows; exact in float32 up to 2^24, since differences are whole grey levels."""
     parts = (apart[:, at : at + COLUMNS_AT_ONCE] for at in range(0, apart.shape[1], COLUMNS_AT_ONCE))
     return np.asarray(sum(part @ part.T for part in parts))
 
@@ -294,16 +284,15 @@ MAX_DRIFT_OF_FEW = 3.0
 
 @dataclass(frozen=True, slots=True)
 class NoveltyDetector:
-    """Judge of images by those that a calibration was learnt from, and of drift.
+    """Judge of images by those that a calibration was trained on, and of drift.
 
     Attributes:
         neighbours: the calibration's thumbnails.
         limits: of the two numbers of `NeighbourModel.novelty_score`.
         reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
-        reference_spread: how far its own no-contact thumbnails lie from their mean [grey levels, rms].
+        reference_spread: distance of its own no-contact thumbnails from their mean [grey levels, rms].
         drift_limit: the drift statistic above which the calibration is stale.
-        changes: what changes of the camera look like and cost the model; None where that was not tried, as in
-            calibrations of before and on few frames.
+        changes: what camera changes look like and cost the model; None where that was not tested.
     """
 
     neighbours: NeighbourModel
@@ -437,8 +426,8 @@ def fit_novelty_detector(
         thumbs: of every calibration frame.
         folds: held-out rows of each fold, whole groups together.
         untouched: thumbnails of the no-contact frames; may be empty.
-        also: images known to be good besides. The limits are set by recorded frames alone, and where these
-            are too unlike the others, a detector without the others lets less pass, and is taken.
+        also: further good images. The limits are set by recorded frames alone; the detector with or without
+            the others that lets less pass is taken.
         seed: of the draw where there are more frames than are kept.
 
     Raises:
@@ -493,10 +482,7 @@ def _joint_folds(fold: Indices, also: RenderedImages) -> Indices:
 
 
 def _limits(novelty_score: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
-    """Limits that so many are beyond, of one or the other, each by itself of half as many.
-
-    They are never below 1: an image whose residual is no more than its neighbours' is not novel.
-    """
+    """Limits beyond which the stated ratio of frames is, half by each; never below 1."""
     each = np.quantile(novelty_score, 1 - FALSE_ALARMS / 2, axis=0)
     each = np.maximum(each, 1e-3)
     both = np.quantile(np.max(novelty_score / each, axis=1), 1 - FALSE_ALARMS, method="higher")

@@ -1,9 +1,8 @@
-"""Pictures that are flipped: whether the untouched sensor in a frame is left for right, or upside down.
+"""Flipped pictures: whether the untouched sensor in a frame is mirrored or upside down.
 
-A refused frame may be like those calibrated on once it is flipped back; but so may one of a touch at another
-place, where the sensor is as good as its own mirror image. What a touch leaves bare tells them apart: most of
-a frame is the untouched sensor. So a flip is told only where that fits the calibration's untouched sensor
-flipped back, and does not as it is. A sensor that is as good as its own mirror image tells none.
+A refused frame may be like those calibrated on once it is flipped back; but so may one of a touch elsewhere
+on a symmetric sensor. So a flip is named only where the bare part of the frame fits the calibration's
+untouched sensor flipped back, and not as it is.
 """
 
 from __future__ import annotations

@@ -83,20 +83,29 @@ def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> st
             one that a target has.
     """
     if not name:
-        raise InputError(f"a vector of {', '.join(parts)} has no name; give it one, such as force")
+        raise InputError(
+            f"a vector of {', '.join(parts)} has no name; give it one, such as force", code="vector-name"
+        )
     if len(parts) < 2 or len(set(parts)) < len(parts):
-        raise InputError(f"vector {name}: {', '.join(parts)}; it has two components or more, each once")
+        raise InputError(
+            f"vector {name}: {', '.join(parts)}; it has two components or more, each once", code="vector-size"
+        )
     if strangers := [part for part in parts if part not in targets]:
         raise InputError(
-            f"vector {name}: {', '.join(strangers)} are not among the targets, {', '.join(targets)}"
+            f"vector {name}: {', '.join(strangers)} are not among the targets, {', '.join(targets)}",
+            code="no-target",
         )
     units = {split_column(part)[1].symbol for part in parts}
     if len(units) > 1:
         raise InputError(
-            f"vector {name}: its components are in {', '.join(sorted(units))}; a vector has one unit"
+            f"vector {name}: its components are in {', '.join(sorted(units))}; a vector has one unit",
+            code="vector-units",
         )
     (symbol,) = units
     column = name if name.endswith(f"_{symbol}") else f"{name}_{symbol}"
     if column in targets:
-        raise InputError(f"vector {name}: {column} is a target already; give the vector a name of its own")
+        raise InputError(
+            f"vector {name}: {column} is a target already; give the vector a name of its own",
+            code="name-taken",
+        )
     return column

@@ -17,17 +17,17 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.coverage import target_findings
 from palpate.calibration.coverage.counted_groups import held_out_groups, press_column
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.range_scores import target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
-from palpate.estimators.finding_cards import ConfoundFindingCard
+from palpate.estimators.findings import Finding
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
-from palpate.reports.audit_head import audit_head, not_relied_on
+from palpate.reports.audit_head import audit_head, not_relied_on, remaining_remedy
 from palpate.reports.calibration_figures import (
     errors_of,
     held_rows,
@@ -38,14 +38,12 @@ from palpate.reports.calibration_figures import (
     target_panels,
 )
 from palpate.reports.class_text import class_answer, classes_told
-from palpate.reports.order_verdicts import order_sentences, order_verdicts, remaining_remedy
 from palpate.reports.sections.evidence_sections import (
     audit,
     choice,
     deciding,
     evaluations,
     instruments,
-    order,
     robustness,
     sessions,
 )
@@ -92,17 +90,9 @@ class ReportedCalibration:
     @cached_property
     def targets(self) -> tuple[TargetCard, ...]:
         """Its targets; with an interval of the coverage that allows for few groups, or rows of one press."""
-        if self.expects:
-            return tuple(_counted(target, self.table, self.groups) for target in self.card.targets)
         if self.scored_groups >= MIN_GROUPS and not self._took_presses_apart:
             return self.card.targets
         return tuple(_judged_by_few(target, self.table, self.groups) for target in self.card.targets)
-
-    @property
-    def expects(self) -> bool:
-        """True for a card of before whose rates are those to expect of the rows that set its intervals."""
-        reset = self.card.interval_reset
-        return reset is not None and reset.former_half_widths is None
 
     @property
     def _took_presses_apart(self) -> bool:
@@ -145,18 +135,6 @@ def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) 
     return target.model_copy(update={"score": target.score.model_copy(update=ends)})
 
 
-def _counted(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
-    """A target with the share that its intervals held."""
-    held = {"coverage_90": float(held_rows(target, table).mean())}
-    counted = target.model_copy(update={"score": target.score.model_copy(update=held)})
-    return _judged_by_few(counted, table, groups)
-
-
-def _lay(report: ReportedCalibration) -> str:
-    """Verb of the truths in a joint region: counted, or of a card that says what is to be expected."""
-    return "should lie" if report.expects else "lay"
-
-
 Values = dict[str, Any]
 
 
@@ -165,11 +143,11 @@ def findings(report: ReportedCalibration) -> Values | None:
     card = report.card
     told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
     elsewhere = bool(others(report.evaluations))
-    remedies: dict[str, list[ConfoundFindingCard]] = {}
+    remedies: dict[str, list[Finding]] = {}
     for finding in told:
         remedies.setdefault(remaining_remedy(card, finding, elsewhere), []).append(finding)
-    sentences = [] if card.split.clean else [card.split.audit]
-    sentences += [f"{sentence}." for sentence in (card.sessions.findings if card.sessions else ())]
+    sentences = [] if card.split.clean else [f"{one.text}." for one in card.split.findings or ()]
+    sentences += [f"{one.text}." for one in (card.sessions.findings if card.sessions else ())]
     if not told and not sentences:
         return None
     failed = not card.split.clean or bool(card.confounds and card.confounds.failed)
@@ -181,7 +159,6 @@ def answers(report: ReportedCalibration) -> Values:
     return {
         "answers": [_answer(report, target) for target in report.targets],
         "vectors": report.card.vectors or (),
-        "lay": _lay(report),
         "classes": [
             {
                 "text": f"{one.column.replace('_', ' ')}: {classes_told(one, one.score)}",
@@ -189,7 +166,6 @@ def answers(report: ReportedCalibration) -> Values:
             }
             for one in report.card.classes or ()
         ],
-        "order": order_sentences(report.card),
         "day": _day(report),
         "untested": _untested(report),
     }
@@ -198,12 +174,11 @@ def answers(report: ReportedCalibration) -> Values:
 def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
     tested = tested_text(card, target, report.evaluations)
-    in_order = target.column in order_verdicts(card)  # which stands above all answers
     sentences = [answer(card, target, ends, report.scored_groups, tested)]
     if target.is_read:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
-    elsewhere = [one.instruments or {} for one in others(report.evaluations)]
+    elsewhere = [one.instruments for one in others(report.evaluations)]
     sentences += [one[target.column].removeprefix(f"{name}: ") for one in elsewhere if target.column in one]
     joined = reading_half_width(target, report.table)
     if joined is not None and target.measured_by is not None:
@@ -215,7 +190,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
     bad = not target.is_read or not_relied_on(card, target)
-    warned = in_order or fails(card, target, ends, report.evaluations)
+    warned = fails(card, target, ends, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
 
@@ -275,7 +250,7 @@ def scores(report: ReportedCalibration) -> Values | None:
     if not report.targets:
         return None
     few = report.scored_groups < MIN_GROUPS
-    counted = {"targets": report.targets, "groups": report.scored_groups, "lay": _lay(report)}
+    counted = {"targets": report.targets, "groups": report.scored_groups}
     return {"card": report.card, "few": few} | counted
 
 
@@ -351,7 +326,6 @@ SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     scores,
     sessions,
     evaluations,
-    order,
     audit,
     split,
     robustness,

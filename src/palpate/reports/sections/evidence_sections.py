@@ -6,7 +6,6 @@ has nothing of the kind.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -16,18 +15,11 @@ from matplotlib.image import imread
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
 from palpate.calibration.coverage.counted_groups import press_groups
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.robustness.perturbation_suite import MAX_SILENT
 from palpate.calibration.sessions import EvaluationRecord
-from palpate.estimators.finding_cards import PerturbationCard
 from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.reports.calibration_figures import Panel, deciding_panel, errors_of, held_rows, target_columns
 from palpate.reports.evaluation_text import frames_of, valid_readings_text
-from palpate.reports.score_intervals import (
-    MIN_R2_HALF_WIDTH,
-    explained_half_width,
-    mean_error_half_width,
-)
 from palpate.reports.sections.target_verdicts import reading_half_width
 
 if TYPE_CHECKING:
@@ -73,7 +65,7 @@ def evaluations(report: ReportedCalibration) -> Values | None:
             "scores": [(t, found.targets[t.column]) for t in report.card.targets],
             "valid": valid_readings_text(report.card, found.valid_readings),
             **_said_of(report.card, found),
-            "instruments": tuple((found.instruments or {}).values()),
+            "instruments": tuple(found.instruments.values()),
         }
         for found in report.evaluations
     ]
@@ -90,24 +82,6 @@ def _said_of(card: Card, found: EvaluationRecord) -> Values:
         "findings": [one for t, one in each if t.is_read],
         "unread": [one for t, one in each if not t.is_read],
     }
-
-
-def order(report: ReportedCalibration) -> Values | None:
-    """Shuffled folds and blocks of the rows' order side by side."""
-    if report.card.order is None:
-        return None
-    errors = {t.column: mean_error_half_width(t.score, report.scored_groups) for t in report.card.targets}
-    explained = {
-        (one.kind, t.column): max(
-            explained_half_width(t.score.model_copy(update={"r2": one.r2[t.column]}), report.scored_groups),
-            MIN_R2_HALF_WIDTH,
-        )
-        for one in report.card.order.splits
-        for t in report.card.targets
-    }
-    return {
-        "order": report.card.order, "targets": report.card.targets, "errors": errors, "explained": explained
-    }  # fmt: skip
 
 
 def audit(report: ReportedCalibration) -> Values | None:
@@ -162,18 +136,7 @@ def robustness(report: ReportedCalibration) -> Values | None:
     if found is None:
         return None
     kinds = [(kind, list(rows)) for kind, rows in groupby(found.table, key=lambda row: row.kind)]
-    tested = any(row.passes is not None for row in found.table)
-    passes = _passing(found.table, found.beyond)
-    return {"robustness": found, "kinds": kinds, "passes": passes, "tested": tested}
-
-
-def _passing(table: Sequence[PerturbationCard], beyond: float) -> set[tuple[str, float]]:
-    """Changes that pass the guard and err too often, as the card's sentence names them."""
-    return {
-        (row.kind, row.size)
-        for row in table
-        if (row.silent > beyond + MAX_SILENT if row.passes is None else row.passes)
-    }
+    return {"robustness": found, "kinds": kinds}
 
 
 def choice(report: ReportedCalibration) -> Values | None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.coverage import target_findings
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.range_scores import target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import rounded
 from palpate.estimators.finding_cards import SessionsCard

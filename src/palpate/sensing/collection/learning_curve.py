@@ -22,13 +22,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.fitting import preparation_of
-from palpate.calibration.training_data import learning_set
 from palpate.core import InputError, Progress, silent
 from palpate.estimators.networks import make_model
 from palpate.estimators.networks.model_interface import predict_rows
-from palpate.recordings import PackedSet, Run, pack
+from palpate.recordings import PackedSet, Run, Split, pack
 from palpate.recordings.splits import group_names, within_session
 from palpate.sensing.collection.press_collector import FEW_PRESSES, REST
 
@@ -167,7 +167,8 @@ def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent)
     with tempfile.TemporaryDirectory() as folder:
         packed = Path(folder) / "packed"
         pack(run, packed, preparation_of(run, plan))
-        learning = learning_set(PackedSet.open(packed), plan, None, str(run.path))
+        single = Split("random", (), None, (), "each row by itself")
+        learning = CalibrationJob.of(run, plan, single, PackedSet.open(packed))
         table = learning.packed.table
         rest = (table["press"] == REST).to_numpy()  # learnt from always, and never scored
         names = np.asarray(group_names(table, within_session(table, ("press",))))

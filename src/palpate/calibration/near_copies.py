@@ -1,13 +1,10 @@
-"""Copies of frames that were altered: noisier, brighter, shifted by a pixel, mirrored, in any order of rows.
+"""Altered copies of frames: noisier, brighter, or shifted by a pixel, in any order of rows.
 
-Two frames are compared after the best gain and small shift. What is left between a copy and its
-original is far less than between a frame and any other. How much less chance allows follows from the
-recording itself: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbours have ratios
+Two frames are compared after the best gain and small shift. How near two frames may lie by chance follows
+from the recording: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbors have ratios
 with P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y),
-and D is taken from the fifth to eighth neighbours, which copies leave alone. So few frames of a press series
-along one depth, which are all like their neighbours, are taken for copies. Labels tell too: a copy has its
-original's to the last digit. How often chance does that, the other neighbours show; in a series of few depths
-often, among presses at drawn places never.
+and D is taken from the fifth to eighth neighbors, which copies leave alone. Equal labels add evidence, as far
+as other neighbors show that they are rare.
 """
 
 from __future__ import annotations
@@ -68,12 +65,12 @@ def find_near_copies(
     most_shift: float,
     labels: Values | None = None,
 ) -> NearCopies:
-    """Held-out frames that are altered copies of frames trained on.
+    """Held-out frames that are altered copies of trained ones.
 
     Args:
-        small: area means of every frame, grey levels.
-        sides: for each fold, rows held out and rows trained on, those at rest left out.
-        most_shift: largest shift looked for, in pixels of the small pictures; a touch elsewhere shifts more.
+        small: area means of every frame [grey levels].
+        sides: for each fold, rows held out and rows trained on, without those at rest.
+        most_shift: largest shift looked for [px of the small images].
         labels: ``[n k]`` of every frame, where copies may be known by equal ones.
     """
     nothing = np.empty(0, np.int64)
@@ -188,10 +185,7 @@ def _inner(shape: tuple[int, ...]) -> tuple[slice, ...]:
 
 
 def _dimensions(steps: Float[np.ndarray, "q s"], distances: Float[np.ndarray, "q k"]) -> float:
-    """D by the median of k ln(r₍ₖ₊₁₎/rₖ), which is ln 2 / D; the lower of all rows' and the sparser half's.
-
-    Where frames crowd, noise makes all distances alike, as if there were many dimensions.
-    """
+    """D by the median of k ln(r₍ₖ₊₁₎/rₖ), which is ln 2 / D; the lower of all rows and the sparser half."""
     sparse = distances[:, CLOSE + 1] >= np.median(distances[:, CLOSE + 1])
     medians = max(float(np.median(steps)), float(np.median(steps[sparse])))
     return float(min(np.log(2) / max(medians, 1e-3), MAX_DIMENSIONS))

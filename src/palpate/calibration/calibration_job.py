@@ -1,0 +1,364 @@
+"""The one object that a calibration's fitting, scoring, audits, and report read from: rows, groups, folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
+from palpate.calibration.classes import ClassLabels, target_values, with_classes
+from palpate.core import Bool, Float32, ImageError, Indices, InputError, Int, LabelError, Tensor
+from palpate.estimators.guard import thumbnails
+from palpate.estimators.model_card import Card
+from palpate.estimators.networks.model_interface import TrainingData
+from palpate.recordings import Manifest, PackedSet, Run, Split
+from palpate.recordings.splits import conventional_groups, group_names, within_session
+
+Box = tuple[int, int, int, int]
+
+
+def model_regions(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]:
+    """Regions of a frame that a model was made for, in its order.
+
+    Args:
+        manifest: of the run, which names its regions.
+        names: of a model's regions, see `estimators.networks.Kind`.
+
+    Raises:
+        InputError: the run does not name all of them.
+    """
+    regions = manifest.regions
+    if not set(names) <= set(regions):
+        named = ", ".join(regions) or "none"
+        raise InputError(
+            f"this model sees two parts of a frame, {' and '.join(names)}, and the run names {named}; "
+            f"give --crop X,Y,WIDTH,HEIGHT twice, the {names[0]} first"
+        )
+    return tuple(regions[name] for name in names)
+
+
+FLAG_COLUMNS = ("reference", "no_contact", "untouched")
+"""Label columns of yes and no that mark frames of the untouched sensor without being asked for."""
+
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Untouched:
+    """The frames of the untouched sensor.
+
+    Attributes:
+        rows: which rows they are.
+        groups: ``[n]`` number of the reference that each row of the recording belongs to.
+        images: ``[g c h w]`` mean image of each reference, grey levels.
+        rule: how they were found; None where there are none.
+    """
+
+    rows: Int[np.ndarray, " r"]
+    groups: Int[np.ndarray, " n"]
+    images: Float32[np.ndarray, "g c h w"]
+    rule: ReferenceRule | None
+
+
+def rows_matching(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, " n"]:
+    """Rows that a reference rule names, as a mask.
+
+    Raises:
+        LabelError: the rule's columns are not there, or no row matches.
+    """
+    for name in (rule.column, *rule.by):
+        if name not in table:
+            raise LabelError(f"reference column {name!r} is not among the labels: {', '.join(table.columns)}")
+    column = table[rule.column]
+    try:
+        mask = (pd.to_numeric(column) == float(rule.value)).to_numpy()
+    except (TypeError, ValueError):
+        mask = (column.astype(str).str.lower() == rule.value.lower()).to_numpy()
+    if not mask.any():
+        raise LabelError(f"no row has {rule.column}={rule.value}; the untouched sensor was not recorded")
+    return mask
+
+
+def default_rule(table: pd.DataFrame) -> ReferenceRule | None:
+    """The rule of a conventional flag column, where one is there and marks any row."""
+    for column in FLAG_COLUMNS:
+        if column in table and table[column].astype(str).str.lower().eq("true").any():
+            return ReferenceRule(column, "true")
+    return None
+
+
+def _rule(table: pd.DataFrame, plan: CalibrationPlan) -> ReferenceRule | None:
+    """The plan's rule, or the conventional one.
+
+    Raises:
+        LabelError: there is none, and the plan is differential.
+    """
+    rule = plan.reference or default_rule(table)
+    if rule is None and plan.delta:
+        raise LabelError(
+            "a differential calibration needs frames of the untouched sensor; say which rows they are "
+            f"with --reference COLUMN=VALUE, or label them in a column {' or '.join(FLAG_COLUMNS)}"
+        )
+    return None if rule is None else _rule_by_session(table, rule, plan)
+
+
+def _rule_by_session(table: pd.DataFrame, rule: ReferenceRule, plan: CalibrationPlan) -> ReferenceRule:
+    """The rule, each session with a reference of its own: a sensor that was mounted again rests otherwise.
+
+    Raises:
+        LabelError: the plan is differential, and a session has no frame of the untouched sensor.
+    """
+    if SESSION not in table or SESSION in rule.by:
+        return rule
+    sessions = table[SESSION].astype(str)
+    without = sorted(set(sessions) - set(sessions[rows_matching(table, rule)]))
+    if without and plan.delta:
+        raise LabelError(
+            f"session {without[0]} has no row with {rule.column}={rule.value}; a differential calibration "
+            "needs frames of the untouched sensor from each session: leave the session out, or learn from "
+            "the frames themselves (--raw)"
+        )
+    return rule if without else replace(rule, by=(SESSION, *rule.by))
+
+
+def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
+    """Rows to learn from: all but those of the untouched sensor, where a press has no place or shape.
+
+    Raises:
+        LabelError: the plan's reference names columns or rows that are not there.
+    """
+    rule = _rule(table, plan)
+    if rule is None or plan.learn_untouched:
+        return np.arange(len(table))
+    return np.flatnonzero(~rows_matching(table, rule))
+
+
+def table_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> pd.DataFrame:
+    """Labels of these rows, numbered anew."""
+    return table.iloc[rows_to_learn(table, plan)].reset_index(drop=True)
+
+
+def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
+    """Find and average the no-contact frames.
+
+    Raises:
+        LabelError: the plan is differential and there are none, or a group has none of its own.
+    """
+    table = packed.table
+    rule = _rule(table, plan)
+    nothing = np.zeros(len(table), dtype=np.int64)
+    if rule is None:
+        return Untouched(nothing[:0], nothing, np.empty((0, *packed.preparation.shape), np.float32), None)
+    rows = np.flatnonzero(rows_matching(table, rule))
+    groups = table.groupby(list(rule.by), sort=False).ngroup().to_numpy() if rule.by else nothing
+    return Untouched(rows, groups, _mean_images(packed, rows, groups, rule), rule)
+
+
+def _mean_images(
+    packed: PackedSet, rows: np.ndarray, groups: np.ndarray, rule: ReferenceRule
+) -> Float32[np.ndarray, "g c h w"]:
+    images = np.zeros((groups.max() + 1, *packed.preparation.shape), np.float32)
+    counts = np.bincount(groups[rows], minlength=len(images))
+    if not counts.all():
+        lost = packed.table[list(rule.by)].iloc[int(np.flatnonzero(counts[groups] == 0)[0])].to_dict()
+        raise LabelError(
+            f"group {lost} has no row with {rule.column}={rule.value}; drop it or reference by less"
+        )
+    for row in rows:
+        images[groups[row]] += packed.read(np.array([row]))[0].transpose(2, 0, 1) / counts[groups[row]]
+    return images
+
+
+@dataclass(frozen=True)
+class CalibrationJob:
+    """Rows, labels, groups, sessions, and folds of a calibration.
+
+    Attributes:
+        run, plan: what was asked.
+        parts: how rows are held out.
+        whole: every frame, packed, those of the untouched sensor too.
+        rows: rows of `whole` to train on.
+        packed: these rows, numbered anew.
+        untouched: references, for every row of `whole`.
+        data: inputs, values ``[n t]``, and groups of `packed`.
+        classes: of `packed`.
+    """
+
+    run: Run
+    plan: CalibrationPlan
+    parts: Split
+    whole: PackedSet
+    rows: Indices
+    packed: PackedSet
+    untouched: Untouched
+    data: TrainingData
+    classes: tuple[ClassLabels, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        run: Run,
+        plan: CalibrationPlan,
+        parts: Split,
+        whole: PackedSet,
+        classes: tuple[ClassLabels, ...] = (),
+    ) -> CalibrationJob:
+        """Select the rows to train on.
+
+        Raises:
+            LabelError, UnitError: a target column is missing, not a number, constant, or has no unit; or
+                there is no untouched frame and the plan needs one.
+        """
+        rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
+        packed = whole.only(rows)
+        references = untouched.groups[rows]
+
+        def fetch(chosen: Indices) -> Tensor:
+            inputs = packed.read(chosen).transpose(0, 3, 1, 2).astype(np.float32)
+            if plan.delta:
+                inputs -= untouched.images[references[chosen]]
+            return np.ascontiguousarray(inputs)
+
+        values = target_values(packed.table, plan.targets, str(run.path))
+        groups = np.arange(len(rows)) if parts.groups is None else parts.groups
+        data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
+        return cls(run, plan, parts, whole, rows, packed, untouched, data, classes)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Labels of `packed`."""
+        return self.packed.table
+
+    @cached_property
+    def outputs(self) -> TrainingData:
+        """The rows with the labels as the model's outputs ``[n o]``, those of classes last."""
+        layout = self.plan.layout
+        values = with_classes(layout.encoded(self.data.values), self.classes)
+        names = layout.names(self.data.names) + tuple(n for one in self.classes for n in one.output_names)
+        return replace(self.data, values=values, names=names)
+
+    @cached_property
+    def fold_of(self) -> Indices:
+        """Number of the fold that each row is held out in ``[n]``."""
+        fold = np.empty(len(self.packed), np.int64)
+        for k, rows in enumerate(self.parts.folds):
+            fold[rows] = k
+        return fold
+
+    @property
+    def in_recorded_order(self) -> bool:
+        """Whether rows lie in the order in which they were recorded."""
+        return self.run.manifest.order == "recorded"
+
+    @cached_property
+    def sessions(self) -> np.ndarray | None:
+        """Name of each row's session ``[n]`` where sessions are to be held out; None otherwise."""
+        asked = SESSION in self.parts.group_columns and SESSION in self.table
+        return group_names(self.table, (SESSION,)) if asked else None
+
+    def thumbnails(self) -> np.ndarray:
+        """Thumbnails of every frame ``[n h w c]``, few images in memory at a time."""
+        return thumbnails(
+            frame for batch in self.whole.batches(np.arange(len(self.whole)), BATCH) for frame in batch
+        )
+
+    def folds_of_whole(self) -> list[Indices]:
+        """Folds in rows of `whole`; rows that are not trained on are dealt out to them."""
+        others, folds = np.setdiff1d(np.arange(len(self.whole)), self.rows), self.parts.folds
+        return [np.append(self.rows[fold], others[k :: len(folds)]) for k, fold in enumerate(folds)]
+
+
+HELD_OUT_WHOLE = (SESSION, "sensor", "copy")
+"""Columns of which a new group is predicted where they are held out whole; the coarsest first."""
+
+
+def has_gaps(table: pd.DataFrame, columns: tuple[str, ...]) -> bool:
+    """True if a cell of these columns is empty."""
+    cells = table[list(columns)]
+    return bool(cells.isna().to_numpy().any() or (cells.astype(str) == "").to_numpy().any())
+
+
+def is_grouped(table: pd.DataFrame) -> bool:
+    """True if a conventional column without gaps groups the rows."""
+    return any(
+        not has_gaps(table, columns) and 1 < len(np.unique(group_names(table, columns))) < len(table)
+        for columns in conventional_groups(table)
+    )
+
+
+def finest_columns(table: pd.DataFrame) -> tuple[str, ...]:
+    """The finest conventional columns without gaps that group rows, such as the press; none if none does."""
+    finer = [columns for columns in conventional_groups(table) if columns[0] not in HELD_OUT_WHOLE]
+    whole = [columns for columns in finer if not has_gaps(table, columns)]
+    return within_session(table, whole[-1]) if whole else ()
+
+
+def groups_within(table: pd.DataFrame) -> Indices:
+    """Number of each row's finest conventional group ``[n]``; each row its own where there is none."""
+    columns = finest_columns(table)
+    if not columns:
+        return np.arange(len(table))
+    return np.unique(group_names(table, columns), return_inverse=True)[1]
+
+
+def presses_of(table: pd.DataFrame, parts: Split) -> Indices | None:
+    """Number of the press that each row is of ``[n]``; None where no column says.
+
+    A split's own groups are presses too, unless they are whole sessions, or blocks that only cut the order.
+    """
+    named = [groups_within(table)] if finest_columns(table) else []
+    fine = parts.groups is not None and parts.block_rows is None
+    if fine and (not parts.group_columns or set(parts.group_columns) - set(HELD_OUT_WHOLE)):
+        named.append(np.unique(np.asarray(parts.groups), return_inverse=True)[1])
+    if not named:
+        return None
+    return np.unique(np.column_stack(named), axis=0, return_inverse=True)[1].ravel()
+
+
+def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
+    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
+    columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
+    return group_names(table, columns) if columns else None
+
+
+def refuse_other_size(run: Run, card: Card, rows: Sequence[int]) -> None:
+    """Refuse frames of another size than a calibration's.
+
+    Raises:
+        ImageError: the message names the first such frame.
+    """
+    height, width = card.input.frame_px
+    for row in rows:
+        shape = run.frame(int(row)).image.shape
+        if shape[:2] != (height, width):
+            raise ImageError(
+                f"{run.path}: frame {row} is {shape[1]}x{shape[0]} px, the calibration is for "
+                f"{width}x{height} px; record with the same camera settings, or calibrate anew",
+                code="frame-size",
+            )
+
+
+def rule_in_run(card: Card, run: Run) -> ReferenceRule | None:
+    """A calibration's own rule of the untouched sensor; None where it has none, or the run no such rows.
+
+    Raises:
+        LabelError: the run has no such rows, and the calibration subtracts the untouched sensor.
+    """
+    rule = ReferenceRule.of_card(card)
+    if rule is None:
+        return None
+    rule = rule.for_columns(run.labels.columns)
+    try:
+        rows_matching(run.labels, rule)
+    except LabelError as e:
+        if card.input.delta:
+            raise LabelError(
+                f"{run.path}: {e}; this calibration subtracts the untouched sensor, so that each unit and "
+                f"session needs frames of its own, labeled {rule.column}={rule.value}"
+            ) from e
+        return None
+    return rule
