@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.refusals import refused
 
 from palpate.core.errors import InputError
 
@@ -247,16 +246,18 @@ def test_an_environment_that_does_not_say_which_process_this_is_is_refused(monke
 def test_a_batch_too_small_to_be_shared_is_refused_before_anyone_is_waited_for(monkeypatch) -> None:
     for name, value in {"WORLD_SIZE": "5", "RANK": "0", "LOCAL_RANK": "0"}.items():
         monkeypatch.setenv(name, value)
-    with refused("batch-size", InputError):
+    with pytest.raises(InputError) as caught:
         plan().train(network(), lesson(), seed=0)
+    assert caught.value.code == "batch-size"
 
 
 def test_more_processes_than_gpus_are_refused_and_each_gets_its_own(monkeypatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     assert [str(ProcessGroup(rank, 2, rank).device()) for rank in range(2)] == ["cuda:0", "cuda:1"]
-    with refused("gpu-count", InputError):
+    with pytest.raises(InputError) as caught:
         ProcessGroup(2, 3, 2).device()
+    assert caught.value.code == "gpu-count"
 
 
 def test_on_gpus_a_copy_shares_its_batch_statistics_and_the_network_stays_as_it_is(monkeypatch) -> None:

@@ -139,7 +139,7 @@ def known_presses(
     greatest = max((one.force_n for one in loaded), default=0.0)
     able = [one for one in loaded if one.force_n > MIN_SHARE * greatest]
     if not 1 <= count <= len(able):
-        raise InputError(f"{count} presses of {len(able)} frames with a known force; 1 to as many")
+        raise InputError(f"{count} presses of {len(able)} with a known force", code="press-count")
     chosen = _spread(able, count)
     found = []
     for one in chosen:

@@ -37,7 +37,7 @@ def fit_tip_copy(
         RangeError: forces that these presses cannot have.
     """
     if not presses:
-        raise InputError("no press; a copy is found from one at least")
+        raise InputError("no press; a copy is found from one at least", code="no-presses")
     _refuse_one_load([one.force_n for one in presses if one.force_n is not None])
     for one in presses:
         _refuse_other(known, one)
