@@ -191,6 +191,13 @@ def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str)
     elif cell is not None:
         shares = {"share": cell.share, "around": cell.around, "model": evidence.model}
         found.append(evidence.finding(FindingCode.BURNT_IN, **shares, crop=crop))
+    found += _order_findings(evidence, told, kind)
+    return found
+
+
+def _order_findings(evidence: TargetEvidence, told: bool, kind: str) -> list[Finding]:
+    """Findings about order, of an output that the outside predicts or not, by a split of this kind."""
+    order, found = evidence.order, []
     by_neighbors = evidence.neighbors is not None and evidence.neighbors > MAX_BY_NEIGHBORS
     if order.follows:
         checked = evidence.outside is not None and not by_neighbors
