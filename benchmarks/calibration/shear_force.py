@@ -18,8 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.virtual_shears import PLACES_M, VirtualPad, cycles, levels, slow_presses
 
 from palpate.calibration.shear import CueMeter, ShearCalibration, calibrate_shear
-from palpate.calibration.shear.calibrate_runs import view_of_sensor
-from palpate.calibration.shear.force_baselines import baseline_errors
+from palpate.calibration.shear.calibrate_runs import baseline_errors, view_of_sensor
 from palpate.calibration.shear.force_law import follow_memory
 from palpate.calibration.shear.shear_calibration import usable
 from palpate.estimators.lattice import MarkTracker

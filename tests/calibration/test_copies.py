@@ -7,9 +7,8 @@ import pytest
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.adaptation import adapt
+from palpate.calibration.adaptation import MIN_REFUSED_FORMER, adapt, tell_apart
 from palpate.calibration.sessions import reset_intervals
-from palpate.calibration.sessions.copies import MIN_REFUSED_FORMER, tell_apart
 from palpate.core import CertificateError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import check_files

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.estimators.shear.frame_quality import _level, look_at, why_unreadable
+from palpate.estimators.shear.shear_reader import _level, look_at, why_unreadable
 
 WHOLE = (slice(None), slice(None))
 

@@ -9,7 +9,7 @@ from palpate.core import Pose
 from palpate.core.sensor import for_live
 from palpate.estimators.brightest_channel import brightest_channel
 from palpate.estimators.lattice import find_checkerboard
-from palpate.estimators.shear.pattern_gaps import AROUND, DARK, MIN_GAP, SMOOTH_PX, TILE_REACH, TileCentres
+from palpate.estimators.shear.skin_marks import AROUND, DARK, MIN_GAP, SMOOTH_PX, TILE_REACH, TileCentres
 
 SENSOR = for_live(palpate.sensor("nusense"))
 LINES = {

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.axisymmetric.friction_solver import solve_friction
+from palpate.mechanics.axisymmetric.tilted_tip import solve_friction
 
 
 def springs(n: int, rng=None) -> np.ndarray:

@@ -13,8 +13,15 @@ from tests.refusals import refused
 
 from palpate.core import InputError
 from palpate.mechanics.layers.stack import ElasticLayer, Stack, climb
-from palpate.mechanics.torn_layers.cut_opening import CutOpening, SurfaceCut, cut_opening, rest_gap_m
-from palpate.mechanics.torn_layers.cut_response import cut_response, strip_mesh, wave_response
+from palpate.mechanics.torn_layers.cut_opening import (
+    CutOpening,
+    SurfaceCut,
+    cut_opening,
+    cut_response,
+    rest_gap_m,
+    strip_mesh,
+    wave_response,
+)
 from palpate.mechanics.torn_layers.strip_elements import StripMesh, StripStiffness, graded
 
 NU = 0.499

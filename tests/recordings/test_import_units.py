@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from palpate.core import LabelError, UnitError
-from palpate.recordings.exchange.label_order import MAX_SHIFT, explained_by_shift, shift_doubt
+from palpate.recordings.exchange.image_import import MAX_SHIFT, explained_by_shift, shift_doubt
 from palpate.recordings.exchange.label_units import guessed_unit, unit_doubts, with_units
 
 

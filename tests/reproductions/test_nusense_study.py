@@ -12,13 +12,12 @@ from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.calibration.shear import LabelledCues, TouchCues, calibrate_shear
-from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
+from palpate.calibration.shear.calibrate_runs import baseline_errors, transferred_errors
 from palpate.cli import app
 from palpate.core import Reading
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.lattice import ControlPoints
-from palpate.sensors.nusense.nusense_plans import FIRM_TAPS, PLANS
-from palpate.sensors.nusense.nusense_sensor import nusense
+from palpate.sensors.nusense.nusense_sensor import FIRM_TAPS, PLANS, nusense
 from palpate_reproductions import nusense as nusense_package
 from palpate_reproductions.nusense import nusense_experiments, reproduce_nusense, scale_named
 from palpate_reproductions.nusense.nusense_analysis import (

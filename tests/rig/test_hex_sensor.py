@@ -16,7 +16,7 @@ from tests.rig.serial_terminal import FakeTerminal
 from palpate.core import DeviceError, MonotonicClock, RangeError
 from palpate.devices.check import check_force_sensor
 from palpate.rig.real.resense import HexSensor, HexSpec
-from palpate.rig.real.resense.hex_frames import SAMPLE_BYTES, TRIED, HexFrames
+from palpate.rig.real.resense.hex_sensor import SAMPLE_BYTES, TRIED, HexFrames
 from palpate.rig.rig_file import RigFile
 
 LOAD = (1.5, -0.25, 6.0, 0.020, -0.010, 0.003)

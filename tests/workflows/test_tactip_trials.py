@@ -18,8 +18,7 @@ from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import HeadOn, tactip, tactip_sensor
-from palpate.sensors.tactip.inclined_press import Inclined
-from palpate.sensors.tactip.side_on import SideOn
+from palpate.sensors.tactip.inclined_press import Inclined, SideOn
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 from palpate.workflows.tactip_trials import (

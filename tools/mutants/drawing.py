@@ -23,15 +23,13 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         38,
         {
             "palpate.mechanics.half_space.adhesion": ("tests/mechanics/test_adhesion.py",),
-            "palpate.mechanics.axisymmetric.friction_solver": ("tests/mechanics/test_friction_solver.py",),
             "palpate.mechanics.layers.indenters": ("tests/mechanics/test_indenters.py",),
             "palpate.mechanics.half_space.hertz": (
                 "tests/laws/test_hertz.py",
                 "tests/mechanics/test_subsurface.py",
             ),
-            "palpate.mechanics.layers.transfer_table": ("tests/mechanics/test_layer_stress.py",),
-            "palpate.mechanics.layers.bonded_layer": ("tests/mechanics/test_bonded_layer.py",),
             "palpate.mechanics.layers.layer_stress": ("tests/mechanics/test_layer_stress.py",),
+            "palpate.mechanics.layers.bonded_layer": ("tests/mechanics/test_bonded_layer.py",),
             "palpate.mechanics.half_space.subsurface": (
                 "tests/laws/test_line_integral.py",
                 "tests/mechanics/test_subsurface.py",
@@ -67,7 +65,10 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/mechanics/test_contact_solver.py",
             ),
             "palpate.mechanics.layers.surface_grid": ("tests/mechanics/test_stack_field.py",),
-            "palpate.mechanics.axisymmetric.tilted_tip": ("tests/mechanics/test_tilted_tip.py",),
+            "palpate.mechanics.axisymmetric.tilted_tip": (
+                "tests/mechanics/test_tilted_tip.py",
+                "tests/mechanics/test_friction_solver.py",
+            ),
             "palpate.mechanics.axisymmetric.tip_table": ("tests/mechanics/test_tip_table.py",),
             "palpate.mechanics.resultant": ("tests/mechanics/test_resultant.py",),
             "palpate.optics.axisymmetric_march": ("tests/optics/test_axisymmetric_march.py",),
@@ -180,7 +181,7 @@ NAMED = (
         "sign",
     ),
     (
-        "palpate.mechanics.layers.transfer_table",
+        "palpate.mechanics.layers.layer_stress",
         "mean_transfer",
         "made.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))",
         "made.append((trace / 2 + R[0, 1, 1], 0.0 * R[0, 0, 0]))",

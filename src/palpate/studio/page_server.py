@@ -3,6 +3,8 @@
 The emergency stop does not depend on it. `estop.html` is plain HTML next to the page's own elements and sends
 its requests to the listener of `stop_process`. The page server forwards them where a browser cannot reach the
 listener, for example through an SSH tunnel of one port.
+
+Addresses under which the pages get the newest pictures of live sensors and of first sessions.
 """
 
 from __future__ import annotations
@@ -29,7 +31,6 @@ from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import add_library_routes
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live.live_desk import LiveDesk, LiveProcesses
-from palpate.studio.live.live_routes import add_live_routes
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
 from palpate.studio.page_failures import contain_failures
@@ -37,6 +38,31 @@ from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, co
 from palpate.studio.page_style import text_of
 from palpate.studio.rendering_desk import RenderingDesk
 from palpate.studio.stop_listener import StopListener, rig_targets
+
+
+def add_live_routes(app: FastAPI, lives: LiveDesk, starts: StartDesk, workspace: Workspace) -> None:
+    """Answer for pictures, from memory; nothing is begun by asking."""
+
+    @app.get("/live/picture")
+    async def live_picture(name: str) -> Response:
+        sensor = lives.listened(name)
+        newest = None if sensor is None else sensor.connection.picture
+        return _jpeg(None if newest is None else newest[1])
+
+    @app.get("/start/picture")
+    async def start_picture(folder: str) -> Response:
+        try:
+            run = starts.run(workspace.resolve(folder))
+        except PalpateError:
+            run = None
+        return _jpeg(None if run is None or run.picture is None else run.picture[1])
+
+
+def _jpeg(data: bytes | None) -> Response:
+    if data is None:
+        return Response(status_code=404)
+    return Response(data, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
 
 MAX_DIGITS = 10
 HEADER = "x-palpate"  # which a page from elsewhere cannot send without being allowed to

@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.shear import LabelledCues, ShearCalibration, calibrate_shear
-from palpate.calibration.shear.calibrate_runs import view_of_sensor
-from palpate.calibration.shear.force_baselines import baseline_errors, transferred_errors
+from palpate.calibration.shear.calibrate_runs import baseline_errors, transferred_errors, view_of_sensor
 from palpate.calibration.shear.force_law import follow_memory
 from palpate.calibration.shear.shear_calibration import usable
 from palpate.core import Bool, InputError, Pose, Reading, ndarray

@@ -1,6 +1,6 @@
 """What the thesis prints of its experiments, the recordings that repeat them, and the study's folder.
 
-Every recording is made by its plan of `palpate.sensors.nusense.nusense_plans` through the recording engine,
+Every recording is made by its plan of `palpate.sensors.nusense.nusense_sensor` through the recording engine,
 as `palpate record` makes it; the small scale moves faster and waits nearer to the skin. An interrupted study
 goes on by the same command at the first shot, reading or result that is missing.
 
@@ -26,7 +26,7 @@ from palpate.recordings import Run
 from palpate.rig import State, record
 from palpate.rig.plans.plan_files import plan_from
 from palpate.rig.virtual.virtual_bench import virtual_rig
-from palpate.sensors.nusense.nusense_plans import PLANS
+from palpate.sensors.nusense.nusense_sensor import PLANS
 from palpate_reproductions.study_results import Published, kept_result
 
 SLOPE_N = Published(3.09, "section 4.2, Fig. 4-2g")

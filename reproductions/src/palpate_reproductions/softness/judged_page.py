@@ -7,7 +7,7 @@ from typing import Any
 
 from palpate.psychophysics import Condition, Presentation
 from palpate.psychophysics.analysis import clopper_pearson_interval
-from palpate.reports.trial_figures import ShareRow, confusion_figure, share_figure
+from palpate.reports.trial_page import ShareRow, confusion_figure, share_figure
 from palpate_reproductions.softness.judged_softness import ALIKE, UNLIKE, JudgedSoftness, fewest_answers
 from palpate_reproductions.softness.published_judgements import (
     PEOPLE,
