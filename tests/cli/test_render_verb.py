@@ -139,7 +139,7 @@ def test_wear_and_light_are_drawn_as_asked_for(words, changed, frame):
         (["--depth-mm", "nan"], "0 to 6 mm"),
         (["--depth-mm", "2", "--indenter", "punch:7"], "0 to 1.5 mm"),
         (["--depth-mm", "1", "--x-mm", "28"], "rim at 28.5 mm"),
-        (["--depth-mm", "1", "--y-mm", "inf"], "numbers in m"),
+        (["--depth-mm", "1", "--y-mm", "inf"], "not finite"),
         (["--depth-mm", "1", "--haze", "1.5"], "0 to 1"),
         (["--depth-mm", "1", "--scratches", "-1"], "0 to 1000"),
         (["--depth-mm", "1", "--yellowing", "nan"], "absorbance"),
@@ -147,7 +147,7 @@ def test_wear_and_light_are_drawn_as_asked_for(words, changed, frame):
         (["--depth-mm", "1", "--ambient", "-0.1"], "0 to 10"),
         (["--depth-mm", "1", "--lateral-n", "1"], "X,Y"),
         (["--depth-mm", "1", "--lateral-n", "left,0"], "X,Y"),
-        (["--depth-mm", "1", "--lateral-n", "nan,0"], "numbers in N"),
+        (["--depth-mm", "1", "--lateral-n", "nan,0"], "not finite"),
         (["--depth-mm", "1", "--lateral-n", "5,0"], "1.57346 N"),
     ],
 )

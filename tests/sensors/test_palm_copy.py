@@ -356,7 +356,8 @@ def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_count
     monkeypatch.setattr(palm_copy_fit, "drift_of", lambda *_: Drift(4.0, 3.0))
     monkeypatch.setattr(palm_copy_store, "read_copy", lambda _: None)
     monkeypatch.setattr(palm_copy_store, "read_picture", lambda _: None)
-    palm_verbs.read(tmp_path, tmp_path, tmp_path, json_=True, quiet=True)
+    monkeypatch.setattr(palm_verbs, "print_found", lambda found, text: print(json.dumps(found)))
+    palm_verbs.read(tmp_path, tmp_path, tmp_path)
     told = json.loads(capsys.readouterr().out)
     assert told["force_low_N"] == pytest.approx(3.0 * math.exp(-1.645 * 0.7))  # above 0, as a force is
     assert told["force_high_N"] == pytest.approx(3.0 * math.exp(1.645 * 0.7))
@@ -407,19 +408,20 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
 
 
 def test_a_measured_coefficient_makes_a_copy_s_file_of_the_untouched_picture_s_size(
-    tmp_path: Path, capsys
+    tmp_path: Path, capsys, monkeypatch
 ) -> None:
     from palpate.cli.sense import palm_verbs
 
+    monkeypatch.setattr(palm_verbs, "print_found", lambda found, text: print(json.dumps(found)))
     cv2.imwrite(str(tmp_path / "rest.png"), np.zeros((108, 192, 3), np.uint8))
     out = tmp_path / "mine.json"
-    palm_verbs.known(tmp_path / "rest.png", out, 1.1 * C, 0.02, 0.25, "debug", 0.0, True)
+    palm_verbs.known(tmp_path / "rest.png", out, 1.1 * C, 0.02, 0.25, "debug", 0.0)
     told, copy = json.loads(capsys.readouterr().out), read_copy(out)
     assert copy.spec.frame_px == (192, 108)
     assert copy.coefficient_per_pa == pytest.approx(1.1 * C)
     assert told["coefficient_share"] == pytest.approx(1.645 * 0.02)
     with pytest.raises(ExistsError):
-        palm_verbs.known(tmp_path / "rest.png", out, C, 0.02, 0.25, "debug", 0.0, True)
+        palm_verbs.known(tmp_path / "rest.png", out, C, 0.02, 0.25, "debug", 0.0)
 
 
 def test_presses_of_a_run_are_spread_over_force_and_near_enough_to_the_middle(tmp_path: Path) -> None:

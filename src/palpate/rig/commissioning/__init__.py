@@ -1,1 +1,6 @@
 """Commissioning: a stage moved by hand and homed, a force sensor zeroed and weighed, a rig's file written."""
+
+from palpate.rig.commissioning.hand_motion import AirForce, Hand, jog, lift_clear, zero
+from palpate.rig.commissioning.homing import home_clear
+
+__all__ = ["AirForce", "Hand", "home_clear", "jog", "lift_clear", "zero"]
