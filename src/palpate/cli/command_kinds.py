@@ -16,6 +16,7 @@ import typer
 from typer.core import TyperCommand
 from typer.main import get_command
 
+from palpate.cli.verb_support import OUTPUT_HELP
 from palpate.core.errors import InputError
 
 __all__ = ["CommandOfKinds", "Kinds", "alone", "by_calibration", "by_option", "by_word", "words_of"]
@@ -138,7 +139,8 @@ class CommandOfKinds(TyperCommand):
             module, _, function = self.places[kind].partition(":")
             command = alone(str(self.name), getattr(import_module(module), function))
             others = ", ".join(self.places)
-            command.epilog = f"palpate {self.name} {self.usage} --help shows the options of each: {others}."
+            shown = f"palpate {self.name} {self.usage} --help shows the options of each: {others}."
+            command.epilog = f"{shown} {OUTPUT_HELP}"
             self._built[kind] = command
         return self._built[kind]
 

@@ -11,7 +11,7 @@ import typer
 from typer.main import get_command
 
 from palpate.cli.command_kinds import Kinds, alone, by_calibration, by_option, by_word, words_of
-from palpate.cli.verb_support import OUTPUT_OPTIONS, Group, take_output_options
+from palpate.cli.verb_support import OUTPUT_HELP, OUTPUT_OPTIONS, Group, take_output_options
 from palpate.version import __version__
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def built(name: str, heading: str, verb: Any) -> Any:
 
 def _show_output_options(command: Any) -> None:
     """End the help of a command, and of each in a group, by the options that all take."""
-    command.epilog = "Every command takes --json (print JSON) and --quiet (no progress bar)."
+    command.epilog = OUTPUT_HELP
     for one in getattr(command, "commands", {}).values():
         _show_output_options(one)
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 OUTPUT_OPTIONS = {"--json": "Print JSON instead of text.", "--quiet": "Show no progress bar."}
 """Options of every command, which may stand anywhere before ``--``."""
+OUTPUT_HELP = "Every command takes --json (print JSON) and --quiet (no progress bar)."
 _output_given: set[str] = set()
 NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]

@@ -63,7 +63,7 @@ MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
 AXES = "xyz"
 PUSH = (
     f"Push the probe's tip towards the stage, by hand, as the skin will, with more than {PUSH_N:g} N, and "
-    " let go: the stage moves only once the force sensor has responded"
+    "let go: the stage moves only once the force sensor has responded"
 )
 
 
@@ -581,13 +581,13 @@ def _check_lift(force_n: Force, start_n: Force, rise_n: float, most_n: float) ->
     if (rose_n := force_n[2] - start_n[2]) > rise_n:
         raise Tripped(
             Reason.FORCE_LIMIT,
-            f"compression rose by {rose_n:.2f} N on the way away from the skin; {rise_n:g} N are allowed: "
+            f"compression rose by {rose_n:.2f} N on the way away from the skin; {rise_n:.2f} N are allowed: "
             f"{turned}",
         )
     if (changed_n := math.dist(force_n, start_n)) > most_n:
         raise Tripped(
             Reason.FORCE_LIMIT,
-            f"the force changed by {changed_n:.2f} N on the way away from the skin; {most_n:g} N are "
+            f"the force changed by {changed_n:.2f} N on the way away from the skin; {most_n:.2f} N are "
             f"allowed: {turned} If the probe was pressed as hard, repeat",
         )
 
