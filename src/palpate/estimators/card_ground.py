@@ -20,8 +20,8 @@ class CardPart(BaseModel):
     """Part of a card.
 
     Attributes:
-        added: fields that came later, a parent class's too; one that is None is left out of the text, so
-            that older cards keep the text that gave their id.
+        added: Fields added later; those that are None are omitted from the text, so that ids of older cards
+            hold.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
@@ -74,19 +74,7 @@ S = TypeVar("S", bound=SealedCard)
 
 @parser("sealed card", CertificateError)
 def sealed_from(kind: type[S], text: bytes, path: Path, own_format: str, what: str, remedy: str) -> S:
-    """Read a sealed document.
-
-    Args:
-        kind: what it is.
-        text: JSON.
-        path: where it came from, for messages.
-        own_format: that this version of palpate writes.
-        what: it is called, as in "a card".
-        remedy: what to do about one that cannot be read.
-
-    Raises:
-        CertificateError: it is damaged or altered, or another version of palpate has to read it.
-    """
+    """Read a sealed document, called `what` in messages; `remedy` is for a damaged one."""
     try:
         found = kind.model_validate_json(text)
     except ValidationError as e:

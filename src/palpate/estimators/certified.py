@@ -55,11 +55,7 @@ PreparedFloat = Float32[np.ndarray, "h w c"]
 
 @parser("calibration card", CertificateError)
 def read_card(folder: PathText) -> Card:
-    """Read and check a calibration's card.
-
-    Raises:
-        CertificateError: it is missing, damaged or altered, or another version of palpate has to read it.
-    """
+    """Read and check a calibration's card."""
     path = Path(folder) / CARD_FILE
     if not path.parent.exists():
         raise CertificateError(
@@ -88,11 +84,7 @@ def _meant(folder: Path) -> str:
 
 
 def checked_file(folder: Path, part: FileCard) -> Path:
-    """The path of a part whose bytes are those the card names.
-
-    Raises:
-        CertificateError: missing, a link, or other bytes.
-    """
+    """The path of a part whose bytes are those the card names."""
     path = folder / part.file
     if path.is_symlink() or not path.is_file():
         raise CertificateError(
@@ -108,11 +100,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
 
 
 def check_files(folder: PathText, card: Card) -> None:
-    """Check that all that a card names lies in its folder as it was made.
-
-    Raises:
-        CertificateError: a file is missing, a link, or of other bytes; the message names it.
-    """
+    """Check that all that a card names lies in its folder as it was made."""
     of_copy = None if card.copy_of is None else card.copy_of.file
     for part in (card.model, card.guard, of_copy, *card.files):
         if part is not None:
@@ -158,14 +146,14 @@ class Estimator:
     @classmethod
     @parser("calibration", CertificateError)
     def open(cls, folder: PathText, *, threads: int = 0) -> Estimator:
-        """Open a calibration folder, checking every part against the card.
+        """Open a calibration folder and check every part against the card.
 
         Args:
-            folder: what `palpate calibrate` made.
-            threads: of the inference engine; 0 lets it choose.
+            folder: Folder made by `palpate calibrate`.
+            threads: Number of threads of the inference engine; 0 lets it choose.
 
         Raises:
-            CertificateError: a part is missing, altered, or does not fit the card.
+            CertificateError: A part is missing, altered, or does not fit the card.
         """
         folder = Path(folder)
         card = read_card(folder)
@@ -181,13 +169,11 @@ class Estimator:
         return Zero(prepared.astype(np.float32), self._novelty.drift(prepared))
 
     def values(self, inputs: Tensor) -> Outputs:
-        """Run the network: inputs ``[n c h w]`` to outputs ``[n o]``.
+        """Run the network on inputs ``[n c h w]``.
 
-        They are the estimates in the targets' units, but that a circular target is its cosine and its sine.
-        Those for classes stand behind them.
-
-        Raises:
-            CertificateError: the runtime failed, with the code ``onnx-runtime``.
+        Returns:
+            Outputs ``[n o]``: estimates in the targets' units (cosine and sine of circular ones), then
+                classes.
         """
         with _runtime_errors(f"the model in {self.folder} cannot read this image"):
             (value,) = self._session.run(["value"], {"image": inputs})
@@ -197,29 +183,22 @@ class Estimator:
         """Read every target from one frame.
 
         Args:
-            frame: a frame or its image, 8-bit grey ``[h w]`` or RGB ``[h w 3]``, of the kind calibrated on;
-                another size or kind gives readings that are not valid and say why, never a value that looks
-                right.
-            zero: the untouched sensor, see `zero`; needed where the calibration is differential.
+            frame: Frame or image, 8-bit gray ``[h w]`` or RGB ``[h w 3]``; another size or kind gives invalid
+                readings.
+            zero: Reference from `zero`, needed if the calibration is differential.
 
         Returns:
             A reading for each target's column, in that column's unit.
 
         Raises:
-            ImageError: the calibration is differential and no `zero` was given, or it is no such image.
+            ImageError: A differential calibration got no `zero`, or `frame` is no such image.
         """
         return self.read_with_outputs(frame, zero)[0]
 
     def read_with_outputs(
         self, frame: Frame | Image, zero: Zero | None = None
     ) -> tuple[Readings, Outputs | None]:
-        """Read a frame, and keep what the network gave for it.
-
-        Args, Raises: as of `read`.
-
-        Returns:
-            The readings, and the outputs ``[1 o]``, see `values`; None where the frame is of another size.
-        """
+        """Read a frame as `read` does, with the outputs ``[1 o]``; None if the frame has another size."""
         frame = frame if isinstance(frame, Frame) else Frame(frame)
         self._check_zero(zero)
         if frame.image.shape[:2] != self.card.input.frame_px:
@@ -237,25 +216,13 @@ class Estimator:
         return self._readings(frame, outputs, why, zero), outputs
 
     def verdict(self, frame: Frame | Image) -> Verdict:
-        """What the guard says of a frame, and what it looks like where that is refused.
-
-        Raises:
-            ImageError: the frame is of another size than the calibration's.
-        """
+        """What the guard says of a frame, and what it looks like where that is refused."""
         image = frame.image if isinstance(frame, Frame) else Frame(frame).image
         self._check_size(image)
         return self._novelty.judge(self._preparation.apply(image))
 
     def outputs(self, frame: Frame | Image, zero: Zero | None = None) -> Outputs:
-        """Outputs of the network for one frame ``[1 o]``, see `values`.
-
-        Args:
-            frame: of the size calibrated on.
-            zero: the untouched sensor; needed where the calibration is differential.
-
-        Raises:
-            ImageError: the frame is of another size, or there is no `zero` where one is needed.
-        """
+        """Return the network's outputs ``[1 o]`` for one frame of the calibrated size."""
         image = frame.image if isinstance(frame, Frame) else Frame(frame).image
         self._check_size(image)
         self._check_zero(zero)
@@ -295,7 +262,6 @@ class Estimator:
     def _classes(
         self, frame: Frame, outputs: Outputs | None, why: Refusal, drift: Drift | None
     ) -> dict[str, ClassReading]:
-        """The classes of a frame, from all outputs of the network."""
         return class_readings(
             self.card.classes or (),
             None if outputs is None else outputs[:, self._layout.outputs :],
@@ -393,7 +359,6 @@ def _is_of_colour(folder: Path, card: Card) -> bool:
 
 
 def _is_grey(image: Image) -> bool:
-    """Whether all three channels are the same, or there is one alone."""
     if image.ndim == 2:
         return True
     return np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2])
@@ -408,7 +373,6 @@ def _copy_reason(card: Card) -> str:
 
 
 def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSession:
-    """An inference session over a model that is admitted and fits its card."""
     with storage_errors(path):
         model = path.read_bytes()
     outputs = layout_of(card).outputs + class_count(card.classes)
@@ -426,7 +390,6 @@ def _session(path: Path, card: Card, threads: int) -> onnxruntime.InferenceSessi
 
 @contextmanager
 def _runtime_errors(what: str) -> Iterator[None]:
-    """Turn whatever the ONNX runtime raises into a `CertificateError`."""
     try:
         yield
     except Exception as e:  # onnxruntime raises many kinds of its own, which share no parent

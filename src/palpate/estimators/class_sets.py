@@ -1,7 +1,7 @@
 """Classes: their part of a card, and the prediction set of one frame.
 
-The model gives an output for each class, which was 1 in rows of that class and 0 in others when it learnt. A
-class is in the set where its output reaches the class's own threshold.
+The model has one output for each class, trained to 1 for its rows and 0 for others. A class is in the set if
+its output reaches the class's own threshold.
 """
 
 from __future__ import annotations
@@ -21,13 +21,11 @@ Members = Bool[np.ndarray, "n k"]
 
 
 class ClassCoverageCard(CardPart):
-    """How often sets held the true class in held-out rows of one class.
+    """Coverage of the prediction sets in held-out rows of one class.
 
     Attributes:
-        rows, groups: of the class.
-        covered: rows whose set held it; thresholds were set without the row's own group.
-        low, high: 95 % interval of the share covered, groups counted as groups.
-        p: probability of so few, or fewer, where 5 % less than was promised is covered, groups counted.
+        low, high: 95 % interval of the covered ratio, by groups.
+        p: Probability of so few covered rows if the true coverage is 5 % below nominal, by groups.
     """
 
     rows: int
@@ -39,17 +37,14 @@ class ClassCoverageCard(CardPart):
 
 
 class ClassScoreCard(CardPart):
-    """Scores of a label of classes on held-out rows.
+    """Scores of a class label on held-out rows.
 
     Attributes:
-        n: rows scored.
-        accuracy: share of rows whose likeliest class was the true one.
-        accuracy_low, accuracy_high: 95 % interval of that share, groups counted as groups.
-        baseline: the same share if the most frequent class of all rows learnt from is always said.
-        confusion: rows, by the true class and then by the likeliest one.
-        coverage: of each class.
-        set_size: mean number of classes in the set.
-        empty, whole: share of rows whose set was empty, and held all classes.
+        accuracy_low, accuracy_high: 95 % interval of the accuracy, by groups.
+        baseline: Accuracy of always predicting the most frequent class.
+        confusion: Rows by the true and then by the predicted class.
+        set_size: Mean number of classes in the set.
+        empty, whole: Ratios of rows whose set is empty or holds all classes.
     """
 
     n: int
@@ -70,18 +65,14 @@ class ClassScoreCard(CardPart):
 
 
 class ClassCard(CardPart):
-    """A label of classes: what they are called, how sets are made, how they scored.
+    """Label of classes: names, thresholds of the sets, and scores.
 
     Attributes:
-        column: the label column; the readings' key.
-        values: the classes as the labels have them, in the order of the model's outputs.
-        names: what they are called.
-        thresholds: least output with which each class is in the set; None where its groups are too few to set
-            one, so that it is in every set.
-        groups: held-out groups of each class.
-        most_frequent: the class that the baseline says.
-        score: on held-out folds.
-        findings: what cannot be promised, in sentences.
+        column: Label column; the readings' key.
+        values: Classes as the labels have them, in the order of the model's outputs.
+        thresholds: Least output with which each class is in the set; None if it always is (too few groups).
+        groups: Held-out groups of each class.
+        findings: What cannot be promised, in sentences.
     """
 
     column: str
@@ -109,7 +100,7 @@ def class_count(cards: Sequence[ClassCard] | None) -> int:
 
 
 def class_parts(sizes: Sequence[int]) -> Iterator[slice]:
-    """Which of the outputs for classes belong to each label, from the number of its classes.
+    """Return the slice of the class outputs of each label, from its number of classes.
 
     Example:
         >>> list(class_parts([2, 3]))
@@ -135,14 +126,7 @@ def members_of(outputs: ClassOutputs, thresholds: Sequence[float | None]) -> Mem
 def class_readings(
     cards: Sequence[ClassCard], outputs: ClassOutputs | None, why: Refusal, **common: Any
 ) -> dict[str, ClassReading]:
-    """Readings of one frame by the label columns.
-
-    Args:
-        cards: of the labels.
-        outputs: the model's for all classes, of one row; None where nothing was read.
-        why: reason not to use anything of this frame; false where there is none.
-        common: what every reading of the frame carries.
-    """
+    """Return readings of one frame by label column; `common` holds the fields that all share."""
     read = {}
     for card, part in zip(cards, class_parts([len(card.names) for card in cards]), strict=True):
         value, members = "", np.zeros(len(card.names), bool)
@@ -159,7 +143,6 @@ def class_readings(
 
 
 def _doubt(card: ClassCard, value: str, members: tuple[str, ...]) -> Refusal:
-    """Reason not to trust a class; false where there is none."""
     if not members:
         why = f"not told: this frame is like no class of {card.column}, their set is empty"
         return Refusal(ReasonCode.NO_CLASS, why)

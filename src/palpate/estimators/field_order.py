@@ -1,14 +1,13 @@
-"""Fringe order against load, from whole photographs of a specimen whose stress field is known.
+"""Fringe order against load, from whole photographs of a specimen with a known stress field.
 
-At load P the light of a point where s1 - s2 is u times that of the reference point is, in channel c,
+At load P, a point with s1 - s2 of u times the reference point's has in channel c the light
 
     v_c = b_c + a_c V S_c(u N),   N = k P + N0,
 
-S as in `fringe_light`, V the visibility of its axes (1 in a circular polariscope), with gain a and leak b of
-every photograph and channel unknown: lamp and exposure may change between photographs, and need only be even
-within one. Fringes of several orders stand in one photograph, so that each tells its own N and evenly spaced
-loads do not alias. N is scanned, gain and leak being in closed form; the line through the photographs' N
-gives k, and their scatter about it the interval (Student's): errors of single loads are in it.
+S as in `fringe_light`, V the visibility. Gain a and leak b of every photograph and channel are unknown. One
+photograph holds several orders, so each identifies its own N and evenly spaced loads do not alias. N is
+scanned with a and b in closed form; the line through the photographs' N gives k, their scatter the Student
+interval.
 """
 
 from __future__ import annotations
@@ -47,25 +46,21 @@ def fit_field(
     greatest_order: float = 6.0,
     residual_order: float = 0.05,
 ) -> OrderFit:
-    """Orders per newton at the reference point, from the light of a whole known field.
+    """Fit orders per newton at the reference point to the light of a whole known field.
 
     Args:
-        load_n: load of each photograph, not negative [N].
-        light: linear light at the points, any scale.
+        load_n: Load of each photograph, not negative [N].
+        light: Linear light at the points, any scale.
         field: u, s1 - s2 of each point over that of the reference point.
-        polariscope: with as many channels as `light`.
-        visibility: V, 0 to 1; sin^2 of twice the angle between axis and polariser in a plane polariscope.
-        clipped: saturated light, which is left out.
-        greatest_order: N at the greatest load up to which the scan goes.
-        residual_order: one standard deviation of what N0 may be.
+        polariscope: Polariscope with as many channels as `light`.
+        visibility: V, 0 to 1; sin^2 of twice the angle between axis and polarizer in a plane polariscope.
+        clipped: Saturated light, which is omitted.
+        greatest_order: Greatest N of the scan at the greatest load.
+        residual_order: Prior standard deviation of N0.
 
     Returns:
-        The fit. `rms` is of the light about the field's, as a share of its standard deviation; `spread` is of
-        k between quarters of the region.
-
-    Raises:
-        InputError: too few photographs or loads, shapes that differ, or a field too even to tell the order.
-        RangeError: no order fits, or the slope's interval reaches 0.
+        The fit; `rms` is relative to the light's standard deviation, `spread` of k between quarters of the
+            region.
     """
     check_loads(load_n)
     _check(load_n, light, field)
@@ -121,7 +116,6 @@ class _Scan:
         self.counts = np.ones(light.shape) if clipped is None else (~clipped).astype(float)
 
     def only(self, points: ndarray) -> _Scan:
-        """The same at some of the points."""
         cut = self.counts[:, points] == 0
         return _Scan(
             self.light[:, points], cut, self.field[points], self.visibility[points], self.polariscope
@@ -166,10 +160,7 @@ class _Scan:
 def line_through(
     load_n: Float[ndarray, " n"], own: Float[ndarray, " n"], residual_order: float
 ) -> tuple[float, float, float, float]:
-    """K [1/N], N0, the half-width of k's interval [1/N] and of one photograph's order about the line.
-
-    N0 is known to `residual_order` beforehand; the scatter about the line sets the noise.
-    """
+    """Return k [1/N], N0, and half-widths of k [1/N] and of one photograph's order about the line."""
     quantile = float(student.ppf((1 + CONFIDENCE) / 2, max(len(own) - UNKNOWNS, 1)))
     X = np.stack([load_n, np.ones(len(own))], axis=1)
     noise = residual_order

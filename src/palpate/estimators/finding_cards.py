@@ -9,18 +9,16 @@ from palpate.estimators.findings import Finding
 
 
 class TargetConfoundCard(CardPart):
-    """What other than touch predicts of one target, next to the model; held-out R².
+    """Held-out R² of what other than touch predicts one target, next to the model's.
 
     Attributes:
-        rank_correlation: Spearman's, with the row's number, both within their session.
-        order_r2: of a smooth function of order or time, of the variance within sessions.
-        order_level: ratio of shufflings of whole presses (or rows) within their session that do as well.
-        model_r2: of the model.
-        outside_r2, outside_r2_blocks: of what lies outside the skin, on the calibration's folds and on short
-            interleaved blocks; None where there is no outside.
-        inside_r2: of the skin, by the same kind of regression.
-        neighbors_r2: of the trained rows nearest in order; None where rows come in groups or their order is
-            unknown.
+        rank_correlation: Spearman's, with the row number, within sessions.
+        order_r2: R² within sessions of a smooth function of temporal order.
+        order_level: Ratio of shufflings of whole presses (or rows) within their session that do as well.
+        outside_r2, outside_r2_blocks: R² of the image outside the skin, on the folds and on short interleaved
+            blocks.
+        inside_r2: R² of the skin by the same kind of regression.
+        neighbors_r2: R² of the training rows nearest in order; None for grouped or unordered rows.
     """
 
     column: str
@@ -38,15 +36,13 @@ class ConfoundCard(CardPart):
     """Audit of what other than touch could predict the labels.
 
     Attributes:
-        failed: whether the scores are unreliable.
-        findings: the gravest first.
-        outside_share: ratio of the prepared picture that lies outside the skin; None where none was found.
-        outside: how the outside was found, or why there is none.
-        skin_px: box (x, y, width, height) around the skin [px of the recorded frame].
-        row_lag: rows by which labels come later than the images that they fit.
-        map_file, map_rows: array ``[t y x]`` of the growth of each target's mean absolute error, in its unit,
-            where a block of the picture is blank, and the held-out rows that it is the mean of; None where
-            not measured.
+        failed: Whether the scores are unreliable.
+        outside_share: Ratio of the prepared image outside the skin; None if none was found.
+        outside: How the outside was found, or why there is none.
+        skin_px: Box (x, y, width, height) around the skin [px of the recorded frame].
+        row_lag: Rows by which labels are later than the images that they fit.
+        map_file, map_rows: Array ``[t y x]`` of the growth of each target's mean absolute error under
+            occlusion, and the number of held-out rows behind it; None if not measured.
     """
 
     failed: bool
@@ -61,12 +57,12 @@ class ConfoundCard(CardPart):
 
 
 class SessionErrorCard(CardPart):
-    """Errors of one target from session to session, in its unit.
+    """Errors of one target in its unit.
 
     Attributes:
-        between: standard deviation of the sessions' mean errors about no error.
-        within: standard deviation of errors within a session.
-        coverage_least: the lowest coverage of any session that was held out, by the intervals of this card.
+        between: Standard deviation of the sessions' mean errors about 0.
+        within: Standard deviation within a session.
+        coverage_least: Lowest coverage of any held-out session.
     """
 
     between: float
@@ -75,20 +71,16 @@ class SessionErrorCard(CardPart):
 
 
 class SessionsCard(CardPart):
-    """Sessions that were trained on, and what that promises of another one.
+    """Sessions of the training rows, and what they promise of a new one.
 
     Attributes:
-        column: what names them: ``session``, or ``sensor`` or ``copy`` where those were held out.
-        names: of the sessions (or sensor units).
-        runs: the recordings, where there are several.
-        held_out: how many were held out whole and scored.
-        rule: how the intervals were made: ``one session`` (for rows like those trained on), ``parametric`` or
-            ``distribution-free`` (for a new session).
-        rank: of the score among one from each session, where the rule is distribution-free.
-        factor: by which few sessions widen the intervals, where it is parametric.
-        errors: of each target's column, where sessions were held out.
-        findings: what stands against the promise.
-        text: the promise, in words.
+        column: Column that names them: ``session``, ``sensor``, or ``copy``.
+        held_out: Number of sessions held out whole and scored.
+        rule: ``one session`` (rows like those trained on), ``parametric``, or ``distribution-free`` (new
+            sessions).
+        rank: Rank of the score among one from each session, if distribution-free.
+        factor: Widening of the intervals for few sessions, if parametric.
+        text: Promise in words.
     """
 
     column: str
@@ -104,14 +96,12 @@ class SessionsCard(CardPart):
 
 
 class ValidScoreCard(CardPart):
-    """Scores of one target's valid readings alone, on a run that a calibration was evaluated on.
+    """Scores of one target's valid readings on an evaluated run; None if none is valid.
 
     Attributes:
-        n: how many were valid.
-        mae: their mean absolute error, in the target's unit.
-        covered: share of them whose interval held the truth.
-        low, high: 95 % interval of that share, groups counted as groups; all four are None where none was
-            valid.
+        mae: Mean absolute error in the target's unit.
+        covered: Ratio covered by the interval.
+        low, high: 95 % interval of that ratio, by groups.
     """
 
     n: int
@@ -125,13 +115,11 @@ class IntervalResetCard(CardPart):
     """Rows of a new session that recalibrated the intervals of another calibration.
 
     Attributes:
-        calibration, run, session: id of that calibration, the recording of the session, and its name.
-        rows, groups: how many set the intervals, and of how many groups (presses).
-        rank: of the score, among one from each group.
-        coverage_mean, coverage_low, coverage_high: expected coverage in that session: its mean over drawings
-            of so many groups, and the range that holds 95 % of them.
-        text: all of it in words.
-        former_half_widths: of each target's column, mean half-width of the former intervals over these rows.
+        calibration, run, session: Id of that calibration, recording of the session, and its name.
+        rows, groups: Number of rows, and of their groups (presses).
+        rank: Rank of the score among one from each group.
+        coverage_mean, coverage_low, coverage_high: Expected coverage in that session, and its 95 % range.
+        former_half_widths: Mean former half-width over these rows by target column.
     """
 
     calibration: str
@@ -151,12 +139,8 @@ class CopyCard(CardPart):
     """Sensor unit that a calibration was adapted to, and how its frames are distinguished from the former's.
 
     Attributes:
-        name, former: of this unit and of the former one.
-        run_id: of this unit's recording.
-        file: the discriminator.
-        refused_own, refused_former: ratio of each unit's frames that it rejects, judged without their own
-            press.
-        text: what that means, in words.
+        file: Discriminator.
+        refused_own, refused_former: Ratio of each unit's frames that it rejects, without their own press.
     """
 
     name: str
@@ -195,23 +179,20 @@ class TrainingCard(CardPart):
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
         end = "until watched groups gained no more" if self.stopped else "to the end of its schedule"
         kept = f"; kept are the weights after step {self.best_step:,}" if self.best_step else ""
         return f"{self.steps:,} steps of up to {self.batch} rows ({self.epochs:,} epochs), {end}{kept}"
 
 
 class PerturbationCard(CardPart):
-    """Held-out frames changed by one kind of perturbation at one size.
+    """Held-out frames changed by one perturbation (`calibration.robustness`).
 
     Attributes:
-        kind, size, unit: see `calibration.robustness`.
-        frames: number of frames changed.
-        error_ratio: mean absolute error over that of unchanged frames, the mean over the targets read.
-        covered, beyond: ratio of readings whose error was at most the half-width, and beyond twice it.
-        refused: ratio of frames that the guard alone refused, by examples of other frames.
-        silent: ratio of readings beyond twice the half-width and not refused by the guard.
-        passes: whether frames pass wrong significantly more often than unchanged ones.
+        error_ratio: Mean absolute error over that of unchanged frames, averaged over targets.
+        covered, beyond: Ratios of readings with errors within the half-width, and beyond twice it.
+        refused: Ratio of frames that the guard refuses by examples of other frames.
+        silent: Ratio of readings beyond twice the half-width that the guard accepts.
+        passes: Whether wrong readings pass significantly more often than on unchanged frames.
     """
 
     kind: str
@@ -227,14 +208,7 @@ class PerturbationCard(CardPart):
 
 
 class RobustnessCard(CardPart):
-    """What changes of the camera cost the model, and what the guard does about them.
-
-    Attributes:
-        text: of it, or why it was not tried.
-        frames: unchanged held-out frames that all is compared with.
-        refused, beyond: of these, as in `PerturbationCard`.
-        table: a row for each kind and size; empty where frames were too few.
-    """
+    """Effect of camera changes on the model and the guard, with unchanged frames for comparison."""
 
     text: str
     frames: int

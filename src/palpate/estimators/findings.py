@@ -193,12 +193,11 @@ ORDER_CODES = frozenset(
 
 
 class Finding(CardPart):
-    """One thing that an audit found.
+    """One finding of an audit.
 
     Attributes:
-        code: what was found.
-        target: label column it concerns; empty where it concerns all.
-        values: numbers and names of its sentence; shares are ratios.
+        target: Label column concerned; empty if all are.
+        values: Numbers and names of its sentence.
     """
 
     code: FindingCode

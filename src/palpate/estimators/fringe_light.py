@@ -1,9 +1,8 @@
-"""Light of a fringe order in each colour channel, by lamp, polarisers and camera.
+"""Light of a fringe order in each color channel, by lamp, polarizers, and camera.
 
     S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0)))
 
-between crossed polarisers, one minus that between parallel ones. The lamp's and the camera's curves are
-assumed, not measured; one wavelength needs none.
+between crossed polarizers, one minus that between parallel ones. The curves of lamp and camera are assumed.
 """
 
 from __future__ import annotations
@@ -26,15 +25,14 @@ _FLAT_NM = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Polariscope:
-    """Lamp, camera and polarisers.
+    """Lamp, camera, and polarizers.
 
     Attributes:
-        spectrum: bands, and what each channel makes of them; one band is one wavelength.
+        spectrum: Bands and their weight in each channel.
         wavelength_m: l0, at which orders are counted [m].
-        lamp: in words.
-        dispersion_m2: D of the stress-optic law [m^2]; 0 is none.
-        bright_field: the polarisers are parallel, so that no load is bright.
-        turn: half the phase that one order is in each band, pi l0 C(l) / (l C(l0)) [rad].
+        dispersion_m2: D of the stress-optic law [m^2].
+        bright_field: Whether polarizers are parallel.
+        turn: Half the phase of one order in each band, pi l0 C(l) / (l C(l0)) [rad].
     """
 
     spectrum: Spectrum
@@ -69,15 +67,11 @@ class Polariscope:
 
 
 def one_line(wavelength_m: float, bandwidth_m: float = 0.0) -> Polariscope:
-    """A lamp of one line: sodium, a laser, or a lamp behind a narrow filter.
+    """Return a polariscope with a line lamp: sodium, a laser, or a lamp behind a narrow filter.
 
     Args:
-        wavelength_m: of the line, 380 to 780 nm [m]; 400 to 700 nm if it has a width.
-        bandwidth_m: its standard deviation, 0 to 60 nm [m]. With a width, the assumed camera's channels see
-            it shifted a little against each other, and high orders fade.
-
-    Raises:
-        RangeError: not visible, or too wide to be one line.
+        wavelength_m: Wavelength, 380 to 780 nm (400 to 700 nm with a bandwidth) [m].
+        bandwidth_m: Standard deviation of the line, 0 to 60 nm [m].
 
     Example:
         >>> sodium = one_line(589.3e-9)
@@ -108,14 +102,7 @@ def white_led() -> Polariscope:
 
 
 def tungsten(temperature_k: float = 2856.0) -> Polariscope:
-    """An incandescent lamp and a colour camera, both assumed; orders are counted at 550 nm.
-
-    Args:
-        temperature_k: of the filament, 2000 to 3500 [K]; 2856 K is CIE illuminant A.
-
-    Raises:
-        RangeError: no filament glows so.
-    """
+    """Return a polariscope with a filament lamp of 2000 to 3500 K; orders count at 550 nm."""
     if not 2000.0 <= temperature_k <= 3500.0:
         raise RangeError(f"filament at {temperature_k} K; give 2000 to 3500 K (2856 is usual)")
     flat = assumed_camera(led_peaks_nm=(550.0, 550.0), led_widths_nm=(_FLAT_NM, _FLAT_NM))

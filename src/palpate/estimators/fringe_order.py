@@ -1,19 +1,13 @@
-"""Fringe order against load, from what one place in a polariscope looks like at several loads.
+"""Fringe order against load, from patches of photographs in a polariscope at several loads.
 
-Each patch of the photograph passes, in colour channel c and at load P,
+Each patch passes, in color channel c and at load P,
 
     v_c = b_c + a_c S_c(N),   S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0))),   N = k P + N0,
 
-with the gain a and the leak b of every patch and channel unknown. The misfit has a valley at every k that
-turns the same brightnesses by some whole fringe more or less, so no descent from one start finds the right
-one: all are tried on a grid, where gain and leak are in closed form, and the best few are refined by robust
-least squares, soft L1, patch by patch, since stress may differ between patches. What comes back is the
-patches' mean of k. Evenly spaced loads make some slopes alias exactly; of those that tie the lowest is given,
-each of the others is named with why it fits and which load would decide.
-
-A photograph's errors (lamp, exposure, load) are shared by all its patches, so the photographs are what is
-counted: the interval is Student's, with 4 unknowns, from the scatter of whole photographs about the fit, and
-the scatter of k between patches is added to it.
+with unknown gain a and leak b. The misfit has a local minimum at every k that adds whole fringes, so all are
+tried on a grid with a and b in closed form; the best are refined by soft-L1 least squares, patch by patch. Of
+slopes that alias exactly the lowest is given and the others are named. The interval is Student's over
+photographs, whose errors all patches share, plus the scatter of k between patches.
 
 Reference for S: J. W. Dally and W. F. Riley, Experimental Stress Analysis, on the dark-field polariscope.
 """
@@ -151,14 +145,14 @@ NEAR = 0.25  # how far from the line a photograph's own order is looked for; fur
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Every patch fitted near one slope.
+    """Fit of every patch near one slope.
 
     Attributes:
-        parameters: k [1/N], N0, a of each channel and b of each channel, a row for each patch.
-        residuals: model minus light, in shares of each patch's range.
-        influence: how far each datum, were it 1 greater, would move its patch's k [1/N].
-        prior_share: part of k's variance that comes from not knowing N0 [1/N^2].
-        whole: every patch has a best k near the others', none wandered off to the end of where it may look.
+        parameters: k [1/N], N0, a and b of each channel, one row for each patch.
+        residuals: Model minus light, relative to each patch's range.
+        influence: Derivative of each patch's k with respect to each datum [1/N].
+        prior_share: Part of k's variance from the prior of N0 [1/N^2].
+        whole: Every patch has a best k near the others'.
     """
 
     traces: Traces
@@ -170,22 +164,18 @@ class Fit:
 
     @property
     def slopes(self) -> ndarray:
-        """Slope k of every patch [1/N]."""
         return self.parameters[:, 0]
 
     @property
     def slope(self) -> float:
-        """Mean over patches [1/N]."""
         return float(self.slopes.mean())
 
     @property
     def offset(self) -> float:
-        """N0, mean over patches."""
         return float(self.parameters[:, 1].mean())
 
     @property
     def cost(self) -> float:
-        """Mean squared residual."""
         return float(np.mean(self.residuals**2))
 
     def freedom(self) -> int:
@@ -246,10 +236,7 @@ def _valley(misfit: ndarray, spare: float) -> tuple[int, int, int]:
 
 
 def refined(traces: Traces, starts: list[tuple[float, float]]) -> list[Fit]:
-    """The candidates, each refined, best first; those that ran into one another are one.
-
-    A rival that ran below the least order that can be told is none: the scan does not begin there.
-    """
+    """Return the refined candidates, best first, without duplicates and unidentifiable ones."""
     noise = np.sqrt(profiled(traces, np.array([starts[0][0]]), starts[0][1])[0])
     noise = max(float(noise) / np.sqrt(traces.y.shape[2] * max(len(traces.y) - UNKNOWNS, 1)), 1e-3)
     attempts = [_fit_near(traces, k, n0, noise) for k, n0 in starts]
@@ -330,10 +317,9 @@ class OrderCandidate:
 
     Attributes:
         slope_per_n: k [1/N].
-        likelihood: of the photographs under it, over that under the slope given; may exceed 1, up to 1 / TIE,
-            where the lower of two that tie was given.
-        deciding_load_n: where the two slopes' lights differ most, up to the greatest load [N].
-        why: what makes the two look alike, in words.
+        likelihood: Likelihood relative to the slope given; up to 1 / TIE.
+        deciding_load_n: Load at which the two slopes' lights differ most [N].
+        why: Reason of the ambiguity, in words.
     """
 
     slope_per_n: float
@@ -347,19 +333,17 @@ class OrderFit:
     """Fringe orders of a series of photographs, and the line through them.
 
     Attributes:
-        slope_per_n: k, orders per newton [1/N].
-        half_width_per_n: of its 95 % interval [1/N].
-        residual_order: N0, the order without load.
+        slope_per_n: k [1/N].
+        half_width_per_n: Half-width of its 95 % interval [1/N].
+        residual_order: N0.
         order: k P + N0 of each photograph.
-        own_order: order that each photograph shows by itself, near the line (within 0.25).
-        own_low: lower end of its 95 % interval.
-        own_high: upper end.
-        channels: which channels were used.
-        gain: a of each channel, mean over the patches, in the light's unit; 0 where a channel is not used.
-        leak: b likewise; the mean light where a channel is not used.
-        rms: of the residuals, as a share of each patch's range of brightness.
-        spread: standard deviation of k between patches, as a share of k.
-        rivals: other slopes, likeliest first; those with a likelihood above 0.05 make the fit ambiguous.
+        own_order, own_low, own_high: Order of each photograph by itself (within 0.25 of the line), 95 %
+            interval.
+        channels: Channels used.
+        gain, leak: a and b of each channel, mean over patches; 0 and the mean light if not used.
+        rms: RMS residual relative to each patch's range.
+        spread: Relative standard deviation of k between patches.
+        rivals: Other slopes, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
     """
 
     slope_per_n: float
@@ -392,27 +376,20 @@ def fit_orders(
     greatest_order: float = SCAN_ORDER,
     residual_order: float = 0.05,
 ) -> OrderFit:
-    """Orders per newton from the light of some patches at several loads.
+    """Fit orders per newton to the light of some patches at several loads.
 
     Args:
-        load_n: load of each photograph, not negative [N].
-        light: linear light of each photograph, patch and channel, any common scale, exposure divided out.
-        polariscope: with as many channels as `light`.
-        clipped: where the camera was saturated; such light may be greater than it is written.
-        open_light: of the unloaded specimen between parallel polarisers, on the same scale. It fixes the
-            gain, and is needed where the loads turn less than about half an order.
-        greatest_order: at the greatest load; slopes up to it are tried. A slope that fits as well beyond it
-            is not reported, so state less than the default only where the orders were counted.
-        residual_order: one standard deviation of what N0 may be, before any photograph is seen.
+        load_n: Load of each photograph, not negative [N].
+        light: Linear light of each photograph, patch, and channel, any common scale, without exposure.
+        polariscope: Polariscope with as many channels as `light`.
+        clipped: Saturated light, which may be greater than stated.
+        open_light: Light of the unloaded specimen between parallel polarizers, which fixes the gain; needed
+            below about half an order.
+        greatest_order: Greatest order at the greatest load; slopes beyond it are neither tried nor reported.
+        residual_order: Prior standard deviation of N0.
 
     Returns:
-        The fit. Its interval holds scatter, N0 and unevenness; not the error of a wrong wavelength.
-
-    Raises:
-        InputError: too few photographs or loads, shapes that differ, values that are no light, or no change
-            of light with load.
-        RangeError: the scan's range is empty, or the interval of the best slope reaches 0.
-        ScanEdgeError: the best slope is at an end of the scan.
+        The fit; its interval does not hold the error of a wrong wavelength.
     """
     _check(load_n, light, polariscope, greatest_order, residual_order)
     traces = Traces.of(load_n, light, clipped, open_light, polariscope, residual_order)
@@ -452,12 +429,7 @@ def _summary(light: Light, traces: Traces, best: Fit, rivals: list[OrderCandidat
 
 
 def check_loads(load_n: Float[ndarray, " n"]) -> None:
-    """Refuse a series of loads [N] from which no slope can be told.
-
-    Raises:
-        RangeError: a load is negative or no number.
-        InputError: there are too few photographs or too few different loads.
-    """
+    """Refuse a series of loads [N] from which no slope can be told."""
     if not (np.isfinite(load_n).all() and (load_n >= 0).all()):
         raise RangeError("a load is negative or no number; give loads of 0 N or more")
     photographs, loads = len(load_n), len(np.unique(load_n))

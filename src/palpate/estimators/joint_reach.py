@@ -7,14 +7,9 @@ from functools import cache
 
 @cache
 def joint_reach(components: int, coverage: float) -> float:
-    """Radius of the ball that holds so many standard normal errors at once, at this rate.
+    """Return the radius of the ball that holds several standard normal errors with a coverage.
 
-    It is the quantile of the chi distribution with as many degrees of freedom: for one component the usual k
-    of an expanded uncertainty, and more for several (JCGM 102:2011, doi:10.59161/JCGM102-2011).
-
-    Args:
-        components: how many errors, 1 or more.
-        coverage: the rate, above 0 and below 1.
+    It is the quantile of the chi distribution (JCGM 102:2011, doi:10.59161/JCGM102-2011).
 
     Example:
         >>> [round(joint_reach(k, 0.9), 4) for k in (1, 2, 3)]

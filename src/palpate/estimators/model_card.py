@@ -26,22 +26,18 @@ from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
 
-NO_BETTER = 0.95
-"""Share of the error of always saying the mean, above which an estimate says nothing."""
+NO_BETTER = 0.95  # share of the error of always saying the mean, above which an estimate says nothing
 
 
 class ScoreCard(CardPart):
     """Scores of one target on held-out rows, in its unit.
 
     Attributes:
-        unit: of everything here that has one.
-        n: rows scored.
-        mae, rmse, bias: mean absolute, root mean square and mean signed error.
-        r2: share of the truth's variance explained; below 0 is worse than its mean.
-        mean_mae: mean absolute error of always saying the training rows' mean.
-        coverage_90: share of rows whose 90 % interval held the truth.
-        coverage_90_low, coverage_90_high: 95 % interval of that share, groups counted as groups.
-        half_width: mean half-width of the intervals.
+        r2: R²; below 0 is worse than the mean.
+        mean_mae: Mean absolute error of always predicting the training mean.
+        coverage_90: Ratio of rows covered by the 90 % interval.
+        coverage_90_low, coverage_90_high: 95 % interval of that ratio, by groups.
+        half_width: Mean half-width of the intervals.
     """
 
     unit: str
@@ -63,11 +59,11 @@ class ScoreCard(CardPart):
 
 
 class CellsCard(CardPart):
-    """Bands of the scaled error, one in each cell of a range; see `estimators.intervals`.
+    """Bands of the scaled error, one in each cell of a range (`estimators.intervals`).
 
     Attributes:
-        limits: between the cells, ascending, in the target's unit; the outermost cells have no end.
-        centre, half: of each cell's band, in units of the spread.
+        limits: Ascending limits between cells, in the target's unit; the outermost cells have no end.
+        centre, half: Band of each cell, in units of the spread.
     """
 
     limits: tuple[float, ...]
@@ -87,11 +83,9 @@ class TenthCard(CardPart):
     """Scored rows of one tenth of a target's range, by the truth.
 
     Attributes:
-        start, end: of the tenth, in the target's unit.
-        n, groups: rows and their groups.
-        covered: rows whose interval held the truth.
-        bias: mean signed error, estimate less truth.
-        p: probability of so few, or fewer, where 5 % less than was promised is covered, groups counted.
+        covered: Rows covered by their interval.
+        bias: Mean of estimate less truth.
+        p: Probability of so few covered rows if the true coverage is 5 % below nominal, by groups.
     """
 
     start: float
@@ -104,14 +98,13 @@ class TenthCard(CardPart):
 
 
 class RangeCard(CardPart):
-    """How a target's intervals follow its range, and where a reading counts as beyond it.
+    """Dependence of a target's intervals on its range, and limits of extrapolation.
 
     Attributes:
-        by_truth, by_estimate: bands that the intervals are made from; None where groups are too few to set
-            them, and the target's `quantile` holds over the whole range.
-        beyond: how far below and above the range an estimate may lie, in the target's unit.
-        reach: how far below and above the range an interval may reach.
-        tenths: scores of the range's tenths.
+        by_truth, by_estimate: Bands of the intervals; None if groups are too few, and `quantile` holds
+            everywhere.
+        beyond: Distance below and above the range that an estimate may reach, in the target's unit.
+        reach: The same for the ends of an interval.
     """
 
     by_truth: CellsCard | None
@@ -122,14 +115,13 @@ class RangeCard(CardPart):
 
 
 class CircularCard(CardPart):
-    """A target that comes round again, which the model gives as cosine and sine.
+    """Periodic target, which the model outputs as cosine and sine.
 
     Attributes:
-        period: after which it does, in the target's unit.
-            centre, scale: of the two outputs, see `estimators.intervals.ErrorSpread`.
-        untold_width: width from which on an interval tells nothing, in the target's unit: the coverage's
-            share of the calibrated arc, or 0 where rows held out were told no more than always saying the
-            mean tells; None in cards of before, where it is the period.
+        period: Period in the target's unit.
+        centre, scale: Standardization of the two outputs (`ErrorSpread`).
+        untold_width: Width from which an interval is uninformative; 0 if no better than the mean, None in
+            earlier cards (the period).
     """
 
     added: ClassVar[tuple[str, ...]] = ("untold_width",)
@@ -141,17 +133,15 @@ class CircularCard(CardPart):
 
 
 class VectorCard(CardPart):
-    """A vector: targets whose joint region covers all of them at once at the stated rate.
+    """Targets whose joint region covers all of them at once.
 
     Attributes:
-        column: its name, quantity_unit; the readings' key.
-        columns: of its components, all in one unit.
-        components: their names.
-        correlation: S of the errors, each in units of its own spread, row after row.
-        radius: conformal quantile of sqrt(rᵀ S⁻¹ r).
-        n: rows scored.
-        covered: share of them whose truth lay in the region.
-        low, high: 95 % interval of that share, groups counted as groups.
+        column: Its name, quantity_unit; the readings' key.
+        columns: Columns of its components, all in one unit.
+        correlation: Correlation S of the errors, each in units of its own spread.
+        radius: Conformal quantile of sqrt(rᵀ S⁻¹ r).
+        covered: Ratio of the n scored rows inside the region.
+        low, high: 95 % interval of that ratio, by groups.
     """
 
     column: str
@@ -166,14 +156,11 @@ class VectorCard(CardPart):
 
 
 class InstrumentCard(CardPart):
-    """What a target's labels were measured with, see `recordings.reference_instruments`; in the target's
-    unit.
+    """Reference instrument of a target's labels, in the target's unit (`reference_instruments`).
 
     Attributes:
-        instrument, certificate, certified_on, standard_uncertainty, resolution, backlash, bias_removed: as
-            stated by whoever recorded them.
-        half_width: of the interval, at the calibration's coverage, that the standard uncertainty alone would
-            give; it is joined to the model's in every reading.
+        half_width: Half-width of the interval from the standard uncertainty alone, at the calibration's
+            coverage.
     """
 
     instrument: str
@@ -187,19 +174,14 @@ class InstrumentCard(CardPart):
 
 
 class TargetCard(CardPart):
-    """One target: what it is, where it was calibrated, how its intervals are made, how it scored.
+    """One target: calibrated range, intervals, and scores.
 
     Attributes:
-        column: the label column, e.g. ``depth_mm``.
-        quantity, unit: its two halves.
-        least, greatest: the calibrated range, in `unit`.
-        training_mean: of the labels learnt from, in `unit`.
-        centre, scale, typical, coefficients, quantile: see `estimators.certified`.
-        score: on held-out folds.
-        over_range: its intervals and its scores along the range; None in cards of before, and where it is
-            circular.
-        circular: how it comes round again; None where it does not.
-        measured_by: what its labels come from; None where nothing was stated.
+        column: Label column, such as ``depth_mm``.
+        least, greatest: Calibrated range in `unit`.
+        training_mean: Mean of the training labels.
+        centre, scale, typical, coefficients, quantile: See `estimators.intervals`.
+        over_range: Intervals and scores along the range; None in earlier cards and for circular targets.
     """
 
     added: ClassVar[tuple[str, ...]] = ("over_range", "circular", "measured_by")
@@ -232,11 +214,7 @@ class TargetCard(CardPart):
 
     @property
     def untold_width(self) -> float | None:
-        """Least width of an interval that tells nothing, in `unit`; None on cards of before.
-
-        It is the length of the range. Intervals around directions drawn at random need only the coverage's
-        share of the arc to hold as many truths as they promise, so that for an angle the card states it.
-        """
+        """Least width of an uninformative interval in `unit`: the range, or as stated for an angle."""
         if self.circular is None:
             return None if self.over_range is None else self.greatest - self.least
         stated = self.circular.untold_width
@@ -273,24 +251,21 @@ class LensCard(CardPart):
 
     @classmethod
     def of(cls, lens: Lens) -> LensCard:
-        """The card's part of a lens."""
         numbers = {key: value for key, value in lens.card().items() if key != "schema"}
         return cls(**numbers, field_rad=lens.field_rad)
 
     @property
     def lens(self) -> Lens:
-        """The lens of these numbers."""
         fields = self.model_dump(exclude={"id", "field_rad"})
         return Lens(**fields)
 
 
 class InputCard(CardPart):
-    """Kind of image that is read, and how it becomes the network's input.
+    """Kind of image, and how it becomes the network's input (`recordings.preparation.Preparation`).
 
     Attributes:
-        frame_px: (height, width) of the frames calibrated on [px].
-        size_px, channels, crop_px, beside_px, lens: see `recordings.preparation.Preparation`.
-        delta: whether the input is the difference from a no-contact reference.
+        frame_px: Height and width of the calibrated frames [px].
+        delta: Whether the input is the difference from a no-contact reference.
     """
 
     added: ClassVar[tuple[str, ...]] = ("lens",)
@@ -305,18 +280,11 @@ class InputCard(CardPart):
 
     @property
     def preparation(self) -> Preparation:
-        """The preparation that makes it so."""
         lens = None if self.lens is None else self.lens.lens
         return Preparation(self.crop_px, self.size_px, self.channels, self.beside_px, lens)
 
     def check_lens(self, lens: Lens) -> None:
-        """Refuse frames that came through another lens than those calibrated on.
-
-        Frames do not tell their lens, so that whoever gives them has to.
-
-        Raises:
-            InputError: the numbers of both are not the same, or the calibration took frames as they are.
-        """
+        """Refuse frames of another lens than the calibrated one."""
         if self.lens is None:
             raise InputError(
                 f"the frames come through lens {lens.id}, and the calibration was made without a lens: it "
@@ -330,13 +298,13 @@ class InputCard(CardPart):
 
 
 class ReferenceCard(CardPart):
-    """Rows of a run that show the untouched sensor.
+    """No-contact rows of a run.
 
     Attributes:
-        column, value: rows where the label column holds this value; None where the run has none.
-        by: columns within whose groups a reference holds; empty for one reference for all.
-        frames: how many such frames the calibration had.
-        learnt: whether they were learnt from, and are scored, like any other.
+        column, value: Rows whose label column holds this value; None if the run has none.
+        by: Columns within whose groups a reference holds; empty for one reference for all.
+        frames: Number of such frames.
+        learnt: Whether they were trained on and scored like any other.
     """
 
     column: str | None
@@ -375,23 +343,16 @@ class SplitCard(CardPart):
 
 
 class Card(SealedCard):
-    """All of it. `id` is a hash of everything else, so no word can change unnoticed.
+    """Calibration card; `id` is a hash of everything else. Fields that do not apply are None.
 
     Attributes:
-        agreement: largest difference between the exported and the trained model, as a share of range.
-        seconds: time the calibration took, since it was last taken up [s].
-        adapted_from: id of the calibration whose network this one corrects to another copy of its sensor;
-            None where it is a calibration of its own.
-        vectors: targets that are also read together; None where there are none.
-        sessions: what was learnt from, session by session; None on cards from before they were told apart.
-        interval_reset: what set the intervals anew; None where that were the rows held out.
-        copy_of: the copy adapted to; None where it was not adapted, or before copies were told apart.
-        choice: what the model tried, and what it took; None where it had nothing to choose.
-        training: how long the network has learnt; None where the model does not say.
-        robustness: against changes of the camera; None in cards of before, and in adapted ones.
-        confounds: audit of what other than touch could have told the labels; None where none was made.
-        classes: labels of classes, whose outputs stand behind the targets'; None where there are none.
-        steps: from a camera's pixels to a reading; None on a card from before it said so.
+        agreement: Largest difference between exported and trained model, relative to the range.
+        seconds: Duration of the calibration since its last resumption [s].
+        adapted_from: Id of the calibration whose network this one adapts to another sensor unit.
+        interval_reset: Rows of another session that set the intervals.
+        copy_of: Sensor unit adapted to.
+        choice: Models tried, and the one chosen.
+        steps: Steps from a camera's pixels to a reading.
     """
 
     added: ClassVar[tuple[str, ...]] = (
@@ -460,15 +421,11 @@ class Card(SealedCard):
 
     @property
     def columns(self) -> list[str]:
-        """The targets' columns, in the model's order."""
         return [target.column for target in self.targets]
 
     @property
     def runs(self) -> list[RunCard]:
-        """Every recording that it has part of its content from, as far as it names them.
-
-        What an adapted calibration was adapted from is told by that one's own card.
-        """
+        """Every recording that the card names."""
         parts = self.sessions.runs if self.sessions else ()
         return [self.run, *parts, *([self.interval_reset.run] if self.interval_reset else ())]
 

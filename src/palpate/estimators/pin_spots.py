@@ -1,8 +1,7 @@
-"""Bright spots of a pin's size: by one grey level for the whole frame, or by contrast with what is around.
+"""Bright spots of a pin's size: by one gray level for the frame, or by local contrast.
 
-One level is quick, and enough where the light is even. The other way needs no level: it looks for round
-patches of several sizes in ever smaller copies of the frame, and keeps the size whose patches are in order,
-since pins are. Neither tells a pin from a reflection; the lattice does (`lattice.pin_lattice`).
+Local contrast looks for round patches at several scales and keeps the scale with the most regular ones.
+Neither distinguishes pins from reflections; the lattice does (`lattice.pin_lattice`).
 """
 
 from __future__ import annotations
@@ -57,7 +56,6 @@ def contrast(image: Grey, level: int) -> tuple[float, float, bool]:
 
 
 def _median(counts: Float[ndarray, " n"]) -> float:
-    """Median of whole numbers from 0, by how often each occurs."""
     upto = np.cumsum(counts)
     return float(np.searchsorted(upto, upto[-1] / 2))
 
@@ -99,13 +97,7 @@ def _order(places: Points) -> float:
 def light_at(
     image: Shaped[ndarray, "h w"], xy: Points, spacing: Float[ndarray, " p"]
 ) -> tuple[Float[ndarray, " p"], Float[ndarray, "p a"]]:
-    """Grey levels of each pin, and halfway to its neighbours in twelve directions.
-
-    Args:
-        image: 8-bit grey.
-        xy: pins.
-        spacing: to the nearest neighbour of each [px].
-    """
+    """Return gray levels of each pin ``[p]``, and halfway to its neighbors in twelve directions ``[p a]``."""
     angle = np.arange(AROUND) * 2 * np.pi / AROUND
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     between = xy[:, None] + 0.5 * spacing[:, None, None] * around

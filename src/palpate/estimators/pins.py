@@ -1,13 +1,8 @@
-"""Bright pins in images: found in the first frame by their lattice, followed from frame to frame.
+"""Bright pins in images: found in the first frame by their lattice, tracked from frame to frame.
 
-What is bright is a pin where it stands on the lattice of the others and looks like its neighbours;
-reflections of lamps, beyond the pins or between them, do not. One grey level for the whole frame is tried
-first, and contrast with what is around where that does not show a whole lattice: in uneven light, glare or
-blur.
-
-A pin's place is the centroid of what it is brighter than its ground by, which a disc of even brightness gives
-to a few hundredths of a pixel. Following looks only near where each pin was, and again around where it is
-found, until that no longer moves.
+A spot is a pin if it stands on the lattice and resembles its neighbors; reflections do not. One gray level
+for the frame is tried first, then local contrast (uneven light, glare, blur). A pin's position is the
+centroid of its brightness above the ground, iterated within reach of its last position.
 """
 
 from __future__ import annotations
@@ -37,18 +32,10 @@ i32 = np.int32
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def settle(pixels, row, margin, xy, reach, floor, sums, weight):
-    """Move each place to the centroid of what is brighter than the floor within reach, until it stays.
+    """Move each position to the centroid above the floor within reach, until it stays.
 
-    Whole numbers, and whole rows of the window in which what is out of reach counts nothing: such a loop
-    becomes vectors, one over just what is within reach would not.
-
-    Args:
-        pixels, row, margin: an image with a dark margin around, flat, and the length of its rows [px].
-        xy: where to start; changed.
-        reach: see `PinTracks`.
-        floor: of each, in parts of a grey level, as all sums here are.
-        sums: workspace, two numbers for every column of a window.
-        weight: to be filled.
+    Whole rows in integers, so that the loop vectorizes; `pixels` has a dark margin, `floor` and sums are in
+    parts of a gray level, `sums` is a workspace of two numbers a column.
     """
     column, column_y = sums[0], sums[1]
     for i in range(len(xy)):
@@ -95,8 +82,8 @@ DARK_AROUND = 0.35  # share of directions in which the ground is seen halfway to
 CROWDED, SPLINTER = 0.72, 0.65  # of the neighbours' distances, and of the other's weight
 SHORTER, SHORTEN = 6, 0.8  # times that a reach is shortened, and to how much each time
 STRAY = 0.2  # of the way to the nearest neighbour, by which a centroid may lie from where it was looked for
+# pins in two rings or more about one; a ring of six about one may be lamps
 WHOLE = frozenset(3 * n * (n + 1) + 1 for n in range(2, 20))
-"""Pins in two rings or more about one; a ring of six about one may be lamps."""
 MIN_STRAY_PX = 1.5  # spots lie on whole pixels
 GLARE_PX = 4  # pixels that touch: fewer are noise
 
@@ -110,13 +97,12 @@ class PinTracks:
     """Pins of one frame.
 
     Attributes:
-        xy_px: centres (x along columns, y along rows) [px]; NaN where a pin is lost.
-        ground, bright: grey levels of ground and pins; their medians where light is uneven.
-        reach_px: how far from where it was a pin is looked for.
-        weight: summed brightness above the ground, of every pin in the first frame.
-        cells: (column, row) of each on the lattice, (0, 0) being the field's middle, whether a pin is seen
-            there or not; None for pins that were not found by their lattice.
-        floor: grey level that has no weight, at each pin; None for one of all, by ground and bright.
+        xy_px: Centers (x, y) [px]; NaN if lost.
+        ground, bright: Gray levels of ground and pins (medians in uneven light).
+        reach_px: Search radius around the last position [px].
+        weight: Summed brightness above the ground in the first frame.
+        cells: (column, row) on the lattice, (0, 0) being the field's middle; None without a lattice.
+        floor: Gray level without weight at each pin; None for a common one.
     """
 
     xy_px: Points
@@ -140,11 +126,7 @@ class PinTracks:
 
 
 def grey_frame(frame: Shaped[ndarray, ...]) -> Grey | None:
-    """A frame as pins are looked for in it; None for one that is not 8-bit, or neither grey nor colour.
-
-    Of a colour frame ``[h w 3]`` the mean of the three channels is taken, so that their order, RGB or BGR,
-    does not matter and white pins keep their level.
-    """
+    """Return an 8-bit frame as gray, the mean of three channels; None for any other."""
     if frame.dtype != np.uint8 or frame.ndim not in (2, 3):
         return None
     if frame.ndim == 3:
@@ -153,17 +135,13 @@ def grey_frame(frame: Shaped[ndarray, ...]) -> Grey | None:
 
 
 def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS, *, on_lattice: bool = True) -> PinTracks:
-    """The pins of an image, the one nearest to their middle first and outwards from it.
+    """Return the pins of an image, from the middle outwards.
 
     Args:
-        image: 8-bit grey ``[h w]`` or colour ``[h w 3]`` (see `grey_frame`), pins brighter than their ground.
-        least: fewer pins are none.
-        on_lattice: whether only spots that stand on a lattice are pins; otherwise all of a pin's size are,
-            by one grey level. Fewer than seven spots form no lattice and are taken as they are.
-
-    Raises:
-        ImageError: not such an image, too few pins in it, or spots that stand on no lattice.
-        RangeError: fewer than two pins asked for.
+        image: 8-bit gray ``[h w]`` or color ``[h w 3]``, pins brighter than their ground.
+        least: Least number of pins.
+        on_lattice: Whether only spots on a lattice are pins; fewer than seven form none and are accepted as
+            they are.
     """
     grey = grey_frame(image)
     if grey is None:
@@ -219,7 +197,6 @@ def _by_level(grey: Grey, spots: Points, ground: float, bright: float) -> PinTra
 def _even(
     grey: Grey, xy: Points, ground: float, bright: float, cells: Int[ndarray, "p 2"] | None = None
 ) -> PinTracks:
-    """Pins at spots, in even light."""
     xy = xy if cells is not None else xy[_outwards(xy)]
     first = PinTracks(xy, ground, bright, REACH * _spacing(xy), np.full(len(xy), np.inf), cells)
     xy, weight = _centroids(grey, first.xy_px, first.reach_px, first.floors)
@@ -322,11 +299,7 @@ def _held(
     floor: Float[ndarray, " p"],
     stray: Float[ndarray, " p"],
 ) -> tuple[Points, Float[ndarray, " p"], Float[ndarray, " p"], Bool[ndarray, " p"]]:
-    """Centroids, with a shorter reach for those that else run into what is bright beside them.
-
-    Returns:
-        Centroids, reaches, weights, and which stayed where they were looked for.
-    """
+    """Centroids, with a shorter reach for those that else run into what is bright beside them."""
     reach = reach.copy()
     for _ in range(SHORTER):
         moved, weight = _centroids(grey, spots, reach, floor)
@@ -343,12 +316,7 @@ def _looks_like_a_pin(
     dark: Float[ndarray, " p"],
     light: Float[ndarray, " p"],
 ) -> Bool[ndarray, " p"]:
-    """Bright in the middle, and dark in most directions around: the more of them, the more it outshines pins.
-
-    Args:
-        bright, around: of a spot and halfway to its neighbours.
-        dark, light: of the ground and the pins about there.
-    """
+    """Ratio of directions in which a spot is brighter in its middle than around."""
     half = 0.5 * (dark + light)
     outshines = np.maximum((bright - dark) / np.maximum(light - dark, 1.0) - 1.0, 0.0)
     ground_seen = (around < half[:, None]).mean(axis=1)
@@ -397,7 +365,6 @@ def _clear_of_glare(brighter: Grey, xy: Points, spacing: Float[ndarray, " p"]) -
 
 
 def _spacing(xy: Points) -> Float[ndarray, " p"]:
-    """Distance of each pin to the nearest other [px]."""
     return np.asarray(cKDTree(xy).query(xy, k=2)[0][:, 1])
 
 
@@ -406,7 +373,6 @@ def _outwards(xy: Points) -> Int[ndarray, " p"]:
 
 
 def _only(pins: PinTracks, which: ndarray) -> PinTracks:
-    """Some of the pins, in that order."""
     cells, floor = (None if a is None else a[which] for a in (pins.cells, pins.floor))
     return PinTracks(
         pins.xy_px[which], pins.ground, pins.bright, pins.reach_px[which], pins.weight[which], cells, floor
@@ -414,15 +380,7 @@ def _only(pins: PinTracks, which: ndarray) -> PinTracks:
 
 
 def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[PinTracks]:
-    """The pins of every frame, each looked for where it was in the last; a lost pin stays lost.
-
-    Args:
-        frames: images as the one in which the pins were found, little apart.
-        pins: of the frame before the first of these.
-
-    Raises:
-        InputError: a frame of another kind.
-    """
+    """Yield the pins of every frame, each searched where it last was; a lost pin stays lost."""
     now, floors = pins, pins.floors
     for frame in frames:
         grey = grey_frame(frame)

@@ -10,18 +10,10 @@ from palpate.estimators.reference_uncertainty import with_reference
 
 
 def doubt(target: TargetCard, value: float, low: float, high: float) -> Refusal:
-    """Reason not to trust a value; false where there is none.
+    """Return the reason not to trust a value; false if there is none.
 
-    A target that the calibration does not read has no valid reading. An estimate beyond the calibrated
-    range by more than the card allows is extrapolated, and so is one whose interval reaches further
-    beyond it than the card allows: what is usual is known of labels, so that this interval is the one for
-    what their instrument shows. One that with the instrument's own uncertainty is as wide as the range
-    tells nothing.
-
-    Args:
-        target: its card.
-        value, low, high: the estimate and the ends of its interval before `with_reference`, in the target's
-            unit; NaN where none.
+    Refused are targets that are not read, estimates or intervals (without the instrument's uncertainty)
+    further beyond the calibrated range than the card allows, and intervals as wide as the range.
     """
     if target.is_never_valid:
         return Refusal(ReasonCode.NOT_LEARNED, _not_read(target))
@@ -40,14 +32,7 @@ def _outside(why: str) -> Refusal:
 
 
 def untold(target: TargetCard, low: float, high: float) -> bool:
-    """Tell whether a frame says nothing of a target: its interval is as wide as the range, or it is not read.
-
-    Of cards of before, which knew no such rule, it is never so.
-
-    Args:
-        target: its card.
-        low, high: the ends of the reading's interval, in the target's unit.
-    """
+    """Whether a target is not read, or its interval is as wide as the range."""
     if target.is_never_valid:
         return True
     return target.untold_width is not None and bool(high - low >= target.untold_width)
@@ -103,8 +88,8 @@ def too_unsure(target: TargetCard) -> str:
     return f"{wide}, {_as_random(target)}" if target.untold_width == 0 else f"{wide}, and {_whole(target)}"
 
 
+# share of the arc from which on intervals are as wide as guesses need for 90 %: 0.9, but for chance
 ABOUT = 0.85
-"""Share of the arc from which on intervals are as wide as guesses need for 90 %: 0.9, but for chance."""
 
 
 def _as_random(target: TargetCard) -> str:

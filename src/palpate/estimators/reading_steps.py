@@ -1,9 +1,7 @@
-"""Every step from a camera's pixels to a reading, in words and numbers, for another laboratory's program.
+"""Every step from a camera's pixels to a reading, in words and numbers, for independent readers.
 
-What stands here is what `recordings.preparation`, `estimators.certified`, `range_intervals`, `reading_rules`
-and `reference_uncertainty` do; a test runs the reader on the page `read-without-palpate.md`, which knows the
-card alone, against them. A card whose readings are made by other steps names another rule, so that a reader
-of this one refuses it.
+A test runs the reader on the page `read-without-palpate.md` against the package. Changed steps need another
+rule.
 """
 
 from __future__ import annotations
@@ -31,12 +29,12 @@ class StepsCard(CardPart):
     """Steps from a camera's pixels to a reading.
 
     Attributes:
-        rule: which steps these are; a reader that does not know the rule refuses the card.
-        grey_weights, grey_rounding, grey_shift: (weights . (red, green, blue) + rounding) >> shift is grey.
-        smaller, larger: OpenCV's interpolation where no side grows, and where one does.
-        clip: bound of the scaled outputs in the spread's terms.
-        min_spread, max_spread: bounds of the spread, in units of `TargetCard.typical`.
-        words: every step as a sentence, in order.
+        rule: Version of the steps; readers refuse unknown ones.
+        grey_weights, grey_rounding, grey_shift: (weights . (red, green, blue) + rounding) >> shift is gray.
+        smaller, larger: OpenCV interpolation if no side grows, and if one does.
+        clip: Bound of the scaled outputs in the spread's terms.
+        min_spread, max_spread: Bounds of the spread in units of `TargetCard.typical`.
+        words: Steps as sentences, in order.
     """
 
     rule: str

@@ -1,14 +1,8 @@
-"""The reference instrument's uncertainty in the interval of a reading, and out of it again.
+"""Uncertainty of the reference instrument in the interval of a reading.
 
-What stays the same from row to row, such as the scale of a force sensor, is in no held-out error: estimates
-follow the labels. Its standard uncertainty u is independent of the model's errors, so that both add in
-quadrature (JCGM 100:2008, GUM, eq. 10), on each side of the estimate,
-
-    side = sqrt(side_model² + (k u)²)
-
-with k of the normal distribution at the interval's coverage. A region of several quantities together takes k
-of the chi distribution with as many degrees of freedom, which is larger (`joint_reach`). What varies from row
-to row, such as resolution, is in the held-out errors already and is not counted twice.
+Systematic errors such as a force sensor's scale are in no held-out error. They add in quadrature (JCGM
+100:2008, GUM, eq. 10) on each side of the estimate, side = sqrt(side_model² + (k u)²), with k of the normal
+distribution at the interval's coverage, or of the chi distribution for a joint region (`joint_reach`).
 """
 
 from __future__ import annotations
@@ -24,7 +18,7 @@ Place = TypeVar("Place", float, np.ndarray)
 
 
 def reference_half_width(standard_uncertainty: float, coverage: float) -> float:
-    """Half-width k u of the interval that a standard uncertainty alone gives.
+    """Return the half-width k u of the interval from a standard uncertainty alone.
 
     Example:
         >>> round(reference_half_width(0.02, 0.9), 4)
@@ -34,12 +28,7 @@ def reference_half_width(standard_uncertainty: float, coverage: float) -> float:
 
 
 def with_reference(target: TargetCard, value: Place, low: Place, high: Place) -> tuple[Place, Place]:
-    """Ends of an interval for the true quantity, from those for what its instrument shows.
-
-    Args:
-        target: its card.
-        value, low, high: estimates and the ends of the model's intervals, in the target's unit.
-    """
+    """Return the ends of the interval for the true quantity, from those for the instrument's value."""
     if target.measured_by is None or target.measured_by.half_width == 0:
         return low, high
     half = target.measured_by.half_width

@@ -9,17 +9,13 @@ from zipfile import BadZipFile, ZipFile
 from palpate.core import InputError, PathText, plain_name, storage_errors
 from palpate.core.parsing import parser
 
+# file in which a session keeps its state, with the name of its newest calibration's folder
 SESSION_FILE = "start.json"
-"""File in which a session keeps its state, with the name of its newest calibration's folder."""
 
 
 @parser("session folder", InputError)
 def calibration_in(folder: PathText) -> Path:
-    """The calibration that a folder means: of a session's folder its newest, of any other itself.
-
-    A session makes a calibration beside the former ones whenever presses were added, so that `calibration`
-    alone may be an older one. Whether there is a calibration is for whoever opens it to say.
-    """
+    """Return the newest calibration of a session's folder, or any other folder itself (unchecked)."""
     folder = Path(folder)
     try:
         kept = json.loads((folder / SESSION_FILE).read_bytes())
@@ -29,20 +25,15 @@ def calibration_in(folder: PathText) -> Path:
     return newest if newest.is_dir() else folder
 
 
+# beginning of the format in a unit's JSON file, and its kind
 UNIT_FORMATS = {"palpate palm copy": "palm-unit", "palpate tip copy": "tip-unit"}
-"""Beginning of the format in a unit's JSON file, and its kind."""
+# an array that only the ``.npz`` files of one kind hold
 ARRAYS = {"layout_px.npy": "compliance", "lens_json.npy": "shear-force"}
-"""An array that only the ``.npz`` files of one kind hold."""
 
 
 @parser("calibration kind", InputError)
 def calibration_kind(path: Path) -> str:
-    """Return the kind of a calibration: image, palm-unit, tip-unit, tip-pose, shear-force, or compliance.
-
-    Raises:
-        InputError: the file is of no known kind. Whether a calibration is sound is for its reader to say.
-        StorageError: it cannot be read.
-    """
+    """Return the kind of a calibration: image, palm-unit, tip-unit, tip-pose, shear-force, or compliance."""
     if path.is_dir():
         return "tip-pose" if (path / "reader.json").is_file() else "image"
     if not path.exists():

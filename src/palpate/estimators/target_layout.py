@@ -1,9 +1,8 @@
-"""Targets and the model's outputs: a plain target is one output, a circular one its cosine and its sine.
+"""Targets and the model's outputs: one output for a plain target, cosine and sine for a circular one.
 
-A quantity that comes round again has a jump somewhere as a number, which a model cannot learn; the point on
-the unit circle at the angle 2 π y / period has none. The estimate is the direction of the point that the
-model gives (C. M. Bishop, Mixture density networks, 1994, learns directions so; statistics of directions:
-K. V. Mardia and P. E. Jupp, Directional Statistics, 2000, doi:10.1002/9780470316979).
+A periodic quantity jumps as a number, which a model cannot learn, but not as a point on the unit circle (C.
+M. Bishop, Mixture density networks, 1994; K. V. Mardia and P. E. Jupp, Directional Statistics, 2000,
+doi:10.1002/9780470316979).
 """
 
 from __future__ import annotations
@@ -22,22 +21,16 @@ FULL_TURN = {"deg": 360.0, "rad": 2 * math.pi}
 
 @dataclass(frozen=True, slots=True)
 class TargetLayout:
-    """Order of a model's outputs.
-
-    Attributes:
-        periods: of each target, in its unit; None where it does not come round again.
-    """
+    """Order of a model's outputs; periods are in the target's unit, None if not circular."""
 
     periods: tuple[float | None, ...]
 
     @property
     def plain(self) -> bool:
-        """True where every target is one output, and outputs are the estimates."""
         return all(period is None for period in self.periods)
 
     @property
     def outputs(self) -> int:
-        """Number of the model's outputs."""
         return sum(1 if period is None else 2 for period in self.periods)
 
     def outputs_of(self, j: int) -> slice:
@@ -99,11 +92,7 @@ def _point(column: str) -> tuple[str, str]:
 
 
 def default_period(symbol: str) -> float:
-    """A full turn in a unit of angle.
-
-    Raises:
-        UnitError: it is none, so that the period has to be given.
-    """
+    """A full turn in a unit of angle."""
     unit(symbol)
     if symbol not in FULL_TURN:
         raise UnitError(

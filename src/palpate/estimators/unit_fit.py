@@ -1,14 +1,10 @@
 """Bayesian fit of one sensor unit: maximum a posteriori (MAP), with Laplace covariance.
 
-A unit differs from its design by terms with a Gaussian prior; each press adds nuisances with their own prior.
-A sensor gives a forward model (`UnitModel`): rows of measured data and their slopes, known forces and
-positions, bounds. Everything else is here: damped Gauss-Newton steps (Levenberg-Marquardt), covariances,
-held-out presses, and what is said about the terms.
-
-Rows of data may be robust (pseudo-Huber; P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298,
-doi:10.1109/83.551699). Errors are correlated within a cluster of rows: scores summed over clusters
-(K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13) are added to the Laplace
-covariance, because with few clusters the residuals of a fit with many unknowns are too small.
+A unit differs from its design by terms with a Gaussian prior; each press adds nuisances with their own. A
+sensor gives the forward model (`UnitModel`); here are Levenberg-Marquardt steps, covariances, and held-out
+presses. Rows may be robust (pseudo-Huber; P. Charbonnier et al., IEEE Trans. Image Processing 6 (1997) 298,
+doi:10.1109/83.551699). Errors are correlated within clusters, whose scores (K.-Y. Liang and S. L. Zeger,
+Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13) are added to the Laplace covariance.
 """
 
 from __future__ import annotations
@@ -39,12 +35,7 @@ Covariance = Float[ndarray, "t t"]
 
 
 class Layout(NamedTuple):
-    """Order of the unknowns: terms of the unit, nuisances of each press, and others.
-
-    Attributes:
-        terms, own, presses: numbers of terms, of nuisances of a press, and of presses.
-        others: number of unknowns after them.
-    """
+    """Order of the unknowns: terms of the unit, nuisances (`own`) of each press, and others."""
 
     terms: int
     own: int
@@ -75,11 +66,11 @@ class Block(NamedTuple):
     """Measured rows of one press.
 
     Attributes:
-        at: unknowns that move them.
-        slopes: of the predicted values over these.
-        residual: measured less predicted, 0 where nothing is measured.
-        sd: standard deviation of a row.
-        cluster: group of each row within which errors are correlated.
+        at: Unknowns that move them.
+        slopes: Derivatives of the predictions with respect to these.
+        residual: Measured less predicted, 0 if nothing is measured.
+        sd: Standard deviation of a row.
+        cluster: Cluster of each row.
     """
 
     at: Int[ndarray, " k"]
@@ -104,12 +95,9 @@ class KnownRow:
 class UnitModel(Protocol):
     """Forward model of a sensor unit's presses."""
 
-    mean: State
-    """Prior mean of all unknowns."""
-    precision: Square
-    """Prior precision; 0 for an unknown without a prior."""
-    kink: float
-    """Standard deviations from which a row of data weighs less; infinite for least squares."""
+    mean: State  # prior mean of all unknowns
+    precision: Square  # prior precision; 0 for an unknown without a prior
+    kink: float  # standard deviations from which a row of data weighs less; infinite for least squares
 
     def residuals(self, state: State) -> Iterator[tuple[Float[ndarray, " r"], float]]:
         """Residual and standard deviation of each press's rows, without slopes."""
@@ -125,15 +113,7 @@ class UnitModel(Protocol):
 
 
 class Posterior(NamedTuple):
-    """A settled state and its uncertainty.
-
-    Attributes:
-        state: most probable.
-        hessian: of half the cost.
-        meat: covariance of clusters' scores.
-        covariance: of the unknowns.
-        known: rows of known forces and positions.
-    """
+    """Most probable state, Hessian of half the cost, clusters' covariance, covariance, known rows."""
 
     state: State
     hessian: Square
@@ -154,15 +134,15 @@ def most_probable(
     model: UnitModel, state: State, progress: Progress, *, rounds: int = 25, settled: float = 0.02,
     stiffest: float = 20.0,
 ) -> State:  # fmt: skip
-    """The most probable state near a first one.
+    """Return the most probable state near a first one.
 
     Args:
-        model: forward model.
-        state: start, within bounds.
-        progress: called with rounds.
-        rounds: at most.
-        settled: fall of the cost that ends the search, at a cost of 0; 1 is a standard deviation.
-        stiffest: damping from which no step is tried.
+        model: Forward model.
+        state: Start within bounds.
+        progress: Progress callback, called with rounds.
+        rounds: Greatest number of rounds.
+        settled: Fall of the cost that ends the search, at a cost of 0; 1 is a standard deviation.
+        stiffest: Damping from which no step is tried.
     """
     damping, now = 1e-3, cost(model, state)
     for i in range(rounds):
@@ -196,12 +176,7 @@ def posterior(model: UnitModel, state: State) -> Posterior:
 
 
 def covariance_with(terms: Covariance, press: Float[ndarray, "k k"]) -> Covariance:
-    """Covariance of the terms after one more press.
-
-    Args:
-        terms: covariance before it.
-        press: Hessian of its rows over terms and own nuisances, with the nuisances' prior.
-    """
+    """Return the terms' covariance after one more press with this Hessian over terms and nuisances."""
     n, H = len(terms), press.copy()
     H[:n, :n] += np.linalg.inv(terms)
     return np.asarray(np.linalg.inv(H)[:n, :n])
@@ -245,12 +220,7 @@ def _stepped(model: UnitModel, state: State, H: Square, g: State) -> State:
 
 
 class Widening(NamedTuple):
-    """By how much presses that were held out missed, over what their intervals said.
-
-    Attributes:
-        place, depth, force: factors on standard deviations of what a new press is read to be.
-        presses: that were held out; 0 where none were, and all factors are 1.
-    """
+    """Factors on the standard deviations of a new press, from held-out presses; 1 without any."""
 
     place: float = 1.0
     depth: float = 1.0
@@ -261,16 +231,16 @@ class Widening(NamedTuple):
 def standardised(
     hessian: Square, meat: Square, known: Sequence[KnownRow], depth_at: Sequence[int]
 ) -> dict[str, list[float]]:
-    """Errors of every held-out press, over the standard deviations stated of them.
+    """Return errors of every held-out press over their stated standard deviations.
 
-    Each press is read as if it were new, its force and place unknown, by a unit that the other presses made:
-    one solution of the linear equations of the fit without that press's known force and place.
+    Each press is read as new by the unit fitted to the others: one linear solve without its known force and
+    position.
 
     Args:
-        hessian: of half the cost, at the fit of all.
-        meat: covariance of clusters' scores, in the same unknowns.
-        known: of all presses.
-        depth_at: each press's unknown of its logarithm of the depth.
+        hessian: Hessian of half the cost, at the fit of all.
+        meat: Covariance of clusters' scores.
+        known: Known rows of all presses.
+        depth_at: Index of each press's log depth.
     """
     found: dict[str, list[float]] = {"place": [], "depth": [], "force": []}
     whole = _covariance(hessian, meat)
@@ -292,10 +262,7 @@ def standardised(
 
 
 def widening_of(errors: dict[str, list[float]], presses: int) -> Widening:
-    """Factors by which intervals have to be wider, from standardised errors of held-out presses; 1 or more.
-
-    What errs alike in all presses does not show in them, so that small errors make no interval narrower.
-    """
+    """Return factors of at least 1 on intervals, from standardized errors of held-out presses."""
     if presses < MIN_PRESSES:
         return Widening()
 
@@ -312,11 +279,7 @@ def _covariance(hessian: Square, meat: Square) -> Square:
 
 
 def weight_n(mass_kg: float) -> float:
-    """Weight of a mass that is laid on a sensor [N], known to `WEIGHT_SHARE`.
-
-    Raises:
-        RangeError: a mass that is not above 0.
-    """
+    """Weight of a mass that is laid on a sensor [N], known to `WEIGHT_SHARE`."""
     if not (math.isfinite(mass_kg) and mass_kg > 0):
         raise RangeError(f"a mass of {1e3 * mass_kg:g} g; give one above 0 g", code="mass-range")
     return mass_kg * GRAVITY_M_S2
@@ -347,12 +310,12 @@ def correlated_pairs(names: Sequence[str], covariance: Covariance) -> tuple[tupl
 
 
 def since_fit(before: Covariance, design: Covariance, constants: int) -> tuple[Covariance, Covariance]:
-    """Covariance of a unit's terms some days after its fit, and of a change of its constants since.
+    """Return the terms' covariance some days after the fit, and that of a change of the constants since.
 
     Args:
-        before: covariance at the fit.
-        design: from unit to unit; `DAILY` of its spread is that of other terms from day to day.
-        constants: number of first terms that a known weight checks.
+        before: Covariance at the fit.
+        design: Covariance between units; `DAILY` of its spread is the daily one of other terms.
+        constants: Number of first terms that a known weight checks.
     """
     daily, freedom = DAILY**2 * np.diag(np.diag(design)), np.zeros_like(design)
     daily[:constants] = 0.0
@@ -363,16 +326,15 @@ def since_fit(before: Covariance, design: Covariance, constants: int) -> tuple[C
 def changed_since(
     change: Float[ndarray, " t"], freedom: Covariance, before: Covariance, now: Covariance
 ) -> tuple[Float[ndarray, " t"], Covariance]:
-    """How far terms have changed, where an estimate was made as if they could have, and its covariance.
+    """Return the change of terms since `before`, and its covariance.
 
-    With terms before N(m, C) and a change N(0, D), what is seen now is told beside the prior N(m, C + D); the
-    change's part of what has moved from m is D (C + D)^-1.
+    With terms N(m, C) and a change N(0, D), the change's part of a move from m is D (C + D)^-1.
 
     Args:
-        change: of the most probable terms, now less before.
+        change: Most probable terms, now less before.
         freedom: D.
         before: C.
-        now: covariance of the terms now.
+        now: Covariance of the terms now.
     """
     share = freedom @ np.linalg.inv(before + freedom)
     return share @ change, freedom - share @ freedom + share @ now @ share.T

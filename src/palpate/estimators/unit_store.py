@@ -20,20 +20,7 @@ def write_unit(
     path: Path, form: str, names: Sequence[str], terms: Float[ndarray, " t"],
     covariance: Float[ndarray, "t t"], others: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Write a sensor unit.
-
-    Args:
-        path: must not exist.
-        form: name and version of the format.
-        names: of the terms.
-        terms: values.
-        covariance: of them.
-        others: further entries, in plain numbers.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write a sensor unit to a new file; `form` is name and version, `others` are plain numbers."""
     record = {
         "format": form, "terms": dict(zip(names, terms.tolist(), strict=True)),
         "covariance": covariance.tolist(), **others,
@@ -49,15 +36,11 @@ def read_unit(
     """Read a sensor unit as `write_unit` wrote it.
 
     Args:
-        path: of the file.
-        form: name and version of the format.
-        names: of the terms.
-        command: that writes such a file, for messages.
-        made: gives the unit of the record, the terms and their covariance, or raises ValueError.
-
-    Raises:
-        InputError: no such file, one of another format, or one whose numbers make no unit.
-        StorageError: it cannot be read.
+        path: File.
+        form: Name and version of the format.
+        names: Names of the terms.
+        command: Command that writes such a file, for messages.
+        made: Function from record, terms, and covariance to the unit; raises ValueError.
     """
     if not path.is_file():
         raise InputError(f"there is no file {path}; `{command}` makes one", code="file-missing")

@@ -1,21 +1,10 @@
 """Decide from the bytes of an ONNX model whether a runtime may load it.
 
-A calibration may come from a stranger, and a runtime does what a model asks for: 1 kB can ask for 25 GB. A
-model is admitted if all of the following hold.
-
-- Its nodes are of the operators and attributes in `operators.OPERATORS`, in opset 18 and, for trees, opset 3.
-- It has no graphs inside its graph, no functions, no sparse constants, and no constants in other files.
-- Every constant has as many bytes as its shape needs, and is finite.
-- The shape of every tensor follows from the input's shape, and only the first axis is the batch.
-- Parameters, tensors, work, and nodes are within the limits of this module.
-
-Sizes of tensors count 8 bytes for each element, the widest type that is admitted, and one image.
-
-Messages of an ONNX file, as far as its admission inspects them, without the onnx package.
-
-Sensing does not load the onnx package, whose import takes longer than all else that a reading needs. The
-messages are those of ONNX with the fields that decide about admission; protobuf skips the others. Field
-numbers are those of onnx.proto, which never change (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto).
+An untrusted file of 1 kB can request 25 GB. A model is admitted if its nodes are in `operators.OPERATORS`, it
+has no subgraphs, functions, sparse or external constants, every constant is finite and complete, every shape
+follows from the input's, and its size is within the limits of this module. Messages are parsed without the
+onnx package, whose import is slow, by the field numbers of
+https://github.com/onnx/onnx/blob/main/onnx/onnx.proto.
 """
 
 from __future__ import annotations
@@ -50,6 +39,7 @@ SCALARS = {
     "bytes": F.TYPE_BYTES,
 }
 
+# name, number, and type of each field; * marks a repeated one. Opaque stands for what is refused
 MESSAGES: dict[str, tuple[tuple[str, int, str], ...]] = {
     "Model": (
         ("ir_version", 1, "int"), ("opset_import", 8, "*OperatorSet"), ("graph", 7, "Graph"),
@@ -84,21 +74,15 @@ MESSAGES: dict[str, tuple[tuple[str, int, str], ...]] = {
     "Dimension": (("dim_value", 1, "int"), ("dim_param", 2, "string")),
     "Opaque": (),
 }  # fmt: skip
-"""Name, number, and type of each field; * marks a repeated one. Opaque stands for what is refused."""
 
 
 def parse_model(model: bytes) -> Any:
-    """Parse the bytes of an ONNX file into the message `Model`.
-
-    Raises:
-        google.protobuf.message.DecodeError: the bytes are no ONNX file.
-    """
+    """Parse the bytes of an ONNX file into the message `Model`."""
     return _model_class().FromString(model)
 
 
 @cache
 def _model_class() -> Any:
-    """The class of the message `Model`, made from `MESSAGES`."""
     file = FileDescriptorProto(
         name="palpate/model_parts.proto",
         package="palpate",
@@ -143,13 +127,10 @@ def admit_model(model: bytes, source: str, image: tuple[int, int, int], outputs:
     """Refuse a model that a runtime must not load.
 
     Args:
-        model: bytes of an ONNX file.
-        source: what they came from, for the message.
-        image: (channels, height, width) of the input ``image [n c h w]``.
-        outputs: width of the output ``value [n o]``.
-
-    Raises:
-        CertificateError: it is not admitted; the code begins with ``onnx-`` and names the reason.
+        model: Bytes of an ONNX file.
+        source: Name of the origin, for the message.
+        image: Channels, height, and width of the input ``image [n c h w]``.
+        outputs: Width of the output ``value [n o]``.
     """
     try:
         _admit(model, image, outputs)
@@ -282,17 +263,11 @@ def _check_interface(graph: Any, image: tuple[int, int, int], outputs: int) -> N
 
 
 def _dims(value: Any) -> tuple[int, ...]:
-    """Stated sizes behind the first axis; -1 for one that is not a number."""
     dims = value.type.tensor_type.shape.dim
     return tuple(one.dim_value if one.HasField("dim_value") else -1 for one in dims[1:])
 
 
 def _shapes(graph: Any, constants: Mapping[str, np.ndarray], image: Shape) -> dict[str, Shape]:
-    """Shape of every tensor, for a batch of images of this shape.
-
-    Raises:
-        CertificateError: a shape does not follow, or all together are beyond a limit.
-    """
     shapes: dict[str, Shape] = {name: array.shape for name, array in constants.items()}
     if "image" in shapes:
         raise refuse("graph", "it names a constant as its input")

@@ -1,7 +1,6 @@
 """Operators that a model may contain, and the shape of what each one makes.
 
-Every shape follows from the shapes of the inputs, the attributes, and constants. An operator whose output
-size depends on data is not in the table. An attribute that is not in the table is refused.
+Operators and attributes outside the table are refused, as are operators whose output size depends on data.
 """
 
 from __future__ import annotations
@@ -27,15 +26,7 @@ def refuse(code: str, why: str) -> CertificateError:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A node with everything that its output's shape follows from.
-
-    Attributes:
-        kind: operator.
-        shapes: shapes of the inputs, () for one that is left out.
-        attributes: values by name.
-        constants: numbers of each input that is a constant of 64-bit integers; None for any other input.
-        outputs: how many outputs the node names.
-    """
+    """Node with all that determines its output's shape; a shape is () for an omitted input."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -51,14 +42,12 @@ class Call:
         return values
 
     def whole(self, position: int) -> tuple[int, ...]:
-        """Values of a short constant."""
         values = self.constant(position)
         if values.size > MAX_RANK:
             raise refuse("shape", f"{self.kind} takes {values.size} numbers where {MAX_RANK} at most fit")
         return tuple(values.tolist())
 
     def axis(self, default: int, rank: int) -> int:
-        """Attribute `axis` as a position from 0."""
         axis = int(self.attributes.get("axis", default))
         if not -rank <= axis < rank:
             raise refuse("shape", f"{self.kind} has the axis {axis} on a tensor of rank {rank}")
@@ -71,13 +60,13 @@ class Call:
         return self.shapes[0]
 
 
+# shapes of the outputs, and the multiply-adds or comparisons that the node takes
 Inferred = tuple[list[Shape], int]
-"""Shapes of the outputs, and the multiply-adds or comparisons that the node takes."""
 Infer = Callable[[Call], Inferred]
 
 
 def size_of(shape: Sequence[int]) -> int:
-    """Number of elements."""
+    """Return the number of elements."""
     return math.prod(shape)
 
 
@@ -262,13 +251,7 @@ def _trees(call: Call) -> Inferred:
 
 @dataclass(frozen=True, slots=True)
 class AdmittedOperator:
-    """An admitted operator.
-
-    Attributes:
-        infer: shape of what it makes.
-        inputs: least and greatest number of inputs.
-        attributes: names that a node may have.
-    """
+    """Shape inference of an admitted operator, limits of its number of inputs, and its attributes."""
 
     infer: Infer
     inputs: tuple[int, int]
@@ -281,15 +264,16 @@ def _operator(infer: Infer, least: int, most: int, attributes: str = "") -> Admi
 
 MANY = 1000
 _WINDOWS = "pads strides auto_pad"
+# attributes that a node may state with this value only, the default; int8 copies state them
 FIXED: Mapping[str, object] = {
     "allowzero": 0, "alpha": 1.0, "auto_pad": b"NOTSET", "beta": 1.0, "ceil_mode": 0, "storage_order": 0,
     "transA": 0,
 }  # fmt: skip
-"""Attributes that a node may state with this value only, the default; int8 copies state them."""
 _TREES = """
     n_targets aggregate_function post_transform nodes_treeids nodes_nodeids nodes_featureids nodes_values
     nodes_truenodeids nodes_falsenodeids nodes_modes target_treeids target_nodeids target_ids target_weights
 """
+# operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for users
 OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Abs"): _operator(_elementwise, 1, 1),
     ("", "Add"): _operator(_elementwise, 2, 2),
@@ -325,4 +309,3 @@ OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Transpose"): _operator(_transpose, 1, 1, "perm"),
     (TREES_DOMAIN, "TreeEnsembleRegressor"): _operator(_trees, 1, 1, _TREES),
 }
-"""Operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for users."""

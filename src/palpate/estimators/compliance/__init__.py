@@ -1,6 +1,3 @@
-"""Compliance by touch: force of a press or a grasp, the contact's area and spread rate, the gel's bulge.
-
-Each module is one way or one step of it, asked for by its path.
-"""
+"""Compliance by touch: force of a press or grasp, contact area and its spread rate, bulge of the gel."""
 
 __all__: list[str] = []

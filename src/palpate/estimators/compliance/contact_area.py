@@ -1,8 +1,7 @@
-"""The contact's area from what each frame shows of the pins, from references whose area is known.
+"""Contact area of each frame from the motion of the pins, calibrated on references of known area.
 
-log A is a smooth function of a few measures of a frame: of the ring's size and the middle's stretch
-(`contact_region`), or, where the ring is cut by the field's edge as on an inclined specimen, of the motion of
-all pins along the directions in which the references' pins moved most. No force is needed.
+log A is a polynomial in a few measures of a frame: ring size and stretch of the center (`contact_region`),
+or, if the ring is truncated by the field's edge, the pins' motion along the references' principal directions.
 """
 
 from __future__ import annotations
@@ -27,14 +26,12 @@ AnyMeasures = Float[ndarray, "_ k"]  # of trials, which differ in how many frame
 
 @dataclass(frozen=True)
 class AreaFit:
-    """log A of measures.
+    """log A as a polynomial in standardized measures.
 
     Attributes:
-        middle, scale: of the measures.
-        coefficients: of 1, the measures, and the products of the first of them.
-        spread: root mean square error of log A of trials that were left out, of the worst reference's; NaN
-            for fewer than three references, which cannot tell what is lost between them.
-        range_m2: least and greatest area of the references [m^2].
+        coefficients: Coefficients of 1, the measures, and the products of the first of them.
+        spread: RMS error of log A of the worst left-out reference; NaN for fewer than three references.
+        range_m2: Least and greatest reference area [m^2].
     """
 
     middle: Float[ndarray, " k"]
@@ -56,12 +53,9 @@ def fit_area(
     """Fit the area to references.
 
     Args:
-        measures: of the frames of every trial.
-        area_m2: true ones of the same frames; NaN where not known [m^2].
-        reference: which reference each trial is of.
-
-    Raises:
-        InputError: too few frames with a known area.
+        measures: Measures of each trial's frames.
+        area_m2: True area of the same frames; NaN if unknown [m^2].
+        reference: Index of each trial's reference.
     """
     masks = [
         np.isfinite(one).all(axis=1) & np.isfinite(a) & (np.nan_to_num(a) > 0)
@@ -131,12 +125,7 @@ def _terms(z: Measures) -> Float[ndarray, "f c"]:
 
 @dataclass(frozen=True)
 class Motions:
-    """The directions in which references' pins move most; a frame's place along them are its measures.
-
-    Attributes:
-        middle: mean motion [px].
-        directions: orthonormal, the widest first.
-    """
+    """Mean and principal directions (orthonormal, widest first) of the references' pin motions [px]."""
 
     middle: Float[ndarray, "p 2"]
     directions: Float[ndarray, "k p 2"]
@@ -152,11 +141,7 @@ class Motions:
 
 
 def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
-    """Fit the directions to the references' frames.
-
-    Raises:
-        InputError: too few frames.
-    """
+    """Fit the directions to the references' frames."""
     frames = np.concatenate(moved_px)
     if len(frames) < MIN_FRAMES:
         raise InputError(f"{len(frames)} frames of references; give {MIN_FRAMES}", code="too-few-frames")

@@ -1,14 +1,9 @@
-"""The contact's region as the field of pins shows it: ring, flattening, cells, ellipse.
+"""Contact region from the field of pins: ring, flattening, cells, ellipse.
 
-Under the contact the skin lies flat, and pins that stood inwards stand upright: their markers move outwards,
-the more the nearer they are to the edge of the contact; beyond it they move less. So
-
-- the ring where markers move outwards most lies a little inside the edge (for pins with a lever: without one,
-  only magnification moves them, and the ring lies elsewhere);
-- the stretch of the middle, du_r/dr at the centre, says how far the dome is flattened there.
-
-A softer specimen makes the ring larger and, at equal force, the stretch smaller. The ratio of the stretch to
-that of a rigid plate with the same ring needs no force.
+Under the contact the skin lies flat and its pins tilt outward, most near the contact's edge. The ring of
+greatest outward motion lies slightly inside the edge (for pins with a length), and the stretch du_r/dr at the
+center measures the flattening of the dome. A softer specimen has a larger ring and, at equal force, less
+stretch.
 """
 
 from __future__ import annotations
@@ -41,11 +36,7 @@ class Field:
 
     @classmethod
     def between(cls, untouched: PinTracks, now: PinTracks) -> Field:
-        """The motion of the pins that are found in both.
-
-        Raises:
-            InputError: too few of them.
-        """
+        """The motion of the pins that are found in both."""
         both = untouched.found & now.found
         if both.sum() < MIN_PINS:
             raise InputError(
@@ -70,7 +61,6 @@ class Field:
 
     @property
     def radius_px(self) -> float:
-        """Radius of the field of pins [px]."""
         return float(np.hypot(*(self.at_px - self.at_px.mean(axis=0)).T).max())
 
     def stretch(self) -> Float[ndarray, "2 2"]:
@@ -98,10 +88,7 @@ def outward(field: Field) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
 
 
 def ring_px(field: Field) -> float:
-    """Radius of the ring whose pins move outwards most [px]; NaN where none lies inside the field.
-
-    An odd polynomial of the radius is fitted to all pins, so that noise of single ones hardly matters.
-    """
+    """Return the radius at which an odd polynomial through all pins moves outward most [px], or NaN."""
     r, away = outward(field)
     far = r.max()
     fit, *_ = np.linalg.lstsq((r[:, None] / far) ** np.array(POWERS), away, rcond=None)
@@ -127,11 +114,6 @@ class RigidPlateStretch:
 
     @classmethod
     def fitted(cls, rings: Float[ndarray, " n"], stretches: Float[ndarray, " n"]) -> RigidPlateStretch:
-        """Fit to presses on a rigid plate.
-
-        Raises:
-            InputError: too few states with a ring.
-        """
         good = np.isfinite(rings) & np.isfinite(stretches)
         if good.sum() < 6:
             raise InputError(
@@ -143,11 +125,7 @@ class RigidPlateStretch:
         )
 
     def ratio(self, ring: float, stretch: float) -> float:
-        """Stretch over that of a rigid plate with the same ring: 1 for rigid, less for soft; needs no force.
-
-        Raises:
-            RangeError: a ring beyond those on the rigid plate.
-        """
+        """Return the stretch over that of a rigid plate with the same ring: 1 for rigid, less for soft."""
         low, high = self.ring_px
         if not 0.98 * low <= ring <= 1.02 * high:
             raise RangeError(
@@ -158,10 +136,7 @@ class RigidPlateStretch:
 
 
 def cell_growth(field: Field) -> Float[ndarray, " p"]:
-    """Growth of every pin's own cell since it was untouched: log of the area ratio of its Voronoi cell.
-
-    Its mean over pins is the divergence accumulated along their paths; NaN for cells at the border.
-    """
+    """Return the log area ratio of every pin's Voronoi cell to the reference frame; NaN at the border."""
     before, after = (_cell_areas(xy) for xy in (field.at_px, field.at_px + field.moved_px))
     return np.log(after / before)
 
@@ -182,13 +157,12 @@ def _cell_areas(xy: Points) -> Float[ndarray, " p"]:
 
 @dataclass(frozen=True)
 class Ellipse:
-    """The ring of an inclined contact.
+    """Ring of an inclined contact.
 
     Attributes:
-        centre_px: of the ellipse [px].
-        axes_px: half axes, the larger first [px].
-        angle_rad: of the larger from x towards y [rad].
-        visible_share: of directions in which the ring lies inside the field of pins.
+        axes_px: Half axes, the larger first [px].
+        angle_rad: Angle of the larger axis from x towards y [rad].
+        visible_share: Ratio of directions in which the ring lies inside the field of pins.
     """
 
     centre_px: tuple[float, float]
@@ -202,11 +176,7 @@ class Ellipse:
 
 
 def ring_ellipse(field: Field) -> Ellipse:
-    """An ellipse through the places where motion away from the middle is greatest, direction by direction.
-
-    Raises:
-        InputError: the ring is inside the field in too few directions.
-    """
+    """An ellipse through the places where motion away from the middle is greatest, direction by direction."""
     centre = field.middle_px
     x = (field.at_px - centre) / field.radius_px
     fit, *_ = np.linalg.lstsq(_terms(x), field.moved_px, rcond=None)
@@ -241,7 +211,6 @@ def _reach(field: Field, centre: Float[ndarray, 2]) -> Float[ndarray, " rays"]:
 
 
 def _through(points: Points, centre: Float[ndarray, 2], visible_share: float) -> Ellipse:
-    """The ellipse with the least algebraic distance to points around a centre."""
     scale = np.hypot(*points.T).mean()
     x, y = (points / scale).T
     design = np.stack([x * x, x * y, y * y, x, y], axis=1)

@@ -1,8 +1,7 @@
-"""Where a contact sits: beside the apex all pins move to one side, in proportion to how far.
+"""Mounting misalignment of a contact: away from the apex all pins move to one side.
 
-The mean motion of all pins at one force is compared with that of the references, between which it is
-interpolated; its scatter over their trials, which is that of seating, is the unit. A contact that is only
-higher or lower than another moves pins apart and leaves their mean where it is.
+The mean motion of all pins is compared with that of the references at equal softness, in units of the scatter
+between their trials.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ MIN_PX = 0.05  # scatter below which centres cannot be told apart from their own
 
 @dataclass(frozen=True)
 class Seat:
-    """Mean motion of the pins of centred presses.
+    """Mean motion of the pins in centered presses.
 
     Attributes:
-        softness: of the references, rising, as `stiffness_curve.softness` has it.
-        mean_px: of their trials, (x, y) [px].
-        spread_px: standard deviation of a trial about its reference's mean, of one axis [px].
+        softness: Softness of the references, ascending (`stiffness_curve.softness`).
+        mean_px: Mean over their trials, (x, y) [px].
+        spread_px: Standard deviation of a trial along one axis [px].
     """
 
     softness: Float[ndarray, " k"]
@@ -36,13 +35,12 @@ class Seat:
     def off(
         self, sideways_px: Float[ndarray, 2], s: float, altered_px: Sequence[Float[ndarray, 2]] = ()
     ) -> float:
-        """How far beside the references' seat, in standard deviations of their trials along one axis.
+        """Return the misalignment in standard deviations of the reference trials along one axis.
 
         Args:
-            sideways_px: mean motion of the pins [px].
-            s: softness of what is pressed.
-            altered_px: what it would be under each nuisance of its standard size, by which it scatters as
-                well: on an inclined top all pins move to one side, and a wrong force tells how far wrongly.
+            sideways_px: Mean motion of the pins [px].
+            s: Softness of the specimen.
+            altered_px: Mean motion under each nuisance of one standard deviation.
         """
         seat = [np.interp(s, self.softness, axis) for axis in self.mean_px.T]
         beside = (sideways_px - seat) / self.spread_px

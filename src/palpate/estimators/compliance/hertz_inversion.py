@@ -1,12 +1,12 @@
-"""Modulus and radius of a touched object from both cues: force over displacement, and over contact area.
+"""Modulus and radius of a touched object from force over displacement and force over contact area.
 
-In Hertz's contact (`hertz_pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3), both straight lines. The first
-gives E sqrt(R), the second R / E, and together
+For a Hertz contact (`hertz_pairs`) P^(2/3) = c (d - d0) and A = k P^(2/3) give, for finger and object in
+series,
 
     R = c k / pi,    E = 3/4 c^(3/2) / sqrt(R)
 
-of finger and object in series, from which the finger's own are taken off. Where the object yields less than a
-fifth of the approach, that difference magnifies every error more than fivefold: such a result is marked.
+from which the finger's own values are subtracted. Results are marked invalid if the object accounts for less
+than a fifth of the approach, because every error is then magnified more than fivefold.
 """
 
 from __future__ import annotations
@@ -43,13 +43,11 @@ class PressCurves:
 
 @dataclass(frozen=True)
 class Finger:
-    """Finger that touches, and how well it is known.
+    """Finger that touches, with relative standard deviations and its misfit to a Hertz body.
 
     Attributes:
-        body: its modulus over 1 - nu^2 and its radius.
-        modulus_spread, radius_spread: relative standard deviations.
-        misfit: how far its modulus differs between the lower and the upper half of the forces, as a share; 0
-            for a Hertz body.
+        body: Its modulus over 1 - nu^2 and its radius.
+        misfit: Relative difference of its modulus between lower and upper forces; 0 for a Hertz body.
     """
 
     body: Body
@@ -60,13 +58,11 @@ class Finger:
 
 @dataclass(frozen=True)
 class TouchedObject:
-    """An object by both cues.
+    """Object by both cues.
 
     Attributes:
-        modulus_pa, radius_m: estimate, low and high; the radius is infinite for a flat.
-        share: of the approach that the object yields.
-        coverage: of the intervals.
-        valid, why: False, and the reason, where the object's own part is too small to be told.
+        modulus_pa, radius_m: Estimate, low, and high; the radius of a flat is infinite.
+        share: Ratio of the approach that the object yields.
     """
 
     modulus_pa: tuple[float, float, float]
@@ -78,16 +74,11 @@ class TouchedObject:
 
 
 def fit_finger(rigid: Sequence[PressCurves]) -> Finger:
-    """Fit the Hertz pair that acts as the finger does, from its presses on a rigid plate.
+    """Fit the Hertz pair that acts as the finger does in presses on a rigid plate.
 
-    A tip whose skin is stiffer than its gel is no Hertz body, and the pair's radius is not the dome's; but
-    the modulus of an object in series with it is found to some 6 % (virtual tips on flat specimens). Its
-    reciprocal is then off by 0.13 of the misfit times the finger's own, root mean square over four virtual
-    tips and specimens of 1.1 to 7.6 N/mm: so much is counted as a standard deviation. Of the radius, for
-    which no such error is known, it is a quarter.
-
-    Raises:
-        InputError: as `invert_hertz`.
+    A tip whose skin is stiffer than its gel is no Hertz body. On virtual tips, the reciprocal modulus of an
+    object in series has an RMS error of 0.13 times the misfit, which is counted as a standard deviation; the
+    radius a quarter.
     """
     if not rigid:
         raise InputError("no press on a rigid plate; give one or more")
@@ -118,15 +109,10 @@ def _misfit(press: PressCurves) -> float:
 def invert_hertz(
     presses: Sequence[PressCurves], finger: Finger, rng: np.random.Generator, coverage: float = 0.9
 ) -> TouchedObject:
-    """Invert Hertz's contact for the object of one press or several.
+    """Invert Hertz contact for the object of one or several presses.
 
-    Intervals are of draws of the two lines' slopes and of the finger. With several presses the slopes' spread
-    is that between presses, which few of them tell badly: their draws are Student's. With one it is that of
-    its samples, as if these were independent.
-
-    Raises:
-        InputError: no press, or one with too few samples, with no rise of force, or with area or force that
-            is not positive.
+    Intervals come from draws of the slopes and of the finger: Student draws of the scatter between presses,
+    or for a single press the scatter of its samples.
     """
     if not presses:
         raise InputError("no press; give one or more", code="no-presses")
@@ -154,13 +140,11 @@ def invert_hertz(
 
 
 def _both(c: Any, k: Any) -> tuple[Any, Any]:
-    """Modulus and radius of the two in series."""
     R = c * k / np.pi
     return 0.75 * c**1.5 / np.sqrt(R), R
 
 
 def _slopes(press: PressCurves) -> tuple[float, float]:
-    """C and k of one press."""
     force, approach, area = (
         np.asarray(x, np.float64) for x in (press.force_n, press.approach_m, press.area_m2)
     )

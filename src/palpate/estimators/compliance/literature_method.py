@@ -1,9 +1,8 @@
-"""The report's route from frames and force to a spread rate: flow, divergence, accumulated area.
+"""Published route from frames and force to a spread rate: flow, divergence, accumulated area.
 
-A_0 is the circle through the pins, not a contact, so all areas are relative to it: only contrasts between
-presses of one sensor mean anything. `circle_through_pins` gives that circle, over which the mean divergence
-is taken; over the whole image, as (8) has it, it is nothing but what flows through the image's border. Beside
-the report's own sum over frames stand the secant and the regression of A_i = A_0 exp(sum of D_j).
+A_0 is the circle through the pins, not a contact, so areas are relative to it and only contrasts between
+presses of one sensor are meaningful. Divergence is averaged over that circle (equation (8) averages over the
+image).
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ WAYS: tuple[Way, ...] = ("regression", "secant", "paper")
 
 @dataclass(frozen=True)
 class AsReported:
-    """Results of the report's route.
+    """Results of the published route, one value for each frame of the loading part.
 
     Attributes:
-        force_n: at each frame of the loading part [N].
-        divergence: mean over the image, of the step to each frame [1/frame].
+        force_n: Force [N].
+        divergence: Mean divergence of the step to the frame [1/frame].
         area: A_i over A_0.
     """
 
@@ -69,13 +68,12 @@ class AsReported:
 def circle_through_pins(
     untouched_px: Float[ndarray, "p 2"], height: int, width: int, cells: Int[ndarray, "p 2"] | None = None
 ) -> Bool[ndarray, "h w"]:
-    """The largest circle through the pins about the one in their middle: A_0 of the report's Algorithm 1.
+    """Return the largest circle through the pins about the middle one, A_0 of Algorithm 1, as a mask.
 
     Args:
-        untouched_px: their places.
-        height, width: of the image [px].
-        cells: of each, by which middle and edge are told also where pins are hidden; None takes the pin
-            nearest to the mean of those seen, and the one farthest from it.
+        untouched_px: Pins of the reference frame [px].
+        height, width: Size of the image [px].
+        cells: Lattice cell of each pin, to locate middle and edge if pins are hidden.
     """
     if cells is not None:
         field = pin_field(untouched_px, cells)
@@ -95,15 +93,7 @@ def as_reported(
     *,
     region: Bool[ndarray, "h w"] | None = None,
 ) -> AsReported:
-    """Run the report's route on a press.
-
-    Args:
-        frames, force_n, frame_sample: see `pin_press.follow_press`.
-        region: over which divergence is averaged; None for the whole image, as reported.
-
-    Raises:
-        InputError: no loading part, or too few frames.
-    """
+    """Run the published route on a press (see `follow_press`), averaging over `region` or the image."""
     smooth = smoothed(force_n)
     at = np.asarray(frame_sample)
     used = np.flatnonzero(np.isin(at, within(smooth, loading(smooth), CONTACT_N, MAX_N)))

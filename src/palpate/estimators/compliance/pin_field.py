@@ -1,9 +1,8 @@
-"""The field of untouched pins: its middle and its edge, from the lattice, whichever pins are hidden.
+"""Middle and edge of the field of reference pins, from the lattice, even if some pins are hidden.
 
-The compliance report takes as A_c0 the circle about the middle pin through the outermost ones (Algorithm 1).
-One pin that is not seen, or one reflection that is taken for a pin, would change it by tens of per cent. Here
-middle and edge are places of the lattice; where a pin is hidden, its place follows from the others by a
-smooth map from layout to image.
+Algorithm 1 of the compliance report takes the circle about the middle pin through the outermost ones. Hidden
+pins are placed by a smooth map from layout to image, because one missing pin changes that circle by tens of
+percent.
 """
 
 from __future__ import annotations
@@ -23,13 +22,7 @@ Points = Float[ndarray, "p 2"]
 
 @dataclass(frozen=True)
 class PinField:
-    """Middle and edge of a field of pins.
-
-    Attributes:
-        middle: place of the middle pin [2].
-        edge: places of the outermost pins: six corners of a hexagonal field, all of the last ring of a
-            round one.
-    """
+    """Position of the middle pin and of the outermost ones: six corners of a hexagon, or the last ring."""
 
     middle: Float[ndarray, 2]
     edge: Float[ndarray, "e 2"]
@@ -41,7 +34,6 @@ class PinField:
 
     @property
     def farthest(self) -> float:
-        """Distance of the outermost pin."""
         return float(np.hypot(*(self.edge - self.middle).T).max())
 
     @property
@@ -51,14 +43,11 @@ class PinField:
 
 
 def pin_field(places: Points, cells: Int[ndarray, "p 2"]) -> PinField:
-    """Middle and edge of untouched pins.
+    """Return middle and edge of reference pins.
 
     Args:
-        places: of the pins, in an image or on the skin; NaN where a pin is lost.
-        cells: of each, (0, 0) being the middle (`PinTracks.cells`).
-
-    Raises:
-        InputError: too few pins, or more rings than are known.
+        places: Pin positions in any plane; NaN if lost.
+        cells: Lattice cells, (0, 0) being the middle (`PinTracks.cells`).
     """
     seen = np.isfinite(places).all(axis=1)
     at, names = places[seen], cells[seen]

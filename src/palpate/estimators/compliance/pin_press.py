@@ -1,7 +1,7 @@
 """Motion of the pins in one press: at every frame of the loading part, and at fixed forces.
 
-Each pin's motion is fitted by a polynomial in the cube root of force, in which young contact is nearly
-straight, and read at fixed forces; so presses of any speed and frame rate can be compared pin by pin.
+Each pin's motion is fitted by a polynomial in the cube root of force, so that presses of any speed and frame
+rate can be compared pin by pin.
 """
 
 from __future__ import annotations
@@ -34,18 +34,17 @@ Samples = Float[ndarray, " s"]
 
 @dataclass(frozen=True)
 class PinPress:
-    """The loading part of a press, one row a frame.
+    """Loading part of a press, one row for each frame.
 
     Attributes:
-        frame: numbers of the frames.
-        force_n: smoothed, at each frame [N].
-        untouched_px: where the pins were before contact, (x, y) [px].
-        moved_px: how far each has moved since; NaN where it is lost [px].
-        position_m: of the tip, from where contact was felt; None where the table has none [m].
-        speed_m_s: of the tip over these frames; NaN without a position [m/s].
-        flaws: what makes the press doubtful, in words; empty for a good one.
-        cells: of each pin on the lattice (`PinTracks.cells`); None where they are not known.
-        time_s: of the frames; None where the table has none [s].
+        frame: Frame numbers.
+        force_n: Smoothed force [N].
+        untouched_px: Pins before contact, (x, y) [px].
+        moved_px: Motion of each pin since then; NaN if lost [px].
+        position_m: Position of the tip relative to contact onset; None if unknown [m].
+        speed_m_s: Speed of the tip; NaN without positions [m/s].
+        flaws: Reasons to doubt the press; empty for a good one.
+        cells: Lattice cell of each pin; None if unknown.
     """
 
     frame: Int[ndarray, " f"]
@@ -69,16 +68,12 @@ def follow_press(
     """Follow the pins through the loading part of a press.
 
     Args:
-        frames: 8-bit grey or colour images in time, the first before contact; read once, up to the greatest
-            force.
-        force_n: raw samples, positive in compression [N].
-        frame_sample: of every frame, which sample it belongs to.
-        position_m: of the tip, at every sample [m].
-        time_s: of the samples, which give the speed [s].
-
-    Raises:
-        InputError: no loading part, too few frames in it, or pins lost.
-        ImageError: no pins in the first frame.
+        frames: 8-bit gray or color images in temporal order, the first before contact; read up to the
+            greatest force.
+        force_n: Raw samples, positive in compression [N].
+        frame_sample: Index of each frame's sample.
+        position_m: Tip position of each sample [m].
+        time_s: Time of each sample [s].
     """
     found: list[PinTracks] = []
 
@@ -104,15 +99,11 @@ def press_of_centres(
     position_m: Samples | None = None,
     time_s: Samples | None = None,
 ) -> PinPress:
-    """The loading part of a press whose pins' centres are known.
+    """Return the loading part of a press whose pin centers are known.
 
     Args:
-        centres_px: gives places (x, y) of the pins from the first frame to the last of those it is asked for,
-            NaN where one is lost [px].
-        force_n, frame_sample, position_m, time_s: see `follow_press`.
-
-    Raises:
-        InputError: no loading part, too few frames in it, or pins lost.
+        centres_px: Function of frame numbers that returns pin centers (x, y), NaN if lost [px].
+        force_n, frame_sample, position_m, time_s: As of `follow_press`.
     """
     smooth = smoothed(force_n)
     part = loading(smooth)
@@ -159,10 +150,7 @@ def _pin_positions(
 
 
 def _still(force_n: Samples) -> int:
-    """Number of frames that are surely before any touch: half of those in which no force is felt.
-
-    Pins move before a force is felt, and the longer so the softer the contact and the lower the force's zero.
-    """
+    """Number of frames that are surely before any touch: half of those in which no force is felt."""
     touched = force_n >= UNTOUCHED_N
     before = int(np.argmax(touched)) if touched.any() else len(force_n)
     if before == 0:
@@ -193,16 +181,7 @@ Layout = Float[ndarray, "p 2"]
 def at_forces(
     force_n: Float[ndarray, " f"], values: Float[ndarray, k * n], levels_n: Levels
 ) -> Float[ndarray, l * n]:
-    """Values that change smoothly with force, at fixed forces.
-
-    Args:
-        force_n: of each value [N].
-        values: e.g. motion of pins.
-        levels_n: where to read [N].
-
-    Raises:
-        RangeError: a level beyond the forces that there are.
-    """
+    """Return values that change smoothly with force at fixed forces `levels_n` [N]."""
     low, high = float(force_n.min()), float(force_n.max())
     if levels_n.min() < low - BEYOND_N or levels_n.max() > high + BEYOND_N:
         raise RangeError(
@@ -220,11 +199,7 @@ def _powers(force_n: Float[ndarray, " f"], scale: float, degree: int) -> Float[n
 
 
 def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
-    """The motion of a press's pins in the order of a layout; NaN for pins it has not.
-
-    Raises:
-        InputError: its pins are not those of the layout.
-    """
+    """The motion of a press's pins in the order of a layout; NaN for pins it has not."""
     spacing = _spacing_px(np.ascontiguousarray(layout_px, np.float64).tobytes())
     if _in_order(press.untouched_px, layout_px, NEAR * spacing) and np.isfinite(press.moved_px).all():
         return press.moved_px
@@ -252,7 +227,6 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
 
 @lru_cache(maxsize=16)
 def _spacing_px(layout: bytes) -> float:
-    """Median distance of a layout's pins from their neighbours [px]."""
     places = np.frombuffer(layout, np.float64).reshape(-1, 2)
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 

@@ -1,11 +1,7 @@
 """Force of a press or a grasp: smoothed, cut to its loading part, and its slope.
 
-The TacTip report smooths with a moving average of five samples at 200 Hz and says that it cuts off at about
-5 Hz and delays by 0.5 s. Five taps at 200 Hz pass 18 Hz (-3 dB) and delay by 10 ms; half a second would
-misplace force by newtons. Here the average is centred on its sample, so that it delays nothing.
-
-Grippers often report their width more slowly than the camera runs: the table then repeats a width for several
-frames and jumps. A repeated width is no measurement; `fresh` selects those that are.
+The moving average is centered and adds no delay. Grippers often repeat their last width; `fresh` selects the
+samples with a new measurement.
 """
 
 from __future__ import annotations
@@ -46,11 +42,7 @@ def spikes(force_n: Samples) -> Bool[ndarray, " s"]:
 
 
 def without_spikes(force_n: Samples) -> Samples:
-    """The force with straight lines where it spikes.
-
-    Raises:
-        InputError: nothing but spikes.
-    """
+    """Return the force with straight lines in place of spikes."""
     good = ~spikes(force_n)
     if not good.any():
         raise InputError("the force is nothing but spikes; look at the sensor's cable and its bias")
@@ -65,12 +57,7 @@ def smoothed(force_n: Samples) -> Samples:
 
 @dataclass(frozen=True)
 class Loading:
-    """The part of a press in which force rises from contact to the greatest.
-
-    Attributes:
-        first, last: samples; `first` is contact-on.
-        saturated: the greatest force is a plateau, beyond which the sensor does not see.
-    """
+    """Samples from contact onset to the greatest force; `saturated` if that is a plateau."""
 
     first: int
     last: int
@@ -78,11 +65,7 @@ class Loading:
 
 
 def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
-    """Find the loading part in a smoothed force.
-
-    Raises:
-        InputError: too few samples, one that is not finite, no contact, or a force that only falls.
-    """
+    """Find the loading part in a smoothed force."""
     force = np.asarray(force_n, np.float64)
     if force.ndim != 1 or len(force) <= STAYS:
         raise InputError(f"{force.size} samples; a press has more than {STAYS}", code="too-few-values")
@@ -120,18 +103,15 @@ def within(force_n: Samples, part: Loading, low_n: float, high_n: float) -> Int[
 def rising(
     force_n: Samples, values: Float[ndarray, k * n], width_n: float
 ) -> tuple[Samples, Float[ndarray, b * n]]:
-    """Means over bins of force, which make force rise strictly whatever its noise did.
+    """Return means over bins of force, in ascending force.
 
     Args:
-        force_n: of each value [N].
-        values: e.g. areas.
-        width_n: of a bin [N].
+        force_n: Force of each value [N].
+        values: Values, such as areas.
+        width_n: Bin width [N].
 
     Returns:
-        Mean force and mean value of every bin that holds any, by rising force.
-
-    Raises:
-        RangeError: no width.
+        Mean force and mean value of every bin that is not empty.
     """
     if not width_n > 0:
         raise RangeError(f"bins of {width_n} N; above 0, 0.1 N if in doubt")
@@ -156,16 +136,13 @@ def fresh(held: GraspSamples) -> Int[ndarray, " k"]:
 def loading_slope(
     force_n: GraspSamples, width_m: GraspSamples, part: Loading, *, held: bool = False
 ) -> float:
-    """Force over closing, by a straight line through the loading part [N/m].
+    """Return force over closing by a straight line through the loading part [N/m].
 
     Args:
-        force_n: positive in compression [N].
-        width_m: between the fingers, falling as they close [m].
-        part: of the loading.
-        held: the width repeats; only new readings count, and the last sample, where the gripper rests.
-
-    Raises:
-        InputError: shapes that do not fit, too few samples, or force that does not rise as fingers close.
+        force_n: Force, positive in compression [N].
+        width_m: Distance between the fingers [m].
+        part: Loading part.
+        held: Widths repeat; only new ones and the last sample count.
     """
     force, width = np.asarray(force_n, np.float64), np.asarray(width_m, np.float64)
     if force.shape != width.shape or force.ndim != 1 or not part.last < force.size:

@@ -1,23 +1,10 @@
-"""Latency of the camera from presses: where the pins' motion is best told by the force of some time before.
+"""Latency of the camera from presses that go down and come back.
 
-Of a tip that answers its force at once, the motion s of its pins and the force F of that moment go together
-by some rising law, whichever it is. Frames that are late by tau show at their time t the moment t - tau, so
-
-    F(t - tau) = h(s(t)),  h rising.
-
-With another tau, force over motion takes one way as it rises and another as it falls, and no h runs through
-both. So h, a monotone spline, is fitted at every tau of a range, and the squares left over are the profile:
-its least is the estimate, and the taus that Student's quantile allows, with as many frames as the residuals'
-autocorrelation leaves independent, are its interval. Force is told by motion and not the reverse, since it
-is force that has noise and steps, of one size whatever the force.
-
-While force only rises, its rate is a law of force too, and h takes up any tau: such a press tells nothing.
-The share of the derivative of F along tau that no h can mimic, `told`, says so whatever the residuals are.
-
-A tip that creeps lags behind its force as well. At one speed that looks the same as a delay; a delay is the
-same at every speed, and the lag of creep is not, unless creep is over long before the press is.
-
-`recordings.clock_offset` has the same question of a rig's taps, answered by one law of all taps.
+If frames are late by tau, force and pin motion s satisfy F(t - tau) = h(s(t)) with h rising; any other tau
+gives hysteresis. A monotone spline h is fitted at every tau; the residual profile gives the estimate and its
+interval (Student's quantile with autocorrelation-corrected freedom). A press whose force only rises
+identifies no tau: `told` is the ratio of dF/dtau that no h can mimic. Creep looks like a delay at one speed,
+but not at two.
 
 References: J. O. Ramsay, Statist. Sci. 3 (1988) 425, doi:10.1214/ss/1177012761 (monotone splines);
 D. J. Venzon, S. H. Moolgavkar, Appl. Statist. 37 (1988) 87, doi:10.2307/2347496 (profile intervals);
@@ -54,8 +41,7 @@ UNLIKELY = 0.01  # chance by which presses that agree would differ so much
 MIN_APART_S = 5e-3  # that presses must differ by to be told apart: half of what readings stand anyhow
 MAX_CORRELATION = 0.95
 
-Series = Float[ndarray, " _"]
-"""Of any length; that several belong together is checked, and told."""
+Series = Float[ndarray, " _"]  # of any length; that several belong together is checked, and told
 Samples = Float[ndarray, " s"]
 Frames = Float[ndarray, " f"]
 Columns = Float[ndarray, "f c"]
@@ -63,17 +49,16 @@ Columns = Float[ndarray, "f c"]
 
 @dataclass(frozen=True)
 class PressLatency:
-    """What one press tells of the latency.
+    """Latency by one press.
 
     Attributes:
-        seconds: the estimate; above 0 where a frame shows an earlier moment than its time in the table says,
-            which is that of its sample [s].
-        low_s, high_s: its interval, at 95 % [s].
-        sd_s: its standard uncertainty [s].
-        freedom: of the residuals, after their autocorrelation.
-        told: share of the force's derivative along the latency that no law of force mimics, 0 to 1.
-        explained: share of the force's variance that the motion explains, 0 to 1.
-        rate_n_s: how fast the force rose, between a tenth and nine tenths of the greatest [N/s].
+        seconds: Estimate, above 0 if a frame shows an earlier moment than its table time [s].
+        low_s, high_s: 95 % interval [s].
+        sd_s: Standard uncertainty [s].
+        freedom: Degrees of freedom of the residuals after their autocorrelation.
+        told: Ratio of the force's derivative along the latency that no law of force mimics, 0 to 1.
+        explained: R² of force by motion.
+        rate_n_s: Loading rate between 10 and 90 % of the greatest force [N/s].
     """
 
     seconds: float
@@ -91,12 +76,11 @@ class Latency:
     """Latency of a camera by several presses.
 
     Attributes:
-        seconds, low_s, high_s, sd_s: as of `PressLatency`, of all presses together [s].
-        between_s: standard deviation between presses beyond what each of them allows [s].
-        agree_p: chance of presses that differ so much if they had one latency; NaN of one press.
-        speeds: 1, or 2 where slow and fast presses lie a factor of `MIN_RATIO` or more apart.
-        slow_s, fast_s: latency and its standard uncertainty by slow and by fast presses; None of one speed.
-        speeds_p: chance of slow and fast presses that differ so much; NaN of one speed.
+        between_s: Standard deviation between presses beyond their own uncertainty [s].
+        agree_p: Probability of so large a difference between presses with one latency; NaN for one press.
+        speeds: 2 if slow and fast presses differ by a factor of `MIN_RATIO` or more, else 1.
+        slow_s, fast_s: Latency and standard uncertainty by slow and by fast presses; None for one speed.
+        speeds_p: Probability of so large a difference between slow and fast presses; NaN for one speed.
     """
 
     seconds: float
@@ -112,17 +96,7 @@ class Latency:
 
 
 def pin_course(moved_px: Float[ndarray, "f p 2"]) -> Frames:
-    """How far the pins have gone along their common motion: their first principal component.
-
-    Args:
-        moved_px: motion of each pin since the first frame; NaN where it is lost [px].
-
-    Returns:
-        Root mean square motion of a pin along the component, of any sign [px].
-
-    Raises:
-        InputError: half of the pins or more are lost in some frame.
-    """
+    """Return the RMS pin motion along the first principal component of `moved_px`, of arbitrary sign [px]."""
     kept = np.isfinite(moved_px).all(axis=(0, 2))
     if not kept.mean() > 0.5:
         raise InputError(
@@ -142,19 +116,14 @@ def press_latency(
     *,
     most_s: float = MAX_LATENCY_S,
 ) -> PressLatency:
-    """The latency of the frames of one press that goes down and comes back.
+    """Return the latency of the frames of one press that goes down and comes back.
 
     Args:
-        time_s: of the force's samples, rising [s].
-        force_n: raw, positive in compression [N].
-        frame_sample: of every frame, which sample it belongs to as the table says.
-        motion_px: of every frame how far the pins have moved, by a measure that rises with force or falls.
-        most_s: the latencies looked for, to either side [s].
-
-    Raises:
-        InputError: series that do not fit together, or are not finite.
-        RangeError: nothing moves or presses, too few frames, a press that only loads, a motion that does not
-            follow the force, or a latency that is not inside the range.
+        time_s: Time of the force samples, ascending [s].
+        force_n: Raw force, positive in compression [N].
+        frame_sample: Index of each frame's sample by the table.
+        motion_px: Pin motion of each frame, monotone in force.
+        most_s: Greatest latency of either sign [s].
 
     Example:
         >>> t = np.arange(0.0, 3.0, 0.005)
@@ -236,7 +205,6 @@ class _Profile:
         return np.asarray(self._integral(middle + half) - self._integral(middle - half)) / self._width_s
 
     def residual(self, tau_s: float) -> Frames:
-        """What the best rising law leaves of the force [N]."""
         force = self.force(tau_s)
         law, _ = nnls(self.columns, force)
         return np.asarray(force - self.columns @ law)
@@ -298,10 +266,7 @@ def _check_press(force: Samples, motion: Frames) -> None:
 
 
 def _rising_columns(motion: Frames) -> Columns:
-    """Columns of which any sum with weights of 0 or more rises with motion, from any level.
-
-    Sums of B-splines from each on (Ramsay's integrated splines); the first is a constant, taken both ways.
-    """
+    """Columns of which any sum with weights of 0 or more rises with motion, from any level."""
     low, high = float(motion.min()), float(motion.max())
     inner = np.linspace(low, high, PIECES + 1)[1:-1]
     knots = np.concatenate([np.full(ORDER, low), inner, np.full(ORDER, high)])
@@ -355,13 +320,7 @@ def _crossing(profile: _Profile, allowed: float, inside: float, step: float) -> 
 
 
 def _freedom(residual: Frames, columns: Columns, own: Frames) -> tuple[float, float]:
-    """Independent residuals left, and the share of the least squares that one standard deviation adds.
-
-    Of a first-order autoregression with correlation r, n residuals weigh as n (1 - r) / (1 + r). Fitted
-    coefficients take some of the correlation away, which is given back to first order. Frames whose own times
-    jitter scatter on the flanks alone, where they tell the latency: the estimate's variance by frames' own
-    residuals (MacKinnon and White's HC3) over that by their mean square is taken beside it, the wider.
-    """
+    """Independent residuals left, and the share of the least squares that one standard deviation adds."""
     n, k = len(residual), columns.shape[1] - 1
     r = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
     r = min(max(r + k / n, 0.0), MAX_CORRELATION)
@@ -376,14 +335,7 @@ def _freedom(residual: Frames, columns: Columns, own: Frames) -> tuple[float, fl
 
 
 def joined_latency(presses: Sequence[PressLatency]) -> Latency:
-    """The latency by several presses of one camera, with the scatter between them.
-
-    Each press counts by its own uncertainty and the scatter between presses that this leaves unexplained
-    (DerSimonian and Laird's). Where there is such scatter, Student's quantile goes by the number of presses.
-
-    Raises:
-        InputError: no press.
-    """
+    """Return the latency by several presses with the scatter between them (DerSimonian and Laird)."""
     if not presses:
         raise InputError("no press; give one or more")
     if len(presses) == 1:
@@ -406,11 +358,7 @@ Told = tuple[float, float]
 
 
 def _apart(slower: Sequence[PressLatency], faster: Sequence[PressLatency]) -> tuple[Told, Told, float]:
-    """Latency of slow and of fast presses with its standard uncertainty [s], and the chance that they differ.
-
-    Creep misfits every press of a speed alike. That widens each press's own interval, while presses of one
-    speed still repeat: where there are two of each, it is their scatter that the difference is held against.
-    """
+    """Latency and standard uncertainty of slow and of fast presses [s], and the p-value of a difference."""
     if min(len(slower), len(faster)) < 2:
         slow, fast = (_pooled(each)[:2] for each in (slower, faster))
         return slow, fast, float(2 * norm.sf(abs(slow[0] - fast[0]) / math.hypot(slow[1], fast[1])))
@@ -432,11 +380,7 @@ def _pooled(presses: Sequence[PressLatency]) -> tuple[float, float, float, float
 
 
 def disagreement(found: Latency) -> Refusal:
-    """Reason why presses have no one latency: `creep` or `differ`; false where they may have one.
-
-    Args:
-        found: by several presses.
-    """
+    """Return why presses have no common latency, `creep` or `differ`; false if they may have one."""
     slow, fast = found.slow_s, found.fast_s
     apart = slow is not None and fast is not None and abs(slow[0] - fast[0]) > MIN_APART_S
     if apart and found.speeds_p < UNLIKELY:

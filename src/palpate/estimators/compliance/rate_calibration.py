@@ -1,13 +1,8 @@
-"""Spread rate dA/dF calibrated on spread rates: what the areas of one press say of it, against known ones.
+"""Calibration of the spread rate dA/dF, and of the area at one force, from areas against known values.
 
-The area at one force is calibrated in the same way: the areas' fit errs by another share at each force.
-
-Areas of one press err together, so that the relative error of an area says little about that of a slope: the
-slope of trials that were left out of the area's fit is compared with the true one instead. The logarithm of
-the true rate is a polynomial of that of the rate from areas, whose scatter over these trials gives the
-interval of a new press (a prediction interval of regression), beside the error by which the other references
-tell each reference between them. Soft specimens scatter several times as much as stiff ones, so the scatter
-grows along the line: one for all would be too wide for stiff specimens and too narrow for soft ones.
+Areas of one press have correlated errors, so slopes of left-out trials are compared with true ones directly:
+log of the true rate is a polynomial in log of the rate by areas. Its scatter, growing along the line, and the
+error of predicting each reference from the others give the interval.
 """
 
 from __future__ import annotations
@@ -32,18 +27,17 @@ Values = Float[ndarray, " _"]
 
 @dataclass(frozen=True)
 class RateFit:
-    """Log of the true rate as a polynomial of log of the rate by areas.
+    """Log of the true rate as a polynomial of the standardized log rate by areas.
 
     Attributes:
-        middle, scale: of log of the rate by areas.
-        coefficients: of the powers of what is so normalised, from the constant on.
-        covariance: of the coefficients, in units of the squared spread.
-        spread: standard deviation of log of the true rate around it, of one trial in the middle.
-        freedom: trials less coefficients.
-        between: error of log of the rate by which the others tell the references between them, root mean
-            square; it is taken for a bound, since with that reference the gap is half as wide.
-        growth: of log of the spread along what is so normalised.
-        means: Mean true rate of each reference, in their order; None in calibrations without it.
+        middle, scale: Standardization of the log rate by areas.
+        coefficients: Polynomial coefficients, the constant first.
+        covariance: Covariance of the coefficients in units of the squared spread.
+        spread: Standard deviation of one trial at the middle.
+        freedom: Trials less coefficients.
+        between: RMS error of predicting references from the others, used as a bound.
+        growth: Slope of log spread along the standardized rate.
+        means: Mean true rate of each reference; None in earlier calibrations.
     """
 
     middle: float
@@ -77,15 +71,12 @@ class RateFit:
 
 
 def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequence[int]) -> RateFit:
-    """Fit to trials of references.
+    """Fit to trials of three or more references.
 
     Args:
-        by_areas: rate of each, from areas that were fitted without it [m^2/N].
-        true: of each [m^2/N].
-        reference: which reference each trial is of; three or more of them.
-
-    Raises:
-        InputError: fewer than three references, too few trials, or a rate that is not positive.
+        by_areas: Rate of each trial from areas fitted without it [m^2/N].
+        true: True rate [m^2/N].
+        reference: Index of each trial's reference.
     """
     x, y = np.asarray(by_areas, np.float64), np.asarray(true, np.float64)
     kinds = len(set(reference))

@@ -1,19 +1,13 @@
-"""Modulus and radius of an object from what a press shows at fixed forces: a surface through references.
+"""Modulus and radius of an object from a press at fixed forces: a surface through references.
 
-A tip whose skin is stiffer than its gel is no Hertz body, so no formula takes its part off the object's. But
-whatever is measured of a press, motion of pins and approach, is one long vector y, and over references of
-known modulus E (Young's over 1 - nu^2) and radius of curvature R it moves along a surface y(s, c),
+Measurements of a press form a vector y, which for references of known modulus E and radius R lies on y(s, c),
 
-    s = 1 / (1 + E / E_0)    0 for a rigid object, towards 1 for ever softer ones,
+    s = 1 / (1 + E / E_0)    0 for a rigid object, towards 1 for softer ones,
     c = R_0 / R              0 for a flat one,
 
-a polynomial through the means of their trials. The two are told apart since a softer object raises approach
-and contact area, a rounder one approach alone. A press is given the place nearest to the surface, scatter
-being discounted, in the small space of `stiffness_curve`.
-
-The interval holds the scatter between trials, by how much the place moves where the surface runs between the
-references as another E_0 would have it, or as another law of c, and the errors by which the other references
-tell each one that lies between them.
+a polynomial through the means of their trials (generalized least squares in the small space of
+`stiffness_curve`). The interval holds the scatter between trials, the model error from E_0 and the law of c,
+and the error of predicting each reference from the others.
 """
 
 from __future__ import annotations
@@ -55,14 +49,13 @@ NEEDS = (
 
 @dataclass(frozen=True)
 class Roundness:
-    """Modulus and radius of what was pressed.
+    """Modulus and radius of a specimen.
 
     Attributes:
-        modulus_pa: over 1 - nu^2, low and high of its interval [Pa].
-        radius_m: of curvature, low and high; inf for a flat object [m].
-        place: (s, c) on the surface.
-        half: half widths of their intervals.
-        distance: from the surface, in standard deviations of a reference's trial.
+        modulus_pa: Modulus over 1 - nu^2, low, and high [Pa].
+        radius_m: Radius of curvature, low, and high; inf for a flat [m].
+        place, half: Position (s, c) on the surface and half-widths of its intervals.
+        distance: Distance from the surface in standard deviations of a reference trial.
     """
 
     modulus_pa: tuple[float, float, float]
@@ -74,14 +67,13 @@ class Roundness:
 
 @dataclass(frozen=True)
 class ShapeSurface:
-    """The surface, in its small space.
+    """Surface through references in its small space.
 
     Attributes:
-        modulus_pa, radius_m: of the references, inf for rigid and flat ones [Pa], [m].
+        modulus_pa, radius_m: References, inf for rigid and flat ones [Pa], [m].
         turning_pa, turning_m: E_0 and R_0.
-        space: of their trials.
-        between: errors of log E and of c by which the others tell each reference between them; 0 where no
-            reference lies between others.
+        between: Errors of log E and of c when the other references predict each one; 0 if none lies between
+            others.
     """
 
     modulus_pa: Float[ndarray, " k"]
@@ -92,14 +84,11 @@ class ShapeSurface:
     between: tuple[float, float] = (0.0, 0.0)
 
     def of(self, presses: Vectors, coverage: float = 0.9) -> Roundness:
-        """Modulus and radius of what was pressed.
+        """Return modulus and radius of a specimen.
 
         Args:
-            presses: one row a trial on the same object; NaN for what was not seen.
-            coverage: of the intervals.
-
-        Raises:
-            InputError: vectors of another length, or with too little seen.
+            presses: One row for each trial; NaN for missing measurements.
+            coverage: Coverage of the intervals.
         """
         rows = np.atleast_2d(presses)
         y = np.mean([self.space.place(press) for press in rows], axis=0)
@@ -129,7 +118,6 @@ class ShapeSurface:
         )
 
     def nearest(self, y: Float[ndarray, " q"], bend: tuple[float, float] = STRAIGHT) -> Float[ndarray, 2]:
-        """(s, c) of a place in the small space."""
         root = np.linalg.cholesky(np.linalg.inv(self.space.scatter))
         grid = _monomials(_bent(GRID, bend), self._powers) @ self._fits[bend]
         start = GRID[int(np.argmin((((y - grid) @ root) ** 2).sum(axis=1)))]
@@ -140,7 +128,6 @@ class ShapeSurface:
 
     @cached_property
     def points(self) -> Float[ndarray, "k 2"]:
-        """Places (s, c) of the references."""
         return np.stack([softness(self.modulus_pa, self.turning_pa), self.turning_m / self.radius_m], axis=1)
 
     @cached_property
@@ -156,8 +143,6 @@ class ShapeSurface:
 
     @cached_property
     def _fits(self) -> dict[tuple[float, float], Float[ndarray, "t q"]]:
-        """Coefficients of the terms, of every bend."""
-
         def fit(bend: tuple[float, float]) -> Float[ndarray, "t q"]:
             columns = _monomials(_bent(self.points, bend), self._powers)
             return np.asarray(np.linalg.lstsq(columns, self.space.means, rcond=None)[0])
@@ -188,15 +173,12 @@ class ShapeSurface:
 def fit_shape_surface(
     modulus_pa: Sequence[float], radius_m: Sequence[float], trials: Sequence[Float[ndarray, "_ d"]]
 ) -> ShapeSurface:
-    """The surface through references.
+    """Fit the surface through references.
 
     Args:
-        modulus_pa: of each, inf for a rigid one [Pa].
-        radius_m: of each, inf for a flat one [m].
-        trials: of each, one row a trial, two or more.
-
-    Raises:
-        InputError: too few references or trials, or none of a kind that is needed.
+        modulus_pa: Modulus, inf for a rigid reference [Pa].
+        radius_m: Radius, inf for a flat reference [m].
+        trials: For each reference two or more trials, one a row.
     """
     E, R = np.asarray(modulus_pa, np.float64), np.asarray(radius_m, np.float64)
     if not (len(E) == len(R) == len(trials) and (E > 0).all() and (R > 0).all()):

@@ -1,12 +1,8 @@
-"""Contact area from accumulated divergence, and its spread rate over force, resolved and as printed.
+"""Contact area from accumulated divergence, and its spread rate over force.
 
-With D_j the mean divergence over the contact in frame j [1/frame], dA/dt = A D gives A_i = A_0 exp(sum D_j).
-The spread rate dA/dF comes from areas and forces: as a secant, or as the slope of a regression, over bins of
-rising force.
-
-The report's equations (10) to (12) are kept as `paper`: they multiply the sum by the force, and (12) adds the
-slopes of all steps, so that it grows with their number: three specimens with the same A(F) that differ in
-stiffness alone get 20, 60 and 180 where the slope is 10.
+With mean divergence D_j, dA/dt = A D gives A_i = A_0 exp(sum D_j). dA/dF is a secant or a regression slope
+over bins of force. `paper` keeps the report's equations (10) to (12), whose sum grows with the number of
+steps.
 
 Reference: Pagnanelli et al., Model-Based Compliance Discrimination via Soft Tactile Optical Sensing and
 Optical Flow Computation, IEEE Robotics and Automation Letters; R. Cipolla, A. Blake, Image divergence and
@@ -42,14 +38,7 @@ Steps = Float[ndarray, " _"]  # one a frame
 
 @dataclass(frozen=True)
 class SpreadRate:
-    """A spread rate.
-
-    Attributes:
-        way: how it was made.
-        rate_m2_n: dA/dF [m^2/N]; in `paper`, the report's sum.
-        steps: bins, or frames, that it is made of.
-        warning: what a reader must know.
-    """
+    """Spread rate dA/dF [m^2/N] (in `paper` the report's sum) over a number of bins or frames."""
 
     way: Way
     rate_m2_n: float
@@ -58,15 +47,7 @@ class SpreadRate:
 
 
 def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
-    """A_i = A_0 exp(sum of D_j up to i) [m^2].
-
-    Args:
-        first_m2: area before the first step [m^2].
-        mean_divergence: over the contact, of every step [1/frame].
-
-    Raises:
-        RangeError: no area, or divergence beyond all bounds.
-    """
+    """Return A_i = A_0 exp(sum of D_j up to i) [m^2]."""
     total = np.cumsum(mean_divergence)
     if not first_m2 > 0:
         raise RangeError(f"a first area of {first_m2} m2; above 0", code="area")
@@ -79,18 +60,7 @@ def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
 
 
 def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
-    """dA/dF of areas over force.
-
-    Args:
-        force_n: of each area [N].
-        area: of the contact [m^2].
-        way: "regression" (a line through bins of force, 0.1 N wide) or "secant" (between the first and the
-            last of them).
-
-    Raises:
-        InputError: shapes that do not fit, values that are not finite, too little rise of force, or a way
-            that is `paper_spread`'s.
-    """
+    """Return dA/dF by a line through 0.1 N bins ("regression") or between the first and last ("secant")."""
     force_n, area = np.asarray(force_n, np.float64), np.asarray(area, np.float64)
     if force_n.shape != area.shape or force_n.ndim != 1:
         raise InputError(f"{force_n.size} forces and {area.size} areas; give as many", code="lengths-differ")
@@ -112,14 +82,7 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
 
 
 def paper_spread(force_n: Steps, mean_divergence: Steps, first_m2: float) -> SpreadRate:
-    """Equations (9), (11) and (12) with the mean divergence for the sum of (8), and F_0 = 0.
-
-    Steps in which the force does not change are left out, since (12) divides by them.
-
-    Raises:
-        InputError: shapes that do not fit.
-        RangeError: an exponent beyond double precision.
-    """
+    """Return equations (9), (11), and (12) with the mean divergence for (8) and F_0 = 0."""
     force_n, D = np.asarray(force_n, np.float64), np.asarray(mean_divergence, np.float64)
     if force_n.shape != D.shape or force_n.ndim != 1 or not len(D):
         raise InputError(f"{force_n.size} forces and {D.size} divergences; give one of each a frame")
@@ -138,11 +101,7 @@ def summed_slopes(force_n: Steps, area: Steps) -> float:
 
 
 def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> NoReturn:
-    """Equations (8) and (11) to the letter: never run, with what they would have come to.
-
-    Raises:
-        InputError: always.
-    """
+    """Equations (8) and (11) to the letter: never run, with what they would have come to."""
     exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
     beyond = ", beyond double precision" if exponent > MAX_EXPONENT else ""
     raise InputError(

@@ -1,17 +1,13 @@
-"""Stiffness from what a press shows at fixed forces: a curve through known references, and a place on it.
+"""Stiffness from a press at fixed forces: a position on a curve through known references.
 
-Whatever is measured of a press (motion of pins; with an encoder also the approach) is one long vector y.
-Softer references move y along a curve y(s), a polynomial through the means of their trials, over
+Measurements of a press form a vector y, which moves along y(s), a polynomial through the references' means,
+over
 
-    s = 1 / (1 + kappa / kappa_0),    0 for a rigid plate, towards 1 for ever softer specimens.
+    s = 1 / (1 + kappa / kappa_0),    0 for a rigid plate, towards 1 for softer specimens.
 
-Between trials of one specimen y scatters along few directions (how tip and specimen were seated), and evenly
-by the noise of the images. A press is given the s at which it lies nearest to the curve, scatter being
-discounted (generalised least squares). All of this happens in the small space that the references' means and
-their widest scatter span.
-
-The interval holds the scatter between trials, and the error by which the other references tell each reference
-between them: what a specimen between the references may be wrong by if the curve bends there unseen.
+Trials scatter along few directions, and evenly by image noise. A press gets the nearest s by generalized
+least squares in the space of the references' means and widest scatter. The interval holds the scatter and the
+error of predicting each reference from the others.
 """
 
 from __future__ import annotations
@@ -40,12 +36,11 @@ Vector = Float[ndarray, " d"]
 
 @dataclass(frozen=True)
 class Softness:
-    """Place on the curve of a press, or of the mean of several.
+    """Position on the curve of one press or of the mean of several.
 
     Attributes:
-        kappa_n_m: stiffness, low and high of its interval [N/m].
-        s: place on the curve.
-        distance: from the curve, in standard deviations of a reference's trial; about 1 for one like these.
+        kappa_n_m: Stiffness, low, and high [N/m].
+        distance: Distance from the curve in standard deviations of a reference trial.
     """
 
     kappa_n_m: tuple[float, float, float]
@@ -55,15 +50,14 @@ class Softness:
 
 @dataclass(frozen=True)
 class SmallSpace:
-    """Where presses of references lie, and how their trials scatter.
+    """Subspace of the references' presses, and the scatter of their trials.
 
     Attributes:
-        middle: mean of all trials.
-        basis: directions that count, orthonormal.
-        means: of the references, in the basis.
-        scatter: covariance of a trial about its reference's mean, in the basis.
-        outside: root mean square of what lies outside of the basis, of a trial of the references.
-        freedom: trials less references.
+        basis: Orthonormal directions.
+        means: Mean of each reference, in the basis.
+        scatter: Covariance of a trial about its reference's mean, in the basis.
+        outside: RMS of a trial's component outside the basis.
+        freedom: Trials less references.
     """
 
     middle: Vector
@@ -81,11 +75,7 @@ class SmallSpace:
         return float(np.sqrt(np.mean(residual**2)) / self.outside)
 
     def place(self, press: Vector) -> Float[ndarray, " q"]:
-        """Place of a press in the basis, by what was seen of it.
-
-        Raises:
-            InputError: a vector of another length, or too little seen.
-        """
+        """Place of a press in the basis, by what was seen of it."""
         if press.shape != self.middle.shape:
             raise InputError(
                 f"{press.size} values; the curve is of {self.middle.size}", code="lengths-differ"
@@ -102,12 +92,12 @@ class SmallSpace:
 
 @dataclass(frozen=True)
 class SoftnessCurve:
-    """The curve, in its small space, of which all but the first two and the last are: see `SmallSpace`.
+    """Curve in its `SmallSpace`.
 
     Attributes:
-        kappa_n_m: of the references, `inf` for a rigid plate [N/m].
+        kappa_n_m: Stiffness of the references, `inf` for a rigid plate [N/m].
         turning_n_m: kappa_0 [N/m].
-        between: error of log kappa by which the others tell each reference between them; NaN for two.
+        between: Error of log kappa when the other references predict each one; NaN for two.
     """
 
     kappa_n_m: Float[ndarray, " k"]
@@ -129,14 +119,11 @@ class SoftnessCurve:
         return _powers(softness(kappa, turning), len(self.means)) @ fit
 
     def of(self, presses: Vectors, coverage: float = 0.9) -> Softness:
-        """The stiffness of what was pressed.
+        """Return the stiffness of a specimen.
 
         Args:
-            presses: one row a trial on the same specimen; NaN for what was not seen.
-            coverage: of the interval.
-
-        Raises:
-            InputError: vectors of another length, or with nothing seen.
+            presses: One row for each trial; NaN for missing measurements.
+            coverage: Coverage of the interval.
         """
         y = np.mean([self.place(press) for press in np.atleast_2d(presses)], axis=0)
         s = self.nearest(y)
@@ -165,26 +152,19 @@ class SoftnessCurve:
 
     @property
     def range_n_m(self) -> tuple[float, float]:
-        """Range in which an interval is inside the references: these, and `MARGIN` of their span in s [N/m].
-
-        The upper end is infinite if a rigid plate is among the references, which then enclose every stiffer
-        specimen.
-        """
+        """Range of the references and `MARGIN` of their span in s; no upper end with a rigid plate [N/m]."""
         s = softness(self.kappa_n_m, self.turning_n_m)
         beyond = MARGIN * float(np.ptp(s))
         return self._kappa(float(s.max()) + beyond), self._kappa(float(s.min()) - beyond)
 
     @property
     def space(self) -> SmallSpace:
-        """Where its references lie."""
         return SmallSpace(self.middle, self.basis, self.means, self.scatter, self.outside, self.freedom)
 
     def novelty_score(self, press: Vector) -> float:
-        """Part of a press that no reference shows, see `SmallSpace`."""
         return self.space.novelty_score(press)
 
     def place(self, press: Vector) -> Float[ndarray, " q"]:
-        """Place of a press in the basis, see `SmallSpace`."""
         return self.space.place(press)
 
     def stiffness_n_m(self, y: Float[ndarray, " q"]) -> float:
@@ -192,7 +172,6 @@ class SoftnessCurve:
         return self._kappa(self.nearest(y))
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
-        """S of a place in the basis."""
         weight = np.linalg.inv(self.scatter)
         grid = np.linspace(0.0, SOFTEST, 400)
 
@@ -212,19 +191,16 @@ def student_quantile(coverage: float, freedom: int) -> float:
 
 
 def softness(kappa_n_m: Float[ndarray, " k"], turning_n_m: float) -> Float[ndarray, " k"]:
-    """S of stiffnesses."""
+    """Return s of stiffnesses."""
     return 1.0 / (1.0 + np.asarray(kappa_n_m, np.float64) / turning_n_m)
 
 
 def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ d"]]) -> SoftnessCurve:
-    """The curve through references.
+    """Fit the curve through two or more references.
 
     Args:
-        kappa_n_m: stiffness of each, `inf` for a rigid plate; two or more different ones [N/m].
-        trials: of each, one row a trial, two or more.
-
-    Raises:
-        InputError: too few references or trials, or stiffnesses that are not positive or not different.
+        kappa_n_m: Stiffness of each, `inf` for a rigid plate [N/m].
+        trials: For each reference two or more trials, one a row.
     """
     kappa = np.asarray(kappa_n_m, np.float64)
     if len(kappa) != len(trials) or len(kappa) < 2 or not (kappa > 0).all():
@@ -242,14 +218,7 @@ def scatter_directions(freedom: int) -> int:
 
 
 def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
-    """The space of references.
-
-    Args:
-        trials: of each, one row a trial, two or more.
-
-    Raises:
-        InputError: too few trials, or too little seen in all of them.
-    """
+    """Return the subspace of references, each with two or more trials (rows)."""
     if min(map(len, trials)) < MIN_TRIALS:
         raise InputError(f"each reference needs {MIN_TRIALS} trials or more", code="too-few-trials")
     finite = np.isfinite(np.concatenate(trials)).all(axis=0)

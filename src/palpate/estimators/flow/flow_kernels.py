@@ -1,25 +1,9 @@
-"""The compiled loops of Horn and Schunck's flow; `horn_schunck` uses them.
+"""Compiled loops of the Horn and Schunck flow.
 
-One pair of images needs n sweeps over five arrays that do not fit the processor's second cache together. Here
-the sweeps run as a wavefront instead: as soon as sweep k has done row r + 1, sweep k + 1 does row r, so that
-only a few rows of each sweep are ever alive and all of them stay in cache. A front of `STEP` rows goes
-through all sweeps before the next one starts: each sweep then finds most of what it reads in the first cache,
-since the sweep before has just used it. The result is that of n whole sweeps, number for number.
-
-A row of w pixels lies in `row_length(w)` numbers: the pixels, the last one again, and what fills up whole
-vectors and means nothing. Rows are places in flat arrays, since a slice for each would cost as much as its
-arithmetic.
-
-Vectors are written out, sixteen numbers of single precision as one value with +, -, * and /, because plain
-Numba is slower: the same wavefront with plain loops over rows takes 2.3 times as long (whole sweeps take 2.7
-times; medians of 15 rounds in turns, one thread, on the frames of `benchmarks/estimators/flow.py`). LLVM
-turns a plain loop into vectors only after proving that no array overlaps another, which it gives up for as
-many arrays as a sweep of flow reads. With the vector written out nothing has to be proved, and a number
-loaded for one place stays in a register for the next. Narrower registers take two or four of them; the
-numbers are the same. A place is where the first of sixteen lies. Nothing checks bounds. They stand in the
-kernels' own file because Numba's cache of compiled code looks at no other for changes.
-
-Kernels release the interpreter's lock, so that plain threads share the pairs of a sequence.
+Sweeps run as a wavefront: sweep k + 1 does row r once sweep k has done row r + 1, so that all live rows stay
+in cache; the result equals whole sweeps exactly. A row of w pixels occupies `row_length(w)` numbers: pixels,
+the last one again, and padding. Sixteen-number vectors are written out because plain Numba takes 2.3 times as
+long. Nothing checks bounds. Kernels release the GIL.
 """
 
 from __future__ import annotations
@@ -40,7 +24,7 @@ _MAY = ("contract", "nsz")  # a product and a sum in one rounding; zero has no s
 
 
 class Lanes(types.Type):
-    """The type, to Numba."""
+    """Sixteen numbers of single precision as a Numba type."""
 
     def __init__(self) -> None:
         super().__init__(name="Lanes")
@@ -114,7 +98,7 @@ def first_of(typing, lanes):
 @intrinsic
 @no_type_check
 def root(typing, lanes):
-    """Square roots."""
+    """Return the square roots."""
 
     def generate(context, builder, signature, given):
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
@@ -141,10 +125,10 @@ def _of_two(method, **options):
     return function
 
 
+# of two that follow each other, the neighbours one to the left of the second's places
 left_of = _of_two("shuffle_vector", mask=_pick(range(WIDTH - 1, 2 * WIDTH - 1)))
-"""Of two that follow each other, the neighbours one to the left of the second's places."""
+# of two that follow each other, the neighbours one to the right of the first's places
 right_of = _of_two("shuffle_vector", mask=_pick(range(1, WIDTH + 1)))
-"""Of two that follow each other, the neighbours one to the right of the first's places."""
 
 _ARITHMETIC = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
 
@@ -174,22 +158,14 @@ FAST = {"nogil": True, "fastmath": {"contract", "nsz"}, "error_model": "numpy", 
 @numba.njit(**FAST)
 @no_type_check
 def row_length(w):
-    """Numbers in a row of w pixels."""
+    """Return the numbers in a row of w pixels."""
     return (w // WIDTH + 2) * WIDTH
 
 
 @numba.njit(**FAST)
 @no_type_check
 def coefficients(a, b, w, quarter, alpha2, e):
-    """Fill e [h 3 row] with E_x, E_y, E_t over sqrt(alpha^2 + E_x^2 + E_y^2).
-
-    Args:
-        a, b: rows [h row] of the two images as they are: differences of whole grey levels are exact.
-        w: pixels in a row.
-        quarter: a quarter of the brightness of one grey level, since each derivative is a mean of four.
-        alpha2: alpha^2.
-        e: to be filled.
-    """
+    """Fill e [h 3 row] with E_x, E_y, E_t over sqrt(alpha^2 + E_x^2 + E_y^2)."""
     h, row = a.shape
     a, b, e = a.reshape(a.size), b.reshape(b.size), e.reshape(e.size)
     one, quarter, alpha2 = all_of(ONE), all_of(quarter), all_of(alpha2)
@@ -210,18 +186,7 @@ def coefficients(a, b, w, quarter, alpha2, e):
 @numba.njit(**FAST)
 @no_type_check
 def _sweep(flow, u0, u1, u2, to, e, at, w):
-    """One row of one sweep, from three rows of the last sweep; v lies a row after u.
-
-    Twelve times the neighbours' mean is s(c-1) + s(c+1) + 2 o(c), where o = u0 + u2 is what lies above and
-    below, and s = o + 2 u1.
-
-    Args:
-        flow: rows of every sweep.
-        u0, u1, u2: places of the rows above, here and below.
-        to: place of the row to be filled.
-        e, at: of `coefficients`, and the place of this row's.
-        w: pixels in a row.
-    """
+    """One row of one sweep, from three rows of the last sweep; v lies a row after u."""
     row = row_length(w)
     v0, v1, v2 = u0 + row, u1 + row, u2 + row
     two, twelfth = all_of(TWO), all_of(TWELFTH)
@@ -257,21 +222,13 @@ def _copy(a, i, b, j, w):
 @numba.njit(**FAST)
 @no_type_check
 def _row(k, r, w):
-    """Place of row r of sweep k."""
     return (k * RING + r % RING) * 2 * row_length(w)
 
 
 @numba.njit(**FAST)
 @no_type_check
 def relax(e, n, rows, flow):
-    """Run n sweeps from the flow [2 h w], in place.
-
-    Args:
-        e: of `coefficients`.
-        n: sweeps.
-        rows: workspace [n+1 RING 2 row]: of the start and of every sweep the rows that are alive.
-        flow: where to start, and the result [px].
-    """
+    """Run n sweeps from the flow [2 h w], in place, in the workspace `rows` [n+1 RING 2 row]."""
     h, w = flow.shape[1:]
     v, row = h * w, row_length(w)
     e, rows, flow = e.reshape(e.size), rows.reshape(rows.size), flow.reshape(flow.size)

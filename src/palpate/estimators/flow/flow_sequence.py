@@ -1,8 +1,4 @@
-"""Flow along a sequence of frames, from each to the next or from the first to each: speed and divergence.
-
-Frames are taken as they come and few are held at a time, so a sequence may be as long as its file. Pairs are
-shared among threads; results come in the order of the frames.
-"""
+"""Flow along a sequence of frames, with speed and divergence; pairs are shared among threads."""
 
 from __future__ import annotations
 
@@ -43,20 +39,13 @@ def along(
     from_first: bool = False,
     threads: int | None = None,
 ) -> Iterator[T]:
-    """Results of a function of each pair of frames, in their order.
+    """Yield a function of each pair of frames, in temporal order.
 
     Args:
-        frames: grey images of one size, in time; read once.
-        between: of an earlier and a later frame, e.g. `flow`; it must not keep or change them.
-        from_first: pair each frame with the first of all, not with the one before it.
-        threads: to share the pairs; None for as many as there are processors.
-
-    Yields:
-        One result a frame, but for the first frame.
-
-    Raises:
-        InputError: fewer than two frames, or no thread.
-        PalpateError: what the function raises for a pair.
+        frames: Gray images of one size; read once.
+        between: Function of an earlier and a later frame; it must not keep or change them.
+        from_first: Pair each frame with the first instead of the previous one.
+        threads: Number of threads; None for one for each processor.
     """
     threads = threads or os.cpu_count() or 1
     if threads < 1:
@@ -65,7 +54,6 @@ def along(
 
 
 def _pairs(frames: Iterable[Grey], from_first: bool) -> Iterator[tuple[Grey, Grey]]:
-    """Each frame after the first, behind its partner."""
     frames = iter(frames)
     first, second = next(frames, None), next(frames, None)
     if first is None or second is None:
@@ -128,15 +116,14 @@ METHODS: dict[str, Callable[[Grey, Grey], FlowField]] = {
 
 @dataclass(frozen=True)
 class Step:
-    """One pair of frames.
+    """Flow of one pair of frames.
 
     Attributes:
-        speed_px: mean length of the flow in the region [px].
-        divergence: mean over the region [1/frame]; the border flux if the region is the whole image.
-        border_flux: mean divergence over the whole image [1/frame]. By the divergence theorem it is the flow
-            through the border of the image over the area of the image. It is nearly 0 if the border does not
-            move, whatever expands inside.
-        field: the flow itself [px].
+        speed_px: Mean length of the flow in the region [px].
+        divergence: Mean over the region [1/frame].
+        border_flux: Mean divergence over the image, the flow through its border by the divergence theorem
+            [1/frame].
+        field: Flow [px].
     """
 
     speed_px: float
@@ -152,17 +139,13 @@ def course(
     from_first: bool = False,
     region: Bool[ndarray, "h w"] | None = None,
 ) -> Iterator[Step]:
-    """Each step of a sequence.
+    """Yield the flow of each step of a sequence.
 
     Args:
-        frames: grey or RGB images of one size, read once; colour is averaged.
-        method: one of `METHODS`.
-        from_first: from the first frame to each, not from each to the next.
-        region: of the image that counts for the means; None for all.
-
-    Raises:
-        InputError: no such method, too few frames, or a region of another size or of no pixels.
-        ImageError: frames that are no pair of images.
+        frames: Gray or RGB images of one size, read once; color is averaged.
+        method: One of `METHODS`.
+        from_first: From the first frame to each, not from each to the next.
+        region: Pixels that count for the means; None for all.
     """
     if method not in METHODS:
         raise InputError(f"no method {method!r}; there are {', '.join(METHODS)}")
@@ -192,17 +175,7 @@ def _step(
 
 
 def contact_region(frames: Iterable[Grey], method: str = "horn-schunck") -> Bool[ndarray, "h w"]:
-    """Return the convex region of the pixels that move most between the first frame and the last.
-
-    It contains what expands between them. It is the whole image if nothing moves.
-
-    Args:
-        frames: as of `course`.
-        method: one of `METHODS`.
-
-    Raises:
-        InputError: fewer than two frames.
-    """
+    """Return the convex region of the pixels that move most between the first and last frame."""
     first, last = _ends(frames)
     speed = np.hypot(*METHODS[method](first, last))
     most = float(np.quantile(speed, FASTEST))
@@ -214,7 +187,6 @@ def contact_region(frames: Iterable[Grey], method: str = "horn-schunck") -> Bool
 
 
 def _ends(frames: Iterable[Grey]) -> tuple[Grey, Grey]:
-    """Return the first frame and the last."""
     every = iter(frames)
     first, last = next(every, None), deque(every, maxlen=1)
     if first is None or not last:

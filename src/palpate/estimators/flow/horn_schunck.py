@@ -1,29 +1,14 @@
-"""Dense optical flow by Horn and Schunck, compiled and in single precision, plain and from coarse to fine.
+"""Dense optical flow by Horn and Schunck, in single precision, plain and from coarse to fine.
 
-The flow (u, v) [px/frame] minimises the squared change of brightness along the motion plus alpha^2 times the
-squared gradients of u and v. Each iteration takes the neighbours' average and moves it towards the line on
-which brightness is constant:
+Jacobi iterations move the neighbors' average (4 nearest 1/6, 4 diagonal 1/12) towards constant brightness:
 
     (u, v) <- (ū, v̄) - (E_x, E_y) (E_x ū + E_y v̄ + E_t) / (alpha^2 + E_x^2 + E_y^2)
 
-ū weighs the four nearest neighbours 1/6 and the four diagonal ones 1/12; all pixels are updated at once
-(Jacobi), and beyond the border the flow repeats. E_x, E_y and E_t are means of four differences along the
-edges of the cube between four pixels and two frames, so they are half a pixel right of and below the pixel
-they are stored at; beyond the border the last row and column are repeated. After n iterations a pixel has
-heard from those at most n away, hence n at least as large as the widest patch of even brightness: a pin,
-26 px in the TacTip images of Pagnanelli et al., "Model-Based Compliance Discrimination via Soft Tactile
-Optical Sensing and Optical Flow Computation" (IEEE Robotics and Automation Letters).
-
-The smoothness weight alpha has the unit of a brightness difference, so it means nothing before the scale of
-brightness is fixed: here black is 0 and the greatest value of the image's type is 1.
-
-Between TacTip frames the result agrees with the equations in double precision to 5e-6 px. It releases the
-interpreter's lock, so that the pairs of a sequence may be shared by threads; see `flow_sequence`.
-
-Brightness is linear between two images only for motion of about a pixel. On an image shrunk to a few pixels
-all motion is that small; each finer image is then first warped by the flow found so far, so that only the
-remainder must be found. Smoothness is asked of the whole flow, not of the remainder: with (u0, v0) the flow
-that warped, E_x (u - u0) + E_y (v - v0) + E_t = 0. Between warps a median takes out what single pixels claim.
+E_x, E_y, E_t are means of four differences on the cube of two frames, half a pixel right of and below their
+pixel. Black is 0 and the greatest value of the image's type is 1, which fixes the unit of alpha. Information
+travels one pixel an iteration: use at least as many as the widest even patch has pixels (26 px TacTip pins).
+Coarse to fine, each image is warped by the flow so far, smoothness holds for the whole flow, and a median
+filters it between warps. Kernels release the GIL.
 
 References: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
 doi:10.1016/0004-3702(81)90024-2, sections 7 and 8; for warps and median, D. Sun,
@@ -49,11 +34,7 @@ FlowField = Float32[ndarray, "2 h w"]
 
 
 def brightness(image: Grey) -> Float[ndarray, "h w"]:
-    """The image in double precision, black 0 and white 1.
-
-    Raises:
-        ImageError: not a grey image of 8 or 16 bits, nor one of floats in [0, 1].
-    """
+    """The image in double precision, black 0 and white 1."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 2:
         raise ImageError(
@@ -83,7 +64,7 @@ class HornSchunck:
     """Settings of the flow; the defaults are those of the TacTip report.
 
     Attributes:
-        alpha: weight of smoothness, in units of brightness (white is 1) a pixel.
+        alpha: Smoothness weight [brightness/px], white being 1.
         iterations: Jacobi steps from no motion.
     """
 
@@ -136,20 +117,15 @@ def flow(
     about: FlowField | None = None,
     mask: Bool[ndarray, "h w"] | None = None,
 ) -> FlowField:
-    """Flow from the first image to the second, which was perhaps warped.
+    """Return the flow (u along columns, v along rows) from the first image to the second [px/frame].
+
+    Motion beyond about a pixel is underestimated, because brightness is taken as linear between the images.
 
     Args:
-        first, second: grey images of one size and type; see `brightness`.
-        settings: weight of smoothness and number of iterations.
-        about: the flow that the second image was warped by, where the iterations start; None for none.
-        mask: where the second image shows something; elsewhere only smoothness speaks.
-
-    Returns:
-        u (along columns) and v (along rows, downwards) [px/frame]. Motion beyond a pixel or so is
-        under-estimated: brightness is taken as linear between the two images.
-
-    Raises:
-        ImageError, InputError: images that cannot be read as a pair.
+        first, second: Gray images of one size and type.
+        settings: Smoothness and iterations.
+        about: Flow that the second image was warped by, where the iterations start.
+        mask: Pixels where the second image is valid; elsewhere only smoothness counts.
 
     Example:
         >>> still = np.zeros((20, 20), np.uint8)
@@ -202,14 +178,13 @@ Levels = Float32[ndarray, "_ _"]  # of any size: each level has its own
 
 @dataclass(frozen=True)
 class CoarseToFine:
-    """Settings.
+    """Settings of the coarse-to-fine flow.
 
     Attributes:
-        horn_schunck: of every warp on every level.
-        shrink: each coarser image's size over that of the finer.
-        smallest_px: the coarsest image is at least as high and wide.
-        warps: on each level.
-        median_px: width of the median of the flow between warps, 3 or 5; 1 for none.
+        shrink: Size ratio of a coarser image to the finer one.
+        smallest_px: Least side of the coarsest image.
+        warps: Number of warps on each level.
+        median_px: Width of the median filter between warps, 3 or 5; 1 for none.
     """
 
     horn_schunck: HornSchunck = WARPED
@@ -259,7 +234,6 @@ def _pyramid(first: Grey, second: Grey, settings: CoarseToFine) -> list[tuple[Le
 
 
 def _enlarged(coarse: Float32[ndarray, "2 _ _"], shape: tuple[int, ...]) -> FlowField:
-    """A flow on a finer image, in its pixels."""
     h, w = shape
     per_axis = (w / coarse.shape[2], h / coarse.shape[1])
     return np.stack(

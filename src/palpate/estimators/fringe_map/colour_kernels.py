@@ -1,8 +1,7 @@
-"""Compiled loops of `colour_order`, which alone calls them: orders that a colour allows, and the choice.
+"""Compiled loops of `colour_order`: orders that a color allows, and the choice among them.
 
-Light and table are in standard deviations of the noise, ``[pixels 3]`` and ``[3 rows]``. The misfit of a
-pixel to a row of the table is their squared distance; each of its valleys along the rows is an order that
-the colour allows.
+Light ``[pixels 3]`` and table ``[3 rows]`` are in standard deviations of the noise. Each local minimum of a
+pixel's squared distance along the rows is an order that the color allows.
 """
 
 from typing import no_type_check
@@ -137,10 +136,7 @@ def _worthwhile(row, chi, count):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def by_scan(light, table, free):
-    """The same by setting each colour against every row: the plain way.
-
-    `free`: each pixel's visibility is free, up to 1.
-    """
+    """Find the same by comparison with every row; `free`: each pixel's visibility is free, up to 1."""
     pixels, rows = light.shape[0], table.shape[1]
     row = np.zeros((pixels, KEPT), np.int16)
     chi = np.zeros((pixels, KEPT), np.float32)
@@ -213,16 +209,15 @@ def _along(cost, row, count, inside, give, width, columns, total):
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def choose(row, chi, count, inside, weight, before, give, follow, width):
-    """Choose one order for each pixel, by its colour and by all others' through rows and columns.
+    """Choose one order for each pixel by its color and by all others through rows and columns.
 
-    The costs are the exact least ones of all choices on two trees: the pixel's column with all rows, and its
-    row with all columns. Neighbours' orders are apart at (difference / standard deviation)^2 / 2 and never at
-    more than `BOUND`. One tree alone would let a line of pixels, all of a colour that two orders share,
-    outvote what stands on its two sides.
+    Costs are exact minima on two trees: the pixel's column with all rows, and its row with all columns.
+    Neighbors cost (difference / standard deviation)^2 / 2, at most `BOUND`; one tree alone would let a line
+    of pixels outvote its sides.
 
-    Args: `row`, `chi` ``[pixels k]``, `count` and `inside` ``[pixels]``; `weight`, what the misfit counts;
-    `before`, rows of the frame before, -1 without; `give` and `follow`, 1 / (2 variance) of the difference
-    between neighbours and between frames, in rows; `width` of the image.
+    Args: `row`, `chi` ``[pixels k]``, `count` and `inside` ``[pixels]``; `weight` of the misfit; `before`,
+    rows of the previous frame, -1 without; `give` and `follow`, 1 / (2 variance) of the difference between
+    neighbors and between frames, in rows; `width` of the image.
 
     Returns: the index chosen, -1 outside, and the second's lag behind it.
     """
@@ -280,10 +275,7 @@ def _disown(row, at, give, width, lead):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def read_off(light, table, row, at, weight, step, floor, freedom, free):
-    """Order between the rows, its standard deviation, and the misfit over its freedom; NaN where none.
-
-    Where the valley does not close within `REACH`, the standard deviation is `OPEN`.
-    """
+    """Return the order between rows, its standard deviation (`OPEN` if unbounded), and reduced misfit."""
     pixels, rows = light.shape[0], table.shape[1]
     order = np.full(pixels, np.nan, np.float32)
     sigma = np.full(pixels, np.nan, np.float32)

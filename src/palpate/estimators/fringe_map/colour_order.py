@@ -1,14 +1,9 @@
-"""Fringe order of every pixel from its colour (RGB photoelasticity), with its uncertainty, frame by frame.
+"""Fringe order of every pixel from its color (RGB photoelasticity), with its uncertainty, frame by frame.
 
-Each pixel is set against a `ColourTable`. Several orders have nearly the same colour, so every valley of the
-misfit is kept, found by an index over the colours, and one is chosen for each pixel by its misfit and by
-continuity with its neighbours: the least costs of all choices on the tree of the pixel's column and all rows,
-in which no single neighbour can argue for more than a bounded likelihood. No place needs to be known and no
-path is followed, so an error does not spread. The order lies between the table's rows, by the misfit's
-parabola or, where it is wide, by its mean; its standard deviation is the misfit's width.
-
-It takes a dark field without isoclinics: circular polarisers. In a plane polariscope light falls with the
-axis as well; there each pixel's visibility may be left free, which is slower and tells less.
+Each pixel is compared with a `ColourTable`. Every local minimum of the misfit is kept, and one is chosen by
+misfit and by bounded continuity with its neighbors, so that errors do not spread along a path. The order is
+interpolated by the misfit's parabola or mean; its standard deviation is the misfit's width. It needs a dark
+field with circular polarizers; in a plane polariscope each pixel's visibility may be left free.
 
 References: A. Ajovalasit, S. Barone and G. Petrucci, Towards RGB photoelasticity: full-field automated
 photoelasticity in white light, Experimental Mechanics 35 (1995) 193; K. Ramesh,
@@ -49,20 +44,17 @@ NO_PIXEL = "no pixel is inside the mask; it is true (an image: not black) where 
 
 
 class ColourReader:
-    """Reads the fringe orders of frames of one camera, one by one.
+    """Read the fringe orders of the frames of one camera.
 
     Args:
-        table: colours of the orders.
-        noise: of the frames' light; by default measured in the first frame.
-        white: linear light of the unloaded specimen between parallel polarisers, by pixel or by channel; the
-            table then says 1 where all of it passes. By default 1.
-        leak: linear light of each channel that crossed polarisers let pass; by default 0.
-        mask: where the specimen is.
-        tone: of 8-bit frames.
-        isoclinics: the polariscope is plane, and each pixel's visibility is free.
-
-    Raises:
-        InputError: a white image or a leak that does not fit.
+        table: Colors of the orders.
+        noise: Noise of the light; measured in the first frame by default.
+        white: Linear light of the unloaded specimen between parallel polarizers, by pixel or channel (default
+            1).
+        leak: Linear light of each channel through crossed polarizers (default 0).
+        mask: Pixels of the specimen.
+        tone: Tone curve of 8-bit frames.
+        isoclinics: The polariscope is plane, and each pixel's visibility is free.
 
     Example:
         >>> from palpate.estimators.fringe_light import white_led
@@ -109,17 +101,7 @@ class ColourReader:
     def read(
         self, image: UInt8[ndarray, "h w *c"] | Float[ndarray, "h w *c"], before: OrderMap | None = None
     ) -> OrderMap:
-        """Orders of one frame.
-
-        Args:
-            image: 8-bit codes, or linear light.
-            before: of the frame before, with which this one is then taken to go on; where orders moved by
-                more than half of one between the two, its word is bounded and colours win.
-
-        Raises:
-            InputError: grey, of another size than mask, white image or the frame before, not finite,
-                saturated throughout, without light in a channel, or with channels in another order.
-        """
+        """Return the orders of a frame of 8-bit codes or linear light; `before` is the previous result."""
         self._check_shape(image, before)
         size = image.shape[:2]
         inside = np.ones(size, bool) if self.mask is None else self.mask

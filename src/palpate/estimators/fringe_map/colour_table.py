@@ -1,8 +1,7 @@
-"""The colour of every fringe order: from spectra, or measured on a specimen whose orders are known.
+"""Color of every fringe order: from spectra, or measured on a specimen of known orders.
 
-A measured table needs no spectra: one photograph of a beam in bending, or of a disc, in the same lamp, camera
-and exposure holds every colour up to its greatest order. Its pixels' light is gathered by their order and
-smoothed by local parabolas.
+A measured table needs one photograph of a beam in bending or of a disk in the same lamp, camera, and
+exposure; light is gathered by order and smoothed by local parabolas.
 """
 
 from __future__ import annotations
@@ -37,10 +36,9 @@ class ColourTable:
     """Linear light of each channel at orders 0, 0.01, 0.02, ...
 
     Attributes:
-        light: by order and channel, 1 where a camera (or what it is divided by) is full.
-        source: in words.
-        error: standard deviation of an entry.
-        guard: rows at its end that only show what lies beyond.
+        light: Light by order and channel, 1 at full scale.
+        error: Standard deviation of an entry.
+        guard: Rows at the end that only show what lies beyond.
     """
 
     light: Float[ndarray, "n 3"]
@@ -72,7 +70,6 @@ class ColourTable:
 
     @property
     def order(self) -> Float[ndarray, " n"]:
-        """Orders of the rows."""
         return STEP * np.arange(len(self.light))
 
     @property
@@ -81,16 +78,9 @@ class ColourTable:
         return STEP * (len(self.light) - 1 - self.guard)
 
     def unguarded(self) -> ColourTable:
-        """The same without its guard."""
         return self if not self.guard else replace(self, light=self.light[: -self.guard], guard=0)
 
     def write(self, path: Path) -> None:
-        """Write it as CSV.
-
-        Raises:
-            ExistsError: `path` exists.
-            StorageError: the disk refused.
-        """
         one = self.unguarded()
         columns = {"order": one.order.round(6), **dict(zip(CHANNELS, one.light.T.round(6), strict=True))}
         columns["error"] = np.full(len(one.light), round(self.error, 6))
@@ -99,12 +89,7 @@ class ColourTable:
 
 
 def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float = 0.0) -> ColourTable:
-    """The table of a lamp and a camera whose spectra are known or assumed; 1 where all light passes.
-
-    Raises:
-        InputError: one wavelength, whose light repeats itself each order.
-        RangeError: greatest order out of range.
-    """
+    """The table of a lamp and a camera whose spectra are known or assumed; 1 where all light passes."""
     if not MIN_ORDER <= greatest_order <= MAX_ORDER:
         raise RangeError(
             f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}", code="order-range"
@@ -116,18 +101,12 @@ def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float
 def measured_table(
     light: Float[ndarray, "h w 3"], order: Float[ndarray, "h w"], source: str = "the calibration image"
 ) -> ColourTable:
-    """The table of a frame whose orders are known.
+    """Return the table of a frame of known orders, from order 0 to the first gap.
 
     Args:
-        light: linear light.
-        order: N of each pixel; not a number where it is not known. Signs do not count.
-        source: in words.
-
-    Returns:
-        The table from order 0 to the last before which no gap lies. Its error is the greatest of a row.
-
-    Raises:
-        InputError: shapes differ, light that is no number, or orders that do not begin near 0.
+        light: Linear light.
+        order: N of each pixel, of any sign; NaN if unknown.
+        source: Origin in words.
     """
     if light.shape[:2] != order.shape or not np.isfinite(light).all():
         raise InputError(
@@ -161,12 +140,7 @@ def measured_table(
 
 @parser("color table", InputError, max_bytes=MAX_ARRAY_BYTES)
 def read_table(path: PathText) -> ColourTable:
-    """Read a table from CSV with the columns order, red, green and blue, and perhaps error.
-
-    Raises:
-        LabelError: it is no such table.
-        InputError: its orders do not rise from 0, or show nothing.
-    """
+    """Read a table from CSV with the columns order, red, green and blue, and perhaps error."""
     table = read_labels(Path(path))
     missing = [c for c in ("order", *CHANNELS) if c not in table]
     if missing:
@@ -194,16 +168,13 @@ def line_orders(
     orders: tuple[float, float],
     width_px: float,
 ) -> Float[ndarray, "h w"]:
-    """Orders of a strip along a line on which they change evenly, as across a beam in pure bending.
+    """Return the orders of a strip on which they change evenly, as across a beam in pure bending.
 
     Args:
-        shape: height and width of the image [px].
-        line_px: x and y of its beginning and of its end [px].
-        orders: at both; of two signs where the neutral line lies between.
-        width_px: of the strip [px].
-
-    Raises:
-        InputError: a line of no length or outside the image, or orders that are the same.
+        shape: Height and width of the image [px].
+        line_px: x and y of both ends [px].
+        orders: Orders at both ends, of opposite sign around a neutral line.
+        width_px: Width of the strip [px].
     """
     x0, y0, x1, y1 = line_px
     length = float(np.hypot(x1 - x0, y1 - y0))
@@ -222,15 +193,12 @@ def line_orders(
 def disc_orders(
     shape: tuple[int, int], disc_px: tuple[float, float, float], at_centre: float
 ) -> Float[ndarray, "h w"]:
-    """Orders of a disc pressed from top to bottom, by the closed form of its stress.
+    """Return the orders of a diametrically compressed disk by the closed form of its stress.
 
     Args:
-        shape: height and width of the image [px].
-        disc_px: x and y of its centre, and its diameter [px].
-        at_centre: N there, 8 C P / (pi D lambda).
-
-    Raises:
-        InputError: a disc outside the image, or no order.
+        shape: Height and width of the image [px].
+        disc_px: x and y of its center, and its diameter [px].
+        at_centre: N at the center, 8 C P / (pi D lambda).
     """
     x0, y0, diameter = disc_px
     h, w = shape

@@ -18,12 +18,7 @@ MIN_PIXELS = 1000
 
 @dataclass(frozen=True, slots=True)
 class FrameNoise:
-    """Variance of the light v of a pixel: read^2 + shot v.
-
-    Attributes:
-        read: standard deviation in the dark [light 1].
-        shot: variance that light adds [light 1].
-    """
+    """Variance of a pixel's light v: read^2 + shot v."""
 
     read: float
     shot: float = 0.0
@@ -49,13 +44,7 @@ class FrameNoise:
 
 
 def measured_noise(light: Float[ndarray, "h w c"]) -> FrameNoise:
-    """Noise of one frame, by second differences along its rows at each light; slow changes drop out.
-
-    Fringes as narrow as a few pixels, and JPEG, make it wrong: the one too great, the other too small.
-
-    Raises:
-        InputError: fewer than 1000 pixels.
-    """
+    """Return the noise by second differences along rows; narrow fringes and JPEG bias it."""
     # Light is that of other pixels than those whose difference is taken: else noise would sort itself.
     middle = ((light[:, 4:] + light[:, :-4]) / 2).reshape(-1)
     bent = (light[:, 3:-1] - 2 * light[:, 2:-2] + light[:, 1:-3]).reshape(-1) ** 2 / SECOND_DIFFERENCE

@@ -14,12 +14,11 @@ SATURATED = 254  # code from which a channel may hold more light than it says
 
 
 class Untold(IntEnum):
-    """Why a pixel's order is not told; 0 where it is.
+    """Why a pixel's order is not identified; 0 if it is.
 
-    `OUTSIDE` of the mask. `SATURATED` in some channel or frame. `UNLIKE`: its light belongs to no order of
-    the calibration. `RIVAL`: another order is nearly as likely, or its neighbours' are others. `FAINT`:
-    noise leaves a standard deviation above a quarter order. `BEYOND`: at the end of the calibrated orders.
-    `APART`: no path of small steps leads from it to the place whose order is known.
+    `OUTSIDE` of the mask. `SATURATED` in a channel or frame. `UNLIKE`: no order has its light. `RIVAL`:
+    another order is nearly as likely. `FAINT`: standard deviation above a quarter order. `BEYOND`: at the end
+    of the calibrated orders. `APART`: no path of small steps leads to the known position.
     """
 
     TOLD = 0
@@ -38,13 +37,12 @@ class OrderMap:
     """Fringe order by pixel.
 
     Attributes:
-        order: N; not a number where nothing was chosen.
-        sigma: its standard deviation, given that the choice is right.
-        lead: natural log of the likelihood of the choice over the next one, neighbours included; 0 to 50.
-        axis_rad: of the larger index from x towards y, where phases tell it, pi/2 apart being across; not a
-            number from colour.
-        misfit: squared misfit over its freedom; about 1 where noise explains it.
-        why: why it is not told, of `Untold`; 0 where it is.
+        order: N; NaN if none was chosen.
+        sigma: Standard deviation of N, given that the choice is right.
+        lead: Log likelihood ratio of the choice to the next one, 0 to 50.
+        axis_rad: Axis of the larger index from x towards y; NaN from color.
+        misfit: Reduced squared misfit; about 1 if noise explains it.
+        why: Reason of `Untold`; 0 if valid.
     """
 
     order: Float32[ndarray, "h w"]
@@ -56,7 +54,6 @@ class OrderMap:
 
     @property
     def valid(self) -> Bool[ndarray, "h w"]:
-        """The order is told there."""
         return np.asarray(self.why == Untold.TOLD)
 
     def summary(self) -> dict[str, float | dict[str, float] | None]:

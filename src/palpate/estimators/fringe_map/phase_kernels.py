@@ -15,9 +15,9 @@ def unwrap(order, axis, clear, quality, seed, give, turned):
     """Choose one order for each pixel, from the seed outwards, surest pixels first.
 
     Args: `order` ``[h w k]``, NaN where there is none, and its doubled `axis` as cosine and sine ``[h w k
-    2]``; `clear`, how much an axis counts, 0 to 1; `quality`, negative where nothing is; `seed`, row, column
-    and candidate; `give`, the standard deviation of the difference between neighbours; `turned`, what an
-    axis at a right angle costs.
+    2]``; `clear`, weight of an axis, 0 to 1; `quality`, negative where nothing is; `seed`, row, column, and
+    candidate; `give`, standard deviation of the difference between neighbors; `turned`, cost of a
+    perpendicular axis.
 
     Returns: the index chosen, -1 where none was reached, and the second best's lag behind it.
     """

@@ -1,21 +1,12 @@
-"""Fringe order and axis of every pixel from frames of one wavelength: six steps, or a polarisation camera.
+"""Fringe order and axis of every pixel from frames of one wavelength: six steps, or a polarization camera.
 
-Circularly polarised light leaves a retarder of order N and axis theta with the normalised Stokes vector
+Circularly polarized light leaves a retarder of order N and axis theta with the normalized Stokes vector
 
     s = (-sin 2pi N sin 2theta, sin 2pi N cos 2theta, cos 2pi N),
 
-up to the handedness. Six steps measure all of it, and N up to folds at half orders, since (N, theta) and
-(-N, theta + pi/2) are one retarder; a polarisation camera's four frames give the first two, and N up to folds
-at quarter orders as well. What unfolds both is continuity of N and of theta from a place whose order is
-known.
-
-Past a quarter order a polarisation camera cannot tell rising from falling, since the axis stays: its frames
-are read below a quarter only.
-
-A pixel is not told where saturated, where the Stokes vector is not that of full contrast (more than one
-retarder along the ray, or light that is not of this polariscope), where another choice is nearly as good, or
-where no path of small steps leads to the known place. The standard deviation is by the noise that the frames
-themselves show, as there are more of them than unknowns.
+up to handedness. Six steps measure all of it, N up to folds at half orders; a polarization camera gives the
+first two components and folds at quarter orders, below which it is read. Continuity from a position of known
+order unfolds N and theta. The standard deviation comes from the redundancy of the frames.
 
 References: E. A. Patterson and Z. F. Wang, Towards full field automated photoelastic analysis of complex
 components, Strain 27 (1991) 49; K. Ramesh, T. Kasimayan and B. Neethi
@@ -34,11 +25,10 @@ from palpate.estimators.fringe_map.order_map import MAX_SIGMA, SATURATED, OrderM
 from palpate.estimators.fringe_map.phase_kernels import unwrap
 from palpate.optics.colour import Tone, linear_light
 
+# analyzers of the six steps: circular, equal and opposite to the light, and linear at 0, 45, 90, 135 degrees
 SIX_STEPS = np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
-"""Analysers of the six steps: circular, alike and opposite to the light, and linear at 0, 45, 90, 135
-degrees."""
+# analysers of a polarisation camera: linear at 0, 45, 90 and 135 degrees
 CAMERA = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
-"""Analysers of a polarisation camera: linear at 0, 45, 90 and 135 degrees."""
 
 GIVE = 0.08  # standard deviation of the difference between neighbouring pixels [orders]
 TURNED = 20.0  # natural log of the likelihood: an axis at a right angle to its neighbours'
@@ -67,19 +57,15 @@ def order_from_phases(
     mask: Bool[ndarray, "h w"] | None = None,
     saturated: Bool[ndarray, "h w"] | None = None,
 ) -> OrderMap:
-    """Order and axis of every pixel from frames of one wavelength behind known analysers.
+    """Return order and axis of every pixel from frames of one wavelength behind known analyzers.
 
     Args:
-        frames: linear light of each.
-        analysers: Stokes vector of each analyser without its intensity, `SIX_STEPS` or `CAMERA`.
-        reference: row, column and order of one place; phases do not tell whole orders.
-        greatest_order: up to which orders are looked for; a quarter with four frames.
-        mask: where the specimen is.
-        saturated: where any frame is.
-
-    Raises:
-        InputError: frames that are not finite, dark, or do not belong to the analysers, or a reference that
-            is outside, or where phases fold.
+        frames: Linear light of each.
+        analysers: Stokes vector of each analyzer without its intensity, `SIX_STEPS` or `CAMERA`.
+        reference: Row, column, and order of one position.
+        greatest_order: Greatest order searched; a quarter with four frames.
+        mask: Pixels of the specimen.
+        saturated: Pixels saturated in any frame.
     """
     n, h, w = frames.shape
     A = _matrix(n, analysers)
@@ -138,13 +124,12 @@ def order_from_phases(
 
 
 class CameraReader:
-    """Reads the raw frames of a polarisation camera one by one, below a quarter order.
+    """Read the raw frames of a polarization camera one by one, below a quarter order.
 
     Args:
-        reference: row, column and order of one place of the first frame, in pixels of the result, each of
-            which is two by two of the raw frame.
-        mask: where the specimen is.
-        tone: of the frames; polarisation cameras are linear.
+        reference: Row, column, and order of one position of the first frame, in 2 by 2 raw pixels.
+        mask: Pixels of the specimen.
+        tone: Tone curve of the frames.
     """
 
     def __init__(
@@ -157,12 +142,7 @@ class CameraReader:
         self.reference, self.mask, self.tone = reference, mask, tone
 
     def read(self, image: UInt8[ndarray, "h2 w2"], before: OrderMap | None = None) -> OrderMap:
-        """Orders of one frame; after a frame before, from a place that it tells well, if it tells any.
-
-        Raises:
-            InputError: a frame in colour, of odd size, dark, or that does not fit the place whose order is
-                known.
-        """
+        """Orders of one frame; after a frame before, from a place that it tells well, if it tells any."""
         place = self.reference if before is None or not before.valid.any() else best_place(before)
         frames = split_mosaic(image)
         burnt = np.asarray(frames.max(axis=0) >= SATURATED)
@@ -172,11 +152,7 @@ class CameraReader:
 
 
 def best_place(found: OrderMap) -> tuple[int, int, float]:
-    """A place for a reference: told, and where phases tell their branch best.
-
-    Raises:
-        InputError: nothing is told.
-    """
+    """A place for a reference: told, and where phases tell their branch best."""
     if not found.valid.any():
         raise InputError("no pixel of the map before is told; give the order of a place of this frame")
     fold = np.abs(np.where(found.valid, found.order, 0.0) % QUARTER - QUARTER / 2)
@@ -185,14 +161,7 @@ def best_place(found: OrderMap) -> tuple[int, int, float]:
 
 
 def split_mosaic(raw: UInt8[ndarray, "h w"]) -> UInt8[ndarray, "4 h2 w2"]:
-    """Frames at 0, 45, 90 and 135 degrees of a polarisation camera's raw frame, each half as large.
-
-    Polarisers are taken to repeat as 90, 45 over 135, 0. The four lie half a pixel of the result apart, which
-    counts where fringes are only a few pixels wide.
-
-    Raises:
-        InputError: an odd size, or a frame in colour.
-    """
+    """Return the 0, 45, 90, and 135 degree frames of a mosaic (90, 45 over 135, 0), half as large."""
     if raw.ndim != 2 or raw.shape[0] % 2 or raw.shape[1] % 2:
         raise InputError(f"a raw frame of a polarisation camera is grey and of even size, not {raw.shape}")
     return np.stack([raw[1::2, 1::2], raw[::2, 1::2], raw[::2, ::2], raw[1::2, ::2]])
@@ -238,9 +207,7 @@ def _greatest_step(s: Float32[ndarray, "3 h w"], window: int) -> Float32[ndarray
 def _folded(
     s: Float32[ndarray, "3 p"], sine: ndarray, error: ndarray, whole: bool, greatest: float
 ) -> tuple[Float32[ndarray, "p k"], Float32[ndarray, "p k 2"], Float32[ndarray, " p"]]:
-    """Orders and doubled axes (cosine and sine) that each Stokes vector allows, and the standard "
-    "deviation.
-    """
+    """Orders and doubled axes (cosine, sine) that each Stokes vector allows, and standard deviations."""
     phase = np.arctan2(sine, s[2]) if whole else np.arcsin(np.minimum(sine, 1.0))
     share = phase / (2 * np.pi)
     unit = np.stack([s[1], -s[0]], axis=1) / np.maximum(sine, 1e-9)[:, None]

@@ -1,12 +1,7 @@
 """Order of color channels: whether a frame has red where the calibration's frames have blue.
 
-The difference of red and blue is compared, pixel by pixel, with that of the picture rebuilt from the
-calibration's
-frames: as it is, and after its linear regression on brightness, since another lamp changes it in proportion
-    to
-brightness or by a constant. Channels are exchanged only where both comparisons agree and the frame, exchanged
-back, is like those calibrated on (see `NoveltyDetector.judge`). Between lamps that face each other a mirrored
-picture is one with exchanged channels, which is refused without a name.
+Red less blue is compared with that of the reconstruction from calibration frames, before and after regression
+on brightness (another lamp). Both must agree, and the frame exchanged back must be typical.
 """
 
 from __future__ import annotations
@@ -15,23 +10,17 @@ import numpy as np
 
 from palpate.core import Float, Float32
 
+# of the frame's difference of red and blue on that of its reconstruction: 1 is the same, -1 exchanged
 MAX_SLOPE = -0.3
-"""Of the frame's difference of red and blue on that of its reconstruction: 1 is the same, -1 exchanged."""
-MAX_CORRELATION = -0.3
-"""Between both after brightness is taken out."""
+MAX_CORRELATION = -0.3  # between both after brightness is taken out
+# root mean square of what remains then, below which a picture has too little colour to tell
 MIN_COLOUR_GREY_LEVELS = 1.0
-"""Root mean square of what remains then, below which a picture has too little colour to tell."""
 
 Picture = Float32[np.ndarray, "h w c"]
 
 
 def channels_exchanged(picture: Picture, rebuilt: Picture) -> bool:
-    """Whether red and blue of a picture seem exchanged; never of a grey one, which cannot tell.
-
-    Args:
-        picture: of a frame, with one channel or with three [grey levels].
-        rebuilt: the same as frames of the calibration would make it.
-    """
+    """Whether red and blue seem exchanged relative to the reconstruction [gray levels]."""
     if picture.shape[2] != 3:
         return False
     seen, known = _red_less_blue(picture), _red_less_blue(rebuilt)

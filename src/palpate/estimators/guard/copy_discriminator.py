@@ -1,8 +1,4 @@
-"""Discriminator of two sensor units: the one adapted to, and the one that the network came from.
-
-An adapted calibration knows frames of both units, so that its novelty detector passes both. Their thumbnails
-differ most along Fisher's discriminant axis: 0 is the mean of the unit adapted to, and 1 that of the former.
-"""
+"""Discriminator of sensor units along Fisher's axis: 0 is the unit adapted to, 1 the former."""
 
 from __future__ import annotations
 
@@ -20,12 +16,11 @@ from palpate.estimators.guard.novelty import Prepared, thumbnail
 
 @dataclass(frozen=True, slots=True)
 class CopyDiscriminator:
-    """Judge of which copy an image is of.
+    """Discriminator of sensor units.
 
     Attributes:
-        axis: of flat thumbnails ``[k]`` [per grey level].
-        offset: what is taken off, so that the mean of the copy adapted to lies at 0.
-        limit: place on the axis beyond which an image is taken for one of the former copy.
+        axis: Weights of flat thumbnails ``[k]`` [per gray level].
+        limit: Position beyond which an image is assigned to the former unit.
     """
 
     axis: Float[np.ndarray, " k"]
@@ -41,21 +36,12 @@ class CopyDiscriminator:
         return self.place(prepared) > self.limit
 
     def save(self, path: Path) -> None:
-        """Write it as plain arrays."""
         np.savez_compressed(path, axis=self.axis, offset=self.offset, limit=self.limit)
 
     @classmethod
     @parser("copy discriminator", CertificateError, max_bytes=MAX_ARRAY_BYTES)
     def load(cls, path: Path, size: int) -> CopyDiscriminator:
-        """Read what `save` wrote.
-
-        Args:
-            path: the file.
-            size: values of a thumbnail, k.
-
-        Raises:
-            CertificateError: it is no such file, or of thumbnails of another size.
-        """
+        """Read what `save` wrote, for thumbnails of `size` values."""
         try:
             arrays = read_arrays(path)
             axis, offset, limit = (arrays[name] for name in ("axis", "offset", "limit"))

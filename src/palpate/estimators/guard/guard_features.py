@@ -1,8 +1,7 @@
-"""Features of an image for focus, geometry and light, for which a thumbnail is too coarse.
+"""Features of an image for focus, geometry, and light.
 
-Differences between neighboring pixels in four orientations and several octaves (power in bands, and edges),
-grey levels, rows and columns, and number, size and positions of markers; registration of a thumbnail on the
-mean one by gradients for shift, turn and zoom (Lucas and Kanade, IJCAI 1981, p. 674).
+Band powers and edges from pixel differences, gray levels, rows and columns, markers, and registration of a
+thumbnail on the mean one by gradients for shift, turn, and zoom (Lucas and Kanade, IJCAI 1981, p. 674).
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ from palpate.core import Float, Float32, UInt8
 OCTAVES = 4
 MAX_MARKER_SIDE_PX = 240  # longer side of the image that markers are found in
 MAX_COUNTED_PIXELS = 2**17  # for grey levels; of larger images every second row or fewer are counted
-LOCAL_FEATURES = 8
-"""Features of a thumbnail beside its neighbours, the last ones."""
+LOCAL_FEATURES = 8  # features of a thumbnail beside its neighbours, the last ones
 FLOOR = 0.02  # grey levels, below which a mean says nothing
 
 Grey = UInt8[np.ndarray, "h w"]
@@ -102,7 +100,6 @@ def _profiles(grey: Grey) -> list[float]:
 
 @lru_cache(maxsize=16)
 def _along(count: int) -> Float[np.ndarray, " k"]:
-    """So many places from -1 to 1."""
     return np.linspace(-1, 1, count)
 
 
@@ -141,15 +138,11 @@ def _tints(prepared: UInt8[np.ndarray, "_ _ c"]) -> list[float]:
 
 @dataclass(frozen=True)
 class Registration:
-    """Least-squares fit of a thumbnail to a calibration's mean one, moved, lit and focused a little.
-
-    Pixels are weighted by how little they change from frame to frame.
+    """Weighted least-squares fit of a thumbnail to the calibration's mean one.
 
     Attributes:
-        mean: of the thumbnails, flat.
-        jacobian: change of each pixel with a shift along x and y, a turn, a zoom, gain, offset and blur.
-        inverse: from differences to those seven numbers.
-        weight: of each pixel.
+        jacobian: Change of each pixel with shift along x and y, turn, zoom, gain, offset, and blur.
+        inverse: Map from differences to those seven numbers.
     """
 
     mean: Float32[np.ndarray, " p"]
@@ -159,7 +152,6 @@ class Registration:
 
     @classmethod
     def fit(cls, thumbs: Float32[np.ndarray, "n h w c"]) -> Registration:
-        """From the thumbnails of a calibration."""
         grey = thumbs.mean(axis=3, dtype=np.float64)
         mean, variance = grey.mean(axis=0), grey.var(axis=0)
         jacobian = _jacobian(mean)
@@ -176,11 +168,7 @@ class Registration:
         return self._fitted(thumb.mean(axis=2).ravel() - self.mean)
 
     def local_features(self, unlike: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
-        """The same of a thumbnail less what its neighbours make of it, turn and zoom in px at the rim.
-
-        Where frames of one calibration differ much from each other, a slight change is small beside that; and
-        large beside what a frame differs from those most like it.
-        """
+        """Return the same features of a thumbnail less its reconstruction, turn and zoom in px at the rim."""
         found, side = self._fitted(unlike.mean(axis=2).ravel()), max(unlike.shape[:2])
         found[2:4] *= side / 2
         return found
@@ -208,14 +196,13 @@ def frame_features(
     registration: Registration,
     unlike: Float32[np.ndarray, "h w c"] | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """All features of a prepared image: its own, and how its thumbnail lies on the calibration's mean one.
+    """Return all features of a prepared image.
 
     Args:
-        prepared: the image.
-        thumb: its thumbnail.
-        registration: on the mean one.
-        unlike: the thumbnail less what its neighbours make of it; None where that is not asked, as by guards
-            of before.
+        prepared: Image.
+        thumb: Its thumbnail.
+        registration: Registration on the mean thumbnail.
+        unlike: Thumbnail less its reconstruction; None without local features.
     """
     parts = [image_features(prepared), registration.features(thumb)]
     return np.concatenate(parts if unlike is None else [*parts, registration.local_features(unlike)])

@@ -1,11 +1,8 @@
-"""Known changes: frames that were changed on purpose, what that cost the model, and so what to refuse.
+"""Known changes: frames changed on purpose, the wrong readings that they cause, and what to refuse.
 
-Each example (see `calibration.robustness`) keeps its features and its harm: by how much the ratio of readings
-rises whose error is beyond twice the half-width. A new frame is placed among the examples in directions in
-which changes move the features and touches do not (Fisher's discriminant,
-doi:10.1111/j.1469-1809.1936.tb02137.x), and its nearest ones predict the harm (nearest-neighbor regression:
-Stone, Ann. Stat. 5:595 (1977), doi:10.1214/aos/1176343886). Far from all examples, the thumbnail's own limit
-holds.
+A new frame is placed among the examples along directions in which changes differ from touches (Fisher's
+discriminant, doi:10.1111/j.1469-1809.1936.tb02137.x); its nearest ones predict the harm (Stone, Ann. Stat.
+5:595 (1977), doi:10.1214/aos/1176343886). Far from all examples the thumbnail's own limit holds.
 """
 
 from __future__ import annotations
@@ -19,8 +16,8 @@ from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
 from palpate.estimators.guard.guard_features import LOCAL_FEATURES, Registration
 from palpate.estimators.guard.picture_flips import FLIPS, MIRRORED
 
+# a frame is refused where the share of readings beyond twice their half-width would rise by more
 MAX_HARM = 0.01
-"""A frame is refused where the share of readings beyond twice their half-width would rise by more."""
 MAX_FALSE_REFUSALS = 0.03  # share of unchanged frames, each compared with examples of other frames
 NEIGHBOURS = 12
 DIRECTIONS = 16
@@ -42,6 +39,7 @@ class Signature:
 
 EXCHANGED = "exchanged channels"  # see `channel_order`
 
+# words for each kind, by the names of `calibration.robustness.KINDS`
 SIGNATURES: Mapping[str, Signature] = {
     "focus": Signature("a lens out of focus", "refocus the camera"),
     "softening": Signature(
@@ -58,18 +56,17 @@ SIGNATURES: Mapping[str, Signature] = {
     "dust": Signature("dust", "clean lens and skin"),
     "dead columns": Signature("dead columns of the camera", "exchange the camera"),
 }
-"""Words for each kind, by the names of `calibration.robustness.KINDS`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Judgement of a frame.
+    """Judgment of a frame.
 
     Attributes:
-        atypicality: beyond 1 the frame should not be trusted.
-        kind: the change that it resembles, a name in `SIGNATURES` or `MIRRORED`, or `EXCHANGED`; "" for none.
-        known: whether it is as near to known examples as they are to each other.
-        costs: whether it was refused for what such a change costs the model.
+        atypicality: Above 1 the frame is refused.
+        kind: Change that it resembles, a name in `SIGNATURES` or `MIRRORED`, or `EXCHANGED`; "" for none.
+        known: Whether it is as near to known examples as they are to each other.
+        costs: Whether it was refused for the harm of such a change.
     """
 
     atypicality: float
@@ -107,16 +104,15 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ChangeExamples:
-    """Frames of a calibration, as they were and changed.
+    """Frames of a calibration, unchanged and changed.
 
     Attributes:
         features: ``[m k]``, see `guard_features.frame_features`.
-        frame: number of the frame; those of one frame are never each other's neighbors.
-        kind: number of its kind among `names`, from 1; 0 where it was not changed.
-        harm: rise of the ratio of readings beyond twice their half-width.
-        novelty: of its thumbnail, over the limit that holds where no change is known.
-        names: of the kinds.
-        local: whether the features include those of the thumbnail next to its neighbors.
+        frame: Frame number; examples of one frame are never each other's neighbors.
+        kind: Number of its kind among `names`, from 1; 0 if unchanged.
+        harm: Rise of the ratio of readings beyond twice their half-width.
+        novelty: Novelty of the thumbnail over its limit.
+        local: Whether features include those of the thumbnail less its reconstruction.
     """
 
     features: Float[np.ndarray, "m k"]
@@ -128,7 +124,6 @@ class ChangeExamples:
     local: bool = False
 
     def only(self, chosen: Bool[np.ndarray, " m"]) -> ChangeExamples:
-        """Some of them."""
         return ChangeExamples(
             self.features[chosen],
             self.frame[chosen],
@@ -148,15 +143,13 @@ class ChangeExamples:
 
 @dataclass(frozen=True)
 class KnownChanges:
-    """Examples of changes, placed where new frames are compared with them.
+    """Examples of changes, positioned for comparison.
 
     Attributes:
-        registration: of thumbnails on the mean one.
-        centre, spread, axes: from features to positions ``[k]``, ``[k]``, ``[k d]``.
-        places: positions of the examples ``[m d]``.
-        spacing: distance of the third nearest example of another frame ``[m]``.
-        harm, novelty, kind, names, local: see `ChangeExamples`.
-        limits: of harm, of the spacing's ratio, of novelty among known changes, and what all is divided by.
+        centre, spread, axes: Map from features to positions ``[k]``, ``[k]``, ``[k d]``.
+        places: Positions of the examples ``[m d]``.
+        spacing: Distance of the third nearest example of another frame ``[m]``.
+        limits: Limits of harm, spacing ratio, and novelty among known changes, and the common divisor.
     """
 
     registration: Registration
@@ -173,12 +166,7 @@ class KnownChanges:
     local: bool = False
 
     def judge(self, features: Float[np.ndarray, " k"], novelty: float) -> Verdict:
-        """Judge a frame by its features and by how novel its thumbnail is.
-
-        Args:
-            features: see `guard_features.frame_features`.
-            novelty: over the limit that holds where no change is known.
-        """
+        """Judge a frame by its features and by its thumbnail's novelty over the limit."""
         at = _places(features, self.centre, self.spread, self.axes)
         away = self.places - at
         square = np.einsum("md,md->m", away, away)
@@ -210,12 +198,7 @@ class KnownChanges:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KnownChanges | None:
-        """Inverse of `arrays`; None where these hold no known changes.
-
-        Raises:
-            KeyError: a part is missing.
-            ValueError: the parts do not fit each other.
-        """
+        """Inverse of `arrays`; None where these hold no known changes."""
         if PREFIX + "places" not in arrays:
             return None
         own = {name: arrays[PREFIX + name] for name in OWN_ARRAYS}
@@ -260,12 +243,7 @@ def _ratio(away: float, spacing: np.ndarray) -> float:
 
 
 def fit_known_changes(examples: ChangeExamples, registration: Registration) -> KnownChanges:
-    """Place the examples, and set what is near and how novel harmless ones are.
-
-    Args:
-        examples: unchanged frames, and changed ones of the same.
-        registration: that their features were made with.
-    """
+    """Position the examples, and set the limits of nearness and of harmless novelty."""
     unchanged = examples.kind == 0
     centre = examples.features[unchanged].mean(axis=0).astype(np.float32)
     spread = np.maximum(examples.features[unchanged].std(axis=0), MIN_FEATURE_SPREAD).astype(np.float32)
@@ -323,13 +301,7 @@ def _spacing(places: np.ndarray, frame: np.ndarray) -> tuple[Float32[np.ndarray,
 def cross_fitted(
     examples: ChangeExamples, registration: Registration, folds: Sequence[Indices]
 ) -> list[Verdict]:
-    """Verdict on every example by known changes trained on frames of other folds.
-
-    Args:
-        examples: unchanged and changed frames.
-        registration: that their features were made with.
-        folds: frames of each, whole groups together.
-    """
+    """Return the verdict on every example by known changes trained on frames of other folds."""
     verdicts = [Verdict(np.inf)] * len(examples.frame)
     for fold in folds:
         held = np.isin(examples.frame, fold)
@@ -342,12 +314,7 @@ def cross_fitted(
 
 
 def rescaled(known: KnownChanges, unchanged: Float[np.ndarray, " n"]) -> tuple[KnownChanges, float]:
-    """The same with limits that pass all but the allowed ratio of unchanged frames, and the factor.
-
-    Args:
-        known: changes of a calibration.
-        unchanged: atypicality of its unchanged frames, cross-fitted.
-    """
+    """Return the same with limits that pass all but the allowed ratio of unchanged frames, and the factor."""
     beyond = float(np.quantile(unchanged, 1 - MAX_FALSE_REFUSALS, method="higher"))
     factor = max(1.0, beyond)
     return replace(known, limits=known.limits * np.array([1.0, 1.0, 1.0, factor])), factor

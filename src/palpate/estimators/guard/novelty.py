@@ -1,15 +1,10 @@
 """Novelty detector: distance of a new image from those that a calibration was trained on.
 
-A thumbnail of the image is rebuilt from the calibration's nearest ones, as their mean with non-negative
-weights: locations between those recorded are known as well, and two touches at once are not. The residual is
-    compared,
-block by block, with the residuals of those nearest ones when their own groups were held out (the idea of the
-local outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388; weights that rebuild a point
-from its neighbors: Roweis and Saul, Science 2000, doi:10.1126/science.290.5500.2323, here without negative
-ones).
-
-Novelty is two numbers, each with a limit; both limits together reject a stated ratio of the calibration's
-frames, each compared with other groups. Where camera changes were tested (`known_changes`), these decide.
+A thumbnail is rebuilt as the mean of its nearest calibration thumbnails with non-negative weights. Its
+residual is compared, block by block, with those of its neighbors when their groups were held out (local
+outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388; reconstruction weights: Roweis and
+Saul, Science 2000, doi:10.1126/science.290.5500.2323). Two numbers with limits reject a stated ratio of the
+calibration's frames; known camera changes (`known_changes`) decide where they were tested.
 """
 
 from __future__ import annotations
@@ -34,25 +29,22 @@ from palpate.estimators.guard.guard_features import frame_features
 from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
 from palpate.estimators.guard.picture_flips import FLIPS, flipped, told_flip, unflipped
 
-THUMBNAIL_VALUES = 1024
-"""A thumbnail holds about this many values, in one channel or in three."""
+THUMBNAIL_VALUES = 1024  # a thumbnail holds about this many values, in one channel or in three
 
 BLOCK = 3  # cells of a thumbnail along each side of a block
 NEIGHBOURS = 24
 AXES = 48  # principal axes along which neighbours are searched for
 ROWS_FOR_AXES = 3000
 RIDGE = 0.01  # of the neighbours' mean squared distance, so that near twins share their weight
+# means over a block never agree better than this: thumbnails are kept in whole grey levels
 FLOOR_GREY_LEVELS = 0.05
-"""Means over a block never agree better than this: thumbnails are kept in whole grey levels."""
 
+# greatest ratio of the red-less-blue residual, exchanged back over as it is, that counts as exchanged
 MAX_EXCHANGED_BACK = 0.75
-"""Red less blue that is unlike the neighbours', rms, of a frame with both exchanged back, over that of it
-as it is, for it to count as exchanged. Novelty asks for means of channels, which both may share."""
+# greatest ratio of a mirrored frame's residual to that of an exchanged one at which it may be mirrored
 MAX_MIRRORED = 1.1
-"""The same of a frame that is mirrored back, over that of one with both exchanged back, up to which it may as
-well be mirrored: between two lamps that face each other both are one picture."""
+# least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else
 EXCHANGED_ATYPICALITY = 2.0
-"""Least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else."""
 
 Prepared = UInt8[np.ndarray, "_ _ c"]
 Thumbnail = Float32[np.ndarray, "h w c"]
@@ -76,12 +68,12 @@ def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
 
 @dataclass(frozen=True)
 class NeighbourModel:
-    """Thumbnails of a calibration, and the residual of each when it was rebuilt from other groups.
+    """Thumbnails of a calibration, and the residual of each when rebuilt from other groups.
 
     Attributes:
-        thumbs: in whole grey levels.
-        residual: its squared means over blocks, and then over all of each channel ``[n m]``.
-        centre, axes: of the space that neighbors are searched in ``[k]``, ``[k a]``.
+        thumbs: Whole gray levels.
+        residual: Squared means over blocks, then over each channel ``[n m]``.
+        centre, axes: Space of the neighbor search ``[k]``, ``[k a]``.
     """
 
     thumbs: Kept
@@ -94,7 +86,6 @@ class NeighbourModel:
         return self.novelty_of(self.reconstruct(thumb), thumb.shape[2])
 
     def novelty_of(self, rebuilt: Reconstruction, channels: int) -> Float[np.ndarray, " 2"]:
-        """The same of a thumbnail that was rebuilt."""
         return _ratios(rebuilt.residual, _expected_residual(self.residual[rebuilt.rows]), channels)
 
     def reconstruct(self, thumb: Thumbnail) -> Reconstruction:
@@ -112,7 +103,6 @@ class NeighbourModel:
         return Reconstruction(rows, residual, -error.reshape(thumb.shape))
 
     def among(self, rows: Indices) -> NeighbourModel:
-        """A model of some of the thumbnails alone."""
         return replace(self, thumbs=self.thumbs[rows], residual=self.residual[rows])
 
     @cached_property
@@ -138,12 +128,12 @@ def arrays_fit(thumbs: np.ndarray, residual: np.ndarray, centre: np.ndarray, axe
 
 
 class Reconstruction(NamedTuple):
-    """A thumbnail rebuilt from its neighbours.
+    """Thumbnail rebuilt from its neighbors.
 
     Attributes:
-        rows: of the neighbours.
-        residual: squared means, as in `NeighbourModel.residual`.
-        unlike: the thumbnail less what its neighbours make of it.
+        rows: Neighbors.
+        residual: Squared means, as in `NeighbourModel.residual`.
+        unlike: Thumbnail less its reconstruction.
     """
 
     rows: Int[np.ndarray, " r"]
@@ -153,12 +143,7 @@ class Reconstruction(NamedTuple):
 
 @dataclass(frozen=True)
 class RenderedImages:
-    """Images that a model has learnt from besides the recorded ones, such as rendered ones.
-
-    Attributes:
-        thumbs: thumbnails, prepared as the recorded ones are.
-        groups: those of one group, such as one press, are held out together.
-    """
+    """Thumbnails of further training images, such as rendered ones, held out by group."""
 
     thumbs: Kept
     groups: Int[np.ndarray, " n"]
@@ -169,18 +154,11 @@ class LearnsFromRendered(Protocol):
     """A fitted model that learnt from such images."""
 
     @property
-    def rendered_images(self) -> RenderedImages | None:
-        """None where there were none."""
+    def rendered_images(self) -> RenderedImages | None: ...
 
 
 class FittedNeighbours(NamedTuple):
-    """A `NeighbourModel`, and how the same images look to it when their own fold is held out.
-
-    Attributes:
-        model: of all of them.
-        novelty_score: of each ``[n 2]``.
-        expected_residual: of a block about each of them [grey levels] ``[n]``.
-    """
+    """A `NeighbourModel`, with scores ``[n 2]`` and block residuals [gray levels] of its held-out images."""
 
     model: NeighbourModel
     novelty_score: Float[np.ndarray, "n 2"]
@@ -191,9 +169,9 @@ def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Genera
     """Rebuild each thumbnail from those of other folds, and keep the residual.
 
     Args:
-        thumbs: in whole grey levels.
-        folds: rows of each, whole groups together; two or more.
-        rng: draws the rows that the axes are found from.
+        thumbs: Whole gray levels.
+        folds: Rows of each of two or more folds, whole groups together.
+        rng: Draws the rows that determine the axes.
     """
     means, channels = _means(thumbs.shape[1:]).shape[1], thumbs.shape[3]
     model = NeighbourModel(thumbs, np.zeros((len(thumbs), means), np.float16), *_axes(thumbs, rng))
@@ -223,10 +201,7 @@ def _ratios(
 
 
 def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
-    """Weights w of neighbors, none negative, sum 1, that minimize w'Gw, G their Gram matrix.
-
-    Least squares of [L' ; s 1'] w = [0 ; s] with w >= 0 and LL' = G gives that w up to its length.
-    """
+    """Weights w of neighbors, none negative, sum 1, that minimize w'Gw, G their Gram matrix."""
     gram = _gram(apart).astype(np.float64)
     count = len(gram)
     size = float(gram.trace()) / count + 1e-6
@@ -274,25 +249,24 @@ def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 MAX_KEPT = 2000  # recorded frames
 FALSE_ALARMS = 0.03  # share of good frames that may be turned away
 
+# two averages of one scene never agree better than this, whatever a few references suggest
 MIN_DRIFT_SPREAD_GREY_LEVELS = 0.5
-"""Two averages of one scene never agree better than this, whatever a few references suggest."""
 
 FEW_REFERENCES = 5
+# fewer no-contact frames than five say little of how far such frames wander: three times their spread
 MAX_DRIFT_OF_FEW = 3.0
-"""Fewer no-contact frames than five say little of how far such frames wander: three times their spread."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoveltyDetector:
-    """Judge of images by those that a calibration was trained on, and of drift.
+    """Detector of atypical images and of drift.
 
     Attributes:
-        neighbours: the calibration's thumbnails.
-        limits: of the two numbers of `NeighbourModel.novelty_score`.
-        reference: mean thumbnail of the untouched sensor ``[h w c]``; None where none was recorded.
-        reference_spread: distance of its own no-contact thumbnails from their mean [grey levels, rms].
-        drift_limit: the drift statistic above which the calibration is stale.
-        changes: what camera changes look like and cost the model; None where that was not tested.
+        limits: Limits of the two numbers of `NeighbourModel.novelty_score`.
+        reference: Mean no-contact thumbnail ``[h w c]``; None if none was recorded.
+        reference_spread: RMS distance of no-contact thumbnails from their mean [gray levels].
+        drift_limit: Drift statistic above which the calibration is stale.
+        changes: Known camera changes; None if not tested.
     """
 
     neighbours: NeighbourModel
@@ -356,7 +330,6 @@ class NoveltyDetector:
         return Drift(float(moved / self.reference_spread), self.drift_limit)
 
     def save(self, path: Path) -> None:
-        """Write the detector as plain arrays."""
         parts = {
             "thumbs": self.neighbours.thumbs,
             "left": self.neighbours.residual,
@@ -372,11 +345,6 @@ class NoveltyDetector:
     @classmethod
     @parser("novelty guard", CertificateError, max_bytes=MAX_ARRAY_BYTES)
     def load(cls, path: Path) -> NoveltyDetector:
-        """Read a detector that `save` wrote.
-
-        Raises:
-            CertificateError: the file is not one, or of the kind before decision 0010.
-        """
         try:
             parts = read_arrays(path)
             _check(path, parts)
@@ -420,18 +388,14 @@ def fit_novelty_detector(
     also: RenderedImages | None = None,
     seed: int = 0,
 ) -> NoveltyDetector:
-    """Keep thumbnails, and set the limits from how novel frames look to those of other folds.
+    """Keep thumbnails, and set the limits from the novelty of frames relative to other folds.
 
     Args:
-        thumbs: of every calibration frame.
-        folds: held-out rows of each fold, whole groups together.
-        untouched: thumbnails of the no-contact frames; may be empty.
-        also: further good images. The limits are set by recorded frames alone; the detector with or without
-            the others that lets less pass is taken.
-        seed: of the draw where there are more frames than are kept.
-
-    Raises:
-        InputError: fewer than six frames, or fewer than two folds.
+        thumbs: Thumbnails of every calibration frame.
+        folds: Held-out rows of each fold, whole groups together.
+        untouched: Thumbnails of no-contact frames; may be empty.
+        also: Further good images, used if the detector then passes less.
+        seed: Random seed of the draw of kept frames.
     """
     if len(thumbs) < 6:
         raise InputError(f"{len(thumbs)} frames are too few; record 6 or more", code="too-few-frames")

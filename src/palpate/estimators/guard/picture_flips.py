@@ -1,8 +1,7 @@
-"""Flipped pictures: whether the untouched sensor in a frame is mirrored or upside down.
+"""Flipped pictures: whether the sensor in a frame is mirrored or upside down.
 
-A refused frame may be like those calibrated on once it is flipped back; but so may one of a touch elsewhere
-on a symmetric sensor. So a flip is named only where the bare part of the frame fits the calibration's
-untouched sensor flipped back, and not as it is.
+A flip is named only if the no-contact part of the frame fits the reference flipped back, and not as it is; a
+touch elsewhere on a symmetric sensor could otherwise resemble a flip.
 """
 
 from __future__ import annotations
@@ -16,21 +15,20 @@ from palpate.core import Float32
 Thumbnail = Float32[np.ndarray, "h w c"]
 
 FLIPPED = "flipped"
+# kinds of flip, and the code by which `cv2.flip` takes each back
 FLIPS: Mapping[str, int] = {"mirrored-x": 1, "mirrored-y": 0, "rotated-180": -1}
-"""Kinds of flip, and the code by which `cv2.flip` takes each back."""
+# words for each kind, and for one that several explain, as on a skin that is nearly its own mirror image
 MIRRORED: Mapping[str, str] = {
     "mirrored-x": "mirrored, left for right",
     "mirrored-y": "mirrored, upside down",
     "rotated-180": "turned by half a turn",
     FLIPPED: "mirrored or turned by half a turn",
 }
-"""Words for each kind, and for one that several explain, as on a skin that is nearly its own mirror image."""
+# novelty flipped back by the best, over that by the second best, up to which it is told which flip it is
 MAX_SECOND = 0.5
-"""Novelty flipped back by the best, over that by the second best, up to which it is told which flip it is."""
+# median of how far a picture that is flipped back is from the untouched sensor, over that of it as it is
 MAX_FLIPPED_BACK = 0.5
-"""Median of how far a picture that is flipped back is from the untouched sensor, over that of it as it is."""
-MIN_AWAY_GREY_LEVELS = 2.0
-"""The latter at least: below, the picture fits the untouched sensor as it is."""
+MIN_AWAY_GREY_LEVELS = 2.0  # the latter at least: below, the picture fits the untouched sensor as it is
 
 
 def flipped(picture: Thumbnail, code: int) -> Thumbnail:
@@ -40,12 +38,7 @@ def flipped(picture: Thumbnail, code: int) -> Thumbnail:
 
 
 def unflipped(picture: Thumbnail, untouched: Thumbnail) -> dict[str, Thumbnail]:
-    """The picture flipped back, by each flip that explains where it differs from the untouched sensor.
-
-    Args:
-        picture: of a frame [grey levels].
-        untouched: of the calibration's untouched sensor [grey levels].
-    """
+    """Return the picture flipped back by each flip that explains its change [gray levels]."""
     away = float(np.median(np.abs(picture - untouched)))
     back = {kind: flipped(picture, code) for kind, code in FLIPS.items()}
     most = MAX_FLIPPED_BACK * away if away >= MIN_AWAY_GREY_LEVELS else -1.0
@@ -53,11 +46,7 @@ def unflipped(picture: Thumbnail, untouched: Thumbnail) -> dict[str, Thumbnail]:
 
 
 def told_flip(novelty: Mapping[str, float]) -> str:
-    """Kind of flip by how novel a picture is once flipped back by each; "" where it is like others by none.
-
-    Args:
-        novelty: of the picture flipped back by each kind, over its limit.
-    """
+    """Return the kind of flip by the relative novelty of the picture flipped back by each, or ""."""
     fit = sorted((value, kind) for kind, value in novelty.items() if value <= 1.0)
     if not fit:
         return ""

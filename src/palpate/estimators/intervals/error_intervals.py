@@ -25,14 +25,12 @@ def design(scaled: Values) -> Float[np.ndarray, "n k"]:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSpread:
-    """Expected size of an estimate's error: log spread is a quadratic in the model's outputs.
-
-    The outputs are the estimates, but that a circular target is two of them, see `TargetLayout`.
+    """Expected error size: log spread is a quadratic in the model's outputs (`TargetLayout`).
 
     Attributes:
-        centre, scale: of the outputs, ``[o]`` each.
-        typical: mean absolute held-out error ``[t]``.
-        coefficients: of the quadratic of log(spread / typical), ``[t k]``, see `design`.
+        centre, scale: Standardization of the outputs ``[o]``.
+        typical: Mean absolute held-out error ``[t]``.
+        coefficients: Coefficients of log(spread / typical) ``[t k]``, see `design`.
     """
 
     centre: Float[np.ndarray, " o"]
@@ -49,15 +47,13 @@ class ErrorSpread:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """half-width = quantile · spread, or ends that keep the rate over the whole range.
+    """Intervals with half-width quantile · spread, or with constant coverage over the range.
 
     Attributes:
-        spread: how the size of the error varies with the estimate.
-        quantile: conformal quantile of the scaled held-out errors ``[t]``.
-        coverage: how often the intervals hold the truth.
-        by_range: of each target, see `RangeIntervals`; None where it has one quantile for the whole range,
-            and empty where all have.
-        layout: of the targets in the outputs; None where each is one.
+        quantile: Conformal quantile of the scaled held-out errors ``[t]``.
+        by_range: `RangeIntervals` of each target; None for one quantile over its range, empty if all have
+            one.
+        layout: Layout of the targets in the outputs; None if each is one.
     """
 
     spread: ErrorSpread
@@ -71,10 +67,7 @@ class Intervals:
         return self.quantile * self.spread.at(values)
 
     def ends(self, outputs: Outputs) -> tuple[Values, Values]:
-        """Lower and upper ends of the intervals ``[n t]``, in the targets' units.
-
-        Those of a circular target run on beyond half a period.
-        """
+        """Return the ends ``[n t]`` in the targets' units; circular ones continue beyond half a period."""
         estimate, spread, half = self.estimates(outputs), self.spread.at(outputs), self.half_widths(outputs)
         low, high = estimate - half, estimate + half
         for j, one in enumerate(self.by_range):
@@ -83,7 +76,6 @@ class Intervals:
         return low, high
 
     def estimates(self, outputs: Outputs) -> Values:
-        """Estimates of the outputs ``[n t]``."""
         return outputs if self.layout is None else self.layout.decoded(outputs)
 
     def errors(self, outputs: Outputs, true: Values) -> Values:

@@ -1,17 +1,11 @@
-"""Intervals that keep their rate in every part of a range: by the truth, and by the estimate.
+"""Intervals with the nominal coverage in every part of a range: by the truth, and by the estimate.
 
-One width for all rows covers too seldom at the ends of a range, where estimates are drawn towards the
-middle. Where it does, cells of the range have a band of their own for the scaled error
-r = (truth - estimate) / spread,
-
-    |r - centre| <= half
-
-A truth y is kept where y lies in a cell of truths whose band holds (y - estimate) / spread, so that truths of
-every cell are covered at the stated rate (label-conditional conformal prediction: V. Vovk, A. Gammerman and
-G. Shafer, Algorithmic Learning in a Random World, 2005, ch. 4.5, doi:10.1007/b106715). The band of the
-estimate's own cell does the same for cells of estimates (Mondrian conformal regression: H. Boström and U.
-Johansson, Proc. Mach. Learn. Res. 128, 114 (2020)). The interval is the least one that holds these and the
-one of one width. How the bands are found: `calibration.coverage.range_fit`.
+Cells of the range have their own band of the scaled error r = (truth - estimate) / spread, |r - centre| <=
+half. A truth y is kept if the band of its cell of truths holds its error (label-conditional conformal
+prediction: V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, 2005, ch. 4.5,
+doi:10.1007/b106715). Cells of estimates are treated alike (Mondrian conformal regression: H. Boström and U.
+Johansson, Proc. Mach. Learn. Res. 128, 114 (2020)). The interval is the smallest that holds these and the one
+of constant width. See `range_fit`.
 """
 
 from __future__ import annotations
@@ -30,8 +24,8 @@ class ErrorCells:
     """Bands of the scaled error, one in each cell of a range; the outermost cells have no end.
 
     Attributes:
-        limits: between neighbouring cells, ascending ``[m]``, one fewer than cells, in the target's unit.
-        centre, half: of each cell's band ``[k]``, in units of the spread; a half of 0 is no band.
+        limits: Ascending limits between cells, in the target's unit.
+        centre, half: Band of each cell in units of the spread; a half of 0 is no band.
     """
 
     limits: Float[np.ndarray, " m"]
@@ -39,7 +33,6 @@ class ErrorCells:
     half: Float[np.ndarray, " k"]
 
     def cells(self, values: Row) -> Int[np.ndarray, " n"]:
-        """Number of each value's cell."""
         return np.searchsorted(self.limits, values, side="right")
 
     def of_estimates(self, estimate: Row, spread: Row) -> tuple[Row, Row]:
@@ -61,23 +54,18 @@ class ErrorCells:
 
 @dataclass(frozen=True, slots=True)
 class RangeIntervals:
-    """Intervals of one target that cover at their rate in every cell of its truths and of its estimates.
-
-    Attributes:
-        by_truth: bands in cells of the truth.
-        by_estimate: bands in cells of the estimate.
-    """
+    """Intervals with the nominal coverage in every cell of truths and of estimates."""
 
     by_truth: ErrorCells
     by_estimate: ErrorCells
 
     def ends(self, estimate: Row, spread: Row, half: Row) -> tuple[Row, Row]:
-        """Ends of the interval around each estimate, low <= estimate <= high.
+        """Return the ends of the interval around each estimate, low <= estimate <= high.
 
         Args:
-            estimate: in the target's unit.
-            spread: expected size of its error, in the same unit.
-            half: half-width of the interval of one width.
+            estimate: Estimate in the target's unit.
+            spread: Expected error size.
+            half: Half-width of the interval of constant width.
         """
         low, high = estimate - half, estimate + half
         for least, greatest in (

@@ -15,7 +15,7 @@ from palpate.estimators.model_card import InstrumentCard, VectorCard
 def mahalanobis(
     scaled: Float[np.ndarray, "n k"], correlation: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, " n"]:
-    """Distances sqrt(rᵀ S⁻¹ r) of errors r, each in units of its spread.
+    """Return distances sqrt(rᵀ S⁻¹ r) of errors r in units of their spread.
 
     P. C. Mahalanobis, Proc. Natl. Inst. Sci. India 2, 49 (1936); as a conformal score: C. Johnstone and B.
     Cox, Proc. Mach. Learn. Res. 152, 72 (2021).
@@ -30,13 +30,13 @@ def vector_reading(
     spread: Float[np.ndarray, " k"] | None,
     measured_by: Sequence[InstrumentCard | None] = (),
 ) -> VectorReading:
-    """The vector of some readings, with its joint region.
+    """Return the vector of some readings, with its joint region.
 
     Args:
-        vector: its card.
-        parts: the readings of its components, in its order, in SI.
-        spread: the expected size of each one's error, in the targets' unit; None where nothing was read.
-        measured_by: the instrument of each one's labels, whose uncertainty the region holds as well.
+        vector: Card of the vector.
+        parts: Readings of its components, in SI.
+        spread: Expected error size of each, in the targets' unit; None if nothing was read.
+        measured_by: Instruments of the labels, whose uncertainty the region includes.
     """
     quantity, unit = split_column(vector.column)
     sizes = np.ones(len(parts)) if spread is None else unit.to_si(spread)
@@ -60,7 +60,7 @@ def vector_reading(
 
 
 def component_names(name: str, parts: Sequence[str]) -> tuple[str, ...]:
-    """Names of a vector's components: what follows the vector's own name, or their whole quantity.
+    """Return the names of a vector's components: what follows the vector's own name, or their whole quantity.
 
     Example:
         >>> component_names("force_N", ("force_x_N", "force_y_N"))
@@ -71,17 +71,7 @@ def component_names(name: str, parts: Sequence[str]) -> tuple[str, ...]:
 
 
 def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> str:
-    """The column of a vector: its name with the unit that all its components have.
-
-    Args:
-        name: such as ``force``, or ``force_N``.
-        parts: its components.
-        targets: all targets of the calibration.
-
-    Raises:
-        InputError: fewer than two components, one twice, one that is no target, several units, no name, or
-            one that a target has.
-    """
+    """Return a vector's column: its name, such as ``force``, with the common unit of its components."""
     if not name:
         raise InputError(
             f"a vector of {', '.join(parts)} has no name; give it one, such as force", code="vector-name"

@@ -1,7 +1,7 @@
-"""Control points of a skin with a checkerboard of two pigments, each named by its cell.
+"""Control points of a checkerboard skin, each named by its cell.
 
-Corners are found and placed by the image around them alone, then named by the lattice that they form. Where a
-tile is missing, merged with the next or torn, its corners are absent; the others keep their names.
+Corners are located by the image around them and named by their lattice; missing or torn tiles remove only
+their own.
 """
 
 from __future__ import annotations
@@ -26,13 +26,12 @@ SAME_PITCH = 1.35  # ratio within which a pitch that was given is right
 
 @dataclass(frozen=True, eq=False)
 class CheckerboardFind:
-    """What was found in a frame.
+    """Checkerboard of a frame.
 
     Attributes:
-        points: corners that have a name.
-        axis: the line of the two pigments, by which later frames are read.
-        pitch: median side of a tile [px].
-        unnamed: corners that belong to no lattice, or to one that the reference does not tell.
+        axis: Line of the two pigments, by which later frames are read.
+        pitch: Median side of a tile [px].
+        unnamed: Number of corners outside the named lattice.
     """
 
     points: ControlPoints
@@ -44,18 +43,13 @@ class CheckerboardFind:
 def find_checkerboard(
     frame: Shaped[ndarray, ...], pitch_px: float = 24.0, reference: ControlPoints | None = None
 ) -> CheckerboardFind:
-    """Corners of a frame's checkerboard.
+    """Return the corners of a frame's checkerboard.
 
     Args:
-        frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
-        pitch_px: side of a tile, to about a factor of 1.6; it is corrected by what is found.
-        reference: points of an earlier frame whose names are kept. Without it, the first column and row
-            seen are 0, and tile (i, j), whose first corner has that cell, is bright where i + j is even.
-
-    Raises:
-        ImageError: no pattern is found: another kind of frame, dark, saturated, blurred, or less than a
-            third of the reference's points are seen.
-        RangeError: a pitch below 5 pixels.
+        frame: 8-bit RGB ``[h w 3]`` or gray ``[h w]``.
+        pitch_px: Side of a tile, within a factor of 1.6 [px].
+        reference: Points whose names are kept. By default the first column and row are 0, and tile (i, j),
+            whose first corner has that cell, is bright if i + j is even.
     """
     if not pitch_px >= 5:
         raise RangeError(f"tiles of {pitch_px} px; corners are found where tiles are 5 px wide or more")

@@ -15,16 +15,13 @@ Places = Float[ndarray, "n 2"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlPoints:
-    """Marks of one frame, at most one of a cell.
+    """Marks of one frame, at most one in a cell.
 
     Attributes:
-        cells: (column, row) of each in the lattice, its name over time ``[n 2]``; cells may be missing.
-        places: (x, y) of each ``[n 2]`` [`unit`].
-        sigma: standard error of a place along each axis ``[n]`` [`unit`].
+        cells: (column, row) in the lattice, the mark's name over time ``[n 2]``; cells may be missing.
+        places: (x, y) ``[n 2]`` [`unit`].
+        sigma: Standard error along each axis ``[n]`` [`unit`].
         unit: "px" in an image, "m" on the skin.
-
-    Raises:
-        InputError: the lengths differ, a cell comes twice, a place is not finite, or an error is below 0.
     """
 
     cells: Cells
@@ -49,14 +46,7 @@ class ControlPoints:
         return len(self.cells)
 
     def shared_with(self, reference: ControlPoints) -> tuple[Places, Places, Cells]:
-        """Places of the marks that both have, in the order of the reference.
-
-        Returns:
-            The reference's places, these places, and their cells, each ``[m 2]``.
-
-        Raises:
-            InputError: the units differ.
-        """
+        """Return the reference's positions, these positions, and the cells of the marks that both have."""
         if self.unit != reference.unit:
             raise InputError(
                 f"control points in {self.unit} and {reference.unit}; give both in one unit",

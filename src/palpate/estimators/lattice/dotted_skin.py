@@ -1,8 +1,7 @@
-"""Dots of a skin, of any maker, found by a small description and named by their cell.
+"""Dots of a skin, found by a short description and named by their cell.
 
-A dot is a patch darker or brighter than its ground, of about a known radius. Its place is the centroid, under
-a Gaussian weight, of what it differs from the plane of light around it, moved until it stays; its standard
-error follows from that sum and the noise. Dots make the same kind of lattice as tiles' corners and pins.
+A dot is a dark or bright patch of known radius. Its position is the Gaussian-weighted centroid of its
+difference from the plane of light around it; the standard error follows from that sum and the noise.
 """
 
 from __future__ import annotations
@@ -46,15 +45,13 @@ class DottedSkin:
     """Description of a dotted skin in its camera's image.
 
     Attributes:
-        kind: "square" or "hexagonal".
-        pitch_px: about the distance of neighbouring dots in the image's middle [px].
-        radius_px: about a dot's radius there [px].
-        colour: of the dots on their ground, "dark" or "bright".
-        region: x, y, width and height in which dots are looked for [px]; all of the frame without.
-        min_contrast: of a dot with its ground, as a share of the ground's brightness.
-        fisheye: x and y of the middle and focal length of an equidistant lens [px], where lines of dots bend
-            so much that neighbours must be told on the straightened image; places stay those of the frame.
-        pitch_mm: distance of neighbouring dots on the skin [mm], where it is known: then a touch has lengths.
+        pitch_px: Approximate distance of neighboring dots at the center [px].
+        radius_px: Approximate radius of a dot there [px].
+        region: x, y, width, and height of the search area [px]; the whole frame by default.
+        min_contrast: Contrast of a dot relative to the ground's brightness.
+        fisheye: x and y of the center and focal length of an equidistant lens [px], to straighten the lattice
+            for naming; positions stay those of the frame.
+        pitch_mm: Distance of neighboring dots on the skin [mm], if known.
     """
 
     kind: LatticeKind = "square"
@@ -97,11 +94,7 @@ class DottedSkin:
 
 @parser("skin file", InputError)
 def read_skin(path: PathText) -> DottedSkin:
-    """A skin's description from a JSON or TOML file, whose keys are those of `DottedSkin`.
-
-    Raises:
-        InputError: it cannot be read, or has other keys or values.
-    """
+    """A skin's description from a JSON or TOML file, whose keys are those of `DottedSkin`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8")
@@ -124,16 +117,7 @@ def read_skin(path: PathText) -> DottedSkin:
 def find_dots(
     frame: Shaped[ndarray, ...], skin: DottedSkin, reference: ControlPoints | None = None
 ) -> ControlPoints:
-    """Dots of a frame that lie on the skin's lattice.
-
-    Args:
-        frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
-        skin: what is looked for.
-        reference: dots of an earlier frame whose names are kept; the first column and row seen are 0 without.
-
-    Raises:
-        ImageError: another kind of frame, or too few dots on a lattice.
-    """
+    """Return the dots of an 8-bit frame on the skin's lattice, named as in the reference or from 0."""
     if frame.dtype != np.uint8 or not (frame.ndim == 2 or (frame.ndim == 3 and frame.shape[2] == 3)):
         raise ImageError(f"dots are found in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}")
     grey = np.ascontiguousarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY))
@@ -170,16 +154,13 @@ def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
 def round_patches(
     grey: Shaped[ndarray, "h w"], radius_px: float, colour: Literal["dark", "bright"], min_contrast: float
 ) -> Points:
-    """Whole pixels where a round patch of a size differs most from around it, whatever the light there.
+    """Return the pixels (x, y) ``[n 2]`` at which a round patch differs most from its surroundings.
 
     Args:
         grey: 8-bit image.
-        radius_px: about that of a patch.
-        colour: of the patches on their ground.
-        min_contrast: with the ground, as a share of the brighter of the two.
-
-    Returns:
-        (x, y) ``[n 2]`` [px].
+        radius_px: Approximate radius of a patch [px].
+        colour: Patches darker or brighter than their ground.
+        min_contrast: Contrast relative to the brighter of the two.
     """
     sign = 1.0 if colour == "dark" else -1.0
     image = grey.astype(np.float32)
@@ -201,13 +182,7 @@ def round_patches(
 def placed_dots(
     grey: Shaped[ndarray, "h w"], near: Points, skin: DottedSkin
 ) -> tuple[Float[ndarray, "m 2"], Float[ndarray, " m"]]:
-    """Centroids of dots and their standard error along each axis [px], of those that are there.
-
-    Args:
-        grey: 8-bit image.
-        near: where dots are looked for ``[n 2]`` [px].
-        skin: their size and colour.
-    """
+    """Return centroids and standard errors [px] of the dots present near the given positions."""
     half = int(np.ceil(RING[1] * skin.radius_px))
     high, wide = grey.shape
     # Beyond the frame's edge there is nothing to see: such a dot is left out.
@@ -284,10 +259,7 @@ def _step(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> Points
 def _error(
     raised: np.ndarray, variance: np.ndarray, d: Offsets, w: np.ndarray, skin: DottedSkin
 ) -> Float[ndarray, " n"]:
-    """Standard error of a centroid for pixels' noise; infinite where there is no peak.
-
-    Pixels under the weights count by themselves, those of the ring by the tilt of the plane through them.
-    """
+    """Standard error of a centroid for pixels' noise; infinite where there is no peak."""
     j = _jacobian(raised, d, w, WEIGHT * skin.radius_px)
     ww = w * w * variance
     middle = np.array([[np.einsum("nyx,nyx,nyx->n", ww, p, q) for q in d] for p in d]).transpose(2, 0, 1)

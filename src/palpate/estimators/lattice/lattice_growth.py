@@ -1,9 +1,8 @@
-"""Marks of a square or hexagonal lattice named by their cell, tiles' corners and dots alike.
+"""Marks of a square or hexagonal lattice named by their cell.
 
-A lattice grows from a mark whose neighbours all stand, cell by cell: where the next mark must lie follows
-from an affine map through the cells around it, so that turns, shear, a fisheye's curvature and missing marks
-do no harm. A mark that is not where its neighbours say is left out: a cell may lack its mark, and none has a
-wrong one.
+A lattice grows from a mark with all neighbors, cell by cell, by an affine map through the cells around the
+next one, which tolerates rotation, shear, lens curvature, and missing marks. Marks off their predicted
+position are omitted.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ MARGIN = 4  # empty cells around the known ones
 
 @dataclass(frozen=True)
 class GrowthStep:
-    """What is asked of a cell before a mark is taken for it.
+    """Conditions on a cell before a mark is assigned to it.
 
     Attributes:
-        reach: cells to each side that tell where it lies.
-        least_around: known cells within that reach.
-        least_next: known cells next to it.
-        within: of the local pitch, how far a mark may lie from there.
-        curved: whether the lattice's curvature counts too.
+        reach: Cells to each side used for the prediction.
+        least_around: Least number of known cells within that reach.
+        least_next: Least number of known adjacent cells.
+        within: Greatest distance from the prediction, in local pitches.
+        curved: Whether the lattice's curvature is used.
     """
 
     reach: int
@@ -59,13 +58,12 @@ AROUND_A_BEND = GrowthStep(3, 7, 2, 0.2, curved=True)
 
 @dataclass(frozen=True, eq=False)
 class GrownLattice:
-    """Marks that hang together, by their cell.
+    """Connected marks by their cell.
 
     Attributes:
-        cells: (column, row) ``[n 2]``; columns run about with the image's columns and rows with its rows, and
-            the first of each is 0.
-        marks: which of the marks given stands there ``[n]``.
-        pitch: median distance of neighbours [px].
+        cells: (column, row) ``[n 2]``, from 0, roughly along the image's columns and rows.
+        marks: Index of the mark in each cell ``[n]``.
+        pitch: Median distance of neighbors [px].
     """
 
     cells: Cells
@@ -76,16 +74,12 @@ class GrownLattice:
 def grow_lattices(
     places: Points, kind: str = "square", turn: Float[ndarray, " n"] | None = None
 ) -> list[GrownLattice]:
-    """Lattices that hang together among marks, the one with most marks first; the rest is left out.
+    """Return connected lattices among marks, the one with most marks first.
 
     Args:
-        places: of the marks ``[n 2]`` [px].
+        places: Marks ``[n 2]`` [px].
         kind: "square", or "hexagonal" with axes 60 degrees apart.
-        turn: of a checkerboard's corners, where known: it differs by half a turn from a corner to the next,
-            and no mark is taken where it does not.
-
-    Raises:
-        RangeError: another kind.
+        turn: Angle of a checkerboard's corners, which must differ by half a turn between neighbors.
     """
     if kind not in ("square", "hexagonal"):
         raise RangeError(f'a lattice is "square" or "hexagonal", not {kind!r}')
@@ -137,10 +131,7 @@ def _seeds(places: Points, kind: str) -> list[tuple[int, np.ndarray]]:
 
 
 def _axes(around: Points, count: int) -> np.ndarray | None:
-    """Both axes of a lattice from a mark's neighbours, the first nearly along the image's columns.
-
-    Where one neighbour pair of a hexagonal lattice is missing, the second axis is the sum of the two others.
-    """
+    """Both axes of a lattice from a mark's neighbours, the first nearly along the image's columns."""
     first = around[np.argmax(around[:, 0] / np.hypot(*around.T))]
     angle = np.arctan2(around[:, 1], around[:, 0]) - np.arctan2(first[1], first[0])
     for wanted, add in ((np.pi / 2, 0.0),) if count == 4 else ((np.pi / 3, 0.0), (2 * np.pi / 3, 1.0)):
@@ -178,15 +169,7 @@ class _Growth:
     def _predicted(
         self, reach: int = 2, curved: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where each cell's mark must lie by a map fitted to those around it, without its own.
-
-        Args:
-            reach: cells to each side that count.
-            curved: whether the map is of second order, held towards an affine one where cells are few.
-
-        Returns:
-            Places ``[r c 2]``; the local pitch; how many cells tell it; and whether they span both axes.
-        """
+        """Where each cell's mark must lie by a map fitted to those around it, without its own."""
         known = self.mark >= 0
         xy = np.where(known[..., None], self.places[self.mark], 0.0)
         w, u, v = _weights(reach, self.kind)
@@ -235,7 +218,6 @@ class _Growth:
         return bool(taken)
 
     def _make_room(self) -> None:
-        """Empty cells around the known ones, as many as one step may reach."""
         row, column = np.nonzero(self.mark >= 0)
         rows, columns = self.mark.shape
         need = [(row.min(), rows - 1 - row.max()), (column.min(), columns - 1 - column.max())]

@@ -1,7 +1,7 @@
 """Cells of a lattice named as in a reference, so that a mark keeps its name from frame to frame.
 
-A grown lattice knows its cells up to a step and a quarter turn (a sixth, if hexagonal). Each mark votes for
-the step to the reference's mark nearest to it; a lattice whose votes do not agree is not named.
+A lattice's cells are known up to a step and a quarter (or sixth) turn. Each mark votes for the step to the
+nearest reference mark; a lattice without a majority is not named.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def named_as(
     kind: str = "square",
     max_move: float = MAX_DOT_MOVE,
 ) -> tuple[Int[ndarray, "m 2"], Int[ndarray, " m"]]:
-    """Cells in the reference's names, and which mark stands in each.
+    """Return cells in the reference's names, and the index of the mark in each.
 
     Args:
-        reference: marks of an earlier frame of the same camera.
-        lattices: grown in this frame; each is named by itself.
-        places: of this frame's marks ``[n 2]`` [px].
-        kind: of both.
-        max_move: of the pitch; a mark that lies further from each of the reference's has no vote.
+        reference: Marks of an earlier frame of the same camera.
+        lattices: Lattices grown in this frame, each named by itself.
+        places: Marks of this frame ``[n 2]`` [px].
+        kind: Kind of both lattices.
+        max_move: Distance in pitches beyond which a mark has no vote.
     """
     tree, taken = cKDTree(reference.places), set()
     cells: list[tuple[int, int]] = []

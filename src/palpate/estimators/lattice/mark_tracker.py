@@ -1,8 +1,7 @@
-"""Control points of a checkerboard followed from frame to frame, and found anew where following fails.
+"""Control points of a checkerboard tracked from frame to frame, and searched again where tracking fails.
 
-Between frames a corner moves by less than a third of a tile, so that its place is found from where it was. A
-corner that is lost is looked for where its neighbours say; a frame in which too many are lost, or all have
-jumped, is searched whole, and its corners are named by where they were last.
+Corners are located from where they were, if they moved by less than a third of a tile; lost ones where their
+neighbors predict them. If too many are lost or all have jumped, the whole frame is searched.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ class TrackedPoints:
     """Points of one frame.
 
     Attributes:
-        points: those that stand in it; none when it is refused.
-        found_anew: whether the whole frame was searched.
-        reason: why there are none; empty otherwise.
+        points: Points found; none if the frame is refused.
+        found_anew: Whether the whole frame was searched.
+        reason: Reason of the refusal; else empty.
     """
 
     points: ControlPoints
@@ -51,15 +50,7 @@ class TrackedPoints:
 
 
 class MarkTracker:
-    """Points of a reference frame, followed through the frames after it.
-
-    Args:
-        reference: 8-bit frame, RGB ``[h w 3]`` or grey ``[h w]``, in which points are found and named.
-        pitch_px: about the side of a tile.
-
-    Raises:
-        ImageError: no pattern is found in it.
-    """
+    """Tracker of a reference frame's points (8-bit, RGB or gray), for tiles of about `pitch_px`."""
 
     def __init__(self, reference: Shaped[ndarray, ...], pitch_px: float = 24.0) -> None:
         self.reference: CheckerboardFind = find_checkerboard(reference, pitch_px)
@@ -81,11 +72,6 @@ class MarkTracker:
         self._alive = np.ones(len(points), bool)
 
     def follow(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
-        """Points of the next frame.
-
-        Raises:
-            InputError: a frame of another size or kind than the reference.
-        """
         if frame.dtype != np.uint8 or frame.shape != self._shape:
             raise InputError(
                 f"a frame {frame.dtype} {list(frame.shape)}; points are followed in 8-bit frames of "
@@ -101,15 +87,7 @@ class MarkTracker:
         return self.search(frame)
 
     def settled(self, tracked: TrackedPoints, frame: Shaped[ndarray, ...], count: int) -> TrackedPoints:
-        """Points of the same frame, those lost looked for again from where their neighbours went.
-
-        Under a press that comes from one frame to the next, marks are lost at first.
-
-        Args:
-            tracked: as the frame was followed or searched.
-            frame: the same.
-            count: of points with which it is content.
-        """
+        """Return the points of a frame after searching again for lost ones, until `count` are found."""
         for _ in range(MORE_LOOKS):
             if not 0 < len(tracked.points) < count:
                 break

@@ -1,8 +1,7 @@
-"""Pins told from what else is bright: they stand on a lattice, and each is named by its cell.
+"""Pins distinguished from other bright spots by their lattice, each named by its cell.
 
-Two layouts are tried, since sensors are built with either: a hexagonal lattice, and rings about a middle pin
-(`ring_layout`); and a square lattice where neither holds most of the marks. Cells are counted from the middle
-of the field, so that a pin keeps its name whichever others are hidden.
+Hexagonal lattice and rings about a middle pin (`ring_layout`) are tried, then a square lattice. Cells count
+from the middle of the field, so that names do not depend on hidden pins.
 """
 
 from __future__ import annotations
@@ -45,15 +44,13 @@ Points = Float[ndarray, "n 2"]
 
 @dataclass(frozen=True, eq=False)
 class PinLattice:
-    """Marks that stand where pins do.
+    """Marks on a pin lattice.
 
     Attributes:
-        kind: of the layout.
-        cells: (column, row) of each ``[m 2]``; (0, 0) is the field's middle, and columns run about with the
-            image's; axes are 60 degrees apart but for a square lattice.
-        marks: which of the marks given ``[m]``.
-        pitch: median distance of neighbours [px].
-        share: of the marks between the named ones, how many are named.
+        cells: (column, row) ``[m 2]``; (0, 0) is the field's middle, axes are 60 degrees apart unless square.
+        marks: Index of the mark in each cell ``[m]``.
+        pitch: Median distance of neighbors [px].
+        share: Ratio of the marks in the field that are named.
     """
 
     kind: PinLayoutKind
@@ -80,12 +77,12 @@ class PinLattice:
 
 
 def name_pins(places: Points, size: tuple[int, int], kind: PinLayoutKind | None = None) -> PinLattice | None:
-    """The lattice that most marks stand on, those beyond its field left out; none where there is none.
+    """Return the lattice that holds most marks, or None.
 
     Args:
-        places: of the marks ``[n 2]`` [px].
-        size: height and width of the image [px].
-        kind: of the layout, where it is known; the others are then not tried.
+        places: Marks ``[n 2]`` [px].
+        size: Height and width of the image [px].
+        kind: Layout, if known.
     """
     whole = _whole(places, "hexagonal") or _whole(places, "rings")
     if whole is not None and kind in (None, whole.kind):
@@ -103,17 +100,12 @@ def name_pins(places: Points, size: tuple[int, int], kind: PinLayoutKind | None 
 
 
 def _sound(found: PinLattice | None, places: Points) -> PinLattice | None:
-    """A lattice that holds enough of the marks, or none."""
     sound = found is not None and found.share >= MIN_SHARE and len(found.marks) >= MIN_OF_ALL * len(places)
     return found if sound else None
 
 
 def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | None:
-    """Marks that are whole rings about the middle one and nothing else; quick, and none for all others.
-
-    From the six around the middle outwards, each step's places follow from those known by a map of higher
-    degree.
-    """
+    """Marks that are whole rings about the middle one and nothing else; quick, and none for all others."""
     rings = round((math.sqrt(12 * max(len(places), 1) - 3) - 3) / 6)
     if not (2 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
         return None
@@ -183,12 +175,7 @@ def _centred(lattice: GrownLattice) -> GrownLattice | None:
 
 
 def _in_field(cells: Int[ndarray, "m 2"]) -> Bool[ndarray, " m"]:
-    """Which marks of a hexagonal lattice are no strays on its next ring.
-
-    A pin has three neighbours or more, unless some are hidden; a stray beyond a straight edge has two. So
-    those with fewer than three count where they are within the rings of the others. And a ring that is nearly
-    empty around one that is nearly full holds strays alone.
-    """
+    """Which marks of a hexagonal lattice are no strays on its next ring."""
     there = set(map(tuple, cells.tolist()))
     beside = np.array([sum((c + i, r + j) in there for i, j in DIRECTIONS.tolist()) for c, r in cells])
     firm = beside >= MIN_NEXT

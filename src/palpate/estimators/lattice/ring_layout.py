@@ -1,10 +1,8 @@
-"""Marks set in rings around a middle one, as pins of a TacTip stand: each named by its cell.
+"""Marks in rings around a middle one, as the pins of a TacTip, each named by its cell.
 
-Ring k has 6 k marks, evenly on a circle. Named as the rings of a hexagonal lattice they are one-to-one with
-its cells, but no local rule tells so: where two sixths of the layout meet, four marks stand in a square, and
-a lattice that grows from mark to mark goes astray on its way round the middle. So the layout itself is laid
-over the marks: it begins at the middle, and where the next ring must lie follows from an affine map of the
-layout around each place, which bends with lens and touch.
+Ring k has 6 k marks, named as the rings of a hexagonal lattice. No local rule names them, since four marks
+form a square where two sixths meet; so rings are laid over the marks from the middle outward, each predicted
+by an affine map of the layout around each position.
 """
 
 from __future__ import annotations
@@ -30,11 +28,11 @@ RECHOICES = 2
 MAX_TRIES = 4
 MIN_JOINED = 0.55  # share of the places next to a beginning that have a mark
 MIN_FILLED = 0.5  # of a ring's places inside the image
+# sites that a mark near the middle may be: the middle, or where too much is hidden there, of one sixth
 BEGINNINGS = (0,), (1, 7, 8, 19, 20, 21)
-"""Sites that a mark near the middle may be: the middle, or where too much is hidden there, of one sixth."""
 SETTLED = 0.93  # share of the marks among named ones that are named, with which a layout is the right one
+# cells around one, 60 degrees apart, the first along the columns
 DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
-"""Cells around one, 60 degrees apart, the first along the columns."""
 
 Points = Float[ndarray, "n 2"]
 Cells = Int[ndarray, "n 2"]
@@ -54,13 +52,11 @@ def plane_of(cells: Cells) -> Points:
 
 @dataclass(frozen=True, eq=False)
 class RingSites:
-    """Cells of rings around a middle, the inner ones first, and where they stand in pitches.
+    """Cells of rings, the inner ones first, and their positions in pitches.
 
     Attributes:
         cells: (column, row) ``[s 2]``; (0, 0) is the middle.
-        ring: of each.
-        places: of each ``[s 2]``.
-        weight, across, down: how much each tells of each other, and how far it lies from there ``[s s]``.
+        weight, across, down: Weight of each site for each other, and the offset between them ``[s s]``.
     """
 
     cells: Cells
@@ -71,7 +67,6 @@ class RingSites:
     down: Float[ndarray, "s s"]
 
     def upto(self, ring: int) -> int:
-        """How many lie within a ring."""
         return min(3 * ring * (ring + 1) + 1, len(self.cells))
 
 
@@ -94,12 +89,7 @@ def ring_sites(kind: str = "rings") -> RingSites:
 
 
 def fill_hexagon(lattice: GrownLattice, places: Points, size: tuple[int, int]) -> GrownLattice:
-    """A hexagonal lattice about its middle, with marks that its growth left out and each cell's choice anew.
-
-    Args:
-        lattice: whose (0, 0) is the middle of its field.
-        places, size: see `lay_rings`.
-    """
+    """Return a hexagonal lattice about its middle with the marks that its growth omitted."""
     ring = ring_of(lattice.cells)
     if ring.max() > MAX_RINGS:
         return lattice
@@ -115,13 +105,7 @@ def fill_hexagon(lattice: GrownLattice, places: Points, size: tuple[int, int]) -
 def empty_sites(
     kind: str, cells: Int[ndarray, "m 2"], at: Float[ndarray, "m 2"], size: tuple[int, int]
 ) -> tuple[Int[ndarray, "e 2"], Float[ndarray, "e 2"]]:
-    """Cells within the rings of a field that have no mark, and where each must lie in the image [px].
-
-    Args:
-        kind: "hexagonal" or "rings".
-        cells, at: of the marks; (0, 0) is the middle.
-        size: see `lay_rings`.
-    """
+    """Return cells within a field's rings without a mark, and their predicted positions [px]."""
     laid = _Laying(at, cKDTree(at), size, kind)
     number = {cell: i for i, cell in enumerate(map(tuple, laid.sites.cells.tolist()))}
     laid.mark[[number[cell] for cell in map(tuple, cells.tolist())]] = np.arange(len(at))
@@ -135,14 +119,11 @@ def empty_sites(
 
 
 def lay_rings(places: Points, size: tuple[int, int]) -> GrownLattice | None:
-    """The rings that most marks stand in; none where no middle has rings around it.
+    """Return the rings that hold most marks, named from their middle, or None.
 
     Args:
-        places: of the marks ``[n 2]`` [px].
-        size: height and width of the image [px], beyond which no mark is missed.
-
-    Returns:
-        Marks by their cell, (0, 0) being the middle whether its own mark is seen or not.
+        places: Marks ``[n 2]`` [px].
+        size: Height and width of the image [px].
     """
     if len(places) < 7:
         return None
@@ -204,7 +185,6 @@ def _gaps(places: Points, near: Float[ndarray, " n"]) -> Float[ndarray, "g 2"]:
 
 @cache
 def _beside(site: int) -> Int[ndarray, " b"]:
-    """Sites around one."""
     sites = ring_sites()
     away = np.hypot(sites.across[site], sites.down[site])
     return np.flatnonzero((away > 0) & (away < 1.3))
@@ -213,10 +193,7 @@ def _beside(site: int) -> Int[ndarray, " b"]:
 def _begun_at(
     site: int, middle: Float[ndarray, 2], places: Points, tree: cKDTree
 ) -> Float[ndarray, "3 2"] | None:
-    """The affine map from pitches to pixels by which most sites around one have a mark, it being at a place.
-
-    Of two that have as many the narrower is taken: every other mark of the second ring makes a hexagon too.
-    """
+    """Affine map from pitches to pixels by which most sites around a mark have one."""
     far, which = tree.query(middle, k=min(9, len(places)))
     others = far > 0.25 * far[-1]  # not the place's own mark
     best, most = None, -np.inf

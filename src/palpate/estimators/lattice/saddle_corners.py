@@ -1,8 +1,7 @@
-"""Corners of a pattern where two tiles of one colour meet diagonally: found, and placed below a pixel.
+"""Corners where two tiles of one color meet diagonally, located to a fraction of a pixel.
 
-Around such a corner the image is the same after half a turn. The place is therefore where the gradients of
-the edges that run out from it cross (Förstner and Gülch 1987): no model of blur or contrast enters, and its
-standard error follows from the gradients and the measured noise.
+The image around a corner is invariant under half a turn; its position is where the gradients of its edges
+cross (Förstner and Gülch 1987), with a standard error from the gradients and the noise.
 """
 
 from __future__ import annotations
@@ -34,14 +33,13 @@ MAX_MOVE = 0.3  # of the pitch, from where a corner was looked for
 
 @dataclass(frozen=True, eq=False)
 class SaddleCorners:
-    """Corners of one image, in no order.
+    """Corners of one image, unordered.
 
     Attributes:
         places: (x, y) ``[n 2]`` [px].
-        sigma: standard error along each axis ``[n]`` [px].
-        turn: twice the angle of the diagonal along which the brighter tiles lie ``[n]`` [rad]; that of
-            a neighbour differs by half a turn.
-        contrast: half the difference between the pigments, in the axis' levels ``[n]``.
+        sigma: Standard error along each axis ``[n]`` [px].
+        turn: Twice the angle of the bright diagonal ``[n]`` [rad].
+        contrast: Half the difference between the pigments [levels of the axis].
     """
 
     places: Points
@@ -54,12 +52,12 @@ class SaddleCorners:
 
 
 def find_corners(axis: Axis, pitch_px: float, frame: Shaped[ndarray, ...] | None = None) -> SaddleCorners:
-    """Corners of a pattern of about this pitch, each a saddle that looks the same after half a turn.
+    """Return the corners of a pattern of about this pitch.
 
     Args:
-        axis: image along the line of the two pigments.
-        frame: what it was made of, which tells a third colour from the two; the axis, if not given.
-        pitch_px: side of a tile; right to about a third.
+        axis: Image along the line of the two pigments.
+        pitch_px: Side of a tile within about a third [px].
+        frame: Frame behind the axis, to exclude a third color.
     """
     spread = local_spread(axis, pitch_px)
     noise = noise_near(axis, 0.06 * spread, round(pitch_px))
@@ -129,22 +127,14 @@ def ring_levels(image: Shaped[ndarray, ...], places: Points, pitch_px: float) ->
 def look_of(
     ring: Float[ndarray, "n k"],
 ) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"], Float[ndarray, " n"]]:
-    """Look of rings of the axis around places.
-
-    Returns:
-        Twice the angle of the bright diagonal [rad]; half the contrast; and the share of the ring's variance
-        that comes round four times, as four tiles in turn make it.
-    """
+    """Return twice the bright diagonal's angle [rad], half the contrast, and the fourfold variance ratio."""
     second = ring @ np.exp(4j * np.pi * np.arange(RING) / RING)
     power = np.maximum((ring**2).mean(axis=1), 1e-9)
     return np.angle(second), np.sqrt(power), 2 * (np.abs(second) / RING) ** 2 / power
 
 
 def half_turn(ring: Float[ndarray, "n k c"]) -> Float[ndarray, " n"]:
-    """How alike each ring is to itself after half a turn, in all channels together.
-
-    It is 1 between four sound tiles, and less where one is painted over, torn away or beyond the edge.
-    """
+    """Return the similarity of each ring to itself after half a turn: 1 between four intact tiles."""
     power = np.einsum("nkc,nkc->n", ring, ring)
     turned = np.einsum("nkc,nkc->n", ring, np.roll(ring, RING // 2, axis=1))
     return turned / np.maximum(power, 1e-9)
@@ -158,19 +148,18 @@ def refined(
     gains: bool = True,
     weights: Float[ndarray, "1 c1"] | None = None,
 ) -> tuple[Points, Float[ndarray, " n"], Bool[ndarray, " n"]]:
-    """Places where the edges' gradients cross, and how far noise moves them.
+    """Return corners refined to where their edges' gradients cross.
 
     Args:
-        image: of the axis ``[h w]``, or a frame ``[h w c]`` and the weights that make it the axis.
-        places: near corners, closer than a third of the pitch.
-        pitch_px: side of a tile; the weights' width follows from it.
-        rounds: of moving the weights' middle to what was found; at most.
-        gains: whether standard errors are asked for; NaN otherwise.
-        weights: of a frame's channels, see `PigmentAxis`.
+        image: Axis ``[h w]``, or a frame ``[h w c]`` with its weights.
+        places: Positions within a third of the pitch.
+        pitch_px: Side of a tile [px].
+        rounds: Greatest number of iterations.
+        gains: Whether standard errors are needed; NaN otherwise.
+        weights: Channel weights of the frame (`PigmentAxis`).
 
     Returns:
-        Places ``[n 2]`` [px]; standard error for noise of one level, along each axis ``[n]`` [px]; and which
-        are sound: within the image, found, and near where they were looked for.
+        Positions ``[n 2]`` [px], standard error for noise of one level ``[n]`` [px], and validity.
     """
     if not len(places):
         return places, np.empty(0), np.empty(0, bool)
@@ -265,13 +254,7 @@ def _solved(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _gain(
     gx: np.ndarray, gy: np.ndarray, xy: Points, corner: np.ndarray, steps: np.ndarray, width: float
 ) -> Float[ndarray, " n"]:
-    """Standard error of a place for pixels' noise of one level.
-
-    With d the distance from the place, w the weights and g the gradients less their mean, the place is where
-    r = sum w g (g^T d) is 0. Noise n changes r by sum w (g^T d dg + g d^T dg), dg being the smoothed
-    differences of n less their mean: each pixel's share is what their adjoint makes of those factors. A step
-    of the place changes r by J: through d, through the weights, and through the mean gradient.
-    """
+    """Standard error of a place for pixels' noise of one level."""
     dx, dy, wx, wy = _weights(xy, corner, steps, width)
     w = wy[:, :, None] * wx[:, None, :]
     d = (np.broadcast_to(dx[:, None, :], w.shape), np.broadcast_to(dy[:, :, None], w.shape))
@@ -295,7 +278,6 @@ def _gain(
 
 
 def _moments(w: np.ndarray, rows: tuple[np.ndarray, ...], columns: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Weighted sums of products ``[n 2 2]``."""
     return np.array([[np.einsum("nyx,nyx,nyx->n", w, p, q) for q in columns] for p in rows]).transpose(
         2, 0, 1
     )

@@ -1,7 +1,7 @@
-"""Colour frames as one number a pixel: how far along the line from one pigment to the other it lies.
+"""Color frames as one number for each pixel: the position on the line between two pigments.
 
-The line is what neighbouring pixels differ along, so that light which varies slowly over the skin does not
-turn it; each channel counts by its contrast over its noise (Fisher's discriminant).
+The line follows differences between neighboring pixels, so that slow changes of light do not rotate it;
+channels are weighted by contrast over noise (Fisher's discriminant).
 """
 
 from __future__ import annotations
@@ -26,22 +26,12 @@ HALF_NORMAL_MEDIAN = 0.6745
 
 @dataclass(frozen=True, eq=False)
 class PigmentAxis:
-    """Weights that turn a frame into the two-pigment axis, the brighter pigment high.
-
-    Attributes:
-        weights: of the channels, and what is added ``[1 c+1]``.
-        size: height and width of the frame that they were found in [px].
-    """
+    """Channel weights and offset of the two-pigment axis, the brighter pigment high."""
 
     weights: Float[ndarray, "1 c1"]
     size: tuple[int, int]
 
     def of(self, frame: Shaped[ndarray, ...]) -> Axis:
-        """Axis of a frame.
-
-        Raises:
-            ImageError: it is not 8-bit, has another size or number of channels.
-        """
         channels = self.weights.shape[1] - 1
         if frame.dtype != np.uint8 or frame.shape[:2] != self.size or channels_of(frame) != channels:
             raise ImageError(
@@ -57,15 +47,7 @@ def channels_of(frame: Shaped[ndarray, ...]) -> int:
 
 
 def find_axis(frame: Shaped[ndarray, ...], pitch_px: float) -> PigmentAxis:
-    """The line between a frame's two pigments.
-
-    Args:
-        frame: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
-        pitch_px: about the side of a tile; what varies over more than two counts as light.
-
-    Raises:
-        ImageError: another kind of frame, too dark, at the end of the camera's range, or without contrast.
-    """
+    """Return the line between the pigments of an 8-bit frame with tiles of about this size."""
     if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or channels_of(frame) not in (1, 3):
         raise ImageError(
             f"a pattern is found in 8-bit grey or RGB frames, got {frame.dtype} {list(frame.shape)}"
@@ -110,22 +92,18 @@ def _stretched(axis: Float[ndarray, "h w"], weights: Float[ndarray, " c"]) -> Fl
 
 
 def noise_of(plane: Shaped[ndarray, "h w"]) -> float:
-    """Standard deviation of an image's noise, of pixels that do not know of each other.
-
-    Immerkaer's mask takes out what is straight in both directions (doi:10.1006/cviu.1996.0060); its median
-    leaves out edges.
-    """
+    """Return an image's pixel noise (median of Immerkaer's mask, doi:10.1006/cviu.1996.0060)."""
     rough = np.abs(cv2.filter2D(plane, cv2.CV_32F, LAPLACIAN))
     return float(np.median(rough)) / (6 * HALF_NORMAL_MEDIAN)
 
 
 def noise_near(axis: Axis, smooth_below: Float[ndarray, "h w"], reach_px: int) -> Float[ndarray, "h w"]:
-    """Standard deviation of the noise around each pixel, from what is no edge.
+    """Return the local standard deviation of the noise, from pixels that are no edges.
 
     Args:
-        axis: the image.
-        smooth_below: gradient [levels a pixel] below which a pixel is no edge.
-        reach_px: half-side of the window.
+        axis: Image.
+        smooth_below: Gradient below which a pixel is no edge [levels/px].
+        reach_px: Half-side of the window [px].
     """
     blurred = cv2.GaussianBlur(axis, (0, 0), 1.5)
     gx, gy = cv2.spatialGradient(blurred)

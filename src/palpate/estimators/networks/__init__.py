@@ -19,16 +19,16 @@ from palpate.estimators.networks.model_interface import Fitted, Model, TrainingD
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """Place of a model's code, its input and output; a user's model may have one as class variable ``kind``.
+    """Location of a model's code, its input and output; plug-ins may have a class variable ``kind``.
 
     Attributes:
-        path: ``module:Class``; empty where a model says itself what it is like.
-        side_px: of the square input it takes where no size is asked for [px].
-        costly: whether training it again for every fold is more than most would wait for.
-        channels: it was made for, 1 or 3; 0 where any will do.
-        delta: whether it was made for differences from the untouched sensor; None where either will do.
-        targets: what it estimates, where that is fixed; empty where it estimates what it is asked.
-        regions: of a frame that it sees side by side, by the sensor's names; empty where it sees the whole.
+        path: ``module:Class``; empty for plug-ins.
+        side_px: Default side of the square input [px].
+        costly: Whether retraining it for every fold takes long.
+        channels: Channels it needs, 1 or 3; 0 for any.
+        delta: Whether it needs differences from the reference; None for either.
+        targets: Targets, if fixed.
+        regions: Regions of a frame that it sees side by side; empty for the whole.
     """
 
     path: str = ""
@@ -70,8 +70,6 @@ class _Models(Mapping[str, Any]):
 
 
 class _Paths(_Models):
-    """Where the code of every one of these models is."""
-
     def __getitem__(self, name: str) -> Any:
         return super().__getitem__(name).path
 
@@ -81,12 +79,7 @@ REGISTRY = PluginRegistry("model", "palpate.models", _Paths())
 
 
 def model_kind(name: str) -> Kind:
-    """Kind of the named model.
-
-    Raises:
-        InputError: there is no such model; the message lists those there are.
-        PluginError: it is a plug-in, and breaks a law that a class can be seen to break.
-    """
+    """Return the kind of the named model."""
     path = REGISTRY.path_of(name)
     if name in MODELS:
         return MODELS[name]
@@ -97,11 +90,7 @@ def model_kind(name: str) -> Kind:
 
 
 def model_class(path: str) -> type:
-    """The class of a plug-in, which says its settings by fields and can be asked to fit.
-
-    Raises:
-        PluginError: it does not import, or is no such class.
-    """
+    """The class of a plug-in, which says its settings by fields and can be asked to fit."""
     model = import_path(path, "model")
     if not (isinstance(model, type) and is_dataclass(model)):
         raise PluginError(
@@ -113,14 +102,7 @@ def model_class(path: str) -> type:
 
 
 def make_model(name: str, options: Mapping[str, Any]) -> Model:
-    """A model by name, or of a user's by ``module:Class``, with some of its fields set.
-
-    Raises:
-        InputError: no such model, or no such option; the message lists those there are. Or an option is
-            missing or not of its field's type, which the message tells.
-        PluginError: it is a plug-in that does not import, or is no model, or cannot be made.
-        MissingExtraError: the model needs a package that is not installed.
-    """
+    """A model by name, or of a user's by ``module:Class``, with some of its fields set."""
     path = REGISTRY.path_of(name)
     make = model_class(path)
     _check_options(name, make, options)

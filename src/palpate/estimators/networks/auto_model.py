@@ -48,19 +48,14 @@ class FittedChoice:
 
 @dataclass(frozen=True, slots=True)
 class AutoModel:
-    """The best of mean, pca-ridge, kernel-ridge and, where there is time, a network.
+    """Best of mean, pca-ridge, kernel-ridge and, if time allows, a network, by inner folds.
 
-    Each is scored on inner folds of the rows it may learn from, groups whole, so that what chooses never sees
-    the rows that the calibration scores. The network is tried where torch is installed and ten epochs or more
-    fit; it learns for as many as do, and is compared with the others on one inner fold.
-
-    A candidate is begun only while there is time to learn the best so far once more, from all rows. So the
-    time is exceeded by no more than one candidate's step, a fit on one inner fold. The same seed gives the
-    same model where every candidate is done in time; where time runs out, the choice, and how long a network
-    learns, depend on how quick the machine is.
+    The network needs torch and time for ten epochs, and is compared on one inner fold. A candidate starts
+    only if time remains to refit the best so far on all rows. Results depend on the machine's speed only if
+    time runs out.
 
     Attributes:
-        minutes: time for all fits of a calibration together [min].
+        minutes: Time for all fits of a calibration [min].
     """
 
     minutes: float = 10.0
@@ -70,7 +65,6 @@ class AutoModel:
             raise InputError(f"auto: {self.minutes} minutes; give more than 0, such as minutes=10")
 
     def shared_among(self, fits: int) -> AutoModel:
-        """The same model, for one of so many fits."""
         return replace(self, minutes=self.minutes / fits)
 
     def fit(
@@ -97,14 +91,7 @@ class AutoModel:
 
 @dataclass
 class _Entry:
-    """Candidate, and how it did.
-
-    Attributes:
-        name, options: of the model.
-        errors: root mean square errors in units of the spread, one row a fold and one column a target.
-        seconds: time of each fold [s].
-        note: why it was not tried, or how far it came.
-    """
+    """Candidate with RMS errors in units of the spread ``[fold target]`` and seconds by fold."""
 
     name: str
     options: Mapping[str, Any]
@@ -124,11 +111,7 @@ class _Entry:
 
 @dataclass
 class _Contest:
-    """Candidates that are tried one after another until a time.
-
-    Attributes:
-        until: when the time is over, by the monotonic clock [s].
-    """
+    """Candidates that are tried in turn until a time by the monotonic clock [s]."""
 
     data: TrainingData
     seed: int
@@ -225,7 +208,6 @@ def _learnt(
     seed: int,
     progress: Progress,
 ) -> FittedChoice:
-    """The best candidate, learnt from all rows."""
     from palpate.estimators.networks import make_model
 
     fitted = make_model(best.name, best.options).fit(data, rows, seed=seed, progress=progress)

@@ -1,10 +1,7 @@
-"""Camera variation: what a camera does from day to day, drawn into a network's training images.
+"""Camera variation drawn into a network's training images, whose labels stay.
 
-Focus, place, angle, distance, brightness, width of bright markers, noise and compression vary at stated
-sizes, and the labels stay: the touch was the same. A share of the images has none of each, so that those of
-the calibration itself stay well known. What a network then reads depends less on what the camera does
-(noise in the inputs is a penalty on the slope along it: C. M. Bishop, Neural Comput. 7, 108 (1995),
-doi:10.1162/neco.1995.7.1.108).
+Each change leaves a part of the images as they are. Noise in the inputs penalizes the slope along it: C. M.
+Bishop, Neural Comput. 7, 108 (1995), doi:10.1162/neco.1995.7.1.108.
 """
 
 from __future__ import annotations
@@ -16,8 +13,8 @@ import numpy as np
 
 from palpate.core import Float32, InputError, Tensor
 
+# share of the images that each change is drawn for; half as many are compressed, which takes longest
 SHARE = 0.5
-"""Share of the images that each change is drawn for; half as many are compressed, which takes longest."""
 
 Rng = np.random.Generator
 Planes = Float32[np.ndarray, "h w c"]
@@ -25,17 +22,15 @@ Planes = Float32[np.ndarray, "h w c"]
 
 @dataclass(frozen=True, slots=True)
 class CameraVariation:
-    """Greatest size of each change; every drawn size is uniform up to it, and of either sign.
+    """Greatest size of each change, drawn uniformly with either sign.
 
     Attributes:
-        shift_px: each way [px of the input], in parts of a pixel.
-        turn_deg: about the middle [deg].
-        zoom_percent: about the middle.
-        blur_px: sigma of a Gaussian [px of the input].
-        width_px: how far outlines of what is bright move along rows and columns [px of the input], up to 1.
-        gain_percent: of the grey levels.
-        noise: sigma [grey levels].
-        below_quality_100: how far below 100 the quality of a JPEG may be.
+        shift_px: Shift along each axis [px of the input].
+        turn_deg: Rotation about the center [deg].
+        blur_px: Sigma of a Gaussian blur [px of the input].
+        width_px: Motion of bright outlines along rows and columns, at most 1 [px of the input].
+        noise: Sigma [gray levels].
+        below_quality_100: JPEG quality below 100.
     """
 
     shift_px: float = 3.0
@@ -61,13 +56,7 @@ class CameraVariation:
         )
 
     def drawn(self, images: Tensor, rng: Rng) -> Tensor:
-        """Each image with its own changes.
-
-        Args:
-            images: inputs ``[n c h w]``, grey levels, or differences of them, which have no outlines of their
-                own and are not compressed.
-            rng: draws them.
-        """
+        """Return each image ``[c h w]`` with its own changes; differences are not compressed."""
         levels = bool(images.min() >= 0)
         each = (self._changed(image.transpose(1, 2, 0), levels, rng) for image in images)
         return np.stack([image.transpose(2, 0, 1) for image in each])
@@ -115,11 +104,7 @@ NEIGHBOURHOODS = (np.ones((3, 3), np.uint8), np.array([[0, 1, 0], [1, 1, 1], [0,
 
 
 def with_outlines_moved(image: Planes, px: float, rng: Rng) -> Planes:
-    """An image whose bright parts reach so many pixels farther, at most one; less far where negative.
-
-    Outlines move alike in all directions, which neither neighbourhood on a grid does: eight neighbours take
-    corners too far, four not far enough. One of them is drawn.
-    """
+    """Return an image whose bright parts extend by `px`, at most 1, by a random one of two neighborhoods."""
     neighbourhood = NEIGHBOURHOODS[int(rng.integers(2))]
     reached = (cv2.dilate if px > 0 else cv2.erode)(image, neighbourhood).reshape(image.shape)
     return np.asarray(image + np.float32(abs(px)) * (reached - image))

@@ -1,9 +1,8 @@
-"""A compact convolutional network: small enough to train on a laptop and to sense with in milliseconds.
+"""Compact convolutional network that trains on a laptop and runs in milliseconds.
 
-Blocks of convolution, batch normalisation, rectifier and pooling keep the map's layout up to a dense
-head, since where a marker or a fringe lies is the measurement. Trained with AdamW on a cosine schedule;
-what is kept is the running average of the weights (Polyak & Juditsky, SIAM J. Control Optim. 30:838
-(1992), doi:10.1137/0330046). Several members, trained from different seeds, answer with their mean.
+Blocks of convolution, batch normalization, rectifier, and pooling keep the layout up to a dense head. Trained
+with AdamW on a cosine schedule; running average of the weights (Polyak & Juditsky, SIAM J. Control Optim.
+30:838 (1992), doi:10.1137/0330046); mean of several members.
 """
 
 from __future__ import annotations
@@ -63,7 +62,6 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
         return self.head(self.blocks((image - self.level) / self.contrast))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Values in the targets' units."""
         return self.scaled(image).float() * self.scale + self.mean
 
 
@@ -99,7 +97,6 @@ class FittedNetwork:
 
 
 def _add_network(graph: TorchGraph, network: Network) -> str:
-    """Add a network's chain of layers from the image on; returns the name of its answer."""
     at = graph.centred("image", network.level, network.contrast)
     at = graph.add_chain((*network.blocks, *network.head), at)
     return graph.restored(at, network.scale, network.mean)
@@ -107,24 +104,20 @@ def _add_network(graph: TorchGraph, network: Network) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CompactCnn:
-    """Recipe by which the network is built and trained.
+    """Architecture and training schedule of the network.
 
     Attributes:
-        widths: features after the stem, which quarters the map's side, and after each block, which halves it.
-        members: networks trained from different seeds, whose mean is the answer.
-        hidden: width of the dense layer.
-        epochs: passes over the rows.
-        batch: rows a step.
-        learning_rate: at its peak.
-        weight_decay: AdamW's.
-        shift_px: each training image is moved by up to this much at random [px of the input].
-        variation: focus, turn, zoom, brightness, width of markers, noise and compression of training images
-            vary by this many times the sizes of `camera_variation.CameraVariation`; 0 varies none of them.
-        turns: how often the sensor's markers repeat in a full turn about its axis: 6 for a hexagonal lattice.
-            Training images are turned by such steps at random, and their labels with them; 1 turns none.
-        averaging: share of the running average kept at each step, at most.
-        patience: passes without gain on watched groups before it stops; 0 trains to the end on all rows.
-        watched: share of the groups watched, where `patience` is not 0.
+        widths: Features after the stem (side over 4) and after each block (side over 2).
+        members: Number of networks with different seeds.
+        hidden: Width of the dense layer.
+        epochs: Passes over the rows.
+        learning_rate: Peak learning rate.
+        shift_px: Greatest random shift of training images [px of the input].
+        variation: Multiple of the sizes of `CameraVariation`; 0 for none.
+        turns: Order of the sensor's rotational symmetry, by which images and labels are rotated; 1 for none.
+        averaging: Greatest decay of the running average.
+        patience: Passes without gain on watched groups before it stops; 0 trains to the end on all rows.
+        watched: Ratio of the groups watched.
     """
 
     widths: tuple[int, ...] = (32, 64, 96, 128, 160)
@@ -272,13 +265,11 @@ class _Training:
         return float(np.abs(scaled_errors(fitted, self.scaler, self.data, rows)).mean())
 
     def kept(self) -> Network:
-        """A copy of the averaged network, in plain layout, ready to predict."""
         copy = Network(self.data.shape, self.plan.widths, self.plan.hidden, self.scaler)
         copy.load_state_dict(self.average.module.state_dict())
         return copy.eval()
 
     def save(self, path: Path) -> None:
-        """Keep all of it, in one step."""
         states = {"network": self.network.state_dict(), "average": self.average.state_dict()}
         write_checkpoint(path, {"epoch": self.epoch}, states, self.optimiser)
 
@@ -323,7 +314,7 @@ def write_checkpoint(
 
 @parser("training checkpoint", InputError, max_bytes=1 << 30)
 def read_checkpoint(path: Path) -> dict[str, torch.Tensor]:
-    """All arrays of a checkpoint."""
+    """Return all arrays of a checkpoint."""
     return {name: torch.from_numpy(value) for name, value in read_arrays(path, max_bytes=1 << 30).items()}
 
 

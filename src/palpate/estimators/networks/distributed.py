@@ -1,8 +1,7 @@
-"""The processes that torchrun began, which train one network: each learns from its share of every batch.
+"""Processes started by torchrun that train one network, each on its part of every batch.
 
-They know of each other from torchrun's environment (RANK, LOCAL_RANK, WORLD_SIZE); without it there is one.
-torch is imported only where processes are to meet, so that which one this is can be asked without it. Numbers
-and waiting go through gloo, gradients through NCCL where there are GPUs; nothing is pickled.
+They read torchrun's environment (RANK, LOCAL_RANK, WORLD_SIZE); without it there is one. Numbers and barriers
+use gloo, gradients NCCL on GPUs; nothing is pickled. torch is imported only for several processes.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ if TYPE_CHECKING:
     import torch
     from torch import nn
 
+# of one that waits: the first may pack a long recording. Where one fails, torchrun ends them all at once
 PATIENCE = timedelta(days=1)
-"""Of one that waits: the first may pack a long recording. Where one fails, torchrun ends them all at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessGroup:
-    """The processes that work together, as one of them sees them.
+    """Cooperating processes, as seen by one of them.
 
     Attributes:
-        rank: which this is; the first, 0, is the one that decides and writes.
-        size: how many there are, on all machines.
-        local: which this is on its machine, and so which GPU it takes.
+        rank: Index of this process; 0 decides and writes.
+        size: Number of processes on all machines.
+        local: Index on its machine, and of its GPU.
     """
 
     rank: int = 0
@@ -40,11 +39,7 @@ class ProcessGroup:
 
     @classmethod
     def of_environment(cls) -> ProcessGroup:
-        """Read the group from the environment that torchrun sets.
-
-        Raises:
-            InputError: WORLD_SIZE is set and what goes with it is not.
-        """
+        """Read the group from the environment that torchrun sets."""
         size = os.environ.get("WORLD_SIZE", "1")
         if size == "1":
             return cls()
@@ -61,11 +56,9 @@ class ProcessGroup:
 
     @property
     def first(self) -> bool:
-        """True for the process that decides and writes."""
         return self.rank == 0
 
     def join(self) -> None:
-        """Meet the others; once in a process."""
         if self.size == 1:
             return
         import torch
@@ -78,7 +71,6 @@ class ProcessGroup:
         atexit.register(distributed.destroy_process_group)
 
     def wait(self) -> None:
-        """Wait until all others have come here too."""
         self.sum(0.0)
 
     def sum(self, number: float) -> float:
@@ -104,21 +96,14 @@ class ProcessGroup:
         return float(value)
 
     def share(self, rows: Indices) -> tuple[Indices, float]:
-        """This process's rows of a batch, and the weight of their mean loss in the mean of all shares.
-
-        Too few rows for two each are learnt from by every process alike.
-        """
+        """Return this process's rows of a batch and their weight; small batches go to all."""
         if len(rows) < 2 * self.size:
             return rows, 1.0
         mine = rows[self.rank :: self.size]
         return mine, self.size * len(mine) / len(rows)
 
     def device(self) -> torch.device:
-        """The processor or the GPU that is this process's own.
-
-        Raises:
-            InputError: there are GPUs, but fewer than processes on this machine.
-        """
+        """The processor or the GPU that is this process's own."""
         import torch
 
         if not torch.cuda.is_available():
@@ -132,10 +117,7 @@ class ProcessGroup:
         return torch.device("cuda", self.local) if self.size > 1 else torch.device("cuda")
 
     def with_shared_statistics(self, network: nn.Module) -> nn.Module:
-        """The network itself, or on several GPUs a copy whose batch statistics are those of all shares.
-
-        torch has no such batch normalisation on the CPU: there each process normalises by its own share.
-        """
+        """Return the network, on several GPUs with batch statistics of all shares."""
         import torch
 
         if self.size == 1 or not torch.cuda.is_available():

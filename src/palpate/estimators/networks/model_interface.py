@@ -15,14 +15,15 @@ from palpate.core import Float, Indices, InputError, Progress, Shaped, Tensor, V
 
 @dataclass(frozen=True)
 class TrainingData:
-    """Data that a model learns from: inputs fetched by row, values, and which rows belong together.
+    """Training data: inputs fetched by row, values, and groups.
 
     Attributes:
-        shape: (channels, height, width) of an input.
-        values: ``[n t]``, in the targets' own units; NaN where a row is held out. Read-only, as `groups`.
-        groups: ``[n]`` label of each row's group; rows of one group never stand on both sides.
-        fetch: rows -> inputs ``[n c h w]``, grey levels 0 to 255, or their difference from a reference.
-        names: of the targets, as quantity_unit; empty where no model asks.
+        shape: Channels, height, and width of an input.
+        values: Values ``[n t]`` in the targets' units; NaN if held out. Read-only, as `groups`.
+        groups: Group of each row ``[n]``; rows of one group are never on both sides of a split.
+        fetch: Function from rows to inputs ``[n c h w]``: gray levels 0 to 255, or differences from a
+            reference.
+        names: Target names, quantity_unit.
     """
 
     shape: tuple[int, int, int]
@@ -48,11 +49,7 @@ class TrainingData:
     def inner_validation(
         self, rows: Indices, share: float, rng: np.random.Generator
     ) -> tuple[Indices, Indices]:
-        """Part whole groups from `rows`, to decide by them when to stop.
-
-        Returns:
-            Rows to learn from and rows to watch; the second is empty where there are fewer than two groups.
-        """
+        """Return rows to train on and rows to watch (none for fewer than two groups), by whole groups."""
         names = np.unique(self.groups[rows])
         count = min(round(share * len(names)) or 1, len(names) - 1)
         validation = np.isin(self.groups[rows], rng.choice(names, count, replace=False))
@@ -61,7 +58,7 @@ class TrainingData:
 
 @runtime_checkable
 class Fitted(Protocol):
-    """A model that has learnt."""
+    """Trained model."""
 
     def predict(self, inputs: Tensor) -> Values:
         """Estimates ``[n t]`` in the targets' units, for inputs ``[n c h w]``."""
@@ -72,14 +69,13 @@ class Fitted(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One way of learning that a model tried on inner folds.
+    """Variant that a model tried on inner folds.
 
     Attributes:
-        name: what was tried.
-        error: root mean square error on rows of groups not learnt from, in units of each target's spread, as
-            the geometric mean over the targets: about 1 is what the mean gives. None where it was not tried.
-        seconds: time it took [s].
-        note: why it was not tried, or how far it came.
+        error: RMS error on held-out groups in units of each target's spread, geometric mean over targets (1
+            is the mean's); None if not tried.
+        seconds: Duration [s].
+        note: Why it was not tried, or how far it came.
     """
 
     name: str
@@ -90,12 +86,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class ModelChoice:
-    """Choice that a model made by its inner folds, and what each way gave.
-
-    Attributes:
-        chosen: name of one of the trials, with what was decided after it.
-        trials: in the order in which they were tried.
-    """
+    """Choice that a model made by its inner folds, and the trials in order."""
 
     chosen: str
     trials: tuple[Trial, ...]
@@ -110,15 +101,14 @@ class Chooses(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrainingRecord:
-    """How long a network has learnt.
+    """How long a network was trained.
 
     Attributes:
-        steps: of its optimiser.
-        epochs: passes over the rows learnt from, the last one perhaps in part.
-        batch: rows a step, at most.
-        best_step: after which the weights that are kept were reached; 0 where no rows were watched, and those
-            after the last step are kept.
-        stopped: whether it ended since watched rows gained no more, not since its steps were used up.
+        steps: Optimizer steps.
+        epochs: Passes over the training rows, the last perhaps partial.
+        batch: Rows a step.
+        best_step: Step of the kept weights; 0 for the last one if no rows were watched.
+        stopped: Whether it stopped early.
     """
 
     steps: int
@@ -164,14 +154,14 @@ class Model(Protocol):
         progress: Progress = silent,
         checkpoint: Path | None = None,
     ) -> Fitted:
-        """Learn from `rows` of `data`.
+        """Train on `rows` of `data`.
 
         Args:
-            data: inputs and values.
-            rows: the rows that may be learnt from.
-            seed: of everything random.
-            progress: called with how far the work is.
-            checkpoint: a file the model may keep its progress in, to go on from after an interruption.
+            data: Inputs and values.
+            rows: Training rows.
+            seed: Random seed.
+            progress: Progress callback.
+            checkpoint: File to resume from after an interruption.
         """
 
 
@@ -200,16 +190,13 @@ class Scaler:
 
     @classmethod
     def of(cls, values: Values) -> Scaler:
-        """The scaler of these values; a constant column keeps its size."""
         spread = values.std(axis=0)
         return cls(values.mean(axis=0), np.where(spread > 0, spread, 1.0))
 
     def scaled(self, values: Values) -> Values:
-        """Into units of the spread."""
         return (values - self.mean) / self.scale
 
     def restored(self, scaled: Values) -> Values:
-        """Back into the targets' units."""
         return scaled * self.scale + self.mean
 
 

@@ -38,10 +38,9 @@ class OnnxGraph:
         return name
 
     def add_trees(self, forest: Any, at: str) -> str:
-        """The mean of scikit-learn's regression trees at float32 features ``[n f]``.
+        """Add the mean of scikit-learn's regression trees of float32 features ``[n f]``.
 
-        A threshold is brought to the next float32 that is not above it: features are float32 as well, so that
-        each goes to the very side it goes to in scikit-learn.
+        Thresholds are rounded down to float32, so that each feature goes to the same side as in scikit-learn.
         """
         nodes: dict[str, list[np.ndarray]] = {name: [] for name in TREE_NODES}
         leaves: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -109,14 +108,7 @@ def image_to_value(
     shape: tuple[int, int, int],
     targets: int,
 ) -> onnx.ModelProto:
-    """A model from ``image [n c h w]`` to ``value [n t]``.
-
-    Args:
-        nodes: the graph's nodes, in order.
-        constants: its weights, by name.
-        shape: (c, h, w).
-        targets: t.
-    """
+    """Return a model from ``image [n c h w]`` to ``value [n t]``, with weights by name."""
     graph = helper.make_graph(
         list(nodes),
         "palpate",

@@ -1,7 +1,4 @@
-"""Linear models: the mean, and principal components of the image with ridge regression on them.
-
-The second is quick, and hard to beat with few frames.
-"""
+"""Linear models: the mean, and ridge regression on principal components of the image."""
 
 from __future__ import annotations
 
@@ -61,14 +58,10 @@ class MeanBaseline:
 
 
 def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np.ndarray, "p k"]:
-    """Principal axes of centred rows, all scaled alike, so that scores along the first have unit variance.
+    """Return the principal axes of centered rows; a common scale gives the first unit variance.
 
-    From the smaller of the two matrices of products, which is what makes images (many pixels, few rows)
-    quick: if X Xᵀ u = s² u, then Xᵀ u / s is an axis. Axes with less than a millionth of the first one's
-    variance are left out, as float32 does not resolve them.
-
-    They are not scaled to unit variance each: with about as many axes as rows that would make every row
-    unlike all others, and no penalty could be chosen by holding rows out.
+    Computed from the smaller product matrix. Axes with less than a millionth of the first variance are
+    omitted. Axes are not whitened, because with as many axes as rows all rows would be equally far apart.
     """
     n, p = centred.shape
     products = centred @ centred.T if n <= p else centred.T @ centred
@@ -84,15 +77,12 @@ def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np
 
 @dataclass(frozen=True, slots=True)
 class PcaRidge:
-    """PCA, then ridge with a penalty chosen by inner folds that keep groups whole.
-
-    The components come from at most `basis_frames` frames, so that a set larger than memory can be
-    learnt from; the regression uses every frame's components.
+    """PCA, then ridge regression with a penalty chosen by inner folds of whole groups.
 
     Attributes:
-        components: how many principal components, at most.
-        basis_frames: how many frames the components are computed from, at most.
-        penalties: ridge penalties tried, where the first component has unit variance.
+        components: Greatest number of principal components.
+        basis_frames: Greatest number of frames that they are computed from.
+        penalties: Ridge penalties, where the first component has unit variance.
     """
 
     components: int = 300

@@ -23,15 +23,7 @@ NOT_TRAINED = TrainingRecord(0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class FittedPerceptron:
-    """Scaled pixels through dense layers with rectifiers between them, then scaled back.
-
-    Attributes:
-        shape: (channels, height, width) of an input.
-        level, contrast: that pixels are scaled by, as (x - level) / contrast.
-        scaler: of the targets.
-        layers: weights and bias of each.
-        training: how long it has learnt.
-    """
+    """Scaled pixels (x - level) / contrast through dense layers with rectifiers, then scaled back."""
 
     shape: tuple[int, int, int]
     level: float
@@ -41,7 +33,6 @@ class FittedPerceptron:
     training: TrainingRecord = NOT_TRAINED
 
     def pixels(self, inputs: Tensor) -> Float[np.ndarray, "n k"]:
-        """Scaled pixels of inputs, flat."""
         return (inputs.reshape(len(inputs), -1) - self.level) / self.contrast
 
     def predict(self, inputs: Tensor) -> Values:
@@ -63,17 +54,15 @@ class FittedPerceptron:
 
 @dataclass(frozen=True, slots=True)
 class PixelMlp:
-    """scikit-learn's MLPRegressor, fed a batch at a time so that no set is too large.
+    """scikit-learn's MLPRegressor, trained batch by batch.
 
     Attributes:
-        hidden: width of each hidden layer.
-        epochs: passes over the rows, at most.
-        patience: passes without gain on the watched groups before it stops.
-        watched: share of the groups kept out of learning, to decide when to stop.
-        batch: rows a step.
-        learning_rate: Adam's step.
+        hidden: Width of each hidden layer.
+        epochs: Greatest number of passes.
+        patience: Passes without gain on the watched groups before it stops.
+        watched: Ratio of the groups watched.
         penalty: L2 penalty on the weights.
-        steps: of Adam in all, to the next whole pass, in place of `epochs` and `patience`; 0 for none stated.
+        steps: Adam steps in place of `epochs` and `patience`; 0 for none.
     """
 
     hidden: tuple[int, ...] = (128,)

@@ -1,6 +1,4 @@
-"""ResNet-18 without its last layer: 512 features of an image of any number of channels.
-
-Its parts carry torchvision's names, so that weights trained elsewhere can be read by them.
+"""ResNet-18 without its last layer, with torchvision's parameter names.
 
 Reference: He, Zhang, Ren & Sun, Deep residual learning for image recognition, CVPR (2016), table 1,
 doi:10.1109/CVPR.2016.90.
@@ -37,20 +35,13 @@ class BasicBlock(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so t
             self.downsample = nn.Sequential(narrow, nn.BatchNorm2d(features))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """The block's map ``[n k h w]``."""
         around = x if self.downsample is None else self.downsample(x)
         through = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
         return self.relu(through + around)
 
 
 class ResNet18(nn.Module):  # type: ignore[misc]
-    """Images ``[n c h w]`` to features ``[n 512]``, begun as He et al. (2015) propose for rectifiers.
-
-    The side of the map is a 32nd of the image's before it is averaged.
-
-    Args:
-        channels: of the images.
-    """
+    """Map of images ``[n c h w]`` to features ``[n 512]``, initialized after He et al. (2015)."""
 
     def __init__(self, channels: int = 3) -> None:
         super().__init__()
@@ -69,13 +60,11 @@ class ResNet18(nn.Module):  # type: ignore[misc]
                 nn.init.kaiming_normal_(part.weight, mode="fan_out", nonlinearity="relu")
 
     def chain(self) -> Iterator[nn.Module]:
-        """Its parts, one after the other."""
         yield from (self.conv1, self.bn1, self.relu, self.maxpool)
         yield from (self.layer1, self.layer2, self.layer3, self.layer4)
         yield from (self.avgpool, self.flatten)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Features ``[n 512]``."""
         for part in self.chain():
             image = part(image)
         return image
@@ -85,18 +74,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         self.take(read_weights(path), str(path))
 
     def take(self, weights: Mapping[str, torch.Tensor], source: str) -> None:
-        """Take weights by name; those of the last layer (fc) are passed over.
-
-        A trunk of grey images takes the first layer summed over the colours, so that it answers to a grey
-        image as the other would to the same image in all three channels.
-
-        Args:
-            weights: of a ResNet-18 of colour images.
-            source: what an error shall call them.
-
-        Raises:
-            InputError: entries are missing, extra or of another shape; the message names them.
-        """
+        """Take weights of a color ResNet-18 except the last layer, summed over colors for gray images."""
         mine = self.state_dict()
         trunk = {k: v for k, v in weights.items() if not k.startswith("fc.")}
         # Files written by older versions of torch do not count batches, and nothing here reads the count.
@@ -121,11 +99,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
 
 
 def check_weights(path: Path) -> None:
-    """Refuse a path that no weights can be read from.
-
-    Raises:
-        InputError: it is no `.safetensors` file, or not there.
-    """
+    """Refuse a path that no weights can be read from."""
     if path.suffix != ".safetensors":
         raise InputError(
             f"weights {path}: only .safetensors files are read, since other kinds can run code when they are "
@@ -137,12 +111,7 @@ def check_weights(path: Path) -> None:
 
 
 def read_weights(path: Path) -> dict[str, torch.Tensor]:
-    """All arrays of a `.safetensors` file, by name.
-
-    Raises:
-        InputError: it is not there, of another kind, or damaged.
-        MissingExtraError: the package that reads it is not installed.
-    """
+    """All arrays of a `.safetensors` file, by name."""
     check_weights(path)
     load = require("safetensors.torch", f"A file of weights such as {path}").load_file
     try:

@@ -1,8 +1,7 @@
-"""A sensor that looks the same when turned: each image stands for several, and so do its labels.
+"""Rotational symmetry of a sensor: each training image and its labels stand for several.
 
-A skin of revolution whose markers repeat n times round its axis sees a touch and the same touch turned by
-360/n degrees as two images that are each other, turned. In-plane components (shear, tilt, location) turn with
-the image; those along the axis (depth, twist, normal force) stay.
+If markers repeat n times around the axis, rotation by 360/n degrees maps touches to touches. In-plane
+components rotate with the image; axial ones stay.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ import numpy as np
 
 from palpate.core import Float, InputError, Tensor, Values, split_column
 
+# correlation of the mean image with itself rotated below which the symmetry is refused (0.9 if present)
 MIN_LIKENESS = 0.8
-"""Correlation of the mean image with itself turned, below which the sensor is not what it is said to be: a
-lattice that misses its own symmetry correlates at 0.2 to 0.5, one that has it at 0.9 and more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +23,10 @@ class RotationalSymmetry:
     """Rotation of images and their values together.
 
     Attributes:
-        order: n, how often the sensor repeats in a full turn.
+        order: n, repetitions in a full turn.
         centre: (x, y) of the axis in the input [px].
-        pairs: columns of values that are x and y components of one vector; x to the right, y down.
-        lone: columns that are one component without the other; they only change sign, at a half turn.
+        pairs: Columns that are x and y components of one vector; x to the right, y down.
+        lone: Columns that are one component alone, which change sign at a half turn.
     """
 
     order: int
@@ -38,12 +36,7 @@ class RotationalSymmetry:
 
     @classmethod
     def find(cls, order: int, images: Tensor, names: tuple[str, ...]) -> RotationalSymmetry:
-        """Find the axis from a sample of images, and what turns from the targets' names.
-
-        Raises:
-            InputError: the sensor does not look the same when turned so, or a target's other component is
-                not among the targets.
-        """
+        """Find the axis from a sample of images, and what turns from the targets' names."""
         pairs, lone = in_plane(names)
         if lone and order != 2:
             raise InputError(
@@ -75,7 +68,7 @@ class RotationalSymmetry:
 
 
 def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
-    """Target columns that are in-plane vectors, by their names, and those that are half of one.
+    """Return the columns that are in-plane vectors, by name, and those that are half of one.
 
     Example:
         >>> in_plane(("depth_mm", "shear_x_mm", "shear_y_mm", "tilt_x_deg"))
@@ -90,13 +83,7 @@ def in_plane(names: tuple[str, ...]) -> tuple[tuple[tuple[int, int], ...], tuple
 
 
 def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
-    """Place of the axis in the mean image (x, y) [px], from how far off its turned copy lies.
-
-    Turned about the middle m, an image whose axis is m + e comes out displaced by R e - e.
-
-    Raises:
-        InputError: less than two turns, or the turned copy does not look the same.
-    """
+    """Return the axis in the mean image (x, y) [px], from the offset R e - e of its rotated copy."""
     if order < 2:
         raise InputError(f"a sensor repeats 2 or more times in a full turn; turns={order}", code="turn-count")
     height, width = mean.shape

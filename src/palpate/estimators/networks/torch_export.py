@@ -16,23 +16,14 @@ with optional_imports("A network"):
 
 
 class TorchGraph(OnnxGraph):
-    """A graph of torch's layers.
-
-    They are written as they answer once trained: batch normalisation with its running mean and variance.
-    """
+    """ONNX graph of torch layers in evaluation mode."""
 
     def add_chain(self, layers: Iterable[nn.Module], at: str) -> str:
-        """Add layers one after the other, the first after the node named `at`."""
         for layer in layers:
             at = self.add_layer(layer, at)
         return at
 
     def add_layer(self, layer: nn.Module, at: str) -> str:
-        """Add one layer after the node named `at`; returns the name of what it makes.
-
-        Raises:
-            TypeError: no ONNX form is written for such a layer.
-        """
         match layer:
             case nn.Conv2d() if layer.groups == 1 and set(layer.dilation) == {1}:
                 weights = _arrays(w=layer.weight, b=layer.bias)
@@ -62,7 +53,6 @@ class TorchGraph(OnnxGraph):
                 raise TypeError(f"no ONNX form is written for {layer}")
 
     def _residual(self, block: BasicBlock, at: str) -> str:
-        """A block's two convolutions, and its shortcut round them."""
         around = at if block.downsample is None else self.add_chain(block.downsample, at)
         through = self.add_chain((block.conv1, block.bn1, block.relu, block.conv2, block.bn2), at)
         return self.add("Relu", [self.add("Add", [through, around])])
@@ -80,11 +70,9 @@ class TorchGraph(OnnxGraph):
         return self.add("Flatten", [centres])
 
     def joined(self, *parts: str) -> str:
-        """Features ``[n k]`` side by side, in the order given."""
         return self.add("Concat", parts, axis=1)
 
     def picked(self, at: str, order: Sequence[int]) -> str:
-        """Features ``[n k]`` in another order."""
         return self.add("Gather", [at], {"order": np.array(order, np.int64)}, axis=1)
 
 

@@ -1,15 +1,11 @@
-"""The training loop that the larger networks share: Adam on batches, clipped gradients, and where it was.
+"""Training loop of the larger networks: Adam on batches, clipped gradients, and checkpoints.
 
-Everything random in an epoch follows from the seed and the epoch's number, and what an epoch leaves behind
-is kept in a checkpoint of plain arrays. Training that was interrupted goes on to the same weights, on the
-same machine with the same number of threads.
+Randomness follows from the seed and the epoch, and checkpoints are plain arrays, so that interrupted training
+resumes to the same weights on the same machine and threads. With torchrun several processes share every
+batch; only the first writes and decides. bfloat16 is used for passes where it is fast; weights and loss stay
+float32.
 
-Begun by torchrun, several processes train one network, each on its share of every batch: the rows of a step
-and their order are those of one process, and so are the weights but for rounding, and, on the CPU, for batch
-normalisation, which there knows one share only. The first process alone writes and decides when to stop.
-
-Where bfloat16 is fast, forward and backward passes are computed in it; weights, their steps and the loss
-stay float32. Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
+Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
 """
 
 from __future__ import annotations
@@ -50,16 +46,15 @@ FALL = 0.3  # of Adam's step, where the watched rows gain no more
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """Rows, answers and loss that a network shall learn.
+    """Rows, targets, and loss of a training.
 
     Attributes:
-        fetch: rows -> inputs ``[n c h w]``.
-        wanted: what the network shall answer, for every row that can be fetched.
-        loss: of answers ``[n t]`` and what was wanted; a mean over the rows.
-        learn: the rows learnt from.
-        watch: rows by which it is decided when to stop; none where training goes on to its last epoch.
-        vary: changes an input ``[1 c h w]`` as a camera would, by a seed; None where inputs are learnt from
-            as they are. Watched rows are never changed.
+        fetch: Function from rows to inputs ``[n c h w]``.
+        wanted: Targets of every row that can be fetched.
+        loss: Mean loss over rows of outputs ``[n t]``.
+        learn: Training rows.
+        watch: Rows for early stopping; none to train to the last epoch.
+        vary: Augmentation of an input ``[1 c h w]`` by a seed, for training rows only.
     """
 
     fetch: Callable[[Indices], Tensor]
@@ -72,21 +67,19 @@ class TrainingTask:
 
 @dataclass(frozen=True, slots=True)
 class TrainingLoop:
-    """Schedule by which a network is trained.
+    """Training schedule.
 
     Attributes:
-        epochs: passes over the rows, at most.
-        batch: rows a step of all processes together, 2 or more for each; a last batch of one row is left out,
-            for batch normalisation knows no spread of one.
+        epochs: Greatest number of passes.
+        batch: Rows a step of all processes together, 2 or more for each; a last batch of one row is omitted.
         learning_rate: Adam's step.
-        patience: epochs without a smaller loss on the watched rows before it stops; the weights of the best
-            epoch are kept.
-        falls: times that, instead of stopping, it goes on from the best epoch with a step 0.3 times as large.
-        steps: of Adam in all, whatever epochs they are; 0 for as many as the epochs have.
-        precision: "auto" multiplies in bfloat16 where the processor does that fast, "float32" never.
-        clip: greatest norm of the gradient; a longer one is shortened to it.
-        cosine: let the step rise over the first hundred steps, then fall along a cosine to nothing, instead
-            of staying as it is.
+        patience: Epochs without a smaller loss on watched rows before it stops; the best weights are kept.
+        precision: "auto" uses bfloat16 where it is fast, "float32" never.
+        clip: Greatest norm of the gradient.
+        cosine: Warm up over a hundred steps, then decay along a cosine.
+        falls: Number of times that, instead of stopping, it resumes from the best epoch with 0.3 times the
+            step.
+        steps: Adam steps in all; 0 for as many as the epochs have.
     """
 
     epochs: int
@@ -116,7 +109,6 @@ class TrainingLoop:
             raise InputError(f"precision {self.precision!r} ; give auto or float32", code="precision")
 
     def steps_in_all(self, steps_an_epoch: int) -> int:
-        """Steps that it takes at most."""
         return self.steps or self.epochs * steps_an_epoch
 
     def rate(self, step: int, steps_an_epoch: int) -> float:
@@ -147,19 +139,14 @@ class TrainingLoop:
         progress: Progress = silent,
         checkpoint: Path | None = None,
     ) -> TrainingRun:
-        """Train the network given to the schedule's end.
+        """Train a network in place to the schedule's end.
 
         Args:
-            network: from inputs to answers; changed in place.
-            task: what it shall learn.
-            seed: of the order in which rows are seen.
-            progress: called with how far the work is; of several processes, only the first's is.
-            checkpoint: where to keep what is needed to go on, in a folder that all processes see; a file
-                found there is gone on from. The same weights need the same number of processes.
-
-        Raises:
-            InputError: fewer than two rows, a batch of fewer than two rows a process, or the loss stops being
-                a number.
+            network: Map from inputs to outputs.
+            task: Rows and loss.
+            seed: Seed of the order of rows.
+            progress: Progress callback of the first process.
+            checkpoint: File to resume from, in a folder that all processes see.
         """
         if len(task.learn) < 2:
             raise InputError(f"{len(task.learn)} rows; give 2 or more", code="too-few-rows")
@@ -214,7 +201,6 @@ class TrainingRun:
 
     @property
     def record(self) -> TrainingRecord:
-        """How long it has learnt."""
         return TrainingRecord(self.step, self.epoch, self.plan.batch, self.best_step, self.stopped)
 
     def one_epoch(self) -> None:
@@ -306,7 +292,6 @@ class TrainingRun:
         return network
 
     def save(self, path: Path) -> None:
-        """Keep all of it, in one step."""
         counts = {name: getattr(self, name) for name in ("seed", *COUNTS, "best_loss")}
         states = {"network": self.network.state_dict(), "best": self.best}
         write_checkpoint(path, counts, states, self.optimiser)

@@ -1,11 +1,8 @@
-"""Motion of the camera against the skin: a shift, rotation, or zoom of the whole pattern.
+"""Motion of the camera relative to the skin: shift, rotation, or zoom of the whole pattern.
 
-Touch moves the marks near the contact. A camera or lens that moves also moves the marks far from it, by an
-affine motion. The root mean square of that motion over the far marks is the test statistic.
-
-The detection limit is the noise of one mark's shift, at least the scatter of the far marks, plus a fraction
-of the motion that touch makes: layers carry some of it to the far marks. The statistic averages some 75
-marks, so noise alone reaches a fifth of the limit. Motion below the limit is part of the interval of gamma.
+Touch moves marks near the contact; a camera that moves also moves those far from it, affinely. The RMS of
+that motion is compared with the noise of one mark (at least the scatter of far marks) plus a ratio of touch
+motion that layers carry there. Motion below the limit is part of gamma's interval.
 """
 
 from __future__ import annotations
@@ -27,15 +24,12 @@ CODE = "camera_moved"
 
 
 def motion_limit(fields: StrainFields, pitch: float, places: TouchPlaces | None = None) -> float:
-    """Greatest camera motion that is not reported, root mean square over the far marks [unit of the marks].
-
-    The noise of one mark is at least the scatter of the far marks about the affine motion: where tiles are
-    missing, single marks jump, and the recovered traction does not explain the motion of others.
+    """Return the greatest RMS camera motion over the far marks that is not reported [unit of the marks].
 
     Args:
-        fields: of the frame.
-        pitch: distance of marks [unit].
-        places: contacts, where they are known; their traction is subtracted.
+        fields: Strain fields of the frame.
+        pitch: Distance of marks [unit].
+        places: Contacts whose recovered traction is subtracted.
     """
     stated = math.sqrt(float(fields.variances.sum(axis=0).mean()))
     scatter = _far_motion(fields, _unexplained(fields, places), pitch).scatter
@@ -47,14 +41,7 @@ def motion_limit(fields: StrainFields, pitch: float, places: TouchPlaces | None 
 def camera_motion(
     fields: StrainFields, pitch: float, px_per_unit: float, places: TouchPlaces | None = None
 ) -> Refusal:
-    """Refusal of a frame in which the whole pattern has moved.
-
-    Args:
-        fields: of the frame.
-        pitch: distance of marks [unit].
-        px_per_unit: scale of the frame.
-        places: contacts, where they are known; their traction is subtracted.
-    """
+    """Return the refusal of a frame whose whole pattern has moved; arguments as of `motion_limit`."""
     motion = _far_motion(fields, _unexplained(fields, places), pitch).affine
     limit = motion_limit(fields, pitch, places)
     if motion <= limit:
@@ -73,13 +60,7 @@ def _unexplained(fields: StrainFields, places: TouchPlaces | None) -> Float[ndar
 
 
 class FarMotion(NamedTuple):
-    """Affine motion of the marks far from contact.
-
-    Attributes:
-        affine: root mean square of the affine motion over the far marks [unit].
-        scatter: root mean square of their motion about it [unit].
-        mean_rest: mean shift of all marks relative to it [unit].
-    """
+    """RMS affine motion of far marks, their scatter, and the mean shift of all relative to it [unit]."""
 
     affine: float
     scatter: float

@@ -1,8 +1,7 @@
-"""Whether a contact lies in the area over which places were compared with the truth.
+"""Whether a contact lies in the area of validated positions.
 
-Near the rim of the pattern, marks are missing on one side of a contact. The recovered pressure is then too
-far inside by up to several half-widths of its interval, and the marks do not fit a touch. Such a contact has
-no valid reading, and is no evidence of a tear.
+Near the rim, marks are missing on one side, the recovered pressure is biased inward, and the marks fit no
+touch. Such a contact has no valid reading and is no evidence of a tear.
 """
 
 from __future__ import annotations
@@ -27,12 +26,7 @@ def area_of(marks: SkinMarks, skin: object) -> tuple[list[float], list[float]]:
 
 
 def reach_of(fields: StrainFields, places: TouchPlaces, marks: SkinMarks, skin: object) -> Refusal:
-    """Refusal of a frame with a contact that reaches outside of the area.
-
-    Args:
-        fields, places: of the frame.
-        marks, skin: of the reader.
-    """
+    """Return the refusal of a frame with a contact outside of the area."""
     if not isinstance(skin, TiledSkin):
         return NONE
     low, high = (np.array(end) for end in area_of(marks, skin))

@@ -1,7 +1,6 @@
-"""Whether a reference frame shows an untouched skin, by how its marks lie on the lattice that was cast.
+"""Whether a reference frame shows no contact: its marks lie on an even lattice up to casting errors.
 
-Marks of an untouched skin lie on a lattice of straight, even lines up to what casting leaves. A wrong lens
-or distance bends or scales all of it smoothly; a touch moves a few marks.
+A wrong lens or distance bends or scales the lattice smoothly; a touch moves a few marks.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ POWERS = [(i, j) for i in range(4) for j in range(4 - i)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LatticeFit:
-    """Marks beside the lattice that was cast.
+    """Marks relative to the cast lattice.
 
     Attributes:
-        nominal: places by a cubic in column and row ``[n 2]`` [unit].
-        pitch: side of a cell by the best affine lattice [unit].
-        sides: the same along columns and along rows [unit].
-        bent: root mean square of the cubic beside that lattice [unit].
-        spread: standard deviation of marks beside the cubic, by their median [unit].
+        nominal: Positions by a cubic in column and row ``[n 2]`` [unit].
+        pitch: Side of a cell of the best affine lattice [unit].
+        sides: Its sides along columns and rows [unit].
+        bent: RMS of the cubic relative to that lattice [unit].
+        spread: Standard deviation of marks about the cubic, by their median [unit].
     """
 
     nominal: Float[ndarray, "n 2"]
@@ -62,11 +61,7 @@ def fit_lattice(points: ControlPoints) -> LatticeFit:
 
 
 def refuse_reference(marks: SkinMarks, skin: object) -> LatticeFit:
-    """Refuse a reference that shows another skin, through another lens, or a touch.
-
-    Raises:
-        ImageError: each of these, with what was found.
-    """
+    """Refuse a reference that shows another skin, through another lens, or a touch."""
     points = marks.reference
     fit = fit_lattice(points)
     if isinstance(skin, TiledSkin):

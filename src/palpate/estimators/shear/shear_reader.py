@@ -1,23 +1,11 @@
-"""Reader of touch on a patterned skin: from a skin and an untouched frame to readings of later frames.
+"""Reader of touch on a patterned skin, without a calibration and so without newtons.
 
     reader = ShearReader(sensor.shear_skin(), untouched)
     touch = reader.touch(frame)
     touch.readings["x_mm"], touch.readings["edge_deg"], touch.readings["damage"]
 
-No calibration is asked for, so that nothing is in newtons. What cannot be told is invalid and says why; a
-skin that nothing touches has no place.
-
-Whether a frame can be read: its light, its sharpness and its marks beside those of the reference frame.
-
-Marks are found in poor frames as well, with places that are wrong by more than they say. What a reading needs
-is therefore asked of the frame itself: levels neither at the end of the camera's range nor far below the
-reference's, and edges of the pattern as steep, over its contrast, as they were.
-
-Onset of slip: the contact moves on over the skin's marks in place of taking them along.
-
-While a contact sticks, the same marks lie under it from frame to frame, however far they are taken along;
-places are told on the resting skin, so that its place stays. Once it slides, the marks under it stop
-following, and its place moves on over them.
+A frame is read if its light and sharpness match the reference's. Slip is detected when a contact's position,
+in coordinates of the resting skin, moves over marks that stopped following.
 """
 
 from __future__ import annotations
@@ -50,11 +38,7 @@ SAME_CONTACT = 1.5  # pitches from frame to frame; what is further is another co
 
 
 class SlipWatch:
-    """Places of the first contact over the last frames.
-
-    Args:
-        pitch: distance of marks [unit].
-    """
+    """Positions of the first contact over the last frames, for marks `pitch` apart."""
 
     def __init__(self, pitch: float) -> None:
         self._pitch = pitch
@@ -94,12 +78,12 @@ STEP = 2  # every second pixel tells a level
 
 
 class FrameLook(NamedTuple):
-    """What a frame looks like where the pattern is.
+    """Appearance of a frame where the pattern is.
 
     Attributes:
-        contrast: between its darker and its brighter parts [grey levels].
-        clipped: share of pixels of which a channel is at the end of the range.
-        steep: steepest gradients along x and along y over the contrast [1/px].
+        contrast: Contrast of its darker and brighter parts [gray levels].
+        clipped: Ratio of pixels with a channel at the end of the range.
+        steep: Steepest gradients along x and y over the contrast [1/px].
     """
 
     contrast: float
@@ -115,7 +99,7 @@ def pattern_box(places_px: Float[ndarray, "n 2"], shape: tuple[int, ...]) -> tup
 
 
 def look_at(image: Shaped[ndarray, ...], box: tuple[slice, slice]) -> FrameLook:
-    """Look of an 8-bit frame within a box."""
+    """Return the appearance of an 8-bit frame within a box."""
     part = image[box]
     grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_RGB2GRAY)
     brightest = brightest_channel(part)
@@ -161,16 +145,15 @@ NOTHING = TouchPlaces((), 0, None, None)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearTouch:
-    """What one frame shows.
+    """Touch in one frame.
 
     Attributes:
-        readings: of it, by their columns.
-        points: its marks on the skin; none where the frame is not to be read.
-        fields: their strain against the reference, degree 1; None as well.
-        places: its contacts.
-        reason: why the frame is not to be read; empty where it is.
-        code: the same for programs.
-        assumes: what a force in the readings assumes of the skin; empty without one.
+        readings: Readings by column.
+        points: Marks on the skin; none if the frame is refused.
+        fields: Strain relative to the reference, degree 1; None likewise.
+        places: Contacts.
+        reason, code: Why the frame is refused; else empty.
+        assumes: What a force assumes of the skin; empty without one.
     """
 
     readings: Readings
@@ -183,17 +166,12 @@ class ShearTouch:
 
 
 class ShearReader:
-    """Touch of later frames against an untouched one.
+    """Reader of touch relative to a no-contact frame.
 
     Args:
-        skin: tiles with their camera, as a sensor's `shear_skin` gives them, or a maker's dots.
-        reference: frame of the untouched skin.
-        lens: of dots' camera, in place of the description's own; tiles carry theirs.
-
-    Raises:
-        ImageError: a reference of another size than the lens's frames, without pattern, of another skin or
-            through another lens, or with a touch in it.
-        InputError: a second lens beside the one that tiles carry.
+        skin: Tiles with their camera, from a sensor's `shear_skin`, or a maker's dots.
+        reference: No-contact frame.
+        lens: Lens of the dots' camera; tiles carry theirs.
     """
 
     def __init__(self, skin: TiledSkin | DottedSkin, reference: Frame, lens: Lens | None = None) -> None:
@@ -214,15 +192,10 @@ class ShearReader:
         self._torn = f"a dark line crosses {self.marks.gap:.1f} tiles" if self.marks.gap else ""
 
     def read(self, frame: Frame) -> Readings:
-        """Readings of the next frame; see `touch`."""
         return self.touch(frame).readings
 
     def touch(self, frame: Frame) -> ShearTouch:
-        """What the next frame shows; frames come in their order, as marks are followed and slip is a change.
-
-        Raises:
-            InputError: a frame of another size or kind than the reference.
-        """
+        """Return the touch in the next frame; frames come in temporal order."""
         points, fields, refusal = self._seen(frame)
         places = NOTHING if fields is None else touch_places(fields, self.marks, self.skin)
         if fields is not None:

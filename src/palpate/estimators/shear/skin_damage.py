@@ -1,12 +1,9 @@
-"""Signs of a torn skin, which no touch of a whole one makes.
+"""Signs of a torn skin.
 
-    unexplained     neighbouring marks have moved as no traction on the whole skin moves them
-    stayed          marks stay moved where nothing touches
-    missing         marks are missing along a line, which tiles that have come off do not explain
-    gaping          a dark line crosses the tiles
-
-A touch moves marks as the layers' own response has it, with friction or without; the skin beside a cut does
-not. A tile that has come off takes its corners with it, two by two.
+unexplained     neighboring marks moved as no traction on the whole skin moves them
+stayed          marks stay moved without a touch
+missing         marks are missing along a line, which lost tiles do not explain
+gaping          a dark line crosses the tiles
 """
 
 from __future__ import annotations
@@ -42,16 +39,16 @@ def damage_of(
     *,
     moved: bool = True,
 ) -> str:
-    """Why a frame's skin looks torn; empty where it looks whole.
+    """Return why a frame's skin seems torn; empty if it seems whole.
 
     Args:
-        fields: of the frame.
-        places: its contacts.
-        reference, seen: marks of the untouched skin and of the frame.
-        bare: corners of tiles that have come off.
-        gap: length of the longest dark line across the tiles [pitches], 0 without one.
-        pitch: distance of marks [unit].
-        moved: whether motion and loss of marks count, in addition to a dark line.
+        fields: Strain fields of the frame.
+        places: Contacts.
+        reference, seen: Marks of the reference and of the frame.
+        bare: Corners of lost tiles.
+        gap: Length of the longest dark line across tiles [pitches].
+        pitch: Distance of marks [unit].
+        moved: Whether motion and loss of marks count.
     """
     if gap:
         return f"a dark line crosses {gap:.1f} tiles"
@@ -127,14 +124,12 @@ def _line_of(lost: Bool[ndarray, "rows columns"]) -> str:
 
 
 def _length(at: Int[ndarray, "n 2"]) -> float:
-    """Extent of cells along their principal axis."""
     centred = at - at.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
     return float(np.ptp(centred @ axis))
 
 
 def _thickness(at: Int[ndarray, "n 2"]) -> float:
-    """Standard deviation of cells across their principal axis."""
     if len(at) < 2:
         return 0.0
     return math.sqrt(max(float(np.linalg.eigvalsh(np.cov(at.T))[0]), 0.0))

@@ -1,12 +1,7 @@
-"""Marks of a patterned skin on the skin itself, frame by frame: tiles under a lens, or a maker's dots.
+"""Marks of a patterned skin in its plane, frame by frame: tiles under a lens, or a maker's dots.
 
-Both kinds give control points in one plane, x with the image's columns and y against its rows as a skin seen
-from below has them, so that what reads a touch does not ask which pattern it is.
-
-Tiles that have come off a pattern, and dark lines across it: where its colours are gone.
-
-A tile that has come off leaves a dark square, and its corners are those of other shapes. A cut through the
-coloured layer that gapes is a dark line, which crosses tiles and is narrower than they are.
+x runs with the image's columns, y against its rows. Lost tiles leave dark squares with other corners; a
+gaping cut is a dark line across tiles, narrower than they are.
 """
 
 from __future__ import annotations
@@ -35,13 +30,7 @@ Cells = set[tuple[int, int]]
 
 
 class TileCentres:
-    """Middles of a pattern's tiles in the image of a resting skin.
-
-    Args:
-        points: corners in the reference frame [px].
-        shape: of that frame.
-        pitch_px: side of a tile.
-    """
+    """Centers of a pattern's tiles in the image of the resting skin."""
 
     def __init__(self, points: ControlPoints, shape: tuple[int, ...], pitch_px: float) -> None:
         low, high = points.cells.min(axis=0) - 1, points.cells.max(axis=0)
@@ -64,14 +53,12 @@ class TileCentres:
         return np.asarray(self._cubic(cells) @ self._fit)
 
     def bare(self, image: Shaped[ndarray, ...]) -> Bool[ndarray, " n"]:
-        """Which tiles have come off."""
         x, y = self._places.T
         around = [image[y + j, x + i].reshape(len(x), -1) for i in (-1, 0, 1) for j in (-1, 0, 1)]
         level = np.mean([one.max(axis=1) for one in around], axis=0)
         return np.asarray(level < BARE * np.median(level))
 
     def corners_of(self, bare: Bool[ndarray, " n"]) -> Cells:
-        """Corners of the tiles that have come off."""
         tiles = self._cells[bare].tolist()
         return {(i + di, j + dj) for i, j in tiles for di in (0, 1) for dj in (0, 1)}
 
@@ -109,7 +96,7 @@ def _box(mask: UInt8[ndarray, "h w"], beside_px: int) -> tuple[slice, slice]:
 
 
 def without(points: ControlPoints, corners: Cells) -> ControlPoints:
-    """Points less those of some cells."""
+    """Return points without those of some cells."""
     if not corners:
         return points
     kept = np.array([cell not in corners for cell in map(tuple, points.cells.tolist())], bool)
@@ -122,19 +109,15 @@ MAX_LOST = 0.01  # of the reference's marks, from frame to frame; beyond, the wh
 
 @dataclass(frozen=True, slots=True)
 class TiledSkin:
-    """Checkerboard on a flat skin, as a camera sees it that looks across the skin from below.
+    """Checkerboard on a flat skin, seen from below by a camera across the skin.
 
     Attributes:
-        pitch_m: side of a tile [m].
-        columns, rows: of tiles.
-        camera_m: distance of the lens from the resting pattern [m].
-        lens: of the camera; frames are as it gives them, uncut and unscaled.
-        tolerance_m: how far a mark may be cast beside its place, standard deviation [m].
-        scale_tolerance: share by which pitch and distance may differ from what is stated.
-        sinking: how far the pattern sinks in a press's middle over its greatest shift outward. A camera
-            beside a contact sees this as a lateral shift; 0 where it is not known.
-        layers: what the mechanics knows of the skin; without it a place is told by the ring alone.
-        name: of the skin.
+        pitch_m: Side of a tile [m].
+        camera_m: Distance of the lens from the resting pattern [m].
+        tolerance_m: Standard deviation of a cast mark's position [m].
+        scale_tolerance: Relative tolerance of pitch and distance.
+        sinking: Depth of the pattern in a press's middle over its greatest outward shift; 0 if unknown.
+        layers: Mechanics of the skin; without it positions come from the ring alone.
     """
 
     pitch_m: float
@@ -169,12 +152,10 @@ class SkinMarks(Protocol):
     """Marks of one reference frame, and of those after it.
 
     Attributes:
-        unit: of places.
-        pitch: distance of neighbouring marks [unit].
-        px_per_unit: scale of a frame in its middle.
-        reference: marks of the reference frame.
-        bare: corners of tiles that have come off, in the last frame.
-        gap: length of the longest dark line across tiles in it [pitches].
+        pitch: Distance of neighboring marks [unit].
+        px_per_unit: Scale of a frame in its center.
+        bare: Corners of lost tiles in the last frame.
+        gap: Longest dark line across tiles in it [pitches].
     """
 
     unit: Literal["px", "m"]
@@ -192,16 +173,7 @@ class SkinMarks(Protocol):
 
 
 class TileMarks:
-    """Corners of a checkerboard on the skin [m].
-
-    Args:
-        skin: what is looked at.
-        image: of the untouched skin, 8-bit.
-
-    Raises:
-        ImageError: it has another size than the lens's frames, or shows no pattern.
-        RangeError: marks lie where the lens sees no skin.
-    """
+    """Corners of a checkerboard on the skin [m], from an 8-bit no-contact image."""
 
     unit: Literal["px", "m"] = "m"
 
@@ -218,11 +190,7 @@ class TileMarks:
         self.reference = without(self.reference, self.bare)
 
     def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
-        """Marks of a frame [m], those beside tiles that have come off left out: their corners are others.
-
-        Where a press came from one frame to the next, marks under it are lost at first: they are looked for
-        again from where their neighbours have gone.
-        """
+        """Return the marks of a frame [m] without those of lost tiles, searching again for lost ones."""
         count = len(self.reference)
         tracked = self._tracker.settled(self._tracker.follow(image), image, count)
         if not tracked.found_anew and len(tracked.points) < self._before - MAX_LOST * count:
@@ -241,22 +209,12 @@ class TileMarks:
         self.bare, self.gap = self._tiles.corners_of(off), self._tiles.longest_gap(image, off)
 
     def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
-        """Places on the resting skin [m] in the image [px]."""
         rays = np.column_stack([places * FLIPPED, np.full(len(places), self.skin.camera_m)])
         return self.skin.lens.project(rays)
 
 
 class DotMarks:
-    """Dots of a maker's skin about the middle of the dots, in m where their distance is known, else px.
-
-    Args:
-        skin: what is looked for.
-        image: of the untouched skin, 8-bit.
-        lens: whose bending is taken out first; the description's own without.
-
-    Raises:
-        ImageError: a frame of another size than the lens's, or without dots.
-    """
+    """Dots of a maker's skin about their middle, in m if their distance is known, else px."""
 
     def __init__(self, skin: DottedSkin, image: Shaped[ndarray, ...], lens: Lens | None = None) -> None:
         if lens is not None:

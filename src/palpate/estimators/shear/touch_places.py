@@ -1,8 +1,7 @@
-"""Contacts of a frame by their place, each with its standard error, from strain and, if it can be, traction.
+"""Contacts of a frame with their position and standard error, from strain and traction.
 
-Where the skin's layers are known, the place is the centre of the pressure that moves the marks as they moved:
-it follows perspective, flat and long indenters and lateral loads. Without layers, or where no traction
-explains the marks, it is the centre of the ring, which a lateral load draws along by up to 2 mm.
+If the skin's layers are known, the position is the center of the recovered pressure; else, or if no traction
+explains the marks, the center of the ring, which a lateral load shifts by up to 2 mm.
 """
 
 from __future__ import annotations
@@ -49,10 +48,9 @@ class TouchPlace:
     """One contact.
 
     Attributes:
-        x, y: of its centre [unit of the marks].
-        x_error, y_error: standard errors [unit].
-        told_by: what told the place: "pressure", or "ring".
-        ring: of the contact, where one was found.
+        x, y: Center [unit of the marks].
+        x_error, y_error: Standard errors [unit].
+        told_by: Origin of the position.
     """
 
     x: float
@@ -68,10 +66,9 @@ class TouchPlaces:
     """Contacts of one frame, the strongest first.
 
     Attributes:
-        contacts: those with a place.
-        unsure: stretched places that have no contact's form.
-        edge: direction of the edge, where the only contact is one.
-        traction: that explains the marks best, where layers are known.
+        unsure: Number of stretched positions without a contact's form.
+        edge: Direction of the edge, if the only contact is one.
+        traction: Traction that explains the marks best, if layers are known.
     """
 
     contacts: tuple[TouchPlace, ...]
@@ -86,13 +83,7 @@ class TouchPlaces:
 
 
 def touch_places(fields: StrainFields, marks: SkinMarks, skin: object) -> TouchPlaces:
-    """Contacts of a frame.
-
-    Args:
-        fields: of the frame against the reference.
-        marks: of the skin.
-        skin: its description.
-    """
+    """Return the contacts of a frame."""
     peaks = contact_peaks(fields, marks.pitch)
     if not peaks:  # marks may be missing where the skin is stretched
         return TouchPlaces((), int(strayed(fields) >= MIN_GROUP), None, None)

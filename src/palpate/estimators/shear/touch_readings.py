@@ -1,13 +1,8 @@
-"""Readings of a touch: values with 90 % intervals, ranges, and why one is not to be used.
+"""Readings of a touch: values with 90 % intervals, ranges, and reasons of invalidity.
 
-Standard errors become intervals as of a normal error. The sum gamma has a bound instead: noise changes the
-length of a shift by no more than its own, so that gamma lies within gamma of noise alone.
-
-How the pattern under a contact has turned about the normal and shifted along the skin.
-
-Under a press straight down the pattern's middle rests; lateral load and torque move and turn it. Where the
-skin's layers are known, both are of the traction that explains the marks. Where they are not, they are those
-of the ring's form, less what a camera beside the contact sees of the pattern's sinking, X w / D.
+Standard errors become normal intervals; gamma has a bound, because noise changes a shift by at most its own
+length. Rotation and shift of the pattern under a contact come from the traction if layers are known, else
+from the ring less the apparent shift X w / D of the sinking pattern.
 """
 
 from __future__ import annotations
@@ -32,12 +27,7 @@ MODEL_ERROR = 0.1  # of shift and rotation as traction tells them, standard erro
 
 
 class PatternShift(NamedTuple):
-    """Motion of the pattern under a contact, with standard errors.
-
-    Attributes:
-        turn, turn_error: about the normal, from x towards y [rad].
-        along, along_error: (x, y) [unit of the marks].
-    """
+    """Rotation about the normal from x towards y [rad], and shift (x, y) [unit], with standard errors."""
 
     turn: float
     turn_error: float
@@ -49,14 +39,7 @@ NOT_TOLD = PatternShift(math.nan, math.nan, (math.nan, math.nan), (math.nan, mat
 
 
 def pattern_shift(fields: StrainFields, places: TouchPlaces, pitch: float, skin: object) -> PatternShift:
-    """Motion of the pattern under the first contact; not a number where neither form tells it.
-
-    Args:
-        fields: of the frame.
-        places: its contacts, one or more.
-        pitch: distance of marks [unit].
-        skin: its description.
-    """
+    """Return the motion of the pattern under the first contact; NaN if neither form identifies it."""
     if places.traction is not None and places.explained and len(places.contacts) == 1:
         return _by_traction(fields, places.traction, pitch)
     ring = places.contacts[0].ring
@@ -112,18 +95,18 @@ def touch_readings(
     slip: bool | None = None,
     damage: Refusal = NONE,
 ) -> Readings:
-    """Readings of a frame.
+    """Return the readings of a frame.
 
     Args:
-        frame: where they come from.
-        marks, skin: of the reader.
-        lattice: of the reference, which shows how far lens and distance fit the skin.
-        seen: number of marks in the frame.
-        fields, places: of the frame; None and nothing where it is not to be read.
-        refusal: why it is not.
-        reach: why its contact is outside of the area.
-        slip: of the contact; None where it cannot be told.
-        damage: why the skin looks torn.
+        frame: Frame.
+        marks, skin: Marks and description of the reader.
+        lattice: Lattice of the reference.
+        seen: Number of marks in the frame.
+        fields, places: Strain and contacts; None and nothing if the frame is refused.
+        refusal: Refusal of the frame.
+        reach: Refusal of a contact outside the area.
+        slip: Slip of the contact; None if unknown.
+        damage: Reason why the skin seems torn.
     """
     common: dict[str, Any] = {
         "coverage": COVERAGE, "drift": None, "calibration": "", "frame": frame.name, "time_s": frame.time_s,

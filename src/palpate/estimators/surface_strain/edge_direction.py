@@ -1,9 +1,6 @@
-"""Direction of an edge from the most deformed samples of a skin, as the published sensor takes it.
+"""Direction of an edge: principal axis of the samples that moved most, an angle of period pi.
 
-The samples that have moved most lie in two bands beside an edge; their principal axis is its direction. An
-edge has no front: the angle repeats after half a turn, and its interval is an arc of that circle. Its
-standard error has two parts: marks drawn again with their noise, and what a larger or smaller share of
-samples would say.
+Its standard error combines redrawn mark noise and the choice of the ratio of samples.
 
 Reference: K. V. Mardia and P. E. Jupp, Directional Statistics (2000), section 1.1 on axial data,
 doi:10.1002/9780470316979.
@@ -33,11 +30,11 @@ class EdgeDirection:
     """Direction of an edge, an angle of period pi.
 
     Attributes:
-        angle_rad: from the x axis of the marks towards y, 0 to pi.
-        error_rad: its standard error.
-        half_rad: half of its 90 % interval, at most pi/2.
-        elongation: length over width of the samples that have moved most (standard deviations).
-        centre: of these samples (x, y) [unit of the marks].
+        angle_rad: Angle from the marks' x axis towards y, 0 to pi.
+        error_rad: Standard error.
+        half_rad: Half-width of its 90 % interval, at most pi/2.
+        elongation: Length over width of the samples that moved most (standard deviations).
+        centre: Center of these samples (x, y) [unit of the marks].
     """
 
     angle_rad: float
@@ -52,7 +49,7 @@ class EdgeDirection:
 
 
 def axial_difference(one_rad: float, other_rad: float) -> float:
-    """Shortest turn from the other direction to the one, -pi/2 to pi/2 [rad].
+    """Return the shortest turn from the other direction to the one, -pi/2 to pi/2 [rad].
 
     Example:
         >>> round(axial_difference(math.radians(179), math.radians(1)), 4)
@@ -62,14 +59,11 @@ def axial_difference(one_rad: float, other_rad: float) -> float:
 
 
 def edge_direction(fields: StrainFields, most_deformed: float = DEFORMED_SHARE) -> EdgeDirection | None:
-    """Direction of the edge that touches; None without contact, or where a contact is too round to have one.
+    """Return the direction of the edge in contact; None without contact or for a round one.
 
     Args:
-        fields: of the frame.
-        most_deformed: share of the samples, by their shift, whose principal axis is taken; 0.01 to 0.5.
-
-    Raises:
-        InputError: another share.
+        fields: Strain fields of the frame.
+        most_deformed: Ratio of the samples, by their shift, that is used; 0.01 to 0.5.
     """
     if not 0.01 <= most_deformed <= 0.5:
         raise InputError(f"a share of {most_deformed} of the samples; give 0.01 to 0.5", code="ratio-range")

@@ -1,14 +1,12 @@
-"""Contacts found by the stretch they make, and the ring in which the skin moves outward around each.
+"""Contacts found by their stretch, and the ring of greatest outward motion around each.
 
-Under a press the pattern moves outward, most in a ring around the contact, and rests at the contact's centre.
-About a centre c, with d = (X - c)/s and w = 1 + d.d, the shift of a mark is taken as
+About a center c, with d = (X - c)/s and w = 1 + d.d, the shift of a mark is
 
     U = A d w^-q + B (z x d) w^-q + T w^-(q + 1),
 
-outward, around, and along: A for a press, B for a torque, T for a lateral load and for the skin that sinks
-towards a camera beside it. The ring lies at r = s / sqrt(2q - 1). Contacts add up. Fitted by Levenberg and
-Marquardt's least squares to the marks. What the form does not follow is alike over the ring's area, so that
-its marks count there as one in the standard errors, beside the marks' own noise.
+A for a press, B for a torque, T for a lateral load and for skin that sinks towards an off-axis camera; the
+ring has radius s / sqrt(2q - 1). Contacts add up. Fitted by Levenberg-Marquardt least squares; model misfit
+is correlated over the ring's area and counts once in the standard errors.
 
 References: D. W. Marquardt, J. SIAM 11, 431 (1963), doi:10.1137/0111030.
 """
@@ -48,18 +46,15 @@ Points = Float[ndarray, "n 2"]
 
 @dataclass(frozen=True, slots=True)
 class ShearRing:
-    """Ring of one contact, in the unit of the marks; each error is a standard error.
+    """Ring of one contact in the unit of the marks, with standard errors.
 
     Attributes:
-        x, y: of its centre.
-        radius: at which the skin moves outward most.
-        width: over which it moves outward by more than half of that.
-        outward: greatest shift outward, on the ring.
-        around: greatest shift around the centre, from x towards y positive.
-        along: shift of the centre (x, y).
-        x_error, y_error, radius_error, width_error, outward_error, around_error, along_error: see above; the
-            last along each axis.
-        misfit: root mean square of what marks within twice the radius are off the form.
+        radius: Radius of greatest outward motion.
+        width: Width over which outward motion exceeds half of that.
+        outward: Greatest outward shift.
+        around: Greatest shift around the center, positive from x towards y.
+        along: Shift of the center (x, y).
+        misfit: RMS residual of marks within twice the radius.
     """
 
     x: float
@@ -93,13 +88,13 @@ class ContactPeak(NamedTuple):
 
 
 class StretchOverNoise(NamedTuple):
-    """Area strain smoothed over coarse samples, and what noise alone does not reach.
+    """Smoothed area strain on coarse samples, and its noise threshold.
 
     Attributes:
-        coarse: rows and columns of the fields' samples that are these.
-        smooth: area strain there ``[nv nu]``; what lies where nothing is seen has no meaning.
-        least: that stands out of the noise.
-        per_pitch: coarse samples in a pitch, along rows and along columns.
+        coarse: Rows and columns of the fields' samples.
+        smooth: Area strain ``[nv nu]``; without meaning where nothing is seen.
+        least: Threshold.
+        per_pitch: Coarse samples in a pitch, along rows and along columns.
     """
 
     coarse: tuple[slice, slice]
@@ -109,12 +104,7 @@ class StretchOverNoise(NamedTuple):
 
 
 def stretch_over_noise(fields: StrainFields, pitch: float) -> StretchOverNoise:
-    """Area strain by which contacts are looked for.
-
-    Args:
-        fields: of the frame.
-        pitch: distance of marks [unit].
-    """
+    """Return the smoothed area strain for the search of contacts."""
     rows, columns = (slice(None, None, max(1, size // COARSE)) for size in fields.at.shape[1:])
     seen = fields.basis.supported[rows, columns]
     n_v, n_u = (size / span for size, span in zip(seen.shape, _spans(fields), strict=True))
@@ -125,14 +115,7 @@ def stretch_over_noise(fields: StrainFields, pitch: float) -> StretchOverNoise:
 
 
 def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[ContactPeak]:
-    """Contacts by their stretch, the strongest first; none where it does not stand out of the noise.
-
-    Two peaks are one contact unless the stretch between them falls: a long edge is one.
-
-    Args:
-        fields: of the frame.
-        pitch: distance of marks [unit]; None takes it from the fields.
-    """
+    """Return contacts by their stretch, the strongest first; peaks without a dip between them are one."""
     (rows, columns), smooth, least, per_pitch = stretch_over_noise(fields, pitch or mark_pitch(fields))
     at, seen = fields.at[:, rows, columns], fields.basis.supported[rows, columns]
     told = np.where(seen, smooth, -np.inf)  # a peak over marks that are lost is told by those beside them
@@ -147,14 +130,7 @@ def contact_peaks(fields: StrainFields, pitch: float | None = None) -> list[Cont
 
 
 def find_rings(fields: StrainFields, peaks: list[ContactPeak] | None = None) -> list[ShearRing]:
-    """Rings of all contacts, the strongest first; empty without contact.
-
-    Where marks are too few around contacts, or the fit does not settle, there is none either.
-
-    Args:
-        fields: of the frame.
-        peaks: its `contact_peaks`, where they are known.
-    """
+    """Return the rings of all contacts, the strongest first; none if the fit does not settle."""
     pitch = mark_pitch(fields)
     peaks = contact_peaks(fields, pitch) if peaks is None else peaks
     if not peaks:
@@ -195,13 +171,11 @@ def mark_pitch(fields: StrainFields) -> float:
 
 
 def _spans(fields: StrainFields) -> tuple[int, int]:
-    """Cells along v and along u."""
     columns, rows = np.ptp(fields.basis.cells, axis=0)
     return int(rows), int(columns)
 
 
 def _smoothed(values: Field, seen: ndarray, widths: list[float]) -> Field:
-    """Gaussian mean of what is seen."""
     total = gaussian_filter(np.where(seen, values, 0.0), widths, mode="constant")
     share = gaussian_filter(seen.astype(float), widths, mode="constant")
     return np.asarray(total / np.maximum(share, 0.2))
@@ -255,7 +229,6 @@ def _model(params: Params, at: Points) -> tuple[Points, Float[ndarray, "n 2 p"]]
 
 
 def _with_amplitudes(params: Params, at: Points, shifts: Points) -> Params:
-    """The same with the amplitudes that fit best."""
     _, slopes = _model(params, at)
     linear = np.arange(len(params)) % PER_RING >= PER_RING // 2
     basis = slopes.reshape(-1, len(params))[:, linear]
@@ -334,7 +307,6 @@ def _half_width(q: Params) -> Params:
 
 @cache
 def _half_widths() -> tuple[Params, Params]:
-    """The same over q, in a table."""
     powers, widths = np.linspace(*POWERS, 1500), []
     for q in powers:
         peak = 1 / math.sqrt(2 * q - 1)

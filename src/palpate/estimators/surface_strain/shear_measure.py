@@ -1,12 +1,10 @@
-"""Published measure of touch, the scaled sum of how far a surface's samples have moved, and baselines.
+"""Published measure of touch, the scaled sum of a surface's sample shifts, and baselines.
 
     gamma = alpha sum_k |s_k - s_k,ref|,     alpha = 1/18000 per px,     F = 3.09 gamma - 1.14 N from 1 to 8 N
 
-("NUSense: Shear Based Robust Optical Tactile Sensor", equation 3.3 and section 4.2). It is no strain: alpha
-goes with the number of samples K and with the image's scale. The published line gives 12,466 px at 1 N and
-53,243 px at 8 N; over 164 samples these would be 76 and 325 px each, over 164 x 164 they are 0.46 and 1.98
-px, so that K is taken as 26,896. The mean form, alpha K times the mean shift, does not depend on K: alpha K
-= 1.494 per px.
+("NUSense: Shear Based Robust Optical Tactile Sensor", equation 3.3 and section 4.2). alpha depends on the
+number of samples K, taken as 164 x 164, and on the image scale; the mean form, alpha K = 1.494 per px times
+the mean shift, does not depend on K.
 """
 
 from __future__ import annotations
@@ -29,14 +27,13 @@ PUBLISHED_RANGE_N = (1.0, 8.0)
 
 @dataclass(frozen=True, slots=True)
 class ShearMeasure:
-    """How far a surface's samples have moved, summed and scaled.
+    """Scaled sum of a surface's sample shifts.
 
     Attributes:
-        alpha: scale of the sum [1/unit].
-        count: K, all samples of the surface, with those that lack marks.
-        seen: samples that have marks around them.
-        total: sum of the shifts of those that are seen [unit].
-        unit: "px" or "m".
+        alpha: Scale of the sum [1/unit].
+        count: K, all samples, including those without marks.
+        seen: Samples with marks around them.
+        total: Sum of the shifts of those [unit].
     """
 
     alpha: float
@@ -47,7 +44,6 @@ class ShearMeasure:
 
     @property
     def mean(self) -> float:
-        """Mean shift of a seen sample [unit]."""
         return self.total / self.seen
 
     @property
@@ -62,15 +58,7 @@ class ShearMeasure:
 
 
 def shear_measure(fields: StrainFields, alpha: float = PUBLISHED_ALPHA) -> ShearMeasure:
-    """Published measure of a frame.
-
-    Args:
-        fields: of the frame; K is the number of its samples.
-        alpha: scale; the published one goes with 164 x 164 samples in px of an undistorted image.
-
-    Raises:
-        InputError: an alpha that is not positive, or the published one for marks in m.
-    """
+    """Return the published measure; its `alpha` holds for 164 x 164 samples in px of an undistorted image."""
     if not 0 < alpha < math.inf:
         raise InputError(f"alpha {alpha}; give a number above 0 (published: 1/18000)", code="alpha-range")
     if fields.unit != "px" and alpha == PUBLISHED_ALPHA:
@@ -81,10 +69,7 @@ def shear_measure(fields: StrainFields, alpha: float = PUBLISHED_ALPHA) -> Shear
 
 
 def published_force_n(gamma: float) -> float:
-    """Force by the published line [N].
-
-    Raises:
-        RangeError: outside 1 to 8 N, over which it was drawn; an untouched skin would have -1.14 N.
+    """Return the force by the published line [N].
 
     Example:
         >>> round(published_force_n(0.6926), 3), round(published_force_n(2.9579), 3)
@@ -101,7 +86,7 @@ def published_force_n(gamma: float) -> float:
 
 
 def published_gamma(force_n: float) -> float:
-    """Gamma of a force by the published line."""
+    """Return gamma of a force by the published line."""
     return (force_n - PUBLISHED_OFFSET_N) / PUBLISHED_SLOPE_N
 
 
@@ -113,22 +98,16 @@ def shear_from_pressure(
     youngs_modulus_pa: float,
     thickness_m: float,
 ) -> Float[ndarray, "2 ny nx"]:
-    """Baseline (3.1): shear as the slope of the blurred pressure over G, times a thickness.
+    """Return baseline (3.1): shear as the slope of the blurred pressure over G, times a thickness.
 
         gamma_j = t (3/E) d(sigma * phi)/dx_j,     3/E = 1/G of an incompressible skin.
 
-    As printed it has no thickness t, and the unit 1/m.
-
     Args:
-        pressure_pa: on the skin ``[ny nx]`` [Pa].
-        x_m, y_m: its columns and rows, in even steps [m].
-        blur_m: standard deviation of the Gaussian phi, which stands for the skin above the pattern [m].
-        youngs_modulus_pa: of the skin [Pa].
-        thickness_m: over which the shear acts [m].
-
-    Raises:
-        InputError: fewer than 3 rows or columns, uneven steps, or a modulus, thickness or blur that is not
-            positive.
+        pressure_pa: Pressure on the skin ``[ny nx]`` [Pa].
+        x_m, y_m: Columns and rows, in even steps [m].
+        blur_m: Standard deviation of the Gaussian phi [m].
+        youngs_modulus_pa: Young's modulus of the skin [Pa].
+        thickness_m: Thickness over which the shear acts [m].
     """
     steps = [np.diff(axis) for axis in (y_m, x_m)]
     if any(len(d) < 2 or not np.allclose(d, d[0], rtol=1e-6, atol=0) or d[0] <= 0 for d in steps):

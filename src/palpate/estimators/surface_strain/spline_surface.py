@@ -1,14 +1,12 @@
-"""Tensor B-spline surface through a lattice's marks, of any degree, where marks may be missing.
+"""Tensor B-spline surface through a lattice's marks, some of which may be missing.
 
     S(u, v) = sum_ij N_i(u) M_j(v) P_ij,    u and v from 0 to 1 over the lattice's columns and rows,
 
-on knots a fixed number of cells apart. The control net P is the least squares fit to the marks there are,
-held by a small share of its squared second differences, which has no say where marks are, spans the cells
-that lack theirs, and leaves every affine lattice as it is. Evaluation and derivatives are fixed matrices of
-a set of cells, kept from frame to frame.
+on even knots. The control net P is a least-squares fit with a small penalty on second differences, which
+bridges missing marks and keeps affine lattices. Evaluation and derivatives are matrices, kept for each set of
+cells.
 
-Reference: P. H. C. Eilers and B. D. Marx, Statistical Science 11, 89 (1996), doi:10.1214/ss/1038425655, for
-B-splines on even knots under a penalty on differences.
+Reference: P. H. C. Eilers and B. D. Marx, Statistical Science 11, 89 (1996), doi:10.1214/ss/1038425655.
 """
 
 from __future__ import annotations
@@ -39,13 +37,11 @@ class SurfaceBasis:
     """Fixed operators of a set of cells; see `surface_basis`.
 
     Attributes:
-        cells: the marks, (column, row) ``[n 2]``.
-        degree: of the spline.
-        u, v: parameters of the samples, 0 to 1 ``[nu]`` and ``[nv]``.
-        supported: samples with three of the four marks around them or more ``[nv nu]``; values elsewhere
-            only bridge.
-        fitting: net from places ``[rows columns n]``.
-        along_u, along_v: rows of the basis functions at the samples, and of their derivatives.
+        cells: Marks, (column, row) ``[n 2]``.
+        u, v: Parameters of the samples, 0 to 1.
+        supported: Samples with at least three of the four marks around them ``[nv nu]``.
+        fitting: Map from marks to the net ``[rows columns n]``.
+        along_u, along_v: Basis functions at the samples, and their derivatives.
     """
 
     cells: Int[ndarray, "n 2"]
@@ -59,7 +55,6 @@ class SurfaceBasis:
 
     @property
     def count(self) -> int:
-        """K, the number of samples."""
         return len(self.u) * len(self.v)
 
     def net(self, places: Float[ndarray, "n 2"]) -> Float[ndarray, "2 rows columns"]:
@@ -80,12 +75,7 @@ class SurfaceBasis:
     def covariance(
         self, one: Operator, other: Operator, variance: Float[ndarray, " n"]
     ) -> Float[ndarray, "nv nu"]:
-        """Covariance of two operators' results at each sample, of one component: A Sigma B'.
-
-        Args:
-            one, other: the operators A and B.
-            variance: of each mark's place along an axis, independent from mark to mark [unit^2].
-        """
+        """Return the covariance A Sigma B' of two operators at each sample, by variances [unit^2]."""
         rows, columns, n = self.fitting.shape
         fitting = self.fitting.reshape(-1, n)
         of_net = ((fitting * variance) @ fitting.T).reshape(rows, columns, rows, columns)
@@ -101,12 +91,7 @@ class SurfaceBasis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplineSurface:
-    """Surface through marks.
-
-    Attributes:
-        basis: of the cells that have marks.
-        net: its control net ``[2 rows columns]``, x and y [unit of the marks].
-    """
+    """Surface through marks, by its control net ``[2 rows columns]`` [unit of the marks]."""
 
     basis: SurfaceBasis
     net: Float[ndarray, "2 rows columns"]
@@ -127,18 +112,14 @@ def surface_basis(
     cells_per_knot: float = 1.0,
     held: float = HELD,
 ) -> SurfaceBasis:
-    """Operators of a set of visible cells; the same set gives the same object.
+    """Return the operators of a set of visible cells; the same set gives the same object.
 
     Args:
-        cells: (column, row) of each mark, none twice; their bounds are u and v from 0 to 1.
-        degree: of the spline, 1 to 5. Degree 1 with a knot a cell goes through every mark.
-        samples: number along u and along v, 2 or more; K is their product.
-        cells_per_knot: distance of knots [cells], 1 or more; a larger one smooths.
-        held: weight of the net's squared second differences; a larger one smooths.
-
-    Raises:
-        InputError: a degree, number of samples, distance or weight outside these.
-        RangeError: marks too few or too many for a surface.
+        cells: (column, row) of each mark, none twice; u and v run from 0 to 1 over their bounds.
+        degree: Degree of the spline, 1 to 5.
+        samples: Number along u and along v, 2 or more.
+        cells_per_knot: Distance of knots [cells], 1 or more.
+        held: Weight of the penalty on second differences.
     """
     if degree not in range(1, MAX_DEGREE + 1):
         raise InputError(f"a spline of degree {degree}; give 1 to {MAX_DEGREE}")

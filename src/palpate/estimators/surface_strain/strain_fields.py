@@ -1,12 +1,11 @@
-"""Displacement gradient and strain of a skin's pattern from its marks, and errors from the marks' noise.
+"""Displacement gradient and strain of a skin's pattern, with errors from the marks' noise.
 
 Reference and current marks make two surfaces X(u, v) and x(u, v) of one basis. With displacement U = x - X,
 
     H = dU/dX = (dU/du, dU/dv) (dX/du, dX/dv)^-1,     F = 1 + H.
 
-Small strain is e = (H + H')/2 and rotation (H_yx - H_xy)/2; Green and Lagrange's strain E = (F'F - 1)/2 and
-the polar rotation hold for large ones. To first order in the noise dF = d(dx) J^-1 - F d(dX) J^-1 with
-J = dX/d(u, v), so that
+Small strain is e = (H + H')/2 and rotation (H_yx - H_xy)/2; E = (F'F - 1)/2 and the polar rotation hold for
+large ones. To first order dF = d(dx) J^-1 - F d(dX) J^-1 with J = dX/d(u, v), so that
 
     cov(H_ij, H_kl) = d_ik [A_j S A_l'] + (F F')_ik [A_j R A_l'],
 
@@ -33,13 +32,7 @@ KEPT_SETS = 8  # sets of visible marks whose reference is kept
 
 
 class PrincipalStrains(NamedTuple):
-    """Greatest and least small strain at each sample, and the direction of the greatest.
-
-    Attributes:
-        greatest, least: eigenvalues of e ``[nv nu]``, positive in stretch.
-        direction_rad: of the greatest from the x axis towards y, -pi/2 to pi/2 ``[nv nu]``; without meaning
-            where both are alike.
-    """
+    """Principal small strains, positive in stretch, and the direction of the greatest, -pi/2 to pi/2."""
 
     greatest: Field
     least: Field
@@ -47,10 +40,7 @@ class PrincipalStrains(NamedTuple):
 
 
 class StrainErrors(NamedTuple):
-    """Standard errors at each sample from the marks' noise ``[nv nu]``, of the fields of these names.
-
-    Those of the principal strains hold where the greatest shear is several times its own error.
-    """
+    """Standard errors of these fields; principal ones hold if the greatest shear is significant."""
 
     shear: Field
     area_strain: Field
@@ -62,19 +52,16 @@ class StrainErrors(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StrainFields:
-    """Strain of a pattern at the samples of a surface; NaN where marks are missing around one.
-
-    Axes and signs of angles are those of the marks: in an image y runs downwards.
+    """Strain of a pattern at the samples of a surface; NaN where marks are missing.
 
     Attributes:
-        basis: of the marks that both frames have.
-        unit: of places and displacements, "px" or "m".
-        at: where the samples rest ``[2 nv nu]`` [unit].
-        displacement: along x and y ``[2 nv nu]`` [unit].
+        basis: Basis of the marks that both frames have.
+        at: Resting samples ``[2 nv nu]`` [unit].
+        displacement: Along x and y ``[2 nv nu]`` [unit].
         gradient: H, dU_i/dX_j ``[2 2 nv nu]``.
-        to_axes: inverse of dX/d(u, v) ``[2 2 nv nu]`` [1/unit].
-        rest, moved: place of each mark in the reference and its shift since ``[n 2]`` [unit].
-        variances: of the marks' places along an axis, in the reference and now ``[2 n]`` [unit^2].
+        to_axes: Inverse of dX/d(u, v) ``[2 2 nv nu]`` [1/unit].
+        rest, moved: Reference position and shift of each mark ``[n 2]`` [unit].
+        variances: Variances of reference and current marks along an axis ``[2 n]`` [unit^2].
     """
 
     basis: SurfaceBasis
@@ -132,7 +119,6 @@ class StrainFields:
         return np.hypot(xx - yy, self.shear)
 
     def principal(self) -> PrincipalStrains:
-        """Principal strains and their direction."""
         xx, yy, shear = self.gradient[0, 0], self.gradient[1, 1], self.shear
         middle, radius = (xx + yy) / 2, np.hypot(xx - yy, shear) / 2
         return PrincipalStrains(middle + radius, middle - radius, np.arctan2(shear, xx - yy) / 2)
@@ -193,12 +179,7 @@ class _Rest(NamedTuple):
 
 
 class StrainMeter:
-    """Strain of later frames against a reference; what depends on the visible marks alone is kept.
-
-    Args:
-        reference: marks of the untouched skin, px or m.
-        degree, samples, cells_per_knot, held: of the surface, as of `surface_basis`.
-    """
+    """Strain of later frames relative to a reference; arguments as of `surface_basis`."""
 
     def __init__(
         self,
@@ -217,12 +198,6 @@ class StrainMeter:
         self._rests: dict[bytes, _Rest] = {}
 
     def fields(self, current: ControlPoints) -> StrainFields:
-        """Strain of a frame's marks.
-
-        Raises:
-            InputError: the reference has another unit.
-            RangeError: too few marks in common, or a reference that folds over itself.
-        """
         theirs, ours = self._shared(current)
         rest = self._rest(theirs)
         moved = current.places[ours] - self.reference.places[theirs]
@@ -298,14 +273,10 @@ def strain_fields(
 
 
 def on_plane(points: ControlPoints, lens: Lens, distance_m: float) -> ControlPoints:
-    """Marks of an image where their rays meet the plane at a distance across the lens's axis [m].
+    """Return marks of an image projected to the plane at a distance across the lens's axis [m].
 
-    x runs with the image's columns and y against its rows, as a skin that is seen from below has them. A
-    standard error goes with the place's scale, the geometric mean along both axes.
-
-    Raises:
-        InputError: points in m already.
-        RangeError: a distance that is not positive, or a place that no ray of the lens reaches.
+    x runs with the image's columns and y against its rows; standard errors scale with the geometric mean of
+    both axes.
     """
     if points.unit != "px":
         raise InputError("control points in m; give those of an image, in px", code="unit-differs")

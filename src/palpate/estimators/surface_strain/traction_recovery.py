@@ -1,17 +1,14 @@
 """Traction on a layered skin from the motion of its pattern, and its integral, the force.
 
-A wave of load moves the pattern's plane by the layers' response (`palpate.mechanics.layers.stack`); summed
-over waves it is the motion that one node's load makes at each mark. Loads at nodes about the contact, never
-pulling, are the least squares fit to the marks under Tikhonov's penalty on differences of neighbours.
-
-A camera across the plane tells two components of motion, into which depth comes by perspective, u_z X/D.
-Tractions have three. What closes the gap is a choice:
+Loads at nodes about the contact, never pulling, move the marks by the layers' response
+(`mechanics.layers.stack`); they are the least-squares fit with Tikhonov's penalty on neighbor differences. A
+camera sees two components, into which depth enters by perspective, u_z X/D; a closure gives the third:
 
     frictionless    q = 0
-    coulomb         |q| <= mu p at every node; between these bounds the smoothest
-    bonded          the skin does not slide on what touches it: where pressure is, its surface moves as one
+    coulomb         |q| <= mu p at every node, as smooth as possible
+    bonded          the surface under pressure moves as one
 
-and moduli, layers and their support are taken as known: an image alone tells p/E, not p.
+Moduli and layers are taken as known: an image alone identifies p/E, not p.
 
 References: A. N. Tikhonov, Soviet Math. Dokl. 4, 1035 (1963); C. L. Lawson and R. J. Hanson, Solving Least
 Squares Problems (1974), chapter 23, for loads that are never negative, doi:10.1137/1.9781611971217.
@@ -64,10 +61,9 @@ class PatternedSkin:
     """What recovery takes as known of a skin.
 
     Attributes:
-        stack: its layers.
-        interface: number of layers above the pattern.
-        camera_m: distance of the camera from the pattern; infinite where only motion along it is seen [m].
-        friction: Coulomb's, for the closure of this name.
+        interface: Number of layers above the pattern.
+        camera_m: Distance of the camera from the pattern; infinite for in-plane motion only [m].
+        friction: Coulomb's coefficient.
     """
 
     stack: Stack
@@ -87,29 +83,22 @@ class PatternedSkin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecoveredTraction:
-    """Traction of the probe on the skin at nodes, and its integrals.
+    """Traction of the probe at nodes, and its integrals; errors are from the marks' noise alone.
 
     Attributes:
-        nodes_m: (x, y) of each ``[n 2]`` [m].
-        spacing_m: distance of neighbours [m].
-        pressure_pa: into the skin ``[n]`` [Pa].
-        shear_pa: along x and y ``[n 2]`` [Pa].
-        force_n: integral of the pressure [N].
-        force_error_n: its standard error from the marks' noise alone [N].
-        centre_m: of the pressure (x, y) [m].
-        centre_error_m: its standard error along x and y from the marks' noise alone [m].
-        axis_rad: direction of the pressure's principal axis, from x towards y.
-        axis_error_rad: its standard error from the marks' noise alone; infinite for a round contact.
-        elongation: length over width of the pressure (standard deviations).
-        moved: shift of the pattern at the centre along x and y [m], and its rotation from x to y [rad].
-        moved_error: their standard errors from the marks' noise alone; 0 friction leaves no room for more.
-        sinking_m: motion of the pattern towards the camera at the centre [m].
-        lateral_n: integral of the shear (x, y) [N].
-        torque_nm: moment of the shear about the pressure's centre, from x towards y [N m].
-        resolution_m: diameter to which a load at one node is spread, at half height [m].
-        unexplained_m: shift of each mark less that of these tractions ``[n 2]`` [m].
-        misfit: root mean square of the marks' misfit over their standard error; about 1 where all holds.
-        closure: what was assumed.
+        nodes_m: (x, y) ``[n 2]`` [m].
+        spacing_m: Distance of neighbors [m].
+        pressure_pa: Pressure into the skin ``[n]`` [Pa].
+        shear_pa: Shear along x and y ``[n 2]`` [Pa].
+        centre_m: Center of pressure (x, y) [m].
+        axis_rad: Principal axis of the pressure, from x towards y; its error is infinite for a round contact.
+        elongation: Length over width of the pressure (standard deviations).
+        moved: Shift of the pattern at the center along x and y [m], and its rotation from x to y [rad].
+        sinking_m: Motion of the pattern towards the camera at the center [m].
+        torque_nm: Moment of the shear about the center of pressure, from x towards y [N m].
+        resolution_m: Full width at half maximum of a recovered point load [m].
+        unexplained_m: Residual shift of each mark ``[n 2]`` [m].
+        misfit: RMS of the residuals over their standard error.
     """
 
     nodes_m: Points
@@ -146,18 +135,14 @@ def recover_traction(
     step_pa: float = STEP_PA,
     peaks: list[ContactPeak] | None = None,
 ) -> RecoveredTraction | None:
-    """Traction under a frame's marks; None without contact.
+    """Return the traction under a frame's marks; None without contact.
 
     Args:
-        fields: of marks in m, x and y from the camera's axis.
-        skin: what is known of it.
-        closure: what is assumed of the third component.
-        step_pa: difference of neighbouring pressures that weighs as one standard error; less smooths more.
-        peaks: the frame's `contact_peaks`, where they are known.
-
-    Raises:
-        InputError: marks in px or without standard errors, or another closure.
-        RangeError: a step that is not positive, or a contact that reaches over too much of the skin.
+        fields: Strain fields of marks in m, from the camera's axis.
+        skin: Known mechanics.
+        closure: Assumption about the third component.
+        step_pa: Difference of neighboring pressures that counts as one standard error.
+        peaks: The frame's `contact_peaks`, if known.
     """
     if fields.unit != "m":
         raise InputError("traction needs marks in m; use on_plane", code="unit-differs")
@@ -287,11 +272,7 @@ def _closed(
 
 
 def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tuple[Points, Matrix]:
-    """Nodes about where the skin stretches or its marks are lost beside a peak, and neighbours' differences.
-
-    A patch that stretches without a peak is a lesser contact where it stands out of the noise, and else is
-    noise: under a light touch that lies all over the skin. Beyond the nodes loads are 0.
-    """
+    """Nodes about stretched or lost marks near a peak, and differences of neighbors."""
     pitch = mark_pitch(fields)
     away = np.min([np.hypot(fields.at[0] - p.x, fields.at[1] - p.y) for p in peaks], axis=0)
     stretch = np.nan_to_num(fields.area_strain, nan=-np.inf)
@@ -344,10 +325,7 @@ def _differences(inside: Bool[ndarray, "ny nx"]) -> Matrix:
 def _motion(
     skin: PatternedSkin, interface: int, at: Points, nodes: Points, spacing: float, first: int = 0
 ) -> list[Matrix]:
-    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa].
-
-    Those before the first load asked for are 0.
-    """
+    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa]."""
     tilt = np.zeros_like(at) if math.isinf(skin.camera_m) else at / skin.camera_m
     return list(_seen_motion(_node_motion(skin.stack, interface, spacing), at, nodes, tilt, CELL_M, first))
 
@@ -355,10 +333,7 @@ def _motion(
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _seen_motion(knots, at, nodes, tilt, cell, first_load):
-    """Motion of places by loads at nodes ``[load, 2 at, node]``: nine cubic splines that share their weights.
-
-    As nine calls of `map_coordinates` of SciPy have it, in a fifth of the time; 0 beyond the grid.
-    """
+    """Motion of positions by loads at nodes ``[load, 2 at, node]``, by nine cubic splines."""
     count, side = at.shape[0], knots.shape[0]
     seen = np.zeros((3, 2 * count, nodes.shape[0]))
     weight, cells = np.empty((2, 4)), np.empty(2, np.int64)

@@ -1,7 +1,4 @@
-"""Features of images that a kernel can compare: blurred pixels, and what pins do.
-
-All are linear filters, a rectifier and a division, so that they leave as ONNX with the model.
-"""
+"""Image features for kernels: blurred pixels and pin moments, of operations that ONNX has."""
 
 from __future__ import annotations
 
@@ -25,11 +22,9 @@ class ImageFeatures(Protocol):
     """Map from images to rows of features."""
 
     @property
-    def name(self) -> str:
-        """What they are, for a card."""
+    def name(self) -> str: ...
 
-    def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]:
-        """Features of images ``[n c h w]``."""
+    def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]: ...
 
     def add_to(self, graph: OnnxGraph) -> str:
         """Add the same map to a graph, from its image on; returns the name of its output ``[n f]``."""
@@ -44,12 +39,7 @@ def gaussian_window(sigma_px: float) -> Float[np.ndarray, " k"]:
 
 @dataclass(frozen=True, slots=True)
 class BlurredPixels:
-    """Pixels after a Gaussian blur, and only as many as its width needs; beyond the image is black.
-
-    Attributes:
-        channels: of an image.
-        blur_px: standard deviation [px of the input]; 0 leaves the pixels as they are.
-    """
+    """Pixels after a Gaussian blur, subsampled by its width; beyond the image is black."""
 
     channels: int
     blur_px: float
@@ -99,20 +89,15 @@ def band(window: Float32[np.ndarray, " k"], size: int) -> Float32[np.ndarray, "n
 
 @dataclass(frozen=True, slots=True)
 class PinMoments:
-    """Brightness and its centroid in a window about each place where a pin usually is.
-
-    The centroid is the first moment over the zeroth, so that a lamp that dims moves nothing. A Gaussian
-    window keeps it smooth where a pin leaves the window and its neighbour enters.
+    """Brightness and its centroid in a Gaussian window about each mean pin position.
 
     Attributes:
-        height, width: of an image [px].
-        columns, rows: mean places of the pins ``[p]``, to the pixel.
-        window_px: standard deviation of the window [px].
-        pitches: the same in distances from a pin to its nearest neighbour.
-        sign: 1 where pins are brighter than their ground, -1 where they are darker.
-        floor: grey level that counts nothing, and what is beyond it (on the ground's side).
-        typical: mean brightness in a window, over the frames learnt from; what is divided by is never less
-            than a fifth of it.
+        columns, rows: Mean positions of the pins, rounded [px].
+        window_px: Standard deviation of the window [px].
+        pitches: The same in nearest-neighbor distances.
+        sign: 1 for bright pins, -1 for dark ones.
+        floor: Gray level that counts nothing.
+        typical: Mean brightness in a window; the divisor is at least a fifth of it.
     """
 
     height: int
@@ -185,16 +170,13 @@ SAME_COUNT = 0.15  # by which the number of pins may differ from frame to frame
 
 
 def usual_pins(images: Tensor) -> tuple[PinTracks, int] | None:
-    """Pins of images, at their mean places, and 1 where they are bright or -1 where they are dark.
-
-    They are found in the image that is nearest to the mean of all, and each is averaged over the images in
-    which a pin lies within its reach of there.
+    """Return the pins of images at their mean positions, and 1 if bright or -1 if dark.
 
     Args:
-        images: ``[n c h w]`` grey levels; at most `MAX_FRAMES` of them are looked at.
+        images: Gray levels ``[n c h w]``; at most `MAX_FRAMES` are used.
 
     Returns:
-        None where the images have several channels, are differences, or show no pins, or not alike many.
+        None for several channels, differences, or images without consistent pins.
     """
     if images.shape[1] != 1 or not len(images) or images.min() < 0 or images.max() > GREY:
         return None
@@ -225,12 +207,7 @@ def _at_mean_places(pins: list[PinTracks]) -> PinTracks:
 
 
 def pin_moments(images: Tensor, windows: tuple[float, ...]) -> list[PinMoments]:
-    """Moments about the pins of images, for windows of so many pitches; none where no pins are found.
-
-    Args:
-        images: ``[n c h w]`` grey levels, of those learnt from.
-        windows: standard deviations in distances from a pin to its nearest neighbour.
-    """
+    """Return moments about the pins of images for windows in pin distances; none without pins."""
     found = usual_pins(images)
     if found is None:
         return []

@@ -1,8 +1,4 @@
-"""Kernel ridge regression on principal components of image features, which are chosen by inner folds.
-
-What is compared (blurred pixels, or moments about pins), and by which kernel, is decided on rows of groups
-that were not learnt from. Without torch, in seconds.
-"""
+"""Kernel ridge regression on principal components of image features, without torch."""
 
 from __future__ import annotations
 
@@ -37,11 +33,7 @@ INNER_FOLDS = 4
 
 @dataclass(frozen=True)
 class KernelMap:
-    """value = k(scores, centres) · dual + scores · slopes + offset, with scores = (features - centre) · axes.
-
-    Attributes:
-        columns: of the targets that it gives, in its order.
-    """
+    """value = k(scores, centres) · dual + scores · slopes + offset; scores = (features - centre) · axes."""
 
     columns: Indices
     features: ImageFeatures
@@ -54,7 +46,6 @@ class KernelMap:
     offset: Float[np.ndarray, " t"]
 
     def predict(self, inputs: Tensor) -> Values:
-        """Estimates of its targets."""
         scores = ((self.features.compute(inputs) - self.centre) @ self.axes).astype(np.float64)
         near = Kernel(self.length).of(scores, self.centres)
         return np.asarray(near @ self.dual + scores @ self.slopes + self.offset)
@@ -118,28 +109,23 @@ class _Way:
 
 @dataclass(frozen=True, slots=True)
 class KernelRidge:
-    """Kernel ridge regression whose features, kernel and penalties are chosen by inner folds.
+    """Kernel ridge regression whose features, kernel, and penalties are chosen by inner folds.
 
-    Inner folds keep groups whole. One thing is chosen after another: the features, the kernel's width, its
-    linear share, and whether a metric is learnt; the penalty goes with each, and each target has its own.
-    Targets of which other features leave an error smaller by 1 % or more are learnt from those.
-
-    The choice is made on at most `search_rows` rows. What is kept is fitted on all: up to `centres` rows
-    exactly, beyond that by Nyström's approximation, whose centres are drawn from the rows, so that time grows
-    no faster than the rows do, and memory by some kilobytes a row.
+    Features, kernel width, linear part, and metric are chosen in turn, each with its penalty for each target;
+    targets whose error falls by 1 % or more with other features use those. The final fit is exact up to
+    `centres` rows and Nyström's approximation beyond.
 
     Attributes:
-        blurs_px: Gaussian blurs of the pixels that are tried [px of the input].
-        pin_windows: windows about pins that are tried, in distances between pins, where pins are found.
-        widths: of the kernel, in root mean square distances between rows; the first is where features are
-            compared.
-        linear_shares: of the kernel's linear part.
-        metric: whether a learnt metric is tried.
-        penalties: ridge penalties tried, where the kernel of a row with itself is 1.
-        components: principal components, at most.
-        search_rows: rows on which the choice is made, at most.
-        basis_frames: rows that principal components are computed from, at most.
-        centres: rows that an estimate is compared with, at most.
+        blurs_px: Gaussian blurs of the pixels tried [px of the input].
+        pin_windows: Windows about pins tried, in pin distances.
+        widths: Kernel widths in RMS distances between rows; features are compared with the first.
+        linear_shares: Ratios of the kernel's linear part.
+        metric: Whether a learned metric is tried.
+        penalties: Ridge penalties, where the kernel of a row with itself is 1.
+        components: Greatest number of principal components.
+        search_rows: Greatest number of rows for the choice.
+        basis_frames: Greatest number of rows for the principal components.
+        centres: Greatest number of rows that an estimate is compared with.
     """
 
     blurs_px: tuple[float, ...] = (0.0, 1.5, 3.0, 5.0)
@@ -187,7 +173,6 @@ class KernelRidge:
     def _learnt(
         self, data: TrainingData, rows: Indices, way: _Way, rng: np.random.Generator, progress: Progress
     ) -> KernelMap:
-        """Learn from all rows as chosen."""
         basis = (
             rows if len(rows) <= self.basis_frames else np.sort(rng.choice(rows, self.basis_frames, False))
         )
@@ -241,13 +226,7 @@ MIN_GAIN = 0.01  # of a target's error, for which it is learnt from other featur
 
 @dataclass
 class _Search:
-    """Choice of features, kernel and penalties on some of the rows, one after another.
-
-    Attributes:
-        trials: what each way gave.
-        chosen: in words.
-        count: how many trials there are, at most.
-    """
+    """Choice of features, kernel, and penalties on some of the rows, with at most `count` trials."""
 
     model: KernelRidge
     data: TrainingData
@@ -289,7 +268,6 @@ class _Search:
         return ways
 
     def choice(self) -> ModelChoice:
-        """The choice, for the card."""
         return ModelChoice(self.chosen, tuple(self.trials))
 
     def _names(self, columns: Indices) -> str:
@@ -334,7 +312,6 @@ class _Search:
         return replace(way, shape=shape, penalties=self._penalties(errors))
 
     def _penalties(self, errors: Float[np.ndarray, "l t"]) -> Float[np.ndarray, " t"]:
-        """The best penalty of each target."""
         return np.array(self.model.penalties)[errors.argmin(axis=0)]
 
     def _tried(
@@ -363,11 +340,7 @@ class _Search:
         folds: Folds,
         penalties: Float[np.ndarray, " t"] | None,
     ) -> Float[np.ndarray, "l t"]:
-        """Root mean square errors on held-out rows in units of the spread, for each penalty and target.
-
-        Args:
-            penalties: of the fit that a metric is learnt from.
-        """
+        """Root mean square errors on held-out rows in units of the spread, for each penalty and target."""
         values = self.data.values[np.ix_(self.rows, columns)]
         targets = Scaler.of(values).scaled(values)
         squares = np.zeros((len(self.model.penalties), len(columns)))
@@ -387,11 +360,7 @@ class _Search:
 
 
 def _parted(errors: Float[np.ndarray, "c t"]) -> list[tuple[int, Indices]]:
-    """Candidates and the targets that each is best for: one for all, or a second where it gains enough.
-
-    Args:
-        errors: of each candidate and target.
-    """
+    """Candidates and the targets that each is best for: one for all, or a second where it gains enough."""
     first = int(np.argmin([typical_error(row) for row in errors]))
     gains = np.log(np.maximum(errors[first], MIN_ERROR) / np.maximum(errors, MIN_ERROR))
     worth = np.where(gains > -np.log1p(-MIN_GAIN), gains, 0.0)

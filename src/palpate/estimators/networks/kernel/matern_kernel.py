@@ -1,9 +1,8 @@
-"""Matérn's kernel with a share of the linear one: regression with it, and the metric that it learns.
+"""Matérn kernel with a linear part, regression with it, and a learned metric.
 
 k = (1 + r + r²/3) e⁻ʳ + s z·z′ with r = √5 |z - z′| / l (Rasmussen & Williams, Gaussian Processes for Machine
-Learning, MIT Press 2006, ch. 4), so that far from all rows learnt from an estimate goes on along a line or
-back to the mean. Distances may be measured where the targets change: in the metric of a first fit's mean
-outer product of gradients (Radhakrishnan et al., Science 383:1461 (2024), doi:10.1126/science.adi5639).
+Learning, MIT Press 2006, ch. 4). The metric is the mean outer product of a first fit's gradients
+(Radhakrishnan et al., Science 383:1461 (2024), doi:10.1126/science.adi5639).
 """
 
 from __future__ import annotations
@@ -24,12 +23,7 @@ JITTER = 1e-9  # of the kernel's diagonal, below which its rows are alike
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Matérn kernel of smoothness 5/2, plus a share of the linear one.
-
-    Attributes:
-        length: at which it falls to a half, about; in units of the scores.
-        slope: of the linear part, per unit of the scores squared.
-    """
+    """Matérn kernel of smoothness 5/2 with a length in units of the scores, plus a linear kernel."""
 
     length: float
     slope: float = 0.0
@@ -41,12 +35,10 @@ class Kernel:
         return cls(width * math.sqrt(2 * square), linear / square)
 
     def reach(self, a: Scores, b: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n m"]:
-        """Distances, r in the formula above."""
         squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
         return np.sqrt(np.maximum(squares, 0) * (5 / self.length**2))
 
     def of(self, a: Scores, b: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n m"]:
-        """Kernel between rows of scores."""
         r = self.reach(a, b)
         linear = self.slope * (a @ b.T) if self.slope else 0.0
         return (1 + r + r**2 / 3) * np.exp(-r) + linear
@@ -63,9 +55,9 @@ class KernelShape:
     """Shape of the kernel, as inner folds choose it.
 
     Attributes:
-        width: in root mean square distances between rows.
-        linear: variance of the linear part, in those of Matérn's.
-        metric: whether distances are measured in a learnt metric.
+        width: Length in RMS distances between rows.
+        linear: Variance of the linear part relative to Matérn's.
+        metric: Whether distances use a learned metric.
     """
 
     width: float = 1.0
@@ -86,10 +78,10 @@ def solve(
     progress: Progress = silent,
     batch: int = 2048,
 ) -> Float[np.ndarray, "m t"]:
-    """Weights of the centres `near`, for the penalty of each target.
+    """Return the weights of the centers `near` for the penalty of each target.
 
-    With all rows as centres (K + λ)⁻¹ y. With fewer it is Nyström's approximation: ridge regression on L⁻¹ k,
-    L Lᵀ being the kernel among the centres (Rasmussen & Williams, ch. 8).
+    With all rows as centers (K + λ)⁻¹ y, else Nyström: ridge regression on L⁻¹ k, L Lᵀ the kernel among the
+    centers (Rasmussen & Williams, ch. 8).
     """
     between = kernel.of(scores[near], scores[near])
     between[np.diag_indices_from(between)] += JITTER * len(near)
@@ -119,13 +111,13 @@ def _ridge(square: Float[np.ndarray, "m m"], right: Values, penalties: Float[np.
 def learnt_metric(
     scores: Scores, targets: Values, shape: KernelShape, penalties: Float[np.ndarray, " t"]
 ) -> Float[np.ndarray, "k k"]:
-    """Map of scores after which distances count what the targets change by.
+    """Return the map of scores after which distances count what the targets change by.
 
     Args:
-        scores: of the rows to learn from.
-        targets: of zero mean and unit spread.
-        shape: of the kernel in the first fit.
-        penalties: of the first fit, one a target.
+        scores: Scores of the training rows.
+        targets: Values of zero mean and unit spread.
+        shape: Kernel of the first fit.
+        penalties: Penalties of the first fit by target.
     """
     kernel = Kernel.over(scores, shape.width, shape.linear)
     dual = _ridge(kernel.of(scores, scores) + JITTER * np.eye(len(scores)), targets, penalties)
