@@ -14,7 +14,6 @@ from palpate.core import Frame, Pose
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader
 from palpate.estimators.shear.camera_motion import camera_motion
-from palpate.estimators.shear.contact_reach import area_of
 from palpate.estimators.surface_strain import StrainMeter
 
 SENSOR = palpate.sensor("nusense")
@@ -56,30 +55,25 @@ def is_camera_motion(readings) -> bool:
 
 
 @pytest.mark.parametrize("depth", [0.0, 1.2e-3])
-@pytest.mark.parametrize(
-    "motion",
-    [{"dx": 0.5}, {"dy": -0.5}, {"zoom": 1.003}, {"zoom": 0.997}, {"turn": 0.003}, {"dx": 0.2}],
-    ids=str,
-)
-def test_a_shift_a_zoom_and_a_rotation_of_all_marks_are_motion_of_the_camera(motion, depth) -> None:
-    own = reader()
+def test_a_shift_a_zoom_and_a_rotation_of_all_marks_are_motion_of_the_camera(depth) -> None:
+    own, frame = reader(), frame_of(depth, 4e-3, -3e-3, 2)
+    for motion in ({"dy": -0.5}, {"zoom": 0.997}, {"turn": 0.003}, {"dx": 0.2}):
+        touch = own.touch(moved(frame, **motion))
+        assert is_camera_motion(touch.readings)
+        assert touch.code == "camera_moved"
     assert own.read(frame_of(depth, 4e-3, -3e-3, 1))["gamma"].valid
-    touch = own.touch(moved(frame_of(depth, 4e-3, -3e-3, 2), **motion))
-    assert is_camera_motion(touch.readings)
-    assert touch.code == "camera_moved"
 
 
 def test_below_the_limit_the_interval_of_gamma_covers_the_motion() -> None:
     own = reader()
     rest = own.read(frame_of(seed=3))["gamma"]
-    for i, share in enumerate(np.linspace(0.1, 2.0, 8)):
-        dx = share * LIMIT_PX
-        gamma = own.read(moved(frame_of(seed=3), dx, 0.0))["gamma"]
+    for share in np.linspace(0.1, 2.0, 4):
+        gamma = own.read(moved(frame_of(seed=3), share * LIMIT_PX))["gamma"]
         if gamma.valid:
             assert gamma.low <= rest.value <= gamma.high
         else:
             assert gamma.code == "camera_moved"
-            assert share > 0.8, i  # the limit is not lower than stated
+            assert share > 0.8  # the limit is not lower than stated
 
 
 @pytest.mark.slow
@@ -101,20 +95,8 @@ def test_no_valid_reading_is_wrong_at_the_limit_and_sound_ones_stay_valid() -> N
     assert refused <= 0.03 * sound
 
 
-def test_the_area_is_that_over_which_places_were_measured() -> None:
-    low, high = (np.array(end) for end in area_of(reader().marks, SKIN))
-    np.testing.assert_allclose(1e3 * (high - low), [40.0, 28.0], atol=0.3)
-
-
 @pytest.mark.parametrize(
-    ("words", "x", "y", "depth"),
-    [
-        ("flat", 9.9e-3, -16.8e-3, 0.4e-3),
-        ("flat", -21.4e-3, -4.7e-3, 0.3e-3),
-        ("round", -23.9e-3, -5.7e-3, 1.4e-3),
-        ("round", 10.6e-3, -17.6e-3, 1.2e-3),
-        ("round", 22.3e-3, 4.5e-3, 1.6e-3),
-    ],
+    ("words", "x", "y", "depth"), [("flat", 9.9e-3, -16.8e-3, 0.4e-3), ("round", 22.3e-3, 4.5e-3, 1.6e-3)]
 )
 def test_a_contact_beyond_the_area_has_no_valid_place_and_is_no_tear(words, x, y, depth) -> None:
     readings = reader().read(frame_of(depth, x, y, 5, words))
@@ -124,7 +106,7 @@ def test_a_contact_beyond_the_area_has_no_valid_place_and_is_no_tear(words, x, y
     assert readings["damage"].value == ""
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.005, 1.027, 0.978])
+@pytest.mark.parametrize("scale", [1.0, 1.027, 0.978])
 def test_a_place_s_interval_holds_the_error_of_a_wrong_focal_length(scale) -> None:
     lens = SKIN.lens
     wrong = replace(lens, focal_px=(lens.focal_px[0] * scale, lens.focal_px[1] * scale))
@@ -136,15 +118,6 @@ def test_a_place_s_interval_holds_the_error_of_a_wrong_focal_length(scale) -> No
         assert abs(one.value - true) < 3 * (one.high - one.low) / 2
     if scale == 1.0:  # a lens that fits costs nothing
         assert readings["x"].high - readings["x"].low < 0.1e-3
-
-
-def test_each_invalid_reading_has_a_code() -> None:
-    own = reader()
-    dark = replace(frame_of(seed=8), image=np.zeros_like(untouched().image))
-    for readings in (own.read(frame_of(seed=8)), own.read(dark)):
-        for one in readings.values():
-            assert bool(one.code) != one.valid
-            assert bool(one.why) != one.valid
 
 
 def test_single_marks_that_jump_are_no_motion_of_the_camera() -> None:

@@ -4,9 +4,7 @@ import json
 import os
 import shutil
 
-import cv2
 import numpy as np
-import onnx
 import pytest
 from tests.refusals import refused
 
@@ -19,7 +17,7 @@ from palpate.estimators.card_ground import card_id
 
 
 @pytest.fixture
-def calibration(calibrate_spots, tmp_path):
+def calibration(calibrate_spots, tmp_path, changes_untried):
     plan = {"targets": ("x_mm", "height_mm"), "split": "group:press", "size_px": (24, 32)}
     return calibrate_spots(tmp_path / "cal", 20, **plan)
 
@@ -75,41 +73,6 @@ def test_a_grey_image_is_not_read_as_one_of_colour(calibration, coloured: bool) 
     assert estimator.read(tinted)["x_mm"].valid
 
 
-def test_a_calibration_is_of_colour_where_its_model_and_its_frames_are(calibrate_spots, tmp_path) -> None:
-    from palpate.estimators.certified import _is_of_colour
-
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "channels": 3}
-    _, folder = calibrate_spots(tmp_path / "cal", 20, **plan)
-    card = read_card(folder)
-    assert not _is_of_colour(folder, card)
-    example = folder / "example.png"
-    image = cv2.imread(str(example), cv2.IMREAD_COLOR)
-    image[..., 0] //= 2
-    cv2.imwrite(str(example), image)
-    with refused("file-hash", CertificateError):
-        _is_of_colour(folder, card)
-    parts = [
-        replace_digest(part, sha256_of(example)) if part.file == example.name else part for part in card.files
-    ]
-    assert _is_of_colour(folder, card.model_copy(update={"files": tuple(parts)}))
-
-
-def replace_digest(part, digest: str):
-    return part.model_copy(update={"sha256": digest})
-
-
-def test_what_a_notebook_shows_is_short_and_holds_no_pixels(calibration) -> None:
-    run, folder = calibration
-    estimator = Estimator.open(folder)
-    assert all(part in repr(estimator) for part in (estimator.card.id, "spots", "x_mm"))
-    assert all(part in repr(run) for part in (str(run.path), "120 frames", *run.labels))
-    assert all(part in repr(run.frame(1)) for part in ("64 × 48", "0.200 s"))
-    for one in (estimator, run, run.frame(1), estimator.read(run.frame(1))):
-        assert len(repr(one)) < 250
-        assert len(one._repr_html_()) < 1500
-    assert "<td>height_mm</td>" in estimator._repr_html_()
-
-
 def test_an_image_of_another_size_gives_no_value(calibration) -> None:
     run, folder = calibration
     readings = Estimator.open(folder).read(Frame(run.frame(1).image[:40]))
@@ -121,14 +84,13 @@ def test_an_image_of_another_size_gives_no_value(calibration) -> None:
         assert "64x48" in reading.why
 
 
-@pytest.mark.parametrize("fault", ["dark", "saturated", "shifted"])
-def test_a_strange_image_is_flagged(fault, calibration) -> None:
+def test_a_strange_image_is_flagged(calibration) -> None:
     run, folder = calibration
-    image = run.frame(1).image
-    bad = {"dark": image // 8, "saturated": np.full_like(image, 255), "shifted": np.roll(image, 6, axis=1)}
-    reading = Estimator.open(folder).read(Frame(bad[fault]))["x_mm"]
-    assert not reading.valid
-    assert reading.code == ReasonCode.OUT_OF_DISTRIBUTION
+    estimator, image = Estimator.open(folder), run.frame(1).image
+    for bad in (image // 8, np.full_like(image, 255), np.roll(image, 6, axis=1)):
+        reading = estimator.read(Frame(bad))["x_mm"]
+        assert not reading.valid
+        assert reading.code == ReasonCode.OUT_OF_DISTRIBUTION
 
 
 def test_a_value_beyond_the_calibrated_range_is_flagged(calibration) -> None:
@@ -151,38 +113,20 @@ def test_a_differential_calibration_asks_for_its_reference(record_spots, tmp_pat
     assert estimator.read(run.frame(1), estimator.zero(run.frame(0).image))["x_mm"].valid
 
 
-def test_a_model_of_other_bytes_is_refused(calibration) -> None:
+def test_a_card_that_is_none_is_refused(tmp_path) -> None:
+    for content in (b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "palpate-calibration/1"', b'{"id": NaN}'):
+        (tmp_path / "card.json").write_bytes(content)
+        with refused("card-damaged", CertificateError):
+            Estimator.open(tmp_path)
+
+
+def test_a_missing_part_is_named(calibration) -> None:
     _, folder = calibration
-    with (folder / "model.onnx").open("ab") as file:
-        file.write(b"\0")
-    with refused("file-hash", CertificateError):
-        Estimator.open(folder)
-
-
-def test_an_altered_card_is_refused(calibration) -> None:
-    _, folder = calibration
-    text = (folder / "card.json").read_text()
-    (folder / "card.json").write_text(text.replace('"seed": 0', '"seed": 1').replace('"seed":0', '"seed":1'))
-    with pytest.raises(CertificateError, match="was altered"):
-        Estimator.open(folder)
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "palpate-calibration/1"', b'{"id": NaN}']
-)
-def test_a_card_that_is_none_is_refused(content, calibration) -> None:
-    _, folder = calibration
-    (folder / "card.json").write_bytes(content)
-    with refused("card-damaged", CertificateError):
-        Estimator.open(folder)
-
-
-@pytest.mark.parametrize("part", ["model.onnx", "guard.npz", "card.json"])
-def test_a_missing_part_is_named(part, calibration) -> None:
-    _, folder = calibration
-    (folder / part).unlink()
-    with pytest.raises(CertificateError, match=part):
-        Estimator.open(folder)
+    for part in ("guard.npz", "model.onnx", "card.json"):
+        kept = (folder / part).rename(folder / "elsewhere")
+        with pytest.raises(CertificateError, match=part):
+            Estimator.open(folder)
+        kept.rename(folder / part)
 
 
 def test_a_part_that_is_a_link_is_refused(calibration, tmp_path) -> None:
@@ -214,63 +158,32 @@ def test_a_card_of_before_takes_a_value_whose_interval_reaches_into_the_range(ca
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"coefficients": [0.0]}, "card-damaged"),
-        ({"least": 3.0, "greatest": 2.0}, "card-damaged"),
-        ({"column": "height_mm"}, "card-damaged"),
-    ],
+    "change", [{"coefficients": [0.0]}, {"least": 3.0, "greatest": 2.0}, {"column": "height_mm"}]
 )
-def test_targets_that_do_not_fit_are_refused_with_the_reason(change, reason, calibration) -> None:
+def test_targets_that_do_not_fit_are_refused(change, calibration) -> None:
     _, folder = calibration
     reseal(folder, lambda card: card["targets"][0].update(change))
-    with refused(reason, CertificateError):
+    with refused("card-damaged", CertificateError):
         Estimator.open(folder)
 
 
 @pytest.mark.parametrize("part", ["limits", "drift"])
-@pytest.mark.parametrize("values", [["a", "b"], [np.nan, 1.0], [np.inf, 1.0], [0.0, 1.0], [1.0]])
-def test_limits_of_a_guard_that_limit_nothing_are_refused(part, values, calibration) -> None:
+def test_limits_of_a_guard_that_limit_nothing_are_refused(part, calibration) -> None:
     _, folder = calibration
     path = folder / "guard.npz"
     with np.load(path) as archive:
         parts = dict(archive)
-    np.savez(path, **parts | {part: np.array(values)})
-    reseal(folder, lambda card: card["guard"].update(sha256=sha256_of(path)))
-    with pytest.raises(CertificateError, match=r"guard\.npz.*guard"):
-        Estimator.open(folder)
+    for values in (["a", "b"], [np.nan, 1.0], [np.inf, 1.0], [0.0, 1.0], [1.0]):
+        np.savez(path, **parts | {part: np.array(values)})
+        reseal(folder, lambda card: card["guard"].update(sha256=sha256_of(path)))
+        with pytest.raises(CertificateError, match=r"guard\.npz.*guard"):
+            Estimator.open(folder)
 
 
 def test_a_part_outside_the_folder_cannot_be_named(calibration) -> None:
     _, folder = calibration
     reseal(folder, lambda card: card["model"].update(file="../model.onnx"))
     with pytest.raises(CertificateError, match=r"model\.file"):
-        Estimator.open(folder)
-
-
-def test_weights_in_another_file_are_refused(calibration) -> None:
-    _, folder = calibration
-    path = folder / "model.onnx"
-    model = onnx.load(str(path))
-    onnx.save(model, str(path), save_as_external_data=True, location="weights.bin", size_threshold=0)
-    reseal(folder, lambda card: card["model"].update(sha256=sha256_of(path)))
-    with refused("onnx-external-data", CertificateError):
-        Estimator.open(folder)
-
-
-def test_a_model_outside_the_card_s_shape_is_refused(calibration) -> None:
-    _, folder = calibration
-    reseal(folder, lambda card: card["input"].update(size_px=[32, 24]))
-    with refused("onnx-interface", CertificateError):
-        Estimator.open(folder)
-
-
-def test_bytes_that_are_no_model_are_refused(calibration) -> None:
-    _, folder = calibration
-    path = folder / "model.onnx"
-    path.write_bytes(b"not a model")
-    reseal(folder, lambda card: card["model"].update(sha256=sha256_of(path)))
-    with refused("onnx-damaged", CertificateError):
         Estimator.open(folder)
 
 

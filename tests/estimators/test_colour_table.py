@@ -59,14 +59,6 @@ def test_a_measured_table_reads_a_camera_that_no_assumed_curve_fits():
     assert assumed.summary()["misfit_median"] > 2 * found.summary()["misfit_median"]
 
 
-def test_orders_along_a_line_rise_from_its_one_end_to_the_other():
-    N = line_orders((20, 50), (5, 4, 45, 4), (-1.0, 3.0), 5.0)
-    np.testing.assert_allclose(N[4, 5:46], np.linspace(-1, 3, 41))
-    assert np.isnan(N[4, 4])
-    assert np.isnan(N[7, 20])
-    assert np.isfinite(N[6, 20])
-
-
 def test_a_disc_s_centre_has_the_stated_order_and_its_loads_none():
     N = disc_orders((101, 101), (50, 50, 100), 0.7)
     assert N[50, 50] == pytest.approx(0.7)

@@ -49,27 +49,7 @@ def test_two_references_cannot_say_how_far_they_are_off(rng) -> None:
     area, low, high = fit.at(rng.uniform(-1, 1, (5, 2))).T
     assert np.isfinite(area).all()
     assert np.isnan([low, high]).all()
-
-
-def test_frames_without_a_measure_have_no_area(rng) -> None:
-    fit = fit_area(*trials(rng, 3))
     assert np.isnan(fit.at(np.array([[np.nan, 0.0]]))).all()
-
-
-def test_frames_without_a_known_area_are_left_out(rng) -> None:
-    measures, areas, which = trials(rng, 3)
-    whole = fit_area(measures, areas, which)
-    areas[0][::3] = np.nan
-    areas[4][2] = 0.0
-    measures[5][1] = np.nan
-    fresh = rng.uniform(-1, 1, (9, 2))
-    assert_allclose(fit_area(measures, areas, which).at(fresh)[:, 0], whole.at(fresh)[:, 0], rtol=1e-3)
-
-
-def test_the_calibrated_range_is_that_of_the_areas(rng) -> None:
-    measures, areas, which = trials(rng, 3)
-    every = np.concatenate(areas)
-    assert_allclose(fit_area(measures, areas, which).range_m2, (every.min(), every.max()))
 
 
 def test_too_few_frames_are_refused(rng) -> None:

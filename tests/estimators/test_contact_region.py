@@ -36,13 +36,14 @@ def dome(at, ring=80.0, stretch=0.05, centre=(149.5, 149.5), squash=1.0, turn=0.
     return (at - np.array(centre)) * (stretch * np.exp(-r2 / 2))[:, None]
 
 
-@pytest.mark.parametrize("ring", [50.0, 80.0, 105.0])
+@pytest.mark.parametrize("ring", [50.0, 105.0])
 def test_the_ring_is_where_motion_outwards_is_greatest(rng, ring) -> None:
     at = lattice()
     field = Field(at, dome(at, ring))
     assert_allclose(ring_px(field), ring, rtol=0.01)
     noisy = Field(at, dome(at, ring) + 0.05 * rng.standard_normal(at.shape))
     assert_allclose(ring_px(noisy), ring, rtol=0.03)
+    assert np.isnan(ring_px(Field(at, 0.05 * (at - 149.5))))  # beyond the pins
 
 
 def test_the_stretch_and_the_middle_are_those_of_the_field() -> None:
@@ -54,18 +55,11 @@ def test_the_stretch_and_the_middle_are_those_of_the_field() -> None:
     assert_allclose(away, 0.04 * r * np.exp(-((r / 90) ** 2) / 2), atol=0.05)
 
 
-def test_a_ring_beyond_the_pins_is_none() -> None:
-    at = lattice()
-    assert np.isnan(ring_px(Field(at, 0.05 * (at - 149.5))))
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.2])
-def test_an_inclined_contacts_ring_is_an_ellipse(turn) -> None:
-    at = lattice()
+def test_an_inclined_contacts_ring_is_an_ellipse() -> None:
+    at, turn = lattice(), 1.2
     found = ring_ellipse(Field(at, dome(at, 80.0, squash=1.3, turn=turn)))
     assert_allclose(found.axes_px, (80.0, 80.0 / 1.3), rtol=0.04)
     assert_allclose(np.cos(2 * (found.angle_rad - turn)), 1.0, atol=0.05)
-    assert_allclose(found.area_px2, np.pi * 80**2 / 1.3, rtol=0.05)
     assert found.visible_share == 1.0
 
 

@@ -13,8 +13,7 @@ from palpate.estimators.lattice import DottedSkin, find_dots, read_skin
 LOST = frozenset({(1, 1), (2, 1), (-3, 2)})
 
 
-@pytest.mark.parametrize("kind", ["square", "hexagonal"])
-@pytest.mark.parametrize("colour", ["dark", "bright"])
+@pytest.mark.parametrize(("kind", "colour"), [("square", "dark"), ("hexagonal", "bright")])
 def test_dots_lie_where_they_are_within_their_stated_error(kind, colour) -> None:
     view = View(turn=0.1, shear=0.05, pitch=34, hexagonal=kind == "hexagonal", size=(480, 360))
     picture = noisy(dots(view, dark=colour == "dark", lost=LOST, extent=(12, 10)), np.random.default_rng(0))

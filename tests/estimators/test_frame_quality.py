@@ -10,12 +10,12 @@ from palpate.estimators.shear.shear_reader import _level, look_at, why_unreadabl
 WHOLE = (slice(None), slice(None))
 
 
-@pytest.mark.parametrize("percent", [0, 10, 50, 90, 97, 100])
 @pytest.mark.parametrize("count", [1, 2, 7, 1000])
-def test_a_level_by_counting_is_numpys_percentile(percent: float, count: int) -> None:
+def test_a_level_by_counting_is_numpys_percentile(count: int) -> None:
     rng = np.random.default_rng(count)
     for values in (rng.integers(0, 256, count), rng.integers(0, 3, count), rng.choice([0, 5, 250], count)):
-        assert _level(values, percent) == pytest.approx(np.percentile(values, percent), abs=1e-9)
+        for percent in (0, 10, 50, 97, 100):
+            assert _level(values, percent) == pytest.approx(np.percentile(values, percent), abs=1e-9)
 
 
 def test_a_dark_a_saturated_and_a_blurred_frame_are_refused_each_by_its_reason() -> None:

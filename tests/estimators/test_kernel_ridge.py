@@ -9,16 +9,10 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.core import InputError
 from palpate.estimators.networks import TrainingData, make_model
-from palpate.estimators.networks.kernel.image_features import (
-    BlurredPixels,
-    PinMoments,
-    pin_moments,
-    usual_pins,
-)
+from palpate.estimators.networks.kernel.image_features import PinMoments, pin_moments
 from palpate.estimators.networks.kernel.kernel_ridge import KernelRidge
 from palpate.estimators.networks.kernel.matern_kernel import Kernel, KernelShape, learnt_metric, solve
 from palpate.estimators.networks.model_interface import predict_rows
-from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 SIDE = 48
 
@@ -107,15 +101,14 @@ def test_a_learnt_metric_counts_only_what_the_targets_change_by(rng) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"pin_windows": ()},
-        {"blurs_px": (2.0,), "widths": (1.0,), "linear_shares": (1.0,)},
+        {"blurs_px": (2.0,), "pin_windows": (), "widths": (1.0,), "linear_shares": (1.0,)},
         {"blurs_px": (12.0,), "pin_windows": (0.3,), "widths": (1.0,)},
     ],
 )
 def test_the_exported_model_is_the_fitted_one_for_pixels_lines_and_pins(options, rng) -> None:
-    data = pressed(120, rng)
-    fitted = make_model("kernel-ridge", options).fit(data, np.arange(100), seed=0)
-    inputs = data.fetch(np.arange(100, 120))
+    data = pressed(80, rng)
+    fitted = make_model("kernel-ridge", options).fit(data, np.arange(60), seed=0)
+    inputs = data.fetch(np.arange(60, 80))
     apart = np.abs(exported(fitted, inputs) - fitted.predict(inputs)) / np.ptp(data.values, axis=0)
     assert apart.max() < 1e-5
 
@@ -143,7 +136,7 @@ def test_pressed_pins_are_read_better_than_by_the_mean_and_by_a_linear_map(rng) 
 
 
 def test_shuffled_labels_are_read_no_better_than_by_the_mean(rng) -> None:
-    data = pressed(240, rng)
+    data = pressed(120, rng)
     shuffled = TrainingData(data.shape, rng.permutation(data.values), data.groups, data.fetch)
     ours, mean = (held_out_errors(name, shuffled) for name in ("kernel-ridge", "mean"))
     assert (ours > 0.97 * mean).all()
@@ -157,37 +150,6 @@ def test_the_choice_holds_out_whole_groups(rng) -> None:
     data = TrainingData(one_each.shape, values[groups], groups, lambda rows: images[groups[rows]])
     errors = [trial.error for trial in KernelRidge().fit(data, np.arange(160), seed=0).choice.trials]
     assert min(errors) > 0.9
-
-
-def test_the_card_can_say_what_each_way_gave_and_which_was_best(rng) -> None:
-    fitted = KernelRidge().fit(pressed(120, rng), np.arange(120), seed=0)
-    best = min(fitted.choice.trials, key=lambda trial: trial.error)
-    assert best.name in fitted.choice.chosen or len(fitted.maps) > 1
-    assert any("pins" in trial.name for trial in fitted.choice.trials)
-
-
-def test_beyond_its_centres_a_set_is_fitted_with_as_many_and_hardly_worse(rng) -> None:
-    data, rows, watch = pressed(400, rng), np.arange(300), np.arange(300, 400)
-    few = make_model("kernel-ridge", {"centres": 120, "search_rows": 100}).fit(data, rows, seed=0)
-    assert len(few.maps[0].centres) == 120
-    whole = make_model("kernel-ridge", {"search_rows": 100}).fit(data, rows, seed=0)
-    error, exact = (np.abs(predict_rows(f, data, watch) - data.values[watch]).mean() for f in (few, whole))
-    assert error < 1.5 * exact < 0.1
-
-
-def test_images_that_are_all_alike_give_the_mean(rng) -> None:
-    images = np.full((30, 1, 16, 16), 80, np.float32)
-    data = TrainingData((1, 16, 16), rng.normal(5, 1, (30, 2)), np.arange(30), lambda rows: images[rows])
-    fitted = make_model("kernel-ridge", {}).fit(data, np.arange(30), seed=0)
-    np.testing.assert_allclose(fitted.predict(images), np.tile(data.values.mean(axis=0), (30, 1)), atol=1e-6)
-    np.testing.assert_allclose(exported(fitted, images), fitted.predict(images), atol=1e-5)
-
-
-def test_one_group_is_fitted_and_the_card_says_that_nothing_was_chosen(rng) -> None:
-    data = pressed(30, rng, groups=1)
-    fitted = make_model("kernel-ridge", {}).fit(data, np.arange(30), seed=0)
-    assert fitted.choice.trials == ()
-    assert np.isfinite(fitted.predict(data.fetch(np.arange(5)))).all()
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -211,48 +173,8 @@ def test_centroids_follow_pins_right_and_down_and_no_lamp(dark: bool) -> None:
         assert abs(dimmed[0] - x) < 0.1 * x
 
 
-def test_pins_are_looked_for_in_grey_levels_only(rng) -> None:
-    images = pin_images(np.zeros((4, 2)))
-    pins, sign = usual_pins(images)
-    assert (len(pins.xy_px), sign) == (25, 1)
-    assert usual_pins(images - 50) is None
-    assert usual_pins(np.repeat(images, 3, axis=1)) is None
-    assert usual_pins(rng.uniform(0, 255, (4, 1, SIDE, SIDE)).astype(np.float32)) is None
-
-
-def test_blurred_pixels_of_odd_sizes_and_colours_leave_as_they_are(rng) -> None:
-    images = rng.uniform(0, 255, (12, 3, 29, 37)).astype(np.float32)
-    values = rng.normal(size=(12, 1))
-    data = TrainingData((3, 29, 37), values, np.arange(12), lambda rows: images[rows])
-    fitted = make_model("kernel-ridge", {"blurs_px": (3.0,)}).fit(data, np.arange(12), seed=0)
-    assert BlurredPixels(3, 3.0).compute(images).shape == (12, 3 * 10 * 13)
-    assert np.abs(exported(fitted, images) - fitted.predict(images)).max() < 1e-5 * np.ptp(values)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"widths": (0.0,)},
-        {"penalties": ()},
-        {"blurs_px": (-1.0,)},
-        {"components": 0},
-        {"pin_windows": (0.0,)},
-    ],
-)
-def test_settings_out_of_range_are_refused(options: dict) -> None:
-    with pytest.raises(InputError):
-        make_model("kernel-ridge", options)
-
-
-@pytest.mark.parametrize("dark", [False, True])
-def test_moments_about_pins_leave_as_they_are_from_images_that_are_not_square(dark: bool, rng) -> None:
-    images = pin_images(rng.uniform(-3, 3, (6, 2)), dark=dark)[:, :, :40]
-    images = np.concatenate([images, images[..., :10]], axis=3)
-    (moments,) = pin_moments(images, (0.4,))
-    graph = OnnxGraph()
-    graph.add("Identity", [moments.add_to(graph)], output="value")
-    model = graph.model(images.shape[1:], 3 * len(moments.rows)).SerializeToString()
-    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
-    (found,) = session.run(["value"], {"image": images})
-    assert np.ptp(found, axis=0).max() > 0.1
-    np.testing.assert_allclose(found, moments.compute(images), atol=1e-5)
+def test_settings_out_of_range_are_refused() -> None:
+    wrong = {"widths": (0.0,), "penalties": (), "blurs_px": (-1.0,), "components": 0, "pin_windows": (0.0,)}
+    for name, value in wrong.items():
+        with pytest.raises(InputError):
+            make_model("kernel-ridge", {name: value})

@@ -1,7 +1,6 @@
 """A guard that knows its model refuses what costs it and no more, and says what a frame looks like."""
 
-import itertools
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +9,6 @@ from tests.oracles.plain_guard_features import features as plain_features
 
 from palpate.core import CertificateError
 from palpate.estimators.guard import (
-    SIGNATURES,
     ChangeExamples,
     KnownChanges,
     NoveltyDetector,
@@ -19,13 +17,11 @@ from palpate.estimators.guard import (
     cross_fitted,
     fit_known_changes,
     fit_novelty_detector,
-    frame_features,
     image_features,
     rescaled,
     thumbnails,
 )
 from palpate.estimators.guard.guard_features import LOCAL_FEATURES
-from palpate.estimators.guard.novelty import _weights
 
 FEATURES = 20
 TOUCH = np.linspace(1, 3, FEATURES)  # what a touch moves
@@ -86,23 +82,12 @@ def test_what_costs_is_refused_and_named_and_as_large_a_change_that_costs_nothin
     assert np.mean([one.kind == "dust" for one in free]) >= 0.95
 
 
-def test_harm_is_the_mean_over_near_examples(known) -> None:
-    """A focus changed by 15 was said to cost 0.09, nine times what is let pass."""
-    found = [one.atypicality for one in verdicts(known, COSTLY, 15, 0.8)]
-    assert np.median(found) == pytest.approx(9, rel=0.2)
-
-
 def test_where_no_example_is_near_the_thumbnails_own_limit_holds(known) -> None:
     for feature in (3, 17):
         far = verdicts(known, feature, 40, 1.2)
         assert not any(one.known for one in far)
         assert share(far) == 1.0
         assert share(verdicts(known, feature, 40, 0.9)) <= 0.1
-
-
-def test_a_thumbnail_more_novel_than_harmless_changes_make_it_is_refused(known) -> None:
-    """Dust of up to 20 makes a novelty of up to 3.2."""
-    assert share(verdicts(known, FREE, 15, 6.0)) == 1.0
 
 
 def test_without_harm_the_same_change_passes(registration) -> None:
@@ -133,11 +118,6 @@ def test_limits_let_all_but_the_share_allowed_pass(known) -> None:
     assert rescaled(known, unchanged / 10)[1] == 1.0
 
 
-def test_reasons_differ_by_change_knowledge_and_cost() -> None:
-    verdicts = [Verdict(2.0, *one) for one in itertools.product(SIGNATURES, (True, False), (True, False))]
-    assert len({one.reason for one in (Verdict(2.0), *verdicts)}) == len(verdicts) + 1
-
-
 def pins(shift: float = 0.0, blur: float = 0.0, turn: float = 0.0, large: float = 1.0) -> np.ndarray:
     """Bright discs on a dark ground ``[h w 1]``, seen by a camera a little elsewhere; so much larger."""
     y, x = np.mgrid[0:96, 0:96] * 1.0
@@ -150,11 +130,7 @@ def pins(shift: float = 0.0, blur: float = 0.0, turn: float = 0.0, large: float 
 
 
 def test_a_registration_finds_shift_and_turn_in_their_own_units() -> None:
-    """A thumbnail is a third of the image: 0.6 px of 96 are 0.2 of 32.
-
-    Differences across two pixels are too small by sin(k)/k, 4 % where discs are 12 px apart, and more at
-    their edges.
-    """
+    """A thumbnail is a third of the image: 0.6 px of 96 are 0.2 of 32."""
     found = Registration.fit(np.repeat(thumbnails([pins(large=3)]), 3, axis=0))
     moved = found.features(thumbnails([pins(shift=0.6, large=3)])[0])
     assert moved[0] == pytest.approx(0.2, rel=0.15)
@@ -173,47 +149,6 @@ def test_what_is_unlike_the_neighbours_is_registered_with_turn_and_zoom_in_px_at
     assert turned[2] == pytest.approx(16 * np.radians(0.5), rel=0.15)  # 32 px a side
 
 
-def test_features_beside_the_neighbours_tell_what_those_of_the_whole_picture_do_not(registration) -> None:
-    """The costly feature is lost in the scatter of frames; beside its neighbours a frame shows it alone."""
-    rng = np.random.default_rng(1)
-    plain = examples(rng)
-    hidden = plain.features.copy()
-    hidden[:, COSTLY] = rng.normal(size=len(hidden))
-    beside = rng.normal(size=(len(hidden), LOCAL_FEATURES))
-    beside[:, 0] += 300 * plain.harm
-    whole = replace(plain, features=np.concatenate([hidden, beside], axis=1), local=True)
-    assert whole.without_local().features.shape == plain.features.shape
-    assert not whole.without_local().local
-    assert plain.without_local() is plain
-    folds = [np.arange(k, 150, 5) for k in range(5)]
-    costly = plain.harm > 0.03
-    refused = [
-        np.array([one.atypicality > 1 and one.costs for one in cross_fitted(each, registration, folds)])
-        for each in (whole, whole.without_local())
-    ]
-    assert refused[0][costly].mean() > 0.95
-    assert refused[0][plain.kind == 0].mean() < 0.05
-    told = [one[costly].mean() - one[plain.kind == 0].mean() for one in refused]
-    assert told[1] < 0.5 < 0.9 < told[0]
-
-
-def test_a_blur_lowers_the_finest_band_most_and_leaves_the_coarsest() -> None:
-    away = image_features(pins(blur=1.0)) - image_features(pins())
-    rms = away[1:32:2].reshape(4, 4).mean(axis=1)  # octaves from fine to coarse
-    assert rms[0] < -0.2
-    assert (np.diff(rms) > 0).all()
-    assert abs(rms[3]) < 0.15
-
-
-def test_markers_are_counted_and_features_are_as_many_whatever_the_size() -> None:
-    grey, colour = image_features(pins()), image_features(np.repeat(pins(), 3, axis=2))
-    assert len(colour) == len(grey) + 2
-    for image in (np.zeros((3, 5, 1), np.uint8), np.full((480, 640, 1), 255, np.uint8)):
-        features = image_features(image)
-        assert len(features) == len(grey)
-        assert np.isfinite(features).all()
-
-
 def test_features_are_those_of_the_plain_computation_to_1e_9() -> None:
     """Guards of before hold features computed so; a verdict may not depend on which way it was."""
     rng = np.random.default_rng(8)
@@ -227,7 +162,7 @@ def test_features_are_those_of_the_plain_computation_to_1e_9() -> None:
 def test_a_verdict_is_that_of_all_examples_put_in_order(known) -> None:
     """Distances are sums of float32, known to 2 parts in 10^6 whatever their order."""
     rng = np.random.default_rng(9)
-    for _ in range(200):
+    for _ in range(50):
         at, novelty = changed(rng, COSTLY, rng.uniform(0, 20)), rng.uniform(0.5, 3)
         place = 3 * np.arcsinh((at - known.centre) / (3 * known.spread)) @ known.axes
         square = np.sum((known.places - place) ** 2, axis=1)
@@ -260,72 +195,23 @@ def test_known_changes_come_back_from_disk_to_the_last_digit(known, tmp_path) ->
         assert again.judge(at, 1.5) == known.judge(at, 1.5)
 
 
-def test_a_guard_asks_for_features_beside_neighbours_where_it_has_learnt_them(tmp_path) -> None:
-    """A guard of before has none in its file, and judges without."""
-    rng = np.random.default_rng(5)
-    plain = detector(rng)
-    images = [rng.integers(0, 255, (8, 8, 1)).astype(np.uint8) for _ in range(40)]
-    thumbs = thumbnails(images)
-    found = Registration.fit(thumbs)
-    unlike = [plain.novelty(thumb)[1] for thumb in thumbs]
-    rows = zip(images, thumbs, unlike, strict=True)
-    features = np.stack([frame_features(image, thumb, found, other) for image, thumb, other in rows])
-    kind = np.repeat([0, 1], 20)
-    every = ChangeExamples(
-        features, np.tile(np.arange(20), 2), kind, 0.02 * kind, np.ones(40), ("focus",), local=True
-    )
-    for each, columns in ((every, features), (every.without_local(), features[:, :-LOCAL_FEATURES])):
-        known = fit_known_changes(each, found)
-        path = tmp_path / f"{each.local}.npz"
-        replace(plain, changes=known).save(path)
-        again = NoveltyDetector.load(path)
-        assert again.changes is not None
-        assert again.changes.local == each.local
-        with np.load(path) as held:
-            assert ("known_local" in held) == each.local
-        assert again.judge(images[3]) == known.judge(columns[3], plain.novelty(thumbs[3])[0])
-        np.testing.assert_allclose(unlike[3], thumbs[3] - rebuilt(plain, thumbs[3]), atol=1e-3)
-
-
-def rebuilt(plain: NoveltyDetector, thumb: np.ndarray) -> np.ndarray:
-    """The mean of the nearest thumbnails whose weights are not negative and that lies nearest."""
-    near = plain.neighbours.reconstruct(thumb).rows
-    apart = plain.neighbours.thumbs[near].reshape(len(near), -1).astype(float)
-    weights = _weights((apart - thumb.ravel()).astype(np.float32))
-    return (weights @ apart).reshape(thumb.shape)
-
-
-def test_a_guard_without_known_changes_is_the_former_one(tmp_path) -> None:
-    plain = detector(np.random.default_rng(5))
-    plain.save(tmp_path / "guard.npz")
-    with np.load(tmp_path / "guard.npz") as held:
-        assert set(held) == {"thumbs", "left", "centre", "axes", "limits", "reference", "drift"}
-    again = NoveltyDetector.load(tmp_path / "guard.npz")
-    assert again.changes is None
-    image = np.random.default_rng(7).integers(0, 255, (8, 8, 1)).astype(np.uint8)
-    assert again.judge(image) == Verdict(plain.novelty(thumbnails([image])[0])[0])
-
-
 def test_damaged_known_changes_are_refused(known, tmp_path) -> None:
     guard(known).save(tmp_path / "guard.npz")
     with np.load(tmp_path / "guard.npz") as held:
         parts = dict(held)
-    changes = {
-        "cut": {"known_harm": parts["known_harm"][:-1]},
-        "no number": {"known_places": np.full_like(parts["known_places"], np.nan)},
-        "no limit": {"known_limits": np.zeros(4)},
-        "another kind": {"known_kind": parts["known_kind"] + 9},
-        "other axes": {"known_axes": parts["known_axes"][1:]},
-        "flat axes": {"known_axes": parts["known_axes"][0]},
-        "another registration": {"known_registration_mean": parts["known_registration_mean"][1:]},
-    }
-    for change in changes.values():
-        np.savez(tmp_path / "other.npz", **(parts | change))
+    changes = [
+        parts | change
+        for change in (
+            {"known_harm": parts["known_harm"][:-1]},
+            {"known_places": np.full_like(parts["known_places"], np.nan)},
+            {"known_limits": np.zeros(4)},
+            {"known_kind": parts["known_kind"] + 9},
+            {"known_axes": parts["known_axes"][1:]},
+            {"known_axes": parts["known_axes"][0]},
+            {"known_registration_mean": parts["known_registration_mean"][1:]},
+        )
+    ]
+    for arrays in (*changes, {key: part for key, part in parts.items() if key != "known_spacing"}):
+        np.savez(tmp_path / "other.npz", **arrays)
         with pytest.raises(CertificateError, match="calibrate again"):
             NoveltyDetector.load(tmp_path / "other.npz")
-    missing = {key: part for key, part in parts.items() if key != "known_spacing"}
-    np.savez(tmp_path / "other.npz", **missing)
-    with pytest.raises(CertificateError, match="calibrate again"):
-        NoveltyDetector.load(tmp_path / "other.npz")
-    own = {f"known_{f.name}" for f in fields(KnownChanges)} - {"known_registration", "known_local"}
-    assert own <= set(parts)

@@ -12,7 +12,6 @@ from palpate.estimators.guard import (
     fit_novelty_detector,
     thumbnails,
 )
-from palpate.estimators.guard.novelty import _gram
 
 ROWS, COLUMNS = np.mgrid[0:64, 0:64]
 GROUND = 60 + 50 * np.exp(-((ROWS - 20) ** 2 + (COLUMNS - 40) ** 2) / 300)
@@ -46,8 +45,8 @@ def folds_of(n: int, rng: np.random.Generator) -> list[np.ndarray]:
 @pytest.fixture(scope="module")
 def guard() -> NoveltyDetector:
     rng = np.random.default_rng(0)
-    thumbs = thumbnails(scene(rng, 400))
-    return fit_novelty_detector(thumbs, folds_of(400, rng), thumbnails(scene(rng, 12) * 0 + 70))
+    thumbs = thumbnails(scene(rng, 250))
+    return fit_novelty_detector(thumbs, folds_of(250, rng), thumbnails(scene(rng, 12) * 0 + 70))
 
 
 def rising(guard: NoveltyDetector, images: np.ndarray) -> float:
@@ -59,41 +58,36 @@ def test_the_guard_stays_down_on_good_frames(guard: NoveltyDetector) -> None:
     assert rising(guard, scene(np.random.default_rng(1), 200)) <= 0.05
 
 
-@pytest.mark.parametrize(
-    "fault",
-    ["dark", "half as bright", "a tenth brighter", "saturated", "shifted", "shifted down", "veiled", "other"],
-)
-def test_the_guard_rises_on_bad_frames(guard: NoveltyDetector, fault: str) -> None:
+def test_the_guard_rises_on_bad_frames(guard: NoveltyDetector) -> None:
     rng = np.random.default_rng(2)
-    good = scene(rng, 100)
-    bad = {
+    good = scene(rng, 40)
+    for fault, bad in {
         "dark": good // 10,
-        "half as bright": good // 2,
-        "a tenth brighter": scene(rng, 100, lamp=1.1),
+        "a tenth brighter": scene(rng, 40, lamp=1.1),
         "saturated": np.clip(good.astype(int) + 120, 0, 255).astype(np.uint8),
         "shifted": np.roll(good, 6, axis=2),
         "shifted down": np.roll(good, 6, axis=1),
         "veiled": np.clip(0.9 * good + 20, 0, 255).astype(np.uint8),
         "other": rng.integers(0, 255, good.shape, dtype=np.uint8),
-    }[fault]
-    assert rising(guard, bad) >= 0.95
+    }.items():
+        assert rising(guard, bad) >= 0.95, fault
 
 
 def test_the_guard_rises_on_two_touches_at_once_and_on_none(guard: NoveltyDetector) -> None:
     rng = np.random.default_rng(3)
-    assert rising(guard, two_at_once(rng, 100)) >= 0.95
-    none = rng.normal(GROUND, 3, (50, 64, 64)).astype(np.uint8)[..., None]
+    assert rising(guard, two_at_once(rng, 40)) >= 0.95
+    none = rng.normal(GROUND, 3, (40, 64, 64)).astype(np.uint8)[..., None]
     assert rising(guard, none) >= 0.95
 
 
 def test_the_guard_rises_on_another_colour_of_the_same_brightness() -> None:
     rng = np.random.default_rng(4)
-    grey = np.repeat(scene(rng, 400), 3, axis=3)
+    grey = np.repeat(scene(rng, 250), 3, axis=3)
     thumbs = thumbnails(grey)
-    guard = fit_novelty_detector(thumbs, folds_of(400, rng), thumbs[:0])
-    fresh = np.repeat(scene(rng, 200), 3, axis=3)
+    guard = fit_novelty_detector(thumbs, folds_of(250, rng), thumbs[:0])
+    fresh = np.repeat(scene(rng, 100), 3, axis=3)
     assert rising(guard, fresh) <= 0.05
-    assert rising(guard, np.clip(fresh * [1.08, 1.0, 0.92], 0, 255).astype(np.uint8)) >= 0.95
+    assert rising(guard, np.clip(fresh[:40] * [1.08, 1.0, 0.92], 0, 255).astype(np.uint8)) >= 0.95
 
 
 @pytest.fixture(scope="module")
@@ -110,11 +104,11 @@ def sparse() -> tuple[np.ndarray, list[np.ndarray]]:
 def test_places_between_those_recorded_are_known_from_rendered_ones(sparse) -> None:
     thumbs, folds = sparse
     rng = np.random.default_rng(6)
-    also = RenderedImages(np.round(thumbnails(scene(rng, 600))).astype(np.uint8), np.arange(600))
+    also = RenderedImages(np.round(thumbnails(scene(rng, 400))).astype(np.uint8), np.arange(400))
     guard = fit_novelty_detector(thumbs, folds, thumbs[:0], also=also)
-    assert len(guard.neighbours.thumbs) == len(thumbs) + 600
+    assert len(guard.neighbours.thumbs) == len(thumbs) + 400
     assert rising(guard, scene(rng, 100)) <= 0.05
-    assert rising(guard, two_at_once(rng, 50)) >= 0.95
+    assert rising(guard, two_at_once(rng, 40)) >= 0.95
 
 
 def test_rendered_frames_unlike_the_recorded_ones_are_left_out(sparse) -> None:
@@ -133,19 +127,12 @@ def test_a_guard_comes_back_from_disk_as_it_was(guard: NoveltyDetector, tmp_path
     assert again.drift(image) == guard.drift(image)
 
 
-@pytest.mark.parametrize("content", [b"", b"not arrays", b"PK\x03\x04 cut"])
-def test_a_damaged_guard_is_refused(content: bytes, tmp_path) -> None:
+def test_a_damaged_guard_is_refused(tmp_path) -> None:
     path = tmp_path / "guard.npz"
-    path.write_bytes(content)
-    with refused("file-damaged", CertificateError):
-        NoveltyDetector.load(path)
-
-
-def test_arrays_that_hold_objects_are_refused(tmp_path) -> None:
-    path = tmp_path / "guard.npz"
-    np.savez(path, mean=np.array([{"an": "object"}], dtype=object))
-    with pytest.raises(CertificateError):
-        NoveltyDetector.load(path)
+    for content in (b"", b"not arrays", b"PK\x03\x04 cut"):
+        path.write_bytes(content)
+        with refused("file-damaged", CertificateError):
+            NoveltyDetector.load(path)
 
 
 def test_arrays_that_do_not_fit_each_other_are_refused(guard: NoveltyDetector, tmp_path) -> None:
@@ -182,19 +169,6 @@ def test_drift_is_about_one_where_nothing_changed_and_large_when_the_lamp_does()
     dimmed = guard.drift((still[0] * 0.9).astype(np.uint8))
     assert dimmed is not None
     assert dimmed.drifted
-
-
-def test_without_a_reference_there_is_no_drift() -> None:
-    thumbs = thumbnails(scene(np.random.default_rng(5), 20))
-    guard = fit_novelty_detector(thumbs, np.array_split(np.arange(20), 4), thumbs[:0])
-    assert guard.drift(scene(np.random.default_rng(5), 1)[0]) is None
-
-
-def test_frames_all_alike_are_known_and_others_are_not() -> None:
-    thumbs = np.full((10, 8, 8, 1), 80, np.float32)
-    guard = fit_novelty_detector(thumbs, [np.arange(5), np.arange(5, 10)], thumbs[:0])
-    assert guard.atypicality(np.full((8, 8, 1), 80, np.uint8)) <= 1
-    assert guard.atypicality(np.full((8, 8, 1), 81, np.uint8)) > 1
 
 
 def test_too_few_frames_or_groups_are_refused() -> None:
@@ -245,15 +219,9 @@ def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
     assert drift.statistic == pytest.approx(2 / 0.5)
 
 
-@pytest.mark.parametrize("count", [2, 6])
-@pytest.mark.cases(1)
-def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count: int) -> None:
-    """r frames of independent noise wander by sigma sqrt((r + 1) / r) about the mean of r others.
-
-    About their own mean it is sigma sqrt((r - 1) / r); times r / (r - 1), sigma sqrt(r / (r - 1)), a little
-    more than the former and never less. 1,024 cells and 40 draws scatter by 1 %.
-    """
-    rng = np.random.default_rng(6)
+def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in() -> None:
+    """About their own mean it is sigma sqrt((r - 1) / r); times r / (r - 1), sigma sqrt(r / (r - 1))."""
+    rng, count = np.random.default_rng(6), 2
     good = thumbnails(scene(rng, 60))
     folds = folds_of(60, rng)
     spreads = [
@@ -263,9 +231,3 @@ def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in(count
         for _ in range(5)
     ]
     assert np.mean(spreads) == pytest.approx(3 * np.sqrt(count / (count - 1)), rel=0.03)
-
-
-def test_products_of_differences_are_exact_whatever_the_order_they_are_summed_in() -> None:
-    """Whole grey levels: every sum below 2^24 is a float32, so that blocks of columns change nothing."""
-    apart = np.random.default_rng(3).integers(-120, 121, (24, 1007))
-    np.testing.assert_array_equal(_gram(apart.astype(np.float32)), apart @ apart.T)

@@ -32,7 +32,7 @@ def turned(found, axis):
     return (found - axis + np.pi / 2) % np.pi - np.pi / 2
 
 
-@pytest.mark.parametrize("at_centre", [0.4, 0.8, 1.2])
+@pytest.mark.parametrize("at_centre", [0.4, 1.2])
 def test_six_steps_give_order_and_axis_past_whole_orders_with_a_deviation_that_is_theirs(at_centre):
     N = SHARE * at_centre
     z = []
@@ -52,7 +52,7 @@ def test_six_steps_give_order_and_axis_past_whole_orders_with_a_deviation_that_i
     assert np.degrees(np.sqrt(np.mean(turned(found.axis_rad, AXIS)[clear] ** 2))) < 1.5
 
 
-@pytest.mark.parametrize("noise", [0.005, 0.05])
+@pytest.mark.parametrize("noise", [0.05])
 def test_a_wide_fold_is_crossed_as_the_axes_say(noise):
     """A slow rise past half and whole orders: no pixel at a fold knows its axis, those behind it do."""
     N = np.tile(np.linspace(0.1, 1.3, 240), (20, 1))
@@ -83,18 +83,7 @@ def test_the_steps_are_those_of_a_polariscope_built_of_its_elements():
         np.testing.assert_allclose(light, (1 + signs @ s) / 2, atol=1e-12)
 
 
-def test_light_of_the_other_hand_turns_all_axes_by_a_right_angle_and_no_order():
-    N = SHARE * 0.8
-    place = place_of(N, 0.125)
-    frames = phases(N, AXIS, SIX_STEPS)
-    one = order_from_phases(frames, SIX_STEPS, place, mask=FACE)
-    other = order_from_phases(frames[[0, 1, 4, 5, 2, 3]], SIX_STEPS, place, mask=FACE)
-    both = one.valid & other.valid & (np.abs(np.sin(2 * np.pi * N)) > 0.5)
-    np.testing.assert_allclose(one.order[both], other.order[both], atol=1e-5)
-    assert np.abs(np.abs(turned(one.axis_rad, other.axis_rad)[both]) - np.pi / 2).max() < 1e-4
-
-
-@pytest.mark.parametrize("noise", [0.005, 0.02, 0.04])
+@pytest.mark.parametrize("noise", [0.005, 0.04])
 def test_a_polarisation_camera_tells_orders_below_a_quarter_and_says_nothing_beyond(noise):
     N = SHARE * 0.8
     found = order_from_phases(phases(N, AXIS, CAMERA, noise), CAMERA, place_of(N, 0.125), mask=FACE)
@@ -111,9 +100,7 @@ def test_a_polarisation_camera_tells_orders_below_a_quarter_and_says_nothing_bey
     )
 
 
-@pytest.mark.parametrize("side", [120, 300])
-@pytest.mark.parametrize("noise", [0.005, 0.04])
-@pytest.mark.cases(1)
+@pytest.mark.parametrize(("side", "noise"), [(120, 0.005), pytest.param(300, 0.04, marks=pytest.mark.slow)])
 def test_no_path_leads_past_a_quarter_order_however_steep_the_fringes_beside_a_load(side, noise):
     share, axis, inside = disc(side, steepest=20.0)
     for at_centre in (0.1, 0.3, 0.8):
@@ -128,12 +115,8 @@ def test_no_path_leads_past_a_quarter_order_however_steep_the_fringes_beside_a_l
 def test_a_camera_s_raw_frame_holds_its_four_polarisers():
     raw = np.arange(24, dtype=np.uint8).reshape(4, 6)
     at_0, at_45, at_90, at_135 = split_mosaic(raw)
-    assert (raw[1, 1], raw[0, 1], raw[0, 0], raw[1, 0]) == (
-        at_0[0, 0],
-        at_45[0, 0],
-        at_90[0, 0],
-        at_135[0, 0],
-    )
+    four = (at_0[0, 0], at_45[0, 0], at_90[0, 0], at_135[0, 0])
+    assert (raw[1, 1], raw[0, 1], raw[0, 0], raw[1, 0]) == four
     assert at_45.shape == (2, 3)
     with pytest.raises(InputError, match="even size"):
         split_mosaic(raw[:3])

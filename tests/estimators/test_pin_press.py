@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import ImageError, InputError
@@ -68,21 +68,6 @@ def test_without_an_encoder_there_is_no_position_and_no_speed(made, frames) -> N
     assert np.isnan(watch(made, frames, time_s=None).speed_m_s)
 
 
-def test_frames_are_read_once_and_no_further_than_the_greatest_force(made, frames) -> None:
-    read = []
-
-    def stream():
-        for i, frame in enumerate(frames):
-            read.append(i)
-            yield frame
-
-    release = made.raw_n[: int(len(made.raw_n) * 0.8)]
-    force = np.concatenate([release, np.zeros(len(made.raw_n) - len(release))])
-    press = watch(made, stream(), force_n=force)
-    assert read == list(range(int(press.frame[-1]) + 1))
-    assert len(read) < len(frames)
-
-
 def test_a_spike_of_force_changes_nothing(made, frames) -> None:
     force = made.raw_n.copy()
     force[[40, 150]] += 30.0
@@ -96,41 +81,27 @@ def test_a_first_frame_that_is_touched_is_refused(made, frames) -> None:
         follow_press(frames[begin:], made.raw_n[late:], made.frame_sample[begin:] - late)
 
 
-def test_a_force_that_was_never_biased_is_refused(made, frames) -> None:
-    with refused("first-frame-touched", InputError):
-        watch(made, frames, force_n=made.raw_n + 0.3)
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda force: force + 0.3, "first-frame-touched"),
+        (lambda force: force / 20, "no-contact"),
+        (lambda force: force[::-1].copy(), "not-loading"),
+    ],
+)
+def test_a_force_of_no_press_is_refused(made, frames, change, code) -> None:
+    with refused(code, InputError):
+        watch(made, frames, force_n=change(made.raw_n))
 
 
-def test_too_few_frames_are_refused(made, frames) -> None:
-    with refused("too-few-frames", InputError):
-        follow_press(frames[::5], made.raw_n, made.frame_sample[::5])
-
-
-def test_a_single_frame_is_refused(made, frames) -> None:
-    with refused("too-few-frames", InputError):
-        follow_press(frames[:1], made.raw_n, made.frame_sample[:1])
-
-
-def test_no_frame_is_refused(made) -> None:
+def test_too_few_frames_or_fewer_than_in_the_table_are_refused(made, frames) -> None:
+    for every in (5, len(frames)):
+        with refused("too-few-frames", InputError):
+            follow_press(frames[::every], made.raw_n, made.frame_sample[::every])
     with pytest.raises(InputError, match="no frame"):
         follow_press([], made.raw_n, made.frame_sample)
-
-
-def test_a_force_that_never_reaches_contact_is_refused(made, frames) -> None:
-    with refused("no-contact", InputError):
-        watch(made, frames, force_n=made.raw_n / 20)
-
-
-def test_unloading_alone_is_refused(made, frames) -> None:
-    with refused("not-loading", InputError):
-        watch(made, frames, force_n=made.raw_n[::-1].copy())
-
-
-def test_a_force_with_holes_is_refused(made, frames) -> None:
-    force = made.raw_n.copy()
-    force[60] = np.nan
-    with pytest.raises(InputError, match=r"not finite|spikes"):
-        watch(made, frames, force_n=force)
+    with refused("frames-differ", InputError):
+        watch(made, frames[:-8])
 
 
 def test_a_saturated_force_is_flagged(made, frames) -> None:
@@ -168,14 +139,3 @@ def test_images_without_pins_are_refused(made, frames) -> None:
         watch(made, [np.full_like(frame, 30) for frame in frames])
     with pytest.raises(ImageError, match="8-bit grey"):
         watch(made, [frame.astype(np.float64) for frame in frames])
-
-
-def test_a_table_with_more_frames_than_there_are_is_refused(made, frames) -> None:
-    with refused("frames-differ", InputError):
-        watch(made, frames[:-8])
-
-
-def test_the_same_press_gives_the_same_numbers(made, frames) -> None:
-    one, other = watch(made, frames), watch(made, iter(frames))
-    assert_array_equal(one.moved_px, other.moved_px)
-    assert_array_equal(one.force_n, other.force_n)

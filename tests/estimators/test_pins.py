@@ -34,7 +34,7 @@ def matched(found, truth) -> np.ndarray:
 
 def test_pins_are_found_to_a_few_hundredths_of_a_pixel(rng) -> None:
     truth = np.array([149.3, 150.8]) + hexagon(6, 20.3)
-    pins = find_pins(drawn(truth, rng))
+    pins = find_pins(drawn(np.concatenate([truth, [[2.0, 30.0]]]), rng))  # one is cut by the border
     assert len(pins.xy_px) == 127
     assert matched(pins.xy_px, truth).max() < 0.06
     assert_allclose(pins.xy_px[0], [149.3, 150.8], atol=0.06)
@@ -62,11 +62,6 @@ def test_a_pin_that_fades_is_lost_and_stays_lost(rng) -> None:
         assert now.found.sum() == 60
 
 
-def test_a_pin_cut_by_the_border_is_not_found(rng) -> None:
-    truth = np.concatenate([np.array([149.5, 149.5]) + hexagon(4, 25.0), [[2.0, 150.0]]])
-    assert len(find_pins(drawn(truth, rng)).xy_px) == 61
-
-
 def test_a_centroid_is_the_mean_place_weighed_by_what_is_over_the_floor(rng) -> None:
     """Also at the border, where part of the window is outside the image."""
     image = drawn(np.array([[30.3, 40.2], [5.0, 4.0], [76.0, 75.2]]), rng, size=80)
@@ -82,11 +77,11 @@ def test_a_centroid_is_the_mean_place_weighed_by_what_is_over_the_floor(rng) -> 
 
 
 def test_wide_windows_do_not_overflow(rng) -> None:
-    truth = np.array([[700.0, 700.0], [700.0, 2100.0], [2100.0, 700.0], [2100.0, 2100.0]])
-    image = np.zeros((2800, 2800), np.uint8)
+    truth = np.array([[600.0, 500.0], [1800.0, 500.0]])
+    image = np.zeros((1000, 2400), np.uint8)
     for x, y in truth:
         cv2.circle(image, (int(x), int(y)), 400, 200, -1)
-    assert matched(find_pins(image, least=4).xy_px, truth).max() < 0.1
+    assert matched(find_pins(image, least=2).xy_px, truth).max() < 0.1
 
 
 def test_images_without_pins_are_refused(rng) -> None:

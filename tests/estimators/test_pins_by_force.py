@@ -17,32 +17,13 @@ def motion(force_n: np.ndarray) -> np.ndarray:
     return x * [1.0, -2.0, 0.5] + x**2 * [0.3, 0.1, -0.4] + 0.1 * x**4 * [1.0, 0.0, 2.0]
 
 
-@pytest.mark.parametrize("frames", [7, 12, 40, 400])
-def test_values_at_fixed_forces_do_not_depend_on_the_number_of_frames(frames) -> None:
-    force = np.linspace(0.5, 5.1, frames)
-    assert_allclose(at_forces(force, motion(force), LEVELS), motion(LEVELS), rtol=1e-9)
-
-
-def test_values_at_fixed_forces_do_not_depend_on_when_frames_were_taken() -> None:
-    even, late, early = (0.5 + 4.6 * np.linspace(0, 1, 25) ** power for power in (1.0, 2.0, 0.4))
-    for force in (even, late, early):
+def test_values_at_fixed_forces_do_not_depend_on_how_many_frames_were_taken_when() -> None:
+    for frames, power in ((7, 1.0), (400, 1.0), (25, 2.0), (25, 0.4)):
+        force = 0.5 + 4.6 * np.linspace(0, 1, frames) ** power
         assert_allclose(at_forces(force, motion(force), LEVELS), motion(LEVELS), rtol=1e-9)
 
 
-def test_noise_is_averaged_over_the_frames(rng) -> None:
-    """Noise of 1 over 400 frames and 5 coefficients: about 0.1 at the middle forces, 0.2 at the ends."""
-    force = np.linspace(0.5, 5.1, 400)
-    noisy = motion(force) + rng.standard_normal((400, 3))
-    assert np.abs(at_forces(force, noisy, LEVELS) - motion(LEVELS)).max() < 0.45
-
-
-def test_values_of_any_shape_are_read() -> None:
-    force = np.linspace(0.5, 5, 30)
-    assert at_forces(force, force, LEVELS).shape == (8,)
-    assert at_forces(force, np.ones((30, 6, 2)), LEVELS).shape == (8, 6, 2)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.5, 4.3), (1.2, 5.0), (0.5, 2.0)])
+@pytest.mark.parametrize(("low", "high"), [(0.5, 4.3), (1.2, 5.0)])
 def test_forces_that_were_not_reached_are_refused(low, high) -> None:
     force = np.linspace(low, high, 30)
     with refused("force-not-reached", RangeError):
@@ -67,35 +48,19 @@ def moved(layout, rng) -> np.ndarray:
     return rng.standard_normal((6, len(layout), 2))
 
 
-def test_a_shift_of_the_image_is_undone(layout, moved) -> None:
+def test_a_shift_and_the_order_of_the_pins_do_not_matter(layout, moved, rng) -> None:
     for shift in ((0.0, 0.0), (2.5, -1.5), (-40.0, 25.0)):
-        assert_allclose(motion_on_layout(press(layout + shift, moved), layout), moved)
+        order = rng.permutation(len(layout))
+        found = motion_on_layout(press(layout[order] + shift, moved[:, order]), layout)
+        assert_allclose(found, moved)
 
 
-def test_the_order_of_the_pins_does_not_matter(layout, moved, rng) -> None:
-    order = rng.permutation(len(layout))
-    found = motion_on_layout(press(layout[order] + 1.0, moved[:, order]), layout)
-    assert_allclose(found, moved)
-
-
-def test_pins_a_little_out_of_place_are_still_the_same_pins(layout, moved, rng) -> None:
-    assert_allclose(motion_on_layout(press(layout + rng.standard_normal(layout.shape), moved), layout), moved)
-
-
-def test_lost_pins_are_nan_and_the_others_stay(layout, moved) -> None:
-    gone = [0, 7, 30]
-    moved[3, gone] = np.nan  # in one frame only
-    found = motion_on_layout(press(layout + 2.0, moved), layout)
-    assert np.isnan(found[:, gone]).all()
-    kept = np.delete(np.arange(len(layout)), gone)
-    assert_allclose(found[:, kept], moved[:, kept])
-
-
-def test_pins_that_were_never_found_are_nan(layout, moved) -> None:
-    kept = np.arange(len(layout)) % 10 != 0
-    found = motion_on_layout(press(layout[kept], moved[:, kept]), layout)
-    assert np.isnan(found[:, ~kept]).all()
-    assert_allclose(found[:, kept], moved[:, kept])
+def test_pins_lost_in_one_frame_or_never_found_are_nan_and_the_others_stay(layout, moved) -> None:
+    kept, there = np.arange(len(layout)) % 10 != 0, np.arange(len(layout)) % 20 != 5
+    moved[3, ~there] = np.nan
+    found = motion_on_layout(press(layout[kept] + 2.0, moved[:, kept]), layout)
+    assert np.isnan(found[:, ~kept | ~there]).all()
+    assert_allclose(found[:, kept & there], moved[:, kept & there])
 
 
 @pytest.mark.parametrize("other", ["larger", "turned", "denser", "fewer"])

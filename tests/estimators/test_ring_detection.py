@@ -66,7 +66,7 @@ def test_the_form_itself_comes_back():
 
 def test_stated_errors_are_those_of_noise_drawn():
     rng = np.random.default_rng(4)
-    rings = [find_rings(fields_of(formed((1e-3, 2e-3)), rng, 8e-6))[0] for _ in range(150)]
+    rings = [find_rings(fields_of(formed((1e-3, 2e-3)), rng, 8e-6))[0] for _ in range(100)]
     for name in ("x", "y", "radius", "width", "outward", "around"):
         drawn = np.std([getattr(ring, name) for ring in rings])
         stated = np.mean([getattr(ring, f"{name}_error") for ring in rings])
@@ -79,7 +79,7 @@ def test_presses_of_the_virtual_pad_are_found_where_they_are():
     meter = StrainMeter(seen(press("round"), rng))
     off, pull = [], []
     for depth in (0.9e-3, 1.5e-3):
-        for _ in range(12):
+        for _ in range(5):
             x, y = rng.uniform(-16e-3, 16e-3), rng.uniform(-10.5e-3, 10.5e-3)
             (ring,) = find_rings(meter.fields(seen(press("round", x, y, depth), rng)))
             off.append((ring.x - x, ring.y - y))
@@ -93,12 +93,10 @@ def test_no_contact_has_no_ring():
     rng = np.random.default_rng(8)
     rest = press("round")
     meter = StrainMeter(seen(rest, rng))
-    assert not any(contact_peaks(meter.fields(seen(rest, rng))) for _ in range(200))
+    assert not any(contact_peaks(meter.fields(seen(rest, rng))) for _ in range(60))
 
 
-@pytest.mark.parametrize(
-    ("words", "count"), [("two-points:4:12", 2), ("two-points:4:8:30", 2), ("round", 1), ("edge:20:35", 1)]
-)
+@pytest.mark.parametrize(("words", "count"), [("two-points:4:8:30", 2), ("round", 1), ("edge:20:35", 1)])
 def test_contacts_are_counted(words, count):
     rng = np.random.default_rng(9)
     meter = StrainMeter(seen(press(words), rng))

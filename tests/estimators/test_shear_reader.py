@@ -34,7 +34,7 @@ def reader():
 def test_a_press_is_found_where_it_is_and_nothing_is_found_without_one():
     """The thesis has 0.50 mm; 0.1 mm is five times the error at these forces."""
     own, rng = reader(), np.random.default_rng(3)
-    for i in range(12):
+    for i in range(4):
         x, y = rng.uniform(-18e-3, 18e-3), rng.uniform(-13e-3, 13e-3)
         readings = own.read(frame_of("round", x, y, rng.uniform(0.6e-3, 1.6e-3), i + 1))
         assert readings["contacts"].value == "1"
@@ -48,6 +48,7 @@ def test_a_press_is_found_where_it_is_and_nothing_is_found_without_one():
         assert nothing["x"].why == "no contact"
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_place_at_their_rate():
     """90 % of 80 components; 2.5 binomial standard deviations below is 0.816."""
     own, rng, held = reader(), np.random.default_rng(8), []
@@ -73,12 +74,11 @@ def test_two_touches_at_once_are_two_contacts_and_an_edge_is_one():
     assert not own.read(frame_of("round", depth=1e-3))["edge"].valid
 
 
-@pytest.mark.parametrize("share", [0.3, 0.8])
-def test_a_lateral_load_is_told_from_the_sinking_that_a_camera_beside_it_sees(share):
+def test_a_lateral_load_is_told_from_the_sinking_that_a_camera_beside_it_sees():
     own, at = reader(), (10e-3, -7e-3)
     straight = SENSOR.press(SENSOR.probe("round"), Pose(*at, 1e-3))
-    load = share * SENSOR.spec.friction * straight.force_n
-    for x, y in ((load, 0.0), (0.0, -load)):
+    limit = SENSOR.spec.friction * straight.force_n
+    for x, y in ((0.3 * limit, 0.0), (0.0, -0.8 * limit)):
         dragged = SENSOR.press(SENSOR.probe("round"), Pose(*at, 1e-3), history=PressHistory(lateral_n=(x, y)))
         readings = own.read(SENSOR.render(dragged, np.random.default_rng(1)))
         truth = SENSOR.motion(dragged).at(np.array([at[0]]), np.array([at[1]]))[:2, 0]
@@ -93,7 +93,7 @@ def test_a_lateral_load_is_told_from_the_sinking_that_a_camera_beside_it_sees(sh
 
 def test_gamma_grows_with_the_press_and_its_interval_holds_that_of_true_corners():
     own, gammas = reader(), []
-    for depth in (0.4e-3, 0.8e-3, 1.2e-3, 1.6e-3):
+    for depth in (0.4e-3, 1.0e-3, 1.6e-3):
         gamma = own.read(frame_of(depth=depth))["gamma_ratio"]
         gammas.append(gamma.value)
         assert gamma.low < gamma.value < gamma.high
@@ -102,40 +102,19 @@ def test_gamma_grows_with_the_press_and_its_interval_holds_that_of_true_corners(
     assert nothing.low == 0.0
 
 
-def poor(change):
-    frame = frame_of("round", depth=1.2e-3)
-    return reader().read(replace(frame, image=change(frame.image)))
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_a_poor_frame_has_no_valid_reading_and_is_followed_by_valid_ones():
+    own, frame = reader(), frame_of("round", depth=1.2e-3)
+    for change in (
         lambda image: np.uint8(image * 0.2),
-        lambda image: np.uint8(np.clip(image * 3.0, 0, 255)),
-        lambda image: cv2.GaussianBlur(image, (0, 0), 2.5),
-        lambda image: cv2.blur(image, (9, 1)),
-        lambda image: np.zeros_like(image),
         lambda image: np.full_like(image, 255),
+        lambda image: cv2.blur(image, (9, 1)),
         lambda image: np.where(np.arange(640)[None, :, None] < 330, image, 4).astype(np.uint8),
-        lambda image: np.roll(image, 200, axis=1),
         lambda image: np.random.default_rng(0).integers(0, 256, image.shape).astype(np.uint8),
-    ],
-    ids=["dark", "saturated", "blurred", "moved", "black", "white", "half", "shifted", "noise"],
-)
-@pytest.mark.cases(4)
-def test_a_poor_frame_has_no_valid_reading_and_says_why(change):
-    readings = poor(change)
-    for name, reading in readings.items():
-        assert not reading.valid, name
-        assert reading.why
+    ):
+        readings = own.read(replace(frame, image=change(frame.image)))
+        assert all(not reading.valid and reading.why and reading.code for reading in readings.values())
         assert np.isnan(readings["x"].value)
-    assert poor(lambda image: image)["x"].valid  # the same frame as it is
-
-
-def test_a_frame_is_read_again_after_a_poor_one():
-    own = reader()
-    assert not own.read(replace(untouched(), image=np.zeros_like(untouched().image)))["contacts"].valid
-    assert own.read(frame_of("round", 4e-3, 2e-3, 1e-3))["x"].value == pytest.approx(4e-3, abs=0.1e-3)
+    assert own.read(frame)["x"].valid
 
 
 def test_frames_of_another_size_or_kind_are_refused():
@@ -148,27 +127,17 @@ def test_frames_of_another_size_or_kind_are_refused():
         ShearReader(SKIN, Frame(untouched().image[:400].copy()))
 
 
-@pytest.mark.parametrize("depth", [0.5e-3, 1.0e-3, 1.6e-3])
-def test_a_reference_with_a_touch_in_it_is_refused(depth):
+def test_a_reference_with_a_touch_in_it_is_refused():
     with refused("reference-touched", ImageError):
-        ShearReader(SKIN, frame_of("round", 5e-3, -4e-3, depth))
+        ShearReader(SKIN, frame_of("round", 5e-3, -4e-3, 0.5e-3))
 
 
 def test_a_lens_of_another_camera_is_refused():
     own = SKIN.lens
     flat = Lens("pinhole", own.focal_px, own.centre_px, (0.0,) * 5, own.size_px)
-    longer = replace(own, focal_px=(380.0, 380.0))
-    aside = replace(own, centre_px=(360.0, 239.5))
-    for lens in (flat, longer, aside):
+    for lens in (flat, replace(own, focal_px=(380.0, 380.0)), replace(own, centre_px=(360.0, 239.5))):
         with refused("lens-differs", ImageError):
             ShearReader(replace(SKIN, lens=lens), untouched())
-
-
-def test_half_of_the_pattern_is_no_reference():
-    half = untouched().image.copy()
-    half[:, 310:] = 4
-    with pytest.raises(ImageError):
-        ShearReader(SKIN, replace(untouched(), image=half))
 
 
 def dots(places, pitch=40.0):

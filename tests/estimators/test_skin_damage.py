@@ -56,7 +56,7 @@ def fallen(rng, share=0.1):
 
 def test_no_press_on_a_whole_pad_looks_torn():
     reader, rng = ShearReader(SKIN, frame()), np.random.default_rng(2)
-    for i in range(10):
+    for i in range(4):
         x, y = rng.uniform(-16e-3, 16e-3), rng.uniform(-11e-3, 11e-3)
         words = ("round", "flat", "edge:20:40", "two-points:6:12")[i % 4]
         depth = rng.uniform(0.1e-3, 0.7e-3) if words != "round" else rng.uniform(0.1e-3, 1.6e-3)
@@ -66,10 +66,9 @@ def test_no_press_on_a_whole_pad_looks_torn():
         assert damage(reader, x, y, depth, lateral, words, seed=i) == "no", (words, depth)
 
 
-@pytest.mark.parametrize("depth", [0.0, 0.8e-3])
-def test_a_tear_that_gapes_is_told_at_rest_and_under_a_press(depth):
+def test_a_tear_that_gapes_is_told_at_rest_and_under_a_press():
     """By its dark line, and in a frame without the line by how the marks beside it have moved."""
-    for i, angle in enumerate((0.2, 1.2, 2.3)):
+    for i, (angle, depth) in enumerate(((0.2, 0.0), (2.3, 0.8e-3))):
         tear = (4e-3 * (i - 1), 3e-3, angle, 12e-3, 0.4e-3)
         later = ShearReader(SKIN, frame(seed=i)).read(frame(1e-3, 0.0, depth, seed=9 + i, tear=tear))
         assert later["damage"].value == "yes"
@@ -104,9 +103,9 @@ def test_a_contact_that_is_dragged_sticks_and_one_that_slides_slips():
     sticking = ShearReader(SKIN, frame())
     flags = [
         sticking.read(frame(2e-3, 1e-3, depth, (share * limit, 0.0) if share else None, seed=i))["slip"].value
-        for i, share in enumerate((0.0, 0.0, 0.2, 0.4, 0.6, 0.8))
+        for i, share in enumerate((0.0, 0.0, 0.3, 0.8))
     ]
-    assert flags == [""] + 5 * ["no"]
+    assert flags == [""] + 3 * ["no"]
     sliding = [
         sticking.read(frame(2e-3 + i * 0.2e-3, 1e-3, depth, (1.2 * limit, 0.0), seed=20 + i))["slip"].value
         for i in range(1, 6)

@@ -32,7 +32,7 @@ def test_degree_one_is_bilinear_between_the_marks():
         )
 
 
-@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+@pytest.mark.parametrize("degree", [1, 3])
 def test_an_affine_lattice_stays_affine_where_marks_are_missing(degree):
     rng = np.random.default_rng(degree)
     cells = lattice()[np.sort(rng.permutation(COLUMNS * ROWS)[:45])]
@@ -49,9 +49,8 @@ def test_an_affine_lattice_stays_affine_where_marks_are_missing(degree):
         np.testing.assert_allclose(basis.sampled(net, operator), slope, atol=1e-5)
 
 
-@pytest.mark.parametrize("degree", [2, 3])
-def test_derivatives_are_those_of_the_surface(degree):
-    cells = lattice()
+def test_derivatives_are_those_of_the_surface():
+    cells, degree = lattice(), 3
     fine = surface_basis(cells, degree, (1601, 5)), surface_basis(cells, degree, (5, 1601))
     for basis, operator, axis in ((fine[0], "u", 2), (fine[1], "v", 1)):
         net = basis.net(bent(cells))
@@ -63,19 +62,6 @@ def test_derivatives_are_those_of_the_surface(degree):
         )
 
 
-def test_degree_three_gains_on_degree_one_over_a_smooth_surface():
-    cells = lattice()
-    truth = surface_basis(cells, samples=(65, 49))
-    u, v = np.meshgrid(truth.u * (COLUMNS - 1) + 3, truth.v * (ROWS - 1) - 2)
-    expected = bent(np.column_stack([u.ravel(), v.ravel()])).T.reshape(2, *u.shape)
-    inside = np.s_[:, 10:-10, 10:-10]
-    off = [
-        np.abs(b.sampled(b.net(bent(cells))) - expected)[inside].max()
-        for b in (surface_basis(cells, degree, (65, 49)) for degree in (1, 3))
-    ]
-    assert off[1] < off[0] / 5
-
-
 def test_one_missing_mark_is_bridged_and_two_neighbours_leave_their_square_out():
     cells = lattice((0, 0))
     gone = [4 + COLUMNS * 3, 5 + COLUMNS * 3]
@@ -85,10 +71,8 @@ def test_one_missing_mark_is_bridged_and_two_neighbours_leave_their_square_out()
     row, column = np.nonzero(~two.supported)
     at = np.column_stack([two.u[column] * (COLUMNS - 1), two.v[row] * (ROWS - 1)])
     assert len(at)
-    assert (at[:, 0] >= 4 - 1e-9).all()
-    assert (at[:, 0] <= 5 + 1e-9).all()
-    assert (at[:, 1] >= 2 - 1e-9).all()
-    assert (at[:, 1] <= 4 + 1e-9).all()
+    assert (at >= np.array([4, 2]) - 1e-9).all()
+    assert (at <= np.array([5, 4]) + 1e-9).all()
 
 
 def test_the_order_of_the_marks_does_not_matter_and_a_set_is_kept():
@@ -112,15 +96,6 @@ def test_covariance_is_that_of_the_operators(degree, apart):
         A, B = (np.stack([basis.sampled(net, op)[0] for net in unit]) for op in (one, other))
         expected = np.einsum("nji,n,nji->ji", A, variance, B)
         np.testing.assert_allclose(basis.covariance(one, other, variance), expected, atol=1e-8)
-
-
-def test_wider_knots_lower_the_noise_away_from_the_border():
-    cells = lattice()
-    noise = [
-        surface_basis(cells, 3, (41, 31), apart).covariance("u", "u", np.ones(len(cells)))[8:-8, 8:-8].mean()
-        for apart in (1.0, 2.0)
-    ]
-    assert noise[1] < noise[0] / 2
 
 
 def test_what_is_no_surface_is_refused():

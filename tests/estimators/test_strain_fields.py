@@ -44,10 +44,6 @@ def test_an_imposed_affine_strain_comes_back(degree):
     np.testing.assert_allclose(fields.area_strain[seen], 0.01, atol=1e-5)
     np.testing.assert_allclose(fields.rotation_rad[seen], -0.0075, atol=1e-5)
     np.testing.assert_allclose(fields.area_ratio[seen], np.linalg.det(np.eye(2) + H), atol=1e-5)
-    F = np.eye(2) + H
-    np.testing.assert_allclose(
-        fields.green_lagrange[:, :, seen][..., 0], (F.T @ F - np.eye(2)) / 2, atol=1e-5
-    )
     values, vectors = np.linalg.eigh((H + H.T) / 2)
     principal = fields.principal()
     np.testing.assert_allclose(principal.greatest[seen], values[1], atol=1e-5)
@@ -58,40 +54,7 @@ def test_an_imposed_affine_strain_comes_back(degree):
     np.testing.assert_allclose(fields.greatest_shear[seen], values[1] - values[0], atol=1e-5)
 
 
-def test_a_turn_alone_is_no_finite_strain():
-    a = 0.3
-    turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
-    fields = strain_fields(rest(), moved(rest(), turn - np.eye(2)), samples=(20, 15))
-    np.testing.assert_allclose(fields.green_lagrange, 0, atol=1e-5)
-    np.testing.assert_allclose(fields.polar_rotation_rad, a, atol=1e-5)
-    np.testing.assert_allclose(fields.area_ratio, 1, atol=1e-5)
-    assert np.abs(fields.area_strain).min() > 0.05  # the control: small strain does see it
-
-
-def test_transpose_sign_and_pitch_would_show():
-    """Each wrong reading of the same marks must miss what the right one finds."""
-    fields = strain_fields(rest(), moved(rest()), samples=(20, 15))
-    good = np.abs(fields.gradient - H[..., None, None]).max()
-    transposed = np.abs(fields.gradient.swapaxes(0, 1) - H[..., None, None]).max()
-    swapped = strain_fields(moved(rest()), rest(), samples=(20, 15))
-    stretched = strain_fields(rest(pitch=1.05 * PITCH), moved(rest()), samples=(20, 15))
-    assert good < 1e-5
-    assert transposed > 1e-2
-    assert np.abs(swapped.gradient - H[..., None, None]).max() > 2e-2
-    assert np.abs(stretched.gradient - H[..., None, None]).max() > 4e-2
-
-
-def test_the_unit_of_length_does_not_matter():
-    metres = strain_fields(rest(), moved(rest()), samples=(9, 7))
-    pixels = strain_fields(
-        rest(pitch=14.5, unit="px"), moved(rest(pitch=14.5, unit="px"), shift=(3, 4)), samples=(9, 7)
-    )
-    np.testing.assert_allclose(metres.gradient, pixels.gradient, atol=1e-6)
-    with pytest.raises(InputError, match="one unit"):
-        strain_fields(rest(), rest(unit="px"))
-
-
-@pytest.mark.parametrize(("degree", "apart"), [(1, 1.0), (3, 1.5)])
+@pytest.mark.parametrize(("degree", "apart"), [pytest.param(1, 1.0, marks=pytest.mark.slow), (3, 1.5)])
 def test_stated_errors_are_those_of_noise_drawn(degree, apart):
     """Marks drawn 600 times with noise of their stated size, on the reference too."""
     rng = np.random.default_rng(1)
@@ -182,12 +145,13 @@ def test_a_plane_needs_pixels_and_a_distance():
     lens = palpate.sensor("nusense").spec.lens
     with refused("unit-differs", InputError):
         on_plane(rest(), lens, 0.05)
+    with pytest.raises(InputError, match="one unit"):
+        strain_fields(rest(), rest(unit="px"))
     with refused("not-positive", RangeError):
         on_plane(rest(pitch=10, unit="px"), lens, 0.0)
 
 
-@pytest.mark.parametrize(("degree", "within"), [(3, 0.05), (1, 0.25)])
-def test_the_layered_solutions_ring_comes_back(degree, within):
+def test_the_layered_solutions_ring_comes_back():
     """Greatest shear over the ring of a 6 N press, its mean beside the truth's; degree 1 is the control."""
     sensor = palpate.sensor("nusense")
     spec, rng = sensor.spec, np.random.default_rng(6)
@@ -199,26 +163,19 @@ def test_the_layered_solutions_ring_comes_back(degree, within):
         marks.append(
             on_plane(ControlPoints(truth.cells, px, np.full(len(px), 0.05)), spec.lens, spec.camera_m)
         )
-    fields = strain_fields(*marks, degree)
     motion = sensor.motion(contacts[1])
 
     def seen(x, y):
         u = motion.at(x.ravel(), y.ravel()).reshape(3, *x.shape)
         return np.stack([x + u[0], y + u[1]]) * spec.camera_m / (spec.camera_m - u[2])
 
-    (x, y), h = fields.at, 2e-5
-    by_x, by_y = (seen(x + h, y) - seen(x - h, y)) / (2 * h), (seen(x, y + h) - seen(x, y - h)) / (2 * h)
-    truth = np.hypot(by_x[0] - by_y[1], by_x[1] + by_y[0])
-    ring = truth > truth.max() / 2
-    off = fields.greatest_shear[ring].mean() / truth[ring].mean() - 1
-    assert abs(off) < within
-    if degree == 1:
-        assert off < -0.1
-
-
-def test_the_first_cell_of_a_reference_may_have_any_number():
-    cells = np.array([(i, j) for i in range(5) for j in range(4)])
-    marks = [ControlPoints(cells + step, cells * 2e-3, np.zeros(20), "m") for step in (0, 1, -7)]
-    moved = [ControlPoints(m.cells, 1.01 * m.places, m.sigma, "m") for m in marks]
-    for rest, now in zip(marks, moved, strict=True):
-        np.testing.assert_allclose(StrainMeter(rest).fields(now).area_strain, 0.02, atol=1e-9)
+    off = []
+    for degree in (3, 1):
+        fields = strain_fields(*marks, degree)
+        (x, y), h = fields.at, 2e-5
+        by_x, by_y = (seen(x + h, y) - seen(x - h, y)) / (2 * h), (seen(x, y + h) - seen(x, y - h)) / (2 * h)
+        truth = np.hypot(by_x[0] - by_y[1], by_x[1] + by_y[0])
+        ring = truth > truth.max() / 2
+        off.append(fields.greatest_shear[ring].mean() / truth[ring].mean() - 1)
+    assert abs(off[0]) < 0.05
+    assert -0.25 < off[1] < -0.1

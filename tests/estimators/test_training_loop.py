@@ -12,7 +12,6 @@ torch = pytest.importorskip("torch", reason="the extra `train` is not installed"
 
 from torch import nn  # noqa: E402
 
-from palpate.estimators.networks.compact_cnn import fast_bfloat16  # noqa: E402
 from palpate.estimators.networks.training_loop import TrainingLoop, TrainingRun, TrainingTask  # noqa: E402
 
 
@@ -74,19 +73,9 @@ def test_varied_inputs_are_learnt_from_with_a_seed_of_their_own_and_watched_ones
     assert run.watched_loss() == TrainingRun(plan, small_network(), lesson, 5).watched_loss()
 
 
-def test_varied_training_interrupted_and_resumed_reaches_the_same_weights(rng, tmp_path) -> None:
-    lesson, plan = replace(levels(rng), vary=brighter), TrainingLoop(4, 8, 1e-2, 0, "float32")
-    whole = plan.train(small_network(), lesson, seed=5)
-    kept = tmp_path / "kept.npz"
-    with pytest.raises(Interrupted):
-        plan.train(small_network(), lesson, seed=5, progress=stop_after(2), checkpoint=kept)
-    assert same(plan.train(small_network(), lesson, seed=5, checkpoint=kept), whole)
-
-
-@pytest.mark.parametrize("patience", [0, 3])
-@pytest.mark.parametrize("precision", ["auto", "float32"])
-def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, patience, precision) -> None:
-    lesson, plan = levels(rng), TrainingLoop(6, 8, 1e-2, patience, precision)
+@pytest.mark.parametrize(("patience", "vary"), [(0, brighter), (3, None)])
+def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, patience, vary) -> None:
+    lesson, plan = replace(levels(rng), vary=vary), TrainingLoop(5, 8, 1e-2, patience)
     whole = plan.train(small_network(), lesson, seed=5)
     kept = tmp_path / "kept.npz"
     for epoch in (2, 4):
@@ -96,14 +85,6 @@ def test_interrupted_and_resumed_it_reaches_the_same_weights(rng, tmp_path, pati
     assert same(whole, resumed)
     assert not same(whole, plan.train(small_network(), lesson, seed=6))
     assert [path.name for path in tmp_path.iterdir()] == ["kept.npz"]
-
-
-def test_interrupted_at_the_very_end_it_does_not_go_past_it(rng, tmp_path) -> None:
-    lesson, plan, kept = levels(rng, noise=True), TrainingLoop(30, 8, 1e-2, 2), tmp_path / "kept.npz"
-    whole = plan.train(small_network(), lesson, seed=5, checkpoint=kept)
-    before = kept.read_bytes()
-    assert same(whole, plan.train(small_network(), lesson, seed=5, checkpoint=kept))
-    assert kept.read_bytes() == before
 
 
 @pytest.mark.parametrize("damage", ["cut", "no archive", "another network", "another seed"])
@@ -162,12 +143,12 @@ def test_where_watched_rows_gain_no_more_the_step_falls_from_the_best_weights(rn
         return loss
 
     monkeypatch.setattr(TrainingRun, "_step", noted)
-    run = TrainingLoop(200, 8, 3e-2, patience=3, falls=2).run(small_network(), lesson, seed=1)
+    run = TrainingLoop(100, 8, 3e-2, patience=3, falls=2).run(small_network(), lesson, seed=1)
     assert sorted(set(rates), reverse=True) == pytest.approx([3e-2, 9e-3, 2.7e-3])
     assert run.record.stopped
-    assert run.record.steps == len(rates) < 200 * 5
+    assert run.record.steps == len(rates) < 100 * 5
     assert 0 < run.record.best_step <= run.record.steps - 3 * 5
-    shorter = TrainingLoop(200, 8, 3e-2, patience=3).run(small_network(), lesson, seed=1)
+    shorter = TrainingLoop(100, 8, 3e-2, patience=3).run(small_network(), lesson, seed=1)
     assert shorter.record.steps < run.record.steps
     assert run.best_loss <= shorter.best_loss  # the best is never given up
 
@@ -194,24 +175,6 @@ def test_it_stops_when_watched_rows_gain_no_more_and_keeps_the_best(rng, monkeyp
     np.testing.assert_allclose(loss.item(), min(seen), rtol=1e-5)
 
 
-def test_with_nothing_to_watch_it_trains_to_the_end(rng) -> None:
-    lesson, told = replace(levels(rng), watch=np.arange(0)), []
-    plan = TrainingLoop(5, 8, patience=1)
-    plan.train(small_network(), lesson, seed=1, progress=lambda what, done, total: told.append(done))
-    assert told == [1, 2, 3, 4, 5, 5]
-
-
-def test_it_learns_what_a_small_network_can_tell(rng) -> None:
-    lesson = levels(rng, 160)
-    kept = TrainingLoop(40, 8, 3e-2).train(small_network(), lesson, seed=1)
-    with torch.no_grad():
-        answer = kept(torch.from_numpy(lesson.fetch(lesson.watch))).numpy()
-    wanted = lesson.wanted[lesson.watch]
-    left = np.abs(answer - wanted).mean(axis=0) / np.abs(wanted - wanted.mean(axis=0)).mean(axis=0)
-    # 600 steps of 8 rows, from noisy images, leave a third of the spread.
-    assert (left < 0.5).all()
-
-
 def test_a_long_gradient_is_shortened_to_a_norm_of_five(rng) -> None:
     lesson = levels(rng)
     steep = replace(lesson, loss=lambda answer, wanted: 1e6 * nn.functional.mse_loss(answer, wanted))
@@ -233,43 +196,17 @@ def test_every_row_is_seen_once_an_epoch_but_a_last_one_alone(rng) -> None:
     assert list(np.concatenate(seen[:3])) != list(np.concatenate(seen[3:]))
 
 
-@pytest.mark.parametrize("precision", ["auto", "float32"])
-def test_bfloat16_is_used_where_it_is_fast_and_not_forbidden(rng, precision) -> None:
-    kinds, network = set(), small_network()
-    network[0].register_forward_hook(lambda layer, inputs, made: kinds.add(made.dtype))
-    kept = TrainingLoop(1, 8, precision=precision).train(network, levels(rng), seed=0)
-    fast = torch.cuda.is_bf16_supported() if torch.cuda.is_available() else fast_bfloat16()
-    assert kinds == {torch.bfloat16 if fast and precision == "auto" else torch.float32}
-    for value in kept.state_dict().values():
-        assert value.device.type == "cpu"
-        assert value.is_contiguous()
-        assert value.dtype in (torch.float32, torch.int64)
-    assert not kept.training
-
-
-def test_labels_that_are_no_numbers_are_refused(rng) -> None:
+def test_labels_that_are_no_numbers_and_a_single_row_are_refused(rng) -> None:
     lesson = levels(rng)
+    with refused("too-few-rows", InputError):
+        TrainingLoop(2, 8).train(small_network(), replace(lesson, learn=np.arange(1)), seed=0)
     lesson.wanted[3] = np.nan
     with refused("loss-not-finite", InputError):
         TrainingLoop(2, 8).train(small_network(), lesson, seed=0)
 
 
-def test_a_single_row_is_refused(rng) -> None:
-    with refused("too-few-rows", InputError):
-        TrainingLoop(2, 8).train(small_network(), replace(levels(rng), learn=np.arange(1)), seed=0)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"epochs": 0},
-        {"batch": 1},
-        {"patience": -1},
-        {"learning_rate": 0.0},
-        {"learning_rate": float("nan")},
-        {"clip": -5.0},
-    ],
-)
-def test_settings_that_train_nothing_are_refused(wrong: dict) -> None:
-    with pytest.raises(InputError):
-        TrainingLoop(**{"epochs": 3} | wrong)
+def test_settings_that_train_nothing_are_refused() -> None:
+    nan = float("nan")
+    for name, value in {"epochs": 0, "batch": 1, "patience": -1, "learning_rate": nan, "clip": -5.0}.items():
+        with pytest.raises(InputError):
+            TrainingLoop(**{"epochs": 3} | {name: value})

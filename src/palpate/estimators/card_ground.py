@@ -33,14 +33,14 @@ class CardPart(BaseModel):
 
 
 class FileCard(CardPart):
-    """A file that belongs to the calibration, and the hash of its bytes."""
+    """File of a calibration, and the hash of its bytes."""
 
     file: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
 class RunCard(CardPart):
-    """Recording that was learnt from; cards from before `provenance` existed have none."""
+    """Recording used for training."""
 
     run_id: str
     hash: str
@@ -57,14 +57,14 @@ class RunCard(CardPart):
 
 
 def card_id(content: Mapping[str, Any]) -> str:
-    """Twelve hexadecimal digits from the card's content without its `id`."""
+    """Return twelve hexadecimal digits from the card's content without its `id`."""
     rest = {key: value for key, value in content.items() if key != "id"}
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 class SealedCard(CardPart):
-    """Document whose `id` is a hash of everything else in it, so that no word can change unnoticed."""
+    """Document whose `id` is a hash of everything else in it, so that changes are detected."""
 
     id: str
 

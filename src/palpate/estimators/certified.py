@@ -75,7 +75,7 @@ def read_card(folder: PathText) -> Card:
 
 
 def _meant(folder: Path) -> str:
-    """What to name instead of a folder that is no calibration: the newest within, as a session's is."""
+    """Folder to suggest instead of one that is no calibration: the newest calibration inside it."""
     with suppress(OSError):
         within = sorted(folder.glob(f"*/{CARD_FILE}"), key=lambda card: card.stat().st_mtime)
         if within:
@@ -84,7 +84,7 @@ def _meant(folder: Path) -> str:
 
 
 def checked_file(folder: Path, part: FileCard) -> Path:
-    """The path of a part whose bytes are those the card names."""
+    """Return the path of a part whose bytes match the card."""
     path = folder / part.file
     if path.is_symlink() or not path.is_file():
         raise CertificateError(
@@ -100,7 +100,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
 
 
 def check_files(folder: PathText, card: Card) -> None:
-    """Check that all that a card names lies in its folder as it was made."""
+    """Check that all files named by a card are unchanged."""
     of_copy = None if card.copy_of is None else card.copy_of.file
     for part in (card.model, card.guard, of_copy, *card.files):
         if part is not None:
@@ -109,7 +109,7 @@ def check_files(folder: PathText, card: Card) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """An untouched sensor's image: what a differential model subtracts, and how far it has drifted."""
+    """Reference image that a differential model subtracts, and its drift."""
 
     image: PreparedFloat
     drift: Drift | None
@@ -163,7 +163,7 @@ class Estimator:
         return cls(folder, card, session, novelty, copies, coloured=_is_of_colour(folder, card))
 
     def zero(self, untouched: Image) -> Zero:
-        """Take an image of the untouched sensor as reference, and judge its drift by it."""
+        """Return an image of the sensor without contact as reference, with its drift."""
         self._check_size(untouched)
         prepared = self._preparation.apply(untouched)
         return Zero(prepared.astype(np.float32), self._novelty.drift(prepared))
@@ -216,7 +216,7 @@ class Estimator:
         return self._readings(frame, outputs, why, zero), outputs
 
     def verdict(self, frame: Frame | Image) -> Verdict:
-        """What the guard says of a frame, and what it looks like where that is refused."""
+        """Return the guard's judgment of a frame, with the kind of change it resembles."""
         image = frame.image if isinstance(frame, Frame) else Frame(frame).image
         self._check_size(image)
         return self._novelty.judge(self._preparation.apply(image))
@@ -234,7 +234,7 @@ class Estimator:
         return self.values(np.ascontiguousarray(difference.transpose(2, 0, 1))[None])
 
     def unread(self, name: str, time_s: float, why: Refusal) -> Readings:
-        """Readings of a frame that could not be read: no values, not valid, and the reason."""
+        """Return invalid readings without values for a frame that could not be read."""
         nothing = Frame(np.zeros((1, 1), np.uint8), time_s, name=name)
         return self._readings(nothing, None, why, None)
 
@@ -281,7 +281,7 @@ class Estimator:
         drift: Drift | None,
         frame: Frame,
     ) -> Reading | CircularReading:
-        """The reading of an estimate and the ends of its interval, in the target's unit."""
+        """Reading of an estimate and its interval, in the target's unit."""
         si, (value, low, high) = unit(target.unit), place
         why = why or doubt(target, value, low, high)
         low, high = (float(end) for end in with_reference(target, value, low, high))
@@ -343,14 +343,14 @@ class Estimator:
 
 
 def _copies_of(folder: Path, card: Card, novelty: NoveltyDetector) -> CopyDiscriminator | None:
-    """What tells the copy adapted to from the former one; None where nothing does."""
+    """Discriminator of an adapted calibration's sensor units, or None."""
     if card.copy_of is None or card.copy_of.file is None:
         return None
     return CopyDiscriminator.load(checked_file(folder, card.copy_of.file), novelty.neighbours.thumbs[0].size)
 
 
 def _is_of_colour(folder: Path, card: Card) -> bool:
-    """Whether the model sees colour, and the frames that it learnt from had any."""
+    """Whether the model and its training frames have color."""
     example = next((part for part in card.files if part.file == "example.png"), None)
     if card.input.channels != 3 or example is None:
         return False

@@ -60,7 +60,7 @@ class ClassScoreCard(CardPart):
 
     @property
     def says_nothing(self) -> bool:
-        """True if no more is right than by always saying the most frequent class, as far as rows tell."""
+        """True if the accuracy is not significantly above the baseline."""
         return self.accuracy_low <= self.baseline
 
 
@@ -95,7 +95,7 @@ class ClassCard(CardPart):
 
 
 def class_count(cards: Sequence[ClassCard] | None) -> int:
-    """Number of outputs that a model has for classes, behind those for its targets."""
+    """Return the number of class outputs, which follow the targets' outputs."""
     return sum(len(card.names) for card in cards or ())
 
 
@@ -113,7 +113,7 @@ def class_parts(sizes: Sequence[int]) -> Iterator[slice]:
 
 
 def members_of(outputs: ClassOutputs, thresholds: Sequence[float | None]) -> Members:
-    """Tell which classes are in each row's set."""
+    """Return which classes are in each row's prediction set."""
     return np.stack(
         [
             np.ones(len(outputs), bool) if least is None else column >= least

@@ -102,7 +102,7 @@ def fit_field(
 
 
 class _Scan:
-    """Light of a field at every order of a scan, set against photographs."""
+    """Light of a field at every order of a scan, compared with photographs."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class _Scan:
         return np.asarray(self.visibility[:, None] * s)
 
     def misfit(self, s: ndarray) -> ndarray:
-        """Share of each photograph's variance that no gain and leak explain under each model ``[n g]``."""
+        """Unexplained ratio of each photograph's variance under each model ``[n g]``."""
         left, total = np.zeros(1), np.zeros(1)
         for c in range(self.light.shape[2]):
             w, v, S = self.counts[..., c], self.light[..., c], s[..., c]
@@ -145,7 +145,7 @@ class _Scan:
         return np.asarray(left / np.maximum(total, TINY))
 
     def gain_and_leak(self, own: ndarray, told: ndarray) -> tuple[ndarray, ndarray]:
-        """Both of every channel, mean over the photographs that tell their order."""
+        """Gain and leak of every channel, mean over the photographs that identify their order."""
         found = []
         for i in np.flatnonzero(told):
             s = self.model(own[i : i + 1])[0]
@@ -181,7 +181,7 @@ def line_through(
 def _joint(
     cost: ndarray, orders: ndarray, load_n: ndarray, top: float, greatest_order: float
 ) -> tuple[float, tuple[OrderCandidate, ...]]:
-    """The slope at which all photographs together fit best, each load within its tolerance, and rivals."""
+    """Slope at which all photographs together fit best within load tolerances, and rivals."""
     slopes = np.arange(ENOUGH / top, greatest_order, STEP / top) / load_n.max()
     joint = np.empty(len(slopes))
     for i, k in enumerate(slopes):
@@ -206,7 +206,7 @@ def _joint(
 
 
 def _own_orders(cost: ndarray, orders: ndarray, near: ndarray, top: float) -> tuple[ndarray, ndarray]:
-    """Order that each photograph fits best within the tolerance of its load, and whether it tells one."""
+    """Order that fits each photograph best within its load tolerance, and whether it is identified."""
     own = near.astype(float).copy()
     told = near * top >= ENOUGH
     for i in np.flatnonzero(told):
@@ -222,7 +222,7 @@ def _own_orders(cost: ndarray, orders: ndarray, near: ndarray, top: float) -> tu
 
 
 def _vertex(y: ndarray, j: int) -> float:
-    """Where the parabola through three neighbours has its bottom, in steps from the middle one."""
+    """Minimum of the parabola through three neighbors, in steps from the middle one."""
     if not 0 < j < len(y) - 1:
         return 0.0
     bend = y[j - 1] - 2 * y[j] + y[j + 1]

@@ -153,7 +153,7 @@ class CopyCard(CardPart):
 
 
 class TrialCard(CardPart):
-    """One way that a model tried on inner folds, see `estimators.networks.model_interface.Trial`."""
+    """Variant that a model tried on inner folds (`model_interface.Trial`)."""
 
     name: str
     error: float | None
@@ -162,14 +162,14 @@ class TrialCard(CardPart):
 
 
 class ChoiceCard(CardPart):
-    """Choice that the model that is kept made by inner folds of the rows it learnt from."""
+    """Choice of the final model by inner folds of its training rows."""
 
     chosen: str
     trials: tuple[TrialCard, ...]
 
 
 class TrainingCard(CardPart):
-    """How long the network that is kept has learnt; see `TrainingRecord`."""
+    """Training of the final network (`TrainingRecord`)."""
 
     steps: int
     epochs: int

@@ -14,7 +14,7 @@ SEVERITIES: tuple[Severity, ...] = ("fails", "warns", "notes")
 
 
 class FindingCode(StrEnum):
-    """What an audit of a calibration can find."""
+    """Finding of a calibration audit."""
 
     ROWS_SHIFTED = "rows-shifted"
     OUTSIDE_DRIFTS = "outside-drifts"
@@ -206,17 +206,17 @@ class Finding(CardPart):
 
     @property
     def severity(self) -> Severity:
-        """``fails``: scores are unreliable; ``warns``: they mean less than they seem; ``notes``: neither."""
+        """``fails``: scores are unreliable; ``warns``: they mean less; ``notes``: neither."""
         return _WORDS[self.code].severity
 
     @property
     def text(self) -> str:
-        """The finding as a sentence without a full stop."""
+        """Sentence without a full stop."""
         return self._written(_WORDS[self.code].text)
 
     @property
     def remedy(self) -> str:
-        """What to do; empty where the sentence contains it."""
+        """Remedy; empty if the sentence contains it."""
         return self._written(_WORDS[self.code].remedy)
 
     def _written(self, template: str) -> str:
@@ -224,5 +224,5 @@ class Finding(CardPart):
 
 
 def ranked(findings: list[Finding]) -> tuple[Finding, ...]:
-    """The gravest first; of equal ones the order found."""
+    """Return findings by severity, the gravest first."""
     return tuple(sorted(findings, key=lambda one: SEVERITIES.index(one.severity)))

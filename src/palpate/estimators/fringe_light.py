@@ -48,20 +48,20 @@ class Polariscope:
         object.__setattr__(self, "turn", self.wavelength_m * law.half_phase(wavelength))
 
     def light(self, order: Float[ndarray, "*n"]) -> Float[ndarray, "*n c"]:
-        """Transmitted fraction in each channel at fringe order N."""
+        """Return the transmitted fraction in each channel at fringe order N."""
         return self.light_and_slope(order)[0]
 
     def light_and_slope(
         self, order: Float[ndarray, "*n"]
     ) -> tuple[Float[ndarray, "*n c"], Float[ndarray, "*n c"]]:
-        """Transmitted fraction in each channel, and its derivative by N."""
+        """Return the transmitted fraction in each channel and its derivative by N."""
         phase = order[..., None] * self.turn
         light = np.sin(phase) ** 2 @ self.spectrum.weight
         slope = (self.turn * np.sin(2 * phase)) @ self.spectrum.weight
         return (1 - light, -slope) if self.bright_field else (light, slope)
 
     def grey(self) -> Polariscope:
-        """The same with one channel, the mean of the three."""
+        """Return the same with one channel, the mean of the three."""
         weight = self.spectrum.weight.mean(axis=1, keepdims=True).repeat(3, axis=1)
         return replace(self, spectrum=replace(self.spectrum, weight=weight))
 
@@ -97,7 +97,7 @@ def one_line(wavelength_m: float, bandwidth_m: float = 0.0) -> Polariscope:
 
 
 def white_led() -> Polariscope:
-    """A phosphor white LED and a colour camera, both assumed; orders are counted at 550 nm."""
+    """Return a polariscope with an assumed white LED and color camera; orders count at 550 nm."""
     return Polariscope(assumed_camera(), WHITE_REFERENCE_M, "white LED, assumed curves")
 
 

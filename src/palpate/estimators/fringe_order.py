@@ -50,7 +50,7 @@ TOO_MUCH = "the best fit is at the end of the scan, order {:g} at the greatest l
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """Light over its range, one row a photograph and perhaps one for parallel polarisers."""
+    """Light relative to its range, one row for each photograph and for parallel polarizers."""
 
     load_n: Float[ndarray, " n"]
     y: Float[ndarray, "rows p c"]
@@ -89,7 +89,7 @@ class Traces:
 
     @property
     def least_order(self) -> float:
-        """Order at the greatest load where the scan begins."""
+        """Order at the greatest load at which the scan begins."""
         return MIN_WITH_GAIN if self.open_row else MIN_ORDER
 
     def model(self, order: ndarray) -> tuple[ndarray, ndarray]:
@@ -102,7 +102,7 @@ class Traces:
 
 
 def candidates(traces: Traces, greatest_order: float) -> list[tuple[float, float]]:
-    """Slopes and offsets of the scan's deepest valleys, best first."""
+    """Return slopes and offsets of the scan's deepest minima, best first."""
     top = traces.load_n.max()
     slopes = np.arange(traces.least_order, greatest_order + STEP / 2, STEP) / top
     offsets = traces.residual_order * np.linspace(-2, 2, 5)
@@ -121,7 +121,7 @@ def candidates(traces: Traces, greatest_order: float) -> list[tuple[float, float
 
 
 def profiled(traces: Traces, slopes: ndarray, offset: float) -> ndarray:
-    """Mean over patches of the squared misfit at each slope, gain and leak being the best not below 0."""
+    """Return the mean squared misfit over patches at each slope, with non-negative gain and leak."""
     s, _ = traces.model(slopes[:, None] * traces.load_n + offset)  # k, rows, c
     w = (~traces.clipped).astype(float)
     wy = w * traces.y
@@ -179,11 +179,11 @@ class Fit:
         return float(np.mean(self.residuals**2))
 
     def freedom(self) -> int:
-        """Photographs beyond the unknowns."""
+        """Photographs less unknowns."""
         return max(len(self.residuals) - UNKNOWNS, 1)
 
     def quantile(self) -> float:
-        """Student's, for the interval's two ends."""
+        """Student's quantile of the interval."""
         return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom()))
 
     def covariance(self) -> ndarray:
@@ -203,12 +203,12 @@ class Fit:
         return self.quantile() * float(np.sqrt(scatter + between + self.prior_share))
 
     def gain_and_leak(self) -> tuple[ndarray, ndarray]:
-        """Both of every patch and channel ``[p c]``."""
+        """Gain and leak of every patch and channel ``[p c]``."""
         c = self.residuals.shape[2]
         return self.parameters[:, 2 : 2 + c], self.parameters[:, 2 + c :]
 
     def own_orders(self) -> tuple[ndarray, ndarray, ndarray]:
-        """Order of each photograph by itself, and the orders it does not exclude."""
+        """Return the order of each photograph by itself, and the range of orders it allows."""
         a, b = self.gain_and_leak()
         line = self.slope * self.traces.load_n + self.offset
         near = np.linspace(-NEAR, NEAR, 281)
@@ -265,7 +265,7 @@ def _fit_near(traces: Traces, slope: float, offset: float, noise: float) -> Fit:
 
 
 def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float) -> OptimizeResult:
-    """One patch: k (in orders at the greatest load), N0, a, b. The last residual is what is known of N0."""
+    """Fit of one patch: k (orders at the greatest load), N0, a, b; the last residual is N0's prior."""
     top, c = traces.load_n.max(), traces.y.shape[2]
     y, cut = traces.y[:, p], traces.clipped[:, p]
 
@@ -302,7 +302,7 @@ def _fit_patch(traces: Traces, p: int, slope: float, offset: float, noise: float
 
 
 def _influence(optimum: OptimizeResult) -> ndarray:
-    """Change of k (in orders at the greatest load) by each residual, were it 1."""
+    """Derivative of k (orders at the greatest load) with respect to each residual."""
     free = optimum.active_mask == 0
     free[0] = True
     return np.asarray(-np.linalg.pinv(optimum.jac[:, free])[0])
@@ -429,7 +429,7 @@ def _summary(light: Light, traces: Traces, best: Fit, rivals: list[OrderCandidat
 
 
 def check_loads(load_n: Float[ndarray, " n"]) -> None:
-    """Refuse a series of loads [N] from which no slope can be told."""
+    """Refuse loads [N] that identify no slope."""
     if not (np.isfinite(load_n).all() and (load_n >= 0).all()):
         raise RangeError("a load is negative or no number; give loads of 0 N or more")
     photographs, loads = len(load_n), len(np.unique(load_n))
@@ -448,13 +448,13 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
 
 
 def _likelihood(fit: Fit, other: Fit) -> float:
-    """Likelihood of one fit over another; with unknown noise, the sums of squares to -freedom / 2."""
+    """Likelihood ratio of two fits with unknown noise."""
     ratio = max(other.cost, NO_NOISE) / max(fit.cost, NO_NOISE)
     return float(ratio ** (fit.freedom() / 2))
 
 
 def _lowest_of_ties(fits: list[Fit]) -> Fit:
-    """The lowest slope of those that fit about as well as the best: light alone cannot tell them."""
+    """Lowest slope of those that fit about as well as the best."""
     tied = [fit for fit in fits if fit is fits[0] or (fit.whole and _likelihood(fit, fits[0]) >= TIE)]
     return min(tied, key=lambda fit: fit.slope)
 
@@ -470,7 +470,7 @@ def _rival(fit: Fit, best: Fit) -> OrderCandidate:
 
 
 def _why_alike(one: float, other: float, load_n: ndarray) -> str:
-    """Why two slopes give the same light at these loads."""
+    """Reason why two slopes give the same light at these loads."""
     step = np.diff(np.unique(load_n)).min()
     even = np.allclose(load_n / step, np.rint(load_n / step), atol=EVEN)
     for apart, words in ((other + one, "add up to"), (abs(other - one), "differ by")):

@@ -250,11 +250,7 @@ def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinT
 
 
 def _where_expected(
-    kind: str,
-    cells: Int[ndarray, "p 2"],
-    xy: Points,
-    others: Float[ndarray, "o 2"],
-    size: tuple[int, int],
+    kind: str, cells: Int[ndarray, "p 2"], xy: Points, others: Float[ndarray, "o 2"], size: tuple[int, int]
 ) -> tuple[Int[ndarray, "e 2"], Float[ndarray, "e 2"]]:
     """Cells without a pin, and where one is looked for: at a spot next to its place, or at the place."""
     if kind == "square" or ring_of(cells).max() > MAX_RINGS:

@@ -41,10 +41,7 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
 def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> Refusal:
     """The estimate, or else the interval, lies beyond an end of the range by more than allowed."""
     what = f"{target.quantity} {value:.3g} {target.unit}"
-    sides = (
-        (target.least - value, target.least - low),
-        (value - target.greatest, high - target.greatest),
-    )
+    sides = ((target.least - value, target.least - low), (value - target.greatest, high - target.greatest))
     for (estimate, end), usual, usual_end in zip(sides, over.beyond, over.reach, strict=True):
         if estimate > usual:
             return _outside(_beyond(target, f"{what} lies", estimate, usual))

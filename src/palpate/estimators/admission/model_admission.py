@@ -213,7 +213,7 @@ def _is_external(tensor: Any) -> bool:
 
 
 def _constants(graph: Any) -> dict[str, np.ndarray]:
-    """The constants by name, as views of the model's bytes where these are raw."""
+    """Constants by name, as views of the model's bytes where these are raw."""
     if graph.sparse_initializer:
         raise refuse("type", "it has sparse constants")
     constants: dict[str, np.ndarray] = {}
@@ -314,7 +314,7 @@ def _inferred(
 
 
 def _check_batches(shapes: Iterable[Mapping[str, Shape]]) -> None:
-    """Refuse a tensor that depends on the number of images otherwise than by its first axis."""
+    """Refuse a tensor that depends on the number of images other than by its first axis."""
     few, more = shapes
     for name, shape in few.items():
         scaled = (BATCHES[1], *shape[1:]) if shape[:1] == BATCHES[:1] else shape
@@ -323,7 +323,7 @@ def _check_batches(shapes: Iterable[Mapping[str, Shape]]) -> None:
 
 
 def _check_trees(attributes: Mapping[str, Any], features: Shape) -> None:
-    """Refuse trees that are no trees: a runtime follows their links without an end."""
+    """Refuse node links that form no trees, which a runtime would follow endlessly."""
     columns = {
         key: np.asarray(value) for key, value in attributes.items() if key.startswith(("nodes_", "target_"))
     }

@@ -20,7 +20,7 @@ TREES_DOMAIN = "ai.onnx.ml"
 
 
 def refuse(code: str, why: str) -> CertificateError:
-    """The error of a model that is not admitted."""
+    """Return the error of a model that is not admitted."""
     return CertificateError(why, code=f"onnx-{code}")
 
 
@@ -35,7 +35,7 @@ class Call:
     outputs: int
 
     def constant(self, position: int) -> np.ndarray:
-        """Values of an input that must be a constant, since a shape depends on it."""
+        """Values of an input that must be constant because a shape depends on it."""
         values = self.constants[position]
         if values is None:
             raise refuse("shape", f"the shape that {self.kind} makes depends on data, not on a constant")
@@ -71,7 +71,7 @@ def size_of(shape: Sequence[int]) -> int:
 
 
 def broadcast(kind: str, shapes: Sequence[Shape]) -> Shape:
-    """Shape of an elementwise operator's result (NumPy's rule)."""
+    """Return the shape of an elementwise operator's result (NumPy's rule)."""
     rank = max(len(shape) for shape in shapes)
     padded = [(1,) * (rank - len(shape)) + shape for shape in shapes]
     made = []
@@ -205,7 +205,7 @@ def _gemm(call: Call) -> Inferred:
 
 
 def _window(call: Call, kernel: Sequence[int]) -> tuple[int, int]:
-    """(height, width) that a window of this size makes as it moves over the image."""
+    """Height and width of the result of a sliding window."""
     height, width = call.of_rank(4)[2:]
     pads = [int(v) for v in call.attributes.get("pads", (0, 0, 0, 0))]
     strides = [int(v) for v in call.attributes.get("strides", (1, 1))]

@@ -41,7 +41,7 @@ class AreaFit:
     range_m2: tuple[float, float]
 
     def at(self, measures: Measures, coverage: float = 0.9) -> Float[ndarray, "f 3"]:
-        """Area, low and high of its interval of every frame; NaN where a measure is [m^2]."""
+        """Return the area of every frame with its interval (value, low, high); NaN without measures [m^2]."""
         log_a = _terms((measures - self.middle) / self.scale) @ self.coefficients
         half = stats.norm.ppf((1 + coverage) / 2) * self.spread
         return np.exp(np.stack([log_a, log_a - half, log_a + half], axis=1))
@@ -78,7 +78,7 @@ def fit_area(
 
 
 def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> float:
-    """Error of log A of left-out trials of each reference, by the other trials: the worst reference's."""
+    """RMS error of log A of left-out trials, of the worst reference."""
     squares: dict[int, list[float]] = {}
     for i, (own, log_a) in enumerate(zip(z, y, strict=True)):
         others = [j for j in range(len(z)) if j != i]
@@ -91,7 +91,7 @@ def _left_out(z: list[AnyMeasures], y: list[ndarray], reference: ndarray) -> flo
 def left_out_areas(
     measures: Sequence[AnyMeasures], area_m2: Sequence[Float[ndarray, " _"]]
 ) -> list[Float[ndarray, " _"]]:
-    """Area of every frame of every trial by a fit to all other trials; NaN where a measure is [m^2]."""
+    """Return the area of every frame of every trial by a fit to all other trials [m^2]."""
     masks = [
         np.isfinite(one).all(axis=1) & (np.nan_to_num(a) > 0)
         for one, a in zip(measures, area_m2, strict=True)
@@ -131,7 +131,7 @@ class Motions:
     directions: Float[ndarray, "k p 2"]
 
     def of(self, moved_px: Float[ndarray, "f p 2"]) -> Measures:
-        """Measures of frames; pins that are lost (NaN) are left out."""
+        """Return the measures of frames; lost pins (NaN) are omitted."""
         tracked = np.isfinite(moved_px).all(axis=(0, 2)) & np.isfinite(self.middle).all(axis=1)
         off = (moved_px - self.middle)[:, tracked].reshape(len(moved_px), -1)
         measures, *_ = np.linalg.lstsq(
@@ -141,7 +141,7 @@ class Motions:
 
 
 def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTIONS) -> Motions:
-    """Fit the directions to the references' frames."""
+    """Fit the principal directions to the references' frames."""
     frames = np.concatenate(moved_px)
     if len(frames) < MIN_FRAMES:
         raise InputError(f"{len(frames)} frames of references; give {MIN_FRAMES}", code="too-few-frames")
@@ -153,7 +153,7 @@ def fit_motions(moved_px: Sequence[Float[ndarray, "_ p 2"]], count: int = MOTION
 
 
 def ring_measures(untouched_px: Float[ndarray, "p 2"], moved_px: Float[ndarray, "f p 2"]) -> Measures:
-    """Logarithms of the ring's radius and the middle's stretch of every frame; NaN where there is no ring."""
+    """Return log ring radius and log stretch of every frame; NaN without a ring."""
     measures = np.full((len(moved_px), 2), np.nan)
     for i, motion in enumerate(moved_px):
         tracked = np.isfinite(motion).all(axis=1)

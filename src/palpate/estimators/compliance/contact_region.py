@@ -29,14 +29,14 @@ Points = Float[ndarray, "p 2"]
 
 @dataclass(frozen=True)
 class Field:
-    """Places of the untouched pins, and how far each has moved [px]; only pins that were found."""
+    """Positions of the reference pins, and their motion [px]; only pins that were found."""
 
     at_px: Points
     moved_px: Points
 
     @classmethod
     def between(cls, untouched: PinTracks, now: PinTracks) -> Field:
-        """The motion of the pins that are found in both."""
+        """Return the motion of the pins found in both frames."""
         both = untouched.found & now.found
         if both.sum() < MIN_PINS:
             raise InputError(
@@ -48,7 +48,7 @@ class Field:
 
     @cached_property
     def middle_px(self) -> Float[ndarray, 2]:
-        """Contact's centre, where the field stands still, from a linear fit around the pins' middle."""
+        """Center of the contact, where the field does not move, from a linear fit [px]."""
         centre = self.at_px.mean(axis=0)
         for _ in range(3):
             gradient, shift = self._linear(centre)
@@ -64,11 +64,11 @@ class Field:
         return float(np.hypot(*(self.at_px - self.at_px.mean(axis=0)).T).max())
 
     def stretch(self) -> Float[ndarray, "2 2"]:
-        """Gradient of the motion in the middle; half its trace is the mean stretch."""
+        """Return the motion gradient at the center; half its trace is the mean stretch."""
         return self._linear(self.middle_px)[0]
 
     def _linear(self, centre: Float[ndarray, 2]) -> tuple[Float[ndarray, "2 2"], Float[ndarray, 2]]:
-        """Gradient, and motion at the centre, over the pins near it; a cubic term takes up the curvature."""
+        """Gradient and motion at the center; a cubic term absorbs the curvature."""
         off = self.at_px - centre
         near = np.hypot(*off.T) < WITHIN * self.radius_px
         if near.sum() < MIN_PINS // 2:
@@ -80,7 +80,7 @@ class Field:
 
 
 def outward(field: Field) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
-    """Distance of every pin from the middle, and its motion away from it [px]."""
+    """Return the distance of every pin from the center, and its outward motion [px]."""
     off = field.at_px - field.middle_px
     r = np.hypot(*off.T)
     away = np.divide((off * field.moved_px).sum(axis=1), r, out=np.zeros_like(r), where=r > 1e-9)
@@ -107,7 +107,7 @@ def ring_px(field: Field) -> float:
 
 @dataclass(frozen=True)
 class RigidPlateStretch:
-    """The ring and the stretch on a rigid plate: the stretch as a polynomial of the ring."""
+    """Stretch on a rigid plate as a polynomial of the ring radius."""
 
     coefficients: Float[ndarray, " k"]
     ring_px: tuple[float, float]
@@ -170,13 +170,9 @@ class Ellipse:
     angle_rad: float
     visible_share: float
 
-    @property
-    def area_px2(self) -> float:
-        return float(np.pi * self.axes_px[0] * self.axes_px[1])
-
 
 def ring_ellipse(field: Field) -> Ellipse:
-    """An ellipse through the places where motion away from the middle is greatest, direction by direction."""
+    """Return an ellipse through the positions of greatest outward motion, by direction."""
     centre = field.middle_px
     x = (field.at_px - centre) / field.radius_px
     fit, *_ = np.linalg.lstsq(_terms(x), field.moved_px, rcond=None)
@@ -197,13 +193,13 @@ def ring_ellipse(field: Field) -> Ellipse:
 
 
 def _terms(x: Points) -> Float[ndarray, "p k"]:
-    """All products of powers of x and y up to the degree."""
+    """Products of powers of x and y up to the degree."""
     powers = [(i, j) for i in range(SURFACE_DEGREE + 1) for j in range(SURFACE_DEGREE + 1 - i)]
     return np.stack([x[:, 0] ** i * x[:, 1] ** j for i, j in powers], axis=1)
 
 
 def _reach(field: Field, centre: Float[ndarray, 2]) -> Float[ndarray, " rays"]:
-    """Reach of the pins from the centre, in every direction."""
+    """Distance of the outermost pins from the center, by direction."""
     off = field.at_px - centre
     angles = np.arange(RAYS) * 2 * np.pi / RAYS
     along = off @ np.stack([np.cos(angles), np.sin(angles)])

@@ -49,13 +49,13 @@ class Seat:
 
 
 def sideways_px(press: PinPress, layout_px: Float[ndarray, "p 2"]) -> Float[ndarray, 2]:
-    """Mean motion of all pins at 4 N, (x, y) [px]."""
+    """Return the mean motion of all pins at 4 N, (x, y) [px]."""
     mean = np.nanmean(motion_on_layout(press, layout_px), axis=1)
     return np.asarray(at_forces(press.force_n, mean, np.array([SEAT_N]))[0])
 
 
 def fit_seat(softness: Float[ndarray, " k"], trials: Sequence[Float[ndarray, "_ 2"]]) -> Seat:
-    """Fit to the mean motion of each reference's trials, two or more of each."""
+    """Fit to the mean motion of two or more trials of each reference."""
     order = np.argsort(softness)
     mean = np.stack([one.mean(axis=0) for one in trials])
     about = np.concatenate([one - m for one, m in zip(trials, mean, strict=True)])

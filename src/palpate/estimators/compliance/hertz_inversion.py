@@ -34,7 +34,7 @@ Samples = Float[ndarray, " _"]
 
 @dataclass(frozen=True)
 class PressCurves:
-    """Loading samples of one press, SI: force [N], approach from any origin [m], contact area [m^2]."""
+    """Loading samples of one press: force [N], approach from any origin [m], contact area [m^2]."""
 
     force_n: Samples
     approach_m: Samples
@@ -95,7 +95,7 @@ def fit_finger(rigid: Sequence[PressCurves]) -> Finger:
 
 
 def _misfit(press: PressCurves) -> float:
-    """Difference of the moduli of the lower and the upper half of the forces, as a share of the greater."""
+    """Relative difference of the moduli of the lower and the upper half of the forces."""
     low = press.force_n <= np.median(press.force_n)
     if min(low.sum(), (~low).sum()) < MIN_SAMPLES:
         return 0.0
@@ -181,6 +181,6 @@ def _spread(presses: Sequence[PressCurves], c: Samples, k: Samples) -> Samples:
 
 
 def _inverse(value: float, tails: Samples) -> tuple[float, float, float]:
-    """Estimate, low and high of the reciprocal; what is not positive is infinite."""
+    """Estimate, low, and high of the reciprocal; infinite if not positive."""
     mid, high, low = (1 / x if x > 0 else np.inf for x in (value, *tails))
     return float(mid), float(low), float(high)

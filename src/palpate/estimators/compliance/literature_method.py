@@ -39,7 +39,7 @@ class AsReported:
 
     @cached_property
     def spreads(self) -> dict[str, SpreadRate]:
-        """Spread rates by "regression", "secant" and "paper" [1/N]; those that the press allows."""
+        """Spread rates by regression, secant, and the paper's sum that the press allows [1/N]."""
         spreads: dict[str, SpreadRate] = {}
         for way in WAYS if len(self.force_n) > 1 else ():
             try:
@@ -53,14 +53,14 @@ class AsReported:
 
     @property
     def summed(self) -> Float[ndarray, " f"]:
-        """Equation (12) up to every frame, with F_0 = 0 and steps of equal force left out [1/N]."""
+        """Equation (12) up to every frame, with F_0 = 0, without steps of equal force [1/N]."""
         A = np.exp(np.cumsum(self.divergence) * self.force_n)
         step = np.diff(self.force_n, prepend=0.0)
         slopes = np.divide(np.diff(A, prepend=1.0), step, out=np.zeros_like(step), where=step != 0)
         return np.cumsum(slopes)
 
     def above(self, force_n: float) -> AsReported:
-        """The same of frames above a force; the report takes 2.5 N in its section V [N]."""
+        """Return the same for frames above a force (2.5 N in section V of the report)."""
         rows = self.force_n >= force_n
         return AsReported(self.force_n[rows], self.divergence[rows], self.area[rows])
 

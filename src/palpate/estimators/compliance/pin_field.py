@@ -73,7 +73,7 @@ def pin_field(places: Points, cells: Int[ndarray, "p 2"]) -> PinField:
 
 
 def _fit(plane: Points, at: Points, degree: int) -> tuple[Float[ndarray, "k 2"], float]:
-    """Coefficients of the map from layout to image, and what it leaves."""
+    """Coefficients of the map from layout to image, and its squared residual."""
     terms = _terms(plane, degree)
     fit, *_ = np.linalg.lstsq(terms, at, rcond=None)
     return fit, float(((terms @ fit - at) ** 2).sum())

@@ -140,7 +140,7 @@ def press_of_centres(
 def _pin_positions(
     frames: Iterable[Shaped[ndarray, ...]], count: int
 ) -> tuple[PinTracks, Float[ndarray, "f p 2"]]:
-    """The first frame's pins, and their places in every frame [px]."""
+    """Pins of the first frame, and their positions in every frame [px]."""
     frames = iter(frames)
     first = next(frames, None)
     if first is None:
@@ -150,7 +150,7 @@ def _pin_positions(
 
 
 def _still(force_n: Samples) -> int:
-    """Number of frames that are surely before any touch: half of those in which no force is felt."""
+    """Number of frames surely before contact: half of those without force."""
     touched = force_n >= UNTOUCHED_N
     before = int(np.argmax(touched)) if touched.any() else len(force_n)
     if before == 0:
@@ -199,7 +199,7 @@ def _powers(force_n: Float[ndarray, " f"], scale: float, degree: int) -> Float[n
 
 
 def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 2"]:
-    """The motion of a press's pins in the order of a layout; NaN for pins it has not."""
+    """Return the motion of a press's pins in the order of a layout; NaN for missing pins."""
     spacing = _spacing_px(np.ascontiguousarray(layout_px, np.float64).tobytes())
     if _in_order(press.untouched_px, layout_px, NEAR * spacing) and np.isfinite(press.moved_px).all():
         return press.moved_px
@@ -232,7 +232,7 @@ def _spacing_px(layout: bytes) -> float:
 
 
 def _in_order(at: Float[ndarray, "q 2"], layout_px: Layout, within_px: float) -> bool:
-    """Whether pins are those of a layout one by one, but for a shift of all."""
+    """Whether pins match a layout one by one except for a common shift."""
     if at.shape != layout_px.shape:
         return False
     off = at - layout_px
@@ -243,7 +243,7 @@ def _in_order(at: Float[ndarray, "q 2"], layout_px: Layout, within_px: float) ->
 def _matched(
     at: Float[ndarray, "q 2"], layout_px: Layout, shift: Float[ndarray, 2], within_px: float
 ) -> tuple[Bool[ndarray, " p"], Int[ndarray, " p"]]:
-    """Which pins of a layout have one near, beginning at a shift of all, and which one."""
+    """Which pins of a layout have a match, starting from a common shift, and which one."""
     for _ in range(3):
         gap, which = cKDTree(at - shift).query(layout_px)
         near = gap < within_px

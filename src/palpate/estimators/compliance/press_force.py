@@ -25,7 +25,7 @@ Samples = Float[ndarray, " s"]
 
 
 def moving_average(force_n: Samples) -> Samples:
-    """Mean of each sample [N], the two before and the two after it, of those that there are at the ends."""
+    """Return the centered mean of five samples, fewer at the ends [N]."""
     sums = np.concatenate([[0.0], np.cumsum(force_n)])
     i = np.arange(len(force_n))
     first = np.maximum(i - TAPS // 2, 0)
@@ -34,7 +34,7 @@ def moving_average(force_n: Samples) -> Samples:
 
 
 def spikes(force_n: Samples) -> Bool[ndarray, " s"]:
-    """Samples that stand far from the median of their neighbours (Hampel's rule)."""
+    """Return samples far from the median of their neighbors (Hampel's rule)."""
     middle = median_filter(force_n, SPIKE_WINDOW, mode="nearest")
     off = np.abs(force_n - middle)
     spread = 1.4826 * median_filter(off, SPIKE_WINDOW, mode="nearest")
@@ -51,7 +51,7 @@ def without_spikes(force_n: Samples) -> Samples:
 
 
 def smoothed(force_n: Samples) -> Samples:
-    """Force without spikes, averaged over five samples [N]."""
+    """Return the force without spikes, averaged over five samples [N]."""
     return moving_average(without_spikes(np.asarray(force_n, np.float64)))
 
 
@@ -65,7 +65,7 @@ class Loading:
 
 
 def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
-    """Find the loading part in a smoothed force."""
+    """Return the loading part of a smoothed force."""
     force = np.asarray(force_n, np.float64)
     if force.ndim != 1 or len(force) <= STAYS:
         raise InputError(f"{force.size} samples; a press has more than {STAYS}", code="too-few-values")
@@ -95,7 +95,7 @@ def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
 
 
 def within(force_n: Samples, part: Loading, low_n: float, high_n: float) -> Int[ndarray, " k"]:
-    """Samples of the loading part whose force lies between two limits [N]."""
+    """Return samples of the loading part with a force between two limits [N]."""
     i = np.arange(part.first, part.last + 1)
     return i[(force_n[i] >= low_n) & (force_n[i] <= high_n)]
 
@@ -129,7 +129,7 @@ GraspSamples = Float[ndarray, " _"]
 
 
 def fresh(held: GraspSamples) -> Int[ndarray, " k"]:
-    """Samples at which a repeated reading is new: the first, and each that differs from the one before."""
+    """Return samples at which a repeated measurement changes, including the first."""
     return np.flatnonzero(np.concatenate([[True], np.diff(held) != 0]))
 
 

@@ -156,7 +156,7 @@ def press_latency(
 
 
 class _Profile:
-    """Squares that the best rising law of force over motion leaves, at any latency."""
+    """Sum of squares of the best rising law of force over motion, at any latency."""
 
     def __init__(
         self,
@@ -193,14 +193,14 @@ class _Profile:
         self.rate_n_s = _rate(time, force)
 
     def _covered(self, time: Samples, force: Samples, at: Frames, most_s: float) -> ndarray:
-        """Frames whose force is known at every latency; beyond a record it is known in the air only."""
+        """Frames whose force is known at every latency (beyond the record only without contact)."""
         reach = most_s + self._width_s
         first = time[0] if force[0] > AIR * self.top_n else -math.inf
         last = time[-1] if force[-1] > AIR * self.top_n else math.inf
         return np.asarray((at - reach >= first) & (at + reach <= last))
 
     def force(self, tau_s: float) -> Frames:
-        """Mean force about the moments that frames show at a latency [N]."""
+        """Mean force around the moments that frames show at a latency [N]."""
         middle, half = self.at - tau_s, self._width_s / 2
         return np.asarray(self._integral(middle + half) - self._integral(middle - half)) / self._width_s
 
@@ -210,19 +210,19 @@ class _Profile:
         return np.asarray(force - self.columns @ law)
 
     def squares(self, tau_s: float) -> float:
-        """Sum of squares that the best rising law leaves [N^2]."""
+        """Sum of squares of the best rising law [N^2]."""
         residual = self.residual(tau_s)
         return float(residual @ residual)
 
     def slope(self, tau_s: float) -> tuple[Frames, Frames]:
-        """Derivative of the force along the latency, and what of it no law of force mimics [N/s]."""
+        """Derivative of the force with the latency, and its part that no law mimics [N/s]."""
         h = max(self._width_s, STEP_S)
         slope = (self.force(tau_s + h) - self.force(tau_s - h)) / (2 * h)
         mimic, *_ = np.linalg.lstsq(self.columns, slope, rcond=None)
         return slope, slope - self.columns @ mimic
 
     def told(self, tau_s: float) -> float:
-        """Share of the derivative along the latency that no law of force mimics, rising or not."""
+        """Ratio of the derivative with the latency that no law of force mimics."""
         slope, own = self.slope(tau_s)
         whole = float(slope @ slope)
         return float(own @ own) / whole if whole > 0 else 0.0
@@ -250,7 +250,7 @@ def _check(
 
 
 def _check_press(force: Samples, motion: Frames) -> None:
-    """Refuse what is no press, before anything is made of its noise."""
+    """Refuse series that are no press."""
     if force.max() - np.quantile(force, 0.05) < CONTACT_N:
         raise RangeError(
             f"the force changes by {force.max() - force.min():.2g} N, a press by {CONTACT_N:g} N or more; "
@@ -266,7 +266,7 @@ def _check_press(force: Samples, motion: Frames) -> None:
 
 
 def _rising_columns(motion: Frames) -> Columns:
-    """Columns of which any sum with weights of 0 or more rises with motion, from any level."""
+    """Columns whose sums with non-negative weights rise with motion."""
     low, high = float(motion.min()), float(motion.max())
     inner = np.linspace(low, high, PIECES + 1)[1:-1]
     knots = np.concatenate([np.full(ORDER, low), inner, np.full(ORDER, high)])
@@ -276,7 +276,7 @@ def _rising_columns(motion: Frames) -> Columns:
 
 
 def _rate(time: Samples, force: Samples) -> float:
-    """How fast force rose from a tenth to nine tenths of the greatest [N/s]."""
+    """Loading rate between 10 and 90 % of the greatest force [N/s]."""
     top = int(np.argmax(force))
     rise = np.maximum.accumulate(force[: top + 1])
     begins, ends = (time[np.searchsorted(rise, share * force[top])] for share in (0.1, 0.9))
@@ -311,7 +311,7 @@ def _with_interval(
 
 
 def _crossing(profile: _Profile, allowed: float, inside: float, step: float) -> float:
-    """Where the profile leaves the allowed squares, between a place inside and a step beyond it."""
+    """Latency at which the profile exceeds the allowed squares, between two bounds."""
     outside = inside + step
     for _ in range(12):
         middle = (inside + outside) / 2
@@ -320,7 +320,7 @@ def _crossing(profile: _Profile, allowed: float, inside: float, step: float) -> 
 
 
 def _freedom(residual: Frames, columns: Columns, own: Frames) -> tuple[float, float]:
-    """Independent residuals left, and the share of the least squares that one standard deviation adds."""
+    """Independent residuals, and the ratio of the least squares that one standard deviation adds."""
     n, k = len(residual), columns.shape[1] - 1
     r = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
     r = min(max(r + k / n, 0.0), MAX_CORRELATION)
@@ -368,7 +368,7 @@ def _apart(slower: Sequence[PressLatency], faster: Sequence[PressLatency]) -> tu
 
 
 def _pooled(presses: Sequence[PressLatency]) -> tuple[float, float, float, float]:
-    """Mean, its standard uncertainty, scatter between presses [s], and the chance of their differences."""
+    """Mean, standard uncertainty, and scatter between presses [s], and the p-value of differences."""
     tau = np.array([one.seconds for one in presses])
     w = 1 / np.array([one.sd_s for one in presses]) ** 2
     k = len(tau)

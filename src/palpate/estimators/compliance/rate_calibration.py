@@ -52,7 +52,7 @@ class RateFit:
 
     @property
     def known(self) -> tuple[float, float] | None:
-        """Range in which an interval is inside the references: these, and `MARGIN` of their span."""
+        """Range of valid intervals: the references and `MARGIN` of their span."""
         if self.means is None:
             return None
         low, high = np.log([self.means.min(), self.means.max()])
@@ -60,7 +60,7 @@ class RateFit:
         return float(np.exp(low - beyond)), float(np.exp(high + beyond))
 
     def of(self, rates_m2_n: Float[ndarray, " t"], coverage: float = 0.9) -> tuple[float, float, float]:
-        """The true rate, low and high of its interval, of trials' rates by areas on one specimen [m^2/N]."""
+        """Return the true rate with its interval from trials' rates by areas on one specimen [m^2/N]."""
         z = (float(np.mean(np.log(rates_m2_n))) - self.middle) / self.scale
         powers = z ** np.arange(len(self.coefficients))
         log_rate = float(powers @ self.coefficients)
@@ -97,7 +97,7 @@ def fit_rate(by_areas: Sequence[float], true: Sequence[float], reference: Sequen
 
 
 def _growth(z: Values, off: Values) -> float:
-    """Growth of log of the spread of Gaussian errors along z, whose mean is 0: the likeliest."""
+    """Maximum likelihood growth of log spread along z for Gaussian errors of zero mean."""
     if not off.any():
         return 0.0
     found = minimize_scalar(
@@ -109,7 +109,7 @@ def _growth(z: Values, off: Values) -> float:
 
 
 def _between(z: Values, y: Values, which: Int[ndarray, " t"]) -> float:
-    """Error of log of the rate of references between others, by these."""
+    """RMS error of log rate when the other references predict each one between them."""
     kinds = sorted(set(which), key=lambda kind: float(z[which == kind].mean()))
     off = []
     for kind in kinds[1:-1]:

@@ -112,7 +112,7 @@ class ShapeSurface:
         )
 
     def at(self, place: Float[ndarray, 2], bend: tuple[float, float] = STRAIGHT) -> Float[ndarray, " q"]:
-        """The surface at a place (s, c), perhaps bent between the references."""
+        """Return the surface at a position (s, c), optionally bent between the references."""
         return np.asarray(
             _monomials(_bent(np.asarray(place)[None], bend), self._powers)[0] @ self._fits[bend]
         )
@@ -132,7 +132,7 @@ class ShapeSurface:
 
     @cached_property
     def _powers(self) -> tuple[tuple[int, int], ...]:
-        """Terms that the references tell apart, the lowest first."""
+        """Terms that the references identify, the lowest first."""
         kept: tuple[tuple[int, int], ...] = ()
         for term in TERMS:
             columns = _monomials(self.points, (*kept, term))
@@ -151,12 +151,12 @@ class ShapeSurface:
 
     @cached_property
     def misses(self) -> Float[ndarray, "m q"]:
-        """From the surface through the other references to each that lies between them."""
+        """Offsets of references between others from the surface through these."""
         off = [self.space.means[one] - fewer.at(at) for one, fewer, at in _told_by_others(self)]
         return np.array(off).reshape(-1, self.space.means.shape[1])
 
     def holds(self, s: float, c: float) -> bool:
-        """Whether a place lies among the references: inside of the least convex figure around theirs."""
+        """Return whether a position lies inside the convex hull of the references."""
         return bool(Delaunay(self.points).find_simplex(np.array([[s, c]]), tol=1e-6)[0] >= 0)
 
     def _slope(self, at: Float[ndarray, 2]) -> Float[ndarray, "2 q"]:
@@ -204,7 +204,7 @@ def _enough(counts: tuple[int, ...]) -> bool:
 
 
 def _between(surface: ShapeSurface) -> tuple[float, float]:
-    """Greatest errors of log E and of c of references between others, read from these."""
+    """Greatest errors of log E and of c when the other references predict each one."""
     off = [(0.0, 0.0)]
     for one, _, (s, c) in _told_by_others(surface):
         true_s, true_c = surface.points[one]
@@ -215,7 +215,7 @@ def _between(surface: ShapeSurface) -> tuple[float, float]:
 
 
 def _told_by_others(surface: ShapeSurface) -> Iterator[tuple[int, ShapeSurface, Float[ndarray, 2]]]:
-    """Each reference that lies between the others, the surface through these, and its nearest place there."""
+    """Each reference between others, the surface through these, and its nearest position there."""
     for one in range(len(surface.modulus_pa)):
         others = np.delete(np.arange(len(surface.modulus_pa)), one)
         fewer = replace(
@@ -229,7 +229,7 @@ def _told_by_others(surface: ShapeSurface) -> Iterator[tuple[int, ShapeSurface, 
 
 
 def _bent(points: Float[ndarray, "n 2"], bend: tuple[float, float]) -> Float[ndarray, "n 2"]:
-    """Places by another E_0, and another law of c."""
+    """Positions by another E_0 and another law of c."""
     s, c = points.T
     times, hollow = bend
     return np.stack([s * times / (1 + s * (times - 1)), c / (1 + hollow * np.maximum(c, 0.0))], axis=1)

@@ -95,13 +95,13 @@ def paper_spread(force_n: Steps, mean_divergence: Steps, first_m2: float) -> Spr
 
 
 def summed_slopes(force_n: Steps, area: Steps) -> float:
-    """Equation (12): the sum of (A_j - A_j-1) / (F_j - F_j-1) over steps in which force changes [m^2/N]."""
+    """Return equation (12): the sum of dA/dF over steps in which force changes [m^2/N]."""
     changes = np.diff(force_n) != 0
     return float((np.diff(area)[changes] / np.diff(force_n)[changes]).sum())
 
 
 def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> NoReturn:
-    """Equations (8) and (11) to the letter: never run, with what they would have come to."""
+    """Refuse equations (8) and (11) as printed, with the exponent that they would reach."""
     exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
     beyond = ", beyond double precision" if exponent > MAX_EXPONENT else ""
     raise InputError(

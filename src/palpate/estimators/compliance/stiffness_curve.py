@@ -68,14 +68,14 @@ class SmallSpace:
     freedom: int
 
     def novelty_score(self, press: Vector) -> float:
-        """Part of a press that no reference shows, in units of what their trials showed of it."""
+        """Return the RMS of a press outside the basis, in units of the references' trials."""
         off = press - self.middle
         finite = np.isfinite(off)
         residual = off[finite] - self.place(press) @ self.basis[:, finite]
         return float(np.sqrt(np.mean(residual**2)) / self.outside)
 
     def place(self, press: Vector) -> Float[ndarray, " q"]:
-        """Place of a press in the basis, by what was seen of it."""
+        """Return the coordinates of a press in the basis, from its known values."""
         if press.shape != self.middle.shape:
             raise InputError(
                 f"{press.size} values; the curve is of {self.middle.size}", code="lengths-differ"
@@ -111,7 +111,7 @@ class SoftnessCurve:
     between: float = float("nan")
 
     def at(self, s: Float[ndarray, " n"], turning_n_m: float | None = None) -> Float[ndarray, "n q"]:
-        """The curve at places s of its own kappa_0, perhaps bent as another kappa_0 would have it."""
+        """Return the curve at positions s, optionally as another kappa_0 bends it."""
         turning = turning_n_m or self.turning_n_m
         with np.errstate(divide="ignore"):
             kappa = self.turning_n_m * (1 / np.maximum(s, 0.0) - 1)
@@ -142,7 +142,7 @@ class SoftnessCurve:
         return np.diff(self.at(np.array([low, high])), axis=0)[0] / (high - low)
 
     def _bend(self, y: Float[ndarray, " q"], s: float) -> float:
-        """Error of s that is possible because the curve runs otherwise between its references."""
+        """Model error of s from the course of the curve between its references."""
         if np.isfinite(self.between):
             return self.between * s * (1 - s)
         return max(abs(self.nearest(y, bend * self.turning_n_m) - s) for bend in BENDS)
@@ -168,7 +168,7 @@ class SoftnessCurve:
         return self.space.place(press)
 
     def stiffness_n_m(self, y: Float[ndarray, " q"]) -> float:
-        """Return the stiffness of a place in the basis [N/m]."""
+        """Return the stiffness of a position in the basis [N/m]."""
         return self._kappa(self.nearest(y))
 
     def nearest(self, y: Float[ndarray, " q"], turning_n_m: float | None = None) -> float:
@@ -186,7 +186,7 @@ class SoftnessCurve:
 
 @cache
 def student_quantile(coverage: float, freedom: int) -> float:
-    """Half width of an interval, in standard deviations that are known by so many degrees of freedom."""
+    """Return the half-width of an interval in standard deviations with these degrees of freedom."""
     return float(stats.t.ppf((1 + coverage) / 2, freedom))
 
 
@@ -213,7 +213,7 @@ def fit_softness(kappa_n_m: Sequence[float], trials: Sequence[Float[ndarray, "_ 
 
 
 def scatter_directions(freedom: int) -> int:
-    """Return the number of directions of scatter that so many trials, less references, show."""
+    """Return the number of scatter directions that the degrees of freedom support."""
     return min(SCATTER, max(1, freedom // 3))
 
 
@@ -245,7 +245,7 @@ def fit_small_space(trials: Sequence[Float[ndarray, "_ d"]]) -> SmallSpace:
 
 
 def _turned(curve: SoftnessCurve) -> SoftnessCurve:
-    """Set kappa_0 to that by which the others best predict the stiffness of each reference between them."""
+    """Set kappa_0 to the value by which the references best predict each other."""
     finite = np.sort(curve.kappa_n_m[np.isfinite(curve.kappa_n_m)])
     if len(curve.means) < 3:
         return curve
@@ -257,7 +257,7 @@ def _turned(curve: SoftnessCurve) -> SoftnessCurve:
 
 
 def left_out_n_m(curve: SoftnessCurve) -> dict[int, float]:
-    """Return the stiffness of each reference between others, as the others read it [N/m]."""
+    """Return the stiffness of each reference between others, predicted by these [N/m]."""
     order = np.argsort(curve.kappa_n_m)
     found = {}
     for reference in order[1:-1]:
@@ -277,13 +277,13 @@ def without(curve: SoftnessCurve, reference: int) -> SoftnessCurve:
 
 
 def _between(curve: SoftnessCurve) -> float:
-    """The greatest error of log kappa of a reference between others, by these."""
+    """Greatest error of log kappa when the other references predict each one."""
     found = left_out_n_m(curve).items()
     return max(abs(float(np.log(kappa / curve.kappa_n_m[reference]))) for reference, kappa in found)
 
 
 def _orthonormal(rows: Float[ndarray, "n d"]) -> Float[ndarray, "q d"]:
-    """Rows that span the same, without those that add nothing."""
+    """Orthonormal basis of the rows' span."""
     _, size, basis = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(basis[size > 1e-9 * size[0]])
 

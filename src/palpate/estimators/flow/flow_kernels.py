@@ -49,7 +49,7 @@ def _place(context, builder, kind, array, at):
 @intrinsic
 @no_type_check
 def load(typing, array, at):
-    """Sixteen from a place on."""
+    """Load sixteen numbers from an index."""
 
     def generate(context, builder, signature, given):
         lanes = builder.load(_place(context, builder, array, *given))
@@ -62,7 +62,7 @@ def load(typing, array, at):
 @intrinsic
 @no_type_check
 def store(typing, array, at, lanes):
-    """Write sixteen to a place and on."""
+    """Store sixteen numbers at an index."""
 
     def generate(context, builder, signature, given):
         builder.store(given[2], _place(context, builder, array, *given[:2])).align = 4
@@ -74,7 +74,7 @@ def store(typing, array, at, lanes):
 @intrinsic
 @no_type_check
 def all_of(typing, number):
-    """One number sixteen times."""
+    """Repeat one number sixteen times."""
 
     def generate(context, builder, signature, given):
         none = ir.Constant(_VECTOR, ir.Undefined)
@@ -87,7 +87,7 @@ def all_of(typing, number):
 @intrinsic
 @no_type_check
 def first_of(typing, lanes):
-    """The first of sixteen, sixteen times."""
+    """Repeat the first of sixteen."""
 
     def generate(context, builder, signature, given):
         return builder.shuffle_vector(given[0], given[0], _pick([0] * WIDTH))

@@ -80,14 +80,14 @@ def _results(
 
 
 def dis(first: Grey, second: Grey) -> FlowField:
-    """Dense inverse search, preset MEDIUM [px/frame]; doi:10.1007/978-3-319-46493-0_29. Refuses as `flow`."""
+    """Return dense inverse search flow, preset MEDIUM [px/frame]; doi:10.1007/978-3-319-46493-0_29."""
     a, b = _eight_bit_pair(first, second)
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _planes(method.calc(a, b, None))
 
 
 def farneback(first: Grey, second: Grey) -> FlowField:
-    """Farnebäck's expansion, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50. See `flow`."""
+    """Return Farnebäck's flow, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50."""
     a, b = _eight_bit_pair(first, second)
     return _planes(
         cv2.calcOpticalFlowFarneback(
@@ -156,7 +156,7 @@ def course(
 
 
 def grey(image: ndarray) -> Grey:
-    """The image, its colours averaged where it has any."""
+    """Return the image with averaged colors."""
     return np.rint(image.mean(axis=2)).astype(np.uint8) if image.ndim == 3 else image
 
 

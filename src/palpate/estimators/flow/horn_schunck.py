@@ -34,7 +34,7 @@ FlowField = Float32[ndarray, "2 h w"]
 
 
 def brightness(image: Grey) -> Float[ndarray, "h w"]:
-    """The image in double precision, black 0 and white 1."""
+    """Return the image in double precision, black 0 and white 1."""
     image = np.asarray(image)
     if image.ndim != 2 or min(image.shape) < 2:
         raise ImageError(
@@ -50,7 +50,7 @@ def brightness(image: Grey) -> Float[ndarray, "h w"]:
 
 
 def check_pair(first: Grey, second: Grey) -> None:
-    """Raise unless the two are of one shape and type."""
+    """Refuse images of different shape or type."""
     if first.shape != second.shape or first.dtype != second.dtype:
         raise InputError(
             f"flow is between two images of one size and type, got {list(first.shape)} {first.dtype} and "
@@ -82,7 +82,7 @@ AS_REPORTED = HornSchunck()
 
 
 class _Workspace(local):
-    """Workspace that one thread writes into again and again, laid out as `flow_kernels` says."""
+    """Reusable workspace of one thread, laid out as in `flow_kernels`."""
 
     shape: tuple[int, int, int] = (0, 0, 0)
 
@@ -99,7 +99,7 @@ class _Workspace(local):
 
 
 def _aligned(*shape: int) -> ndarray:
-    """Zeros, at an address that whole cache lines start from."""
+    """Zeros aligned to cache lines."""
     size = math.prod(shape)
     spare = np.zeros(size + 16, np.float32)
     first = -spare.ctypes.data // 4 % 16
@@ -157,13 +157,13 @@ def flow(
 
 
 def _white(image: Grey) -> float | None:
-    """The level that is white in an image of whole ones, which single precision holds exactly."""
+    """White level of an integer image."""
     whole = image.ndim == 2 and min(image.shape) > 1
     return WHITE.get(image.dtype) if whole else None
 
 
 def divergence(field: FlowField) -> Float32[ndarray, "h w"]:
-    """du/dx + dv/dy [1/frame] by three-point differences, one-sided on the border."""
+    """Return du/dx + dv/dy [1/frame] by three-point differences, one-sided on the border."""
     from palpate.estimators.flow import flow_kernels
 
     out = np.empty(field.shape[1:], np.float32)
@@ -205,7 +205,7 @@ class CoarseToFine:
 
 
 def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = None) -> FlowField:
-    """Flow from the first image to the second [px/frame], of many pixels if need be. Refuses as `flow`."""
+    """Return the flow from the first image to the second, of any length [px]."""
     settings = settings or CoarseToFine()
     first, second = np.asarray(first), np.asarray(second)
     check_pair(first, second)
@@ -219,7 +219,7 @@ def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = No
 
 
 def _pyramid(first: Grey, second: Grey, settings: CoarseToFine) -> list[tuple[Levels, Levels]]:
-    """The pair at every size, finest first."""
+    """Pair at every size, finest first."""
     pair = [brightness(image).astype(np.float32) for image in (first, second)]
     levels = [(pair[0], pair[1])]
     sigma = 0.5 / settings.shrink  # of a blur that leaves little above the coarser image's resolution
@@ -242,7 +242,7 @@ def _enlarged(coarse: Float32[ndarray, "2 _ _"], shape: tuple[int, ...]) -> Flow
 
 
 def _refined(a: Levels, b: Levels, estimate: FlowField, settings: CoarseToFine) -> FlowField:
-    """The flow after one warp of the second image by it."""
+    """Flow after warping the second image by it once."""
     h, w = a.shape
     y, x = np.mgrid[:h, :w].astype(np.float32)
     at_x, at_y = x + estimate[0], y + estimate[1]

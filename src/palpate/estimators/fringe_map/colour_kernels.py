@@ -26,7 +26,7 @@ FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def look_up(image, table, full):
-    """Each code's entry of a table ``[256 3]``, and where a channel reaches `full`."""
+    """Return each code's entry of a table ``[256 3]``, and where a channel reaches `full`."""
     h, w, _ = image.shape
     light = np.empty((h, w, CHANNELS), np.float32)
     reached = np.empty((h, w), np.bool_)
@@ -44,7 +44,7 @@ def look_up(image, table, full):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def index_of(table, low, size):
-    """Rows of the deepest valleys at the middle of every cell of a grid over the colours, -1 where none."""
+    """Return rows of the deepest minima at every cell center of a color grid, -1 where none."""
     rows = table.shape[1]
     index = np.full((SIDE**3, KEPT), -1, np.int16)
     chi = np.empty(rows, np.float32)
@@ -82,7 +82,7 @@ def _deepest(chi, found):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 @no_type_check
 def by_index(light, table, index, low, size):
-    """Rows, misfits and number of the orders that each colour allows, downhill from those of its cell."""
+    """Return rows, misfits, and number of the orders of each color, descending from its cell."""
     pixels, rows = light.shape[0], table.shape[1]
     row = np.zeros((pixels, KEPT), np.int16)
     chi = np.zeros((pixels, KEPT), np.float32)

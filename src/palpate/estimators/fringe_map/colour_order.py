@@ -167,14 +167,7 @@ class ColourReader:
         order, sigma, misfit = (
             v.reshape(size)
             for v in kernels.read_off(
-                flat,
-                known.table,
-                row,
-                at,
-                weight.ravel(),
-                *known.fine,
-                np.float32(freedom),
-                self.isoclinics,
+                flat, known.table, row, at, weight.ravel(), *known.fine, np.float32(freedom), self.isoclinics
             )
         )
         why = np.zeros(size, np.uint8)
@@ -187,7 +180,7 @@ class ColourReader:
         return OrderMap(order, sigma, lead.reshape(size), np.full(size, np.nan, np.float32), misfit, why)
 
     def _light(self, image: ndarray) -> Float32[ndarray, "h w 3"]:
-        """Light over the white image's, the leak taken out."""
+        """Light over the white image's, without the leak."""
         if image.dtype == np.uint8:
             codes = linear_light(np.arange(256.0), self.tone).astype(np.float32)
             light = codes[image]
@@ -200,7 +193,7 @@ class ColourReader:
         return np.asarray(light / np.maximum(self._white, 1e-3 * self._gain).astype(np.float32))
 
     def _weight(self, size: tuple[int, int]) -> Float32[ndarray, "h w"]:
-        """What a pixel's misfit counts: where the lamp is dim, noise is greater over its light."""
+        """Weight of a pixel's misfit; noise is relatively greater where the lamp is dim."""
         if self._white.ndim == 1:
             return np.ones(size, np.float32)
         share = np.clip(self._white / self._gain, 0.05, 2.0).mean(axis=2)
@@ -226,7 +219,7 @@ class ColourReader:
                 )
 
     def _judge(self, light: Float32[ndarray, "p 3"]) -> bool:
-        """Whether the frame has colours enough to be judged; light of another kind is refused."""
+        """Refuse a frame whose colors are of another kind of light; False if too few to judge."""
         known = self._prepared
         assert known is not None
         some = light[:: max(len(light) // SAMPLE, 1)]
@@ -276,7 +269,7 @@ class ColourReader:
 
 
 class _Prepared:
-    """A table on the scale of a camera's noise, and its index."""
+    """Table on the scale of a camera's noise, and its index."""
 
     def __init__(self, table: ColourTable, noise: FrameNoise, gain: ndarray) -> None:
         self._noise = [
@@ -299,7 +292,7 @@ class _Prepared:
 
 
 def flat_field(light: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
-    """White light by pixel, its noise and the specimen's scratches smoothed away."""
+    """Return white light by pixel, smoothed over noise and scratches."""
     return np.asarray(uniform_filter(light, (SMOOTHED, SMOOTHED, 0), mode="nearest"))
 
 
@@ -314,7 +307,7 @@ def order_from_colour(
     tone: Tone = "srgb",
     isoclinics: bool = False,
 ) -> OrderMap:
-    """Fringe order of every pixel of one colour frame; see `ColourReader`."""
+    """Return the fringe order of every pixel of one color frame; see `ColourReader`."""
     reader = ColourReader(
         table, noise=noise, white=white, leak=leak, mask=mask, tone=tone, isoclinics=isoclinics
     )
@@ -322,7 +315,7 @@ def order_from_colour(
 
 
 def nearest_colour(light: Float[ndarray, "h w 3"], table: ColourTable) -> Float[ndarray, "h w"]:
-    """Baseline: the order whose colour is nearest, each pixel for itself."""
+    """Return the order of the nearest color, pixel by pixel (baseline)."""
     flat = light.reshape(-1, 3).astype(np.float32)
     row, chi, count = kernels.by_scan(
         flat, np.ascontiguousarray(table.unguarded().light.T.astype(np.float32)), False
@@ -333,5 +326,5 @@ def nearest_colour(light: Float[ndarray, "h w 3"], table: ColourTable) -> Float[
 
 
 def grey_order(light: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """Baseline: sin^2(pi N) of one channel inverted, which reads 0 to 1/2 and folds beyond."""
+    """Return the inverse of sin^2(pi N) of one channel, 0 to 1/2 (baseline)."""
     return np.asarray(np.arcsin(np.sqrt(np.clip(light, 0.0, 1.0))) / np.pi)

@@ -74,7 +74,7 @@ class ColourTable:
 
     @property
     def greatest_order(self) -> float:
-        """Order of the last row but for the guard."""
+        """Order of the last row before the guard."""
         return STEP * (len(self.light) - 1 - self.guard)
 
     def unguarded(self) -> ColourTable:
@@ -89,7 +89,7 @@ class ColourTable:
 
 
 def table_of(polariscope: Polariscope, greatest_order: float = 4.0, error: float = 0.0) -> ColourTable:
-    """The table of a lamp and a camera whose spectra are known or assumed; 1 where all light passes."""
+    """Return the table of a lamp and camera of known spectra; 1 where all light passes."""
     if not MIN_ORDER <= greatest_order <= MAX_ORDER:
         raise RangeError(
             f"greatest order {greatest_order:g} is outside {MIN_ORDER:g} to {MAX_ORDER:g}", code="order-range"
@@ -140,7 +140,7 @@ def measured_table(
 
 @parser("color table", InputError, max_bytes=MAX_ARRAY_BYTES)
 def read_table(path: PathText) -> ColourTable:
-    """Read a table from CSV with the columns order, red, green and blue, and perhaps error."""
+    """Read a table from CSV with the columns order, red, green, blue, and optionally error."""
     table = read_labels(Path(path))
     missing = [c for c in ("order", *CHANNELS) if c not in table]
     if missing:
@@ -214,7 +214,7 @@ def disc_orders(
 
 
 def _unbroken(count: Float[ndarray, " n"] | ndarray) -> int:
-    """Rows from 0 up to the first gap; the last bin may be part of one."""
+    """Rows from 0 up to the first gap."""
     full: Bool[ndarray, " n"] = count >= MIN_BIN
     gap = 0
     for i, there in enumerate(full):

@@ -31,12 +31,8 @@ class FrameNoise:
                 code="noise-range",
             )
 
-    def with_error(self, error: float) -> FrameNoise:
-        """The same with an independent error of the light added."""
-        return FrameNoise(float(np.hypot(self.read, error)), self.shot)
-
     def standard(self, light: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-        """Light on a scale on which its standard deviation is 1 everywhere."""
+        """Return light on a scale of constant unit standard deviation."""
         if self.shot < 1e-6 * self.read:
             return np.asarray(light / self.read)
         bright = 2 / self.shot * (np.sqrt(self.read**2 + self.shot * np.maximum(light, 0)) - self.read)

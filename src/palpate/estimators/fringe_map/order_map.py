@@ -57,7 +57,7 @@ class OrderMap:
         return np.asarray(self.why == Untold.TOLD)
 
     def summary(self) -> dict[str, float | dict[str, float] | None]:
-        """Plain values for JSON: shares are of the pixels inside the mask."""
+        """Return plain values for JSON; ratios are of the pixels inside the mask."""
         inside = self.why != Untold.OUTSIDE
         told, every = self.valid, max(int(inside.sum()), 1)
         counts = np.bincount(self.why.ravel(), minlength=len(Untold))

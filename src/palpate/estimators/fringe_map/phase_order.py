@@ -142,7 +142,7 @@ class CameraReader:
         self.reference, self.mask, self.tone = reference, mask, tone
 
     def read(self, image: UInt8[ndarray, "h2 w2"], before: OrderMap | None = None) -> OrderMap:
-        """Orders of one frame; after a frame before, from a place that it tells well, if it tells any."""
+        """Return the orders of one frame, continuing from a position of the previous result."""
         place = self.reference if before is None or not before.valid.any() else best_place(before)
         frames = split_mosaic(image)
         burnt = np.asarray(frames.max(axis=0) >= SATURATED)
@@ -152,7 +152,7 @@ class CameraReader:
 
 
 def best_place(found: OrderMap) -> tuple[int, int, float]:
-    """A place for a reference: told, and where phases tell their branch best."""
+    """Return a reference position where phases identify the branch best."""
     if not found.valid.any():
         raise InputError("no pixel of the map before is told; give the order of a place of this frame")
     fold = np.abs(np.where(found.valid, found.order, 0.0) % QUARTER - QUARTER / 2)
@@ -181,7 +181,7 @@ def _matrix(n: int, analysers: Float[ndarray, "m 3"]) -> Float[ndarray, "n 4"]:
 
 
 def _stokes(frames: ndarray, A: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-    """Normalised Stokes vector of each pixel, its error, and the misfit over its freedom."""
+    """Normalized Stokes vector of each pixel, its error, and the reduced misfit."""
     used = np.flatnonzero(np.abs(A).any(axis=0))
     n, B, flat = len(A), A[:, used], frames.reshape(len(frames), -1).astype(np.float32)
     stokes = np.linalg.pinv(B).astype(np.float32) @ flat
@@ -230,7 +230,7 @@ def _folded(
 
 
 def _branch(orders: Float32[ndarray, " k"], known: float, clear: float, place: tuple[int, int]) -> int:
-    """Which of a place's orders is the known one."""
+    """Which of a position's orders is the known one."""
     distance = np.abs(np.where(np.isnan(orders), np.inf, orders) - known)
     nearest = np.sort(distance)
     if nearest.size > 1 and (nearest[1] - nearest[0] < FOLD or clear < FOLD):
@@ -251,7 +251,7 @@ def _branch(orders: Float32[ndarray, " k"], known: float, clear: float, place: t
 
 
 def _within_reach(order: ndarray, told: ndarray, row: int, column: int) -> Bool[ndarray, "h w"]:
-    """Pixels that small steps of order join to one place."""
+    """Pixels connected to a position by small steps of order."""
     whole = told.copy()
     for axis in (0, 1):
         torn = np.abs(np.diff(np.where(told, order, 0.0), axis=axis)) > TEAR

@@ -201,12 +201,7 @@ class _Contest:
 
 
 def _learnt(
-    best: _Entry,
-    trials: tuple[Trial, ...],
-    data: TrainingData,
-    rows: Indices,
-    seed: int,
-    progress: Progress,
+    best: _Entry, trials: tuple[Trial, ...], data: TrainingData, rows: Indices, seed: int, progress: Progress
 ) -> FittedChoice:
     from palpate.estimators.networks import make_model
 

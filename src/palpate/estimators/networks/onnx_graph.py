@@ -103,10 +103,7 @@ def _row(values: ArrayLike) -> np.ndarray:
 
 
 def image_to_value(
-    nodes: Sequence[onnx.NodeProto],
-    constants: Weights,
-    shape: tuple[int, int, int],
-    targets: int,
+    nodes: Sequence[onnx.NodeProto], constants: Weights, shape: tuple[int, int, int], targets: int
 ) -> onnx.ModelProto:
     """Return a model from ``image [n c h w]`` to ``value [n t]``, with weights by name."""
     graph = helper.make_graph(

@@ -10,12 +10,7 @@ import onnx
 from sklearn.neural_network import MLPRegressor
 
 from palpate.core import Float, Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.model_interface import (
-    Scaler,
-    TrainingData,
-    TrainingRecord,
-    scaled_errors,
-)
+from palpate.estimators.networks.model_interface import Scaler, TrainingData, TrainingRecord, scaled_errors
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 NOT_TRAINED = TrainingRecord(0, 0, 0)

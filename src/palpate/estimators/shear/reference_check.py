@@ -107,10 +107,7 @@ def _scaled(cells: Int[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
 
 
 def _fitted(
-    at: Float[ndarray, "n 2"],
-    places: Float[ndarray, "n 2"],
-    powers: list[tuple[int, int]],
-    sound: ndarray,
+    at: Float[ndarray, "n 2"], places: Float[ndarray, "n 2"], powers: list[tuple[int, int]], sound: ndarray
 ) -> Float[ndarray, "n 2"]:
     basis = np.column_stack([at[:, 0] ** i * at[:, 1] ** j for i, j in powers])
     return np.asarray(basis @ np.linalg.lstsq(basis[sound], places[sound], rcond=None)[0])

@@ -1,10 +1,6 @@
 """Surface through a skin's marks, its strain, and what the strain tells of a touch."""
 
-from palpate.estimators.surface_strain.edge_direction import (
-    EdgeDirection,
-    axial_difference,
-    edge_direction,
-)
+from palpate.estimators.surface_strain.edge_direction import EdgeDirection, axial_difference, edge_direction
 from palpate.estimators.surface_strain.ring_detection import ContactPeak, ShearRing, contact_peaks, find_rings
 from palpate.estimators.surface_strain.shear_measure import (
     ShearMeasure,
@@ -13,7 +9,7 @@ from palpate.estimators.surface_strain.shear_measure import (
     shear_from_pressure,
     shear_measure,
 )
-from palpate.estimators.surface_strain.spline_surface import SplineSurface, SurfaceBasis, surface_basis
+from palpate.estimators.surface_strain.spline_surface import SurfaceBasis, surface_basis
 from palpate.estimators.surface_strain.strain_fields import (
     StrainErrors,
     StrainFields,
@@ -29,7 +25,7 @@ from palpate.estimators.surface_strain.traction_recovery import (
 
 __all__ = [
     "ContactPeak", "EdgeDirection", "PatternedSkin", "RecoveredTraction", "ShearMeasure", "ShearRing",
-    "SplineSurface", "StrainErrors", "StrainFields", "StrainMeter", "SurfaceBasis", "axial_difference",
+    "StrainErrors", "StrainFields", "StrainMeter", "SurfaceBasis", "axial_difference",
     "contact_peaks", "edge_direction", "find_rings", "on_plane", "published_force_n", "published_gamma",
     "recover_traction", "shear_from_pressure", "shear_measure", "strain_fields", "surface_basis",
 ]  # fmt: skip

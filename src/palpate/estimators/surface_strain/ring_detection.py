@@ -73,11 +73,6 @@ class ShearRing:
     along_error: tuple[float, float]
     misfit: float
 
-    @property
-    def centre_share(self) -> float:
-        """Shift of the centre over that of the ring; near 0 where the centre rests, as under a press."""
-        return math.hypot(*self.along) / self.outward
-
 
 class ContactPeak(NamedTuple):
     """Place of a contact's greatest stretch, and that area strain."""

@@ -47,11 +47,6 @@ class ShearMeasure:
         return self.total / self.seen
 
     @property
-    def sum_form(self) -> float:
-        """Published gamma over the samples that are seen; it falls as marks go missing."""
-        return self.alpha * self.total
-
-    @property
     def mean_form(self) -> float:
         """Gamma of K samples with the mean shift of the seen ones: the same where none is missing."""
         return self.alpha * self.count * self.mean

@@ -89,22 +89,6 @@ class SurfaceBasis:
         return self.along_u[operator == "u"], self.along_v[operator == "v"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SplineSurface:
-    """Surface through marks, by its control net ``[2 rows columns]`` [unit of the marks]."""
-
-    basis: SurfaceBasis
-    net: Float[ndarray, "2 rows columns"]
-
-    def sampled(self, operator: Operator = "value") -> Float[ndarray, "2 nv nu"]:
-        """Its x and y at the samples, or their derivatives by u or by v [unit of the marks]."""
-        return self.basis.sampled(self.net, operator)
-
-    def points(self) -> Float[ndarray, "k 2"]:
-        """Its supported samples (x, y), row by row."""
-        return self.sampled()[:, self.basis.supported].T
-
-
 def surface_basis(
     cells: Int[ndarray, "n 2"],
     degree: int = 1,

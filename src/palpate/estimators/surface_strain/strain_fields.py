@@ -75,11 +75,6 @@ class StrainFields:
     variances: Float[ndarray, "2 n"]
 
     @property
-    def small_strain(self) -> Float[ndarray, "2 2 nv nu"]:
-        """e, the symmetric part of the gradient."""
-        return (self.gradient + self.gradient.swapaxes(0, 1)) / 2
-
-    @property
     def shear(self) -> Field:
         """Engineering shear H_xy + H_yx, the change of the angle between lines along x and y [rad]."""
         return self.gradient[0, 1] + self.gradient[1, 0]
@@ -99,18 +94,6 @@ class StrainFields:
     def rotation_rad(self) -> Field:
         """Small rotation from x towards y, (H_yx - H_xy)/2 [rad]."""
         return (self.gradient[1, 0] - self.gradient[0, 1]) / 2
-
-    @property
-    def polar_rotation_rad(self) -> Field:
-        """Rotation at any strain, of the polar decomposition F = R U [rad]."""
-        (xx, xy), (yx, yy) = self.gradient
-        return np.arctan2(yx - xy, 2 + xx + yy)
-
-    @property
-    def green_lagrange(self) -> Float[ndarray, "2 2 nv nu"]:
-        """E = (H + H' + H'H)/2, which no rotation changes."""
-        H = self.gradient
-        return self.small_strain + np.einsum("ki...,kj...->ij...", H, H) / 2
 
     @property
     def greatest_shear(self) -> Field:
