@@ -54,7 +54,7 @@ class ScoreCard(CardPart):
 
     @property
     def says_nothing(self) -> bool:
-        """True if the estimate is no better than always saying the mean (within 5 %)."""
+        """True if the estimate is no better than the mean (within 5 %)."""
         return self.mae > NO_BETTER * self.mean_mae
 
 
@@ -204,12 +204,12 @@ class TargetCard(CardPart):
 
     @property
     def period(self) -> float | None:
-        """After which the target comes round again, in `unit`; None where it does not."""
+        """Period in `unit`; None if not circular."""
         return None if self.circular is None else self.circular.period
 
     @property
     def has_range_rule(self) -> bool:
-        """False on cards of before, which refuse only what lies wholly beyond the range."""
+        """False for cards without rules of the range."""
         return self.over_range is not None or self.circular is not None
 
     @property
@@ -222,22 +222,22 @@ class TargetCard(CardPart):
 
     @property
     def is_as_unsure_as_its_range(self) -> bool:
-        """True if its intervals tell nothing on average, by their width; never on cards of before."""
+        """True if its intervals are uninformative on average."""
         return self.untold_width is not None and 2 * self.score.half_width >= self.untold_width
 
     @property
     def is_read(self) -> bool:
-        """False where the model does not tell it: no better than the mean, or as unsure as the range."""
+        """False if the target is no better than the mean or as uncertain as its range."""
         return not (self.score.says_nothing or self.is_as_unsure_as_its_range)
 
     @property
     def is_never_valid(self) -> bool:
-        """True where no reading of it is valid, since it is not read; cards of before have no such rule."""
+        """True if no reading of it is valid because it is not read."""
         return self.has_range_rule and not self.is_read
 
 
 class LensCard(CardPart):
-    """Lens whose bending is taken out of a frame: `core.Lens` with its `id` and `field_rad`."""
+    """Lens whose distortion is corrected: `core.Lens` with its `id` and `field_rad`."""
 
     id: str
     field_rad: float
@@ -315,7 +315,7 @@ class ReferenceCard(CardPart):
 
 
 class SplitCard(CardPart):
-    """Split by which rows were held out, numbers of rows learnt from and scored, and the audit."""
+    """Split into training and held-out rows, and its audit."""
 
     added = ("audit", "block_rows", "findings")
 
@@ -334,7 +334,7 @@ class SplitCard(CardPart):
 
     @property
     def audit_text(self) -> str:
-        """What the leakage audit found, in words."""
+        """Findings of the leakage audit, in words."""
         if self.audit is not None:
             return self.audit
         if not self.findings:
@@ -431,12 +431,12 @@ class Card(SealedCard):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether a virtual sensor gave a recording of these."""
+        """Whether any of the recordings is simulated."""
         return any(one.is_simulated for one in self.runs)
 
 
 def sealed(content: Mapping[str, Any]) -> Card:
-    """A card with its steps and its id set from its content (given as keyword values, without `id`)."""
+    """Return a card with its steps and id, from its content as keyword values."""
     told = Card(id="", **content)
     unsealed = told.model_copy(update={"steps": reading_steps(told)})
     return unsealed.model_copy(update={"id": card_id(unsealed.model_dump(mode="json"))})

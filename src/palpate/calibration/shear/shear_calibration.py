@@ -49,7 +49,7 @@ from palpate.core import (
 )
 from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.lattice import ControlPoints
-from palpate.estimators.shear.contact_reach import CODE as OUTSIDE_AREA
+from palpate.estimators.shear.touch_places import CODE as OUTSIDE_AREA
 from palpate.version import __version__
 
 MIN_FORCE_N = 1.0  # below it the published sensor's pattern did not move enough

@@ -34,7 +34,7 @@ def channels_exchanged(picture: Picture, rebuilt: Picture) -> bool:
 
 
 def colour_size(picture: Picture) -> float:
-    """Root mean square of red less blue [grey levels]."""
+    """Return the RMS of red less blue [gray levels]."""
     return _size(_red_less_blue(picture))
 
 
@@ -43,7 +43,7 @@ def _red_less_blue(picture: Picture) -> Float[np.ndarray, " n"]:
 
 
 def _beside_brightness(difference: Float[np.ndarray, " n"], picture: Picture) -> Float[np.ndarray, " n"]:
-    """A difference less its linear regression on the picture's brightness."""
+    """Residual of a difference after linear regression on brightness."""
     bright = picture.mean(axis=2, dtype=np.float64).ravel()
     bright -= bright.mean()
     difference = difference - difference.mean()

@@ -28,11 +28,11 @@ class CopyDiscriminator:
     limit: float
 
     def place(self, prepared: Prepared) -> float:
-        """Place of a prepared image on the axis: 0 is the mean of this copy, 1 that of the former."""
+        """Return an image's position on the axis: 0 for this unit's mean, 1 for the former's."""
         return float(np.dot(self.axis, thumbnail(prepared).ravel())) - self.offset
 
     def is_of_former(self, prepared: Prepared) -> bool:
-        """True if the image looks like one of the former copy."""
+        """Return whether the image resembles the former unit's."""
         return self.place(prepared) > self.limit
 
     def save(self, path: Path) -> None:

@@ -26,7 +26,7 @@ Octave = UInt8[np.ndarray, "_ _"]
 
 
 def image_features(prepared: UInt8[np.ndarray, "_ _ c"]) -> Float[np.ndarray, " k"]:
-    """Features of a prepared image, as many for every image with as many channels."""
+    """Return features of a prepared image; their number depends on the channels only."""
     grey = prepared[..., 0] if prepared.shape[2] == 1 else cv2.cvtColor(prepared, cv2.COLOR_RGB2GRAY)
     octaves = _octaves(grey)
     markers = _markers(next((each for each in octaves if max(each.shape) <= MAX_MARKER_SIDE_PX), octaves[-1]))
@@ -39,7 +39,7 @@ def _log(value: float) -> float:
 
 
 def _octaves(grey: Grey) -> list[Octave]:
-    """The image, and each time half its side."""
+    """Image pyramid by halves."""
     octaves = [grey]
     for _ in range(OCTAVES - 1):
         height, width = (max(1, side // 2) for side in octaves[-1].shape)
@@ -48,7 +48,7 @@ def _octaves(grey: Grey) -> list[Octave]:
 
 
 def _bands(octaves: list[Octave]) -> list[float]:
-    """Log mean size and log root mean square of differences along, across and along both diagonals."""
+    """Log mean and log RMS of differences along rows, columns, and both diagonals."""
     found = []
     for one, other in (pair for grey in octaves for pair in _pairs(grey)):
         found.append(_log(cv2.norm(one, other, cv2.NORM_L1) / one.size))
@@ -72,7 +72,7 @@ SHARES = np.array([0.05, 0.5, 0.95])
 
 
 def _levels(grey: Grey) -> list[float]:
-    """Mean, spread, outer levels and median, shares at both ends and between dark and bright."""
+    """Mean, spread, quantiles, and ratios at both ends and between dark and bright."""
     grey = grey[:: math.ceil(grey.size / MAX_COUNTED_PIXELS)]
     counts = cv2.calcHist([grey], [0], None, [256], [0, 256]).ravel().astype(np.float64) / grey.size
     mean = float(counts @ GREYS)
@@ -87,7 +87,7 @@ def _levels(grey: Grey) -> list[float]:
 
 
 def _profiles(grey: Grey) -> list[float]:
-    """Middle of the means of columns and of rows, and their steepest and usual kink."""
+    """Centroid of the column and row means, and their greatest and mean second difference."""
     found = []
     for axis in (0, 1):
         means = cv2.reduce(grey, axis, cv2.REDUCE_AVG, dtype=cv2.CV_32F).ravel()
@@ -107,7 +107,7 @@ MIN_MARKER_PX = 3
 
 
 def _markers(grey: Octave) -> list[float]:
-    """Number, size, spread and places of what is brighter than its ground, and number of lone specks."""
+    """Number, size, spread, and positions of bright markers, and number of specks."""
     level, brighter = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
         brighter, 8, cv2.CV_32S, cv2.CCL_BBDT
@@ -129,7 +129,7 @@ def _markers(grey: Octave) -> list[float]:
 
 
 def _tints(prepared: UInt8[np.ndarray, "_ _ c"]) -> list[float]:
-    """Log of red and of blue over green; nothing of a grey image."""
+    """Log red and blue over green; nothing for a gray image."""
     if prepared.shape[2] == 1:
         return []
     red, green, blue, _ = (mean + 1 for mean in cv2.mean(prepared))
@@ -164,11 +164,11 @@ class Registration:
         return cls(*(part.astype(np.float32) for part in (mean.ravel(), jacobian, inverse, weight)))
 
     def features(self, thumb: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
-        """The seven numbers [px of the thumbnail, rad, shares, grey levels], and log of what is left over."""
+        """Return the seven numbers [px of the thumbnail, rad, ratios, gray levels] and log residual."""
         return self._fitted(thumb.mean(axis=2).ravel() - self.mean)
 
     def local_features(self, unlike: Float32[np.ndarray, "h w c"]) -> Float[np.ndarray, " 8"]:
-        """Return the same features of a thumbnail less its reconstruction, turn and zoom in px at the rim."""
+        """Return the same of a thumbnail less its reconstruction, turn and zoom in px at the rim."""
         found, side = self._fitted(unlike.mean(axis=2).ravel()), max(unlike.shape[:2])
         found[2:4] *= side / 2
         return found
@@ -180,7 +180,7 @@ class Registration:
 
 
 def _jacobian(mean: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "p 7"]:
-    """Change of an image with its shift along x and y [px], turn [rad], zoom, gain, offset and blur."""
+    """Derivative of an image by shift along x and y [px], turn [rad], zoom, gain, offset, and blur."""
     padded = np.pad(mean, 1, mode="edge")
     along_x, along_y = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
     sharper = 4 * mean - padded[1:-1, 2:] - padded[1:-1, :-2] - padded[2:, 1:-1] - padded[:-2, 1:-1]

@@ -31,7 +31,7 @@ LINEAR_SPREADS = 3.0  # within which features count in proportion; beyond, by th
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """What a kind of change is called, and what to do about it."""
+    """Name and remedy of a kind of change."""
 
     words: str
     remedy: str
@@ -76,7 +76,7 @@ class Verdict:
 
     @property
     def reason(self) -> str:
-        """Why a frame beyond the limit is refused, and what to do, in words."""
+        """Reason of a refusal, and the remedy, in words."""
         if self.kind == EXCHANGED:
             return (
                 "red and blue seem exchanged: the image has the colours of those calibrated on, with blue "
@@ -135,7 +135,7 @@ class ChangeExamples:
         )
 
     def without_local(self) -> ChangeExamples:
-        """The same examples without the features of a thumbnail beside its neighbours."""
+        """Return the examples without the local features."""
         if not self.local:
             return self
         return replace(self, features=self.features[:, :-LOCAL_FEATURES], local=False)
@@ -189,7 +189,7 @@ class KnownChanges:
         return Verdict(float(atypicality), str(self.names[best - 1]) if votes[best] else "", known, costs)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All of it as plain arrays, by names of their own."""
+        """Return all parts as plain arrays with prefixed names."""
         own = {name: getattr(self, name) for name in OWN_ARRAYS}
         if self.local:
             own["local"] = np.array(True)
@@ -198,7 +198,7 @@ class KnownChanges:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> KnownChanges | None:
-        """Inverse of `arrays`; None where these hold no known changes."""
+        """Return the inverse of `arrays`; None if they hold no known changes."""
         if PREFIX + "places" not in arrays:
             return None
         own = {name: arrays[PREFIX + name] for name in OWN_ARRAYS}
@@ -208,7 +208,7 @@ class KnownChanges:
 
 
 def _refuse_unfit(own: Mapping[str, np.ndarray], registration: Mapping[str, np.ndarray]) -> None:
-    """Refuse, with a ValueError, arrays that are not those of one `KnownChanges`."""
+    """Refuse arrays that are not those of one `KnownChanges` (ValueError)."""
     k, d = own["axes"].shape if own["axes"].ndim == 2 else (0, 0)
     m, p, q = len(own["harm"]), len(registration["mean"]), len(own["names"])
     wanted = {
@@ -232,13 +232,13 @@ OWN_ARRAYS = tuple(f.name for f in fields(KnownChanges) if f.name not in ("regis
 
 
 def _places(features: np.ndarray, centre: np.ndarray, spread: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Features, linear within a few spreads and logarithmic beyond, along the axes; rows as given."""
+    """Features along the axes, linear within a few spreads and logarithmic beyond."""
     scaled = (features - centre) / (LINEAR_SPREADS * spread)
     return np.asarray(LINEAR_SPREADS * np.arcsinh(scaled) @ axes, dtype=np.float32)
 
 
 def _ratio(away: float, spacing: np.ndarray) -> float:
-    """Distance over the usual one about there, both beside a unit: the scatter of unchanged frames."""
+    """Distance over the usual one nearby, each plus the unit scatter of unchanged frames."""
     return (away + 1.0) / (float(spacing.mean()) + 1.0)
 
 
@@ -269,7 +269,7 @@ def fit_known_changes(examples: ChangeExamples, registration: Registration) -> K
 
 
 def _axes(scaled: Float32[np.ndarray, "m k"], examples: ChangeExamples) -> Float32[np.ndarray, "k d"]:
-    """Directions in which changes move features most, in units of the unchanged frames' scatter."""
+    """Directions in which changes move features most, relative to the unchanged frames' scatter."""
     # Here, since whoever senses needs no scikit-learn.
     from sklearn.covariance import LedoitWolf
 
@@ -286,7 +286,7 @@ def _axes(scaled: Float32[np.ndarray, "m k"], examples: ChangeExamples) -> Float
 
 
 def _spacing(places: np.ndarray, frame: np.ndarray) -> tuple[Float32[np.ndarray, " m"], np.ndarray]:
-    """Distance of each example's third nearest one of another frame, and its ratio to that of those near."""
+    """Distance of each example's third neighbor of another frame, and its ratio to those nearby."""
     spacing, near = np.empty(len(places), np.float32), []
     for i, at in enumerate(places):
         away = np.sqrt(np.sum((places - at) ** 2, axis=1))
@@ -314,7 +314,7 @@ def cross_fitted(
 
 
 def rescaled(known: KnownChanges, unchanged: Float[np.ndarray, " n"]) -> tuple[KnownChanges, float]:
-    """Return the same with limits that pass all but the allowed ratio of unchanged frames, and the factor."""
+    """Return the same with limits that pass the allowed ratio of unchanged frames, and the factor."""
     beyond = float(np.quantile(unchanged, 1 - MAX_FALSE_REFUSALS, method="higher"))
     factor = max(1.0, beyond)
     return replace(known, limits=known.limits * np.array([1.0, 1.0, 1.0, factor])), factor

@@ -53,7 +53,7 @@ Kept = UInt8[np.ndarray, "_ h w c"]
 
 
 def thumbnail(prepared: Prepared) -> Float32[np.ndarray, "h w c"]:
-    """Area means of a prepared image, about as many values whatever its size and channels, grey levels."""
+    """Return area means of a prepared image, of about constant number [gray levels]."""
     height, width, channels = prepared.shape
     shrink = min(1.0, math.sqrt(THUMBNAIL_VALUES / prepared.size))
     size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
@@ -62,7 +62,7 @@ def thumbnail(prepared: Prepared) -> Float32[np.ndarray, "h w c"]:
 
 
 def thumbnails(images: Iterable[Prepared]) -> Thumbnails:
-    """Thumbnails of many prepared images of one size."""
+    """Return thumbnails of prepared images of one size."""
     return np.stack([thumbnail(image) for image in images])
 
 
@@ -82,7 +82,7 @@ class NeighbourModel:
     axes: Float32[np.ndarray, "k a"]
 
     def novelty_score(self, thumb: Thumbnail) -> Float[np.ndarray, " 2"]:
-        """Residual over that expected from the neighbors: rms over blocks, and largest over channels."""
+        """Return the residual relative to its neighbors': RMS over blocks, maximum over channels."""
         return self.novelty_of(self.reconstruct(thumb), thumb.shape[2])
 
     def novelty_of(self, rebuilt: Reconstruction, channels: int) -> Float[np.ndarray, " 2"]:
@@ -117,7 +117,7 @@ class NeighbourModel:
 
 
 def arrays_fit(thumbs: np.ndarray, residual: np.ndarray, centre: np.ndarray, axes: np.ndarray) -> bool:
-    """True if arrays, read from a file, are those of one `NeighbourModel`."""
+    """Return whether arrays are those of one `NeighbourModel`."""
     types = (np.uint8, np.float16, np.float32, np.float32)
     if any(part.dtype != of for part, of in zip((thumbs, residual, centre, axes), types, strict=True)):
         return False
@@ -151,7 +151,7 @@ class RenderedImages:
 
 @runtime_checkable
 class LearnsFromRendered(Protocol):
-    """A fitted model that learnt from such images."""
+    """Fitted model that was also trained on such images."""
 
     @property
     def rendered_images(self) -> RenderedImages | None: ...
@@ -189,7 +189,7 @@ def fit_neighbours(thumbs: Kept, folds: Sequence[Indices], rng: np.random.Genera
 
 
 def _expected_residual(around: Float16[np.ndarray, "r m"]) -> Float[np.ndarray, " m"]:
-    """Squared residual to expect of a thumbnail, from those of its neighbours."""
+    """Expected squared residual of a thumbnail, from its neighbors'."""
     return np.asarray(around.mean(axis=0, dtype=np.float32) + FLOOR_GREY_LEVELS**2)
 
 
@@ -201,7 +201,7 @@ def _ratios(
 
 
 def _weights(apart: Float32[np.ndarray, "r k"]) -> Float[np.ndarray, " r"]:
-    """Weights w of neighbors, none negative, sum 1, that minimize w'Gw, G their Gram matrix."""
+    """Non-negative weights w of sum 1 that minimize w'Gw, G the neighbors' Gram matrix."""
     gram = _gram(apart).astype(np.float64)
     count = len(gram)
     size = float(gram.trace()) / count + 1e-6
@@ -220,14 +220,14 @@ COLUMNS_AT_ONCE = 256  # few enough for BLAS to take one thread: see `NeighbourM
 
 
 def _gram(apart: Float32[np.ndarray, "r k"]) -> Float32[np.ndarray, "r r"]:
-    """Products of each two rows; exact in float32 up to 2^24, since differences are whole grey levels."""
+    """Gram matrix of rows; exact in float32 up to 2^24 because differences are whole gray levels."""
     parts = (apart[:, at : at + COLUMNS_AT_ONCE] for at in range(0, apart.shape[1], COLUMNS_AT_ONCE))
     return np.asarray(sum(part @ part.T for part in parts))
 
 
 @lru_cache(maxsize=4)
 def _means(shape: tuple[int, int, int]) -> Float32[np.ndarray, "k m"]:
-    """Matrix from a flat thumbnail to the means over its blocks and, after them, over each channel."""
+    """Matrix from a flat thumbnail to its block means and channel means."""
     height, width, channels = shape
     down, across, of = np.indices(shape).reshape(3, -1)
     block = down // BLOCK * math.ceil(width / BLOCK) + across // BLOCK
@@ -237,7 +237,7 @@ def _means(shape: tuple[int, int, int]) -> Float32[np.ndarray, "k m"]:
 
 
 def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Mean, and principal axes of at most so many thumbnails."""
+    """Mean and principal axes of a limited number of thumbnails."""
     few = len(thumbs) <= ROWS_FOR_AXES
     drawn = thumbs if few else thumbs[rng.choice(len(thumbs), ROWS_FOR_AXES, replace=False)]
     flat = drawn.reshape(len(drawn), -1).astype(np.float32)
@@ -277,11 +277,11 @@ class NoveltyDetector:
     changes: KnownChanges | None = None
 
     def atypicality(self, prepared: Prepared) -> float:
-        """Distance of the image from all that may be trusted; beyond 1 it should not be."""
+        """Return the novelty of the image over its limit; above 1 it is refused."""
         return self.judge(prepared).atypicality
 
     def judge(self, prepared: Prepared) -> Verdict:
-        """Atypicality of the image, and where it is too great, what the image looks like."""
+        """Return the atypicality of the image, and the change that it resembles."""
         thumb = thumbnail(prepared)
         novelty, unlike = self.novelty(thumb)
         if channels_exchanged(thumb, thumb - unlike):
@@ -295,21 +295,21 @@ class NoveltyDetector:
         return Verdict(verdict.atypicality, flip) if flip else verdict
 
     def _by_changes(self, prepared: Prepared, thumb: Thumbnail, novelty: float, unlike: Thumbnail) -> Verdict:
-        """Judgement by what changes cost, where that was tried."""
+        """Verdict by the harm of known changes, if tested."""
         if self.changes is None:
             return Verdict(novelty)
         asked = unlike if self.changes.local else None
         return self.changes.judge(frame_features(prepared, thumb, self.changes.registration, asked), novelty)
 
     def _flip_of(self, thumb: Thumbnail) -> str:
-        """By which of `MIRRORED` a refused thumbnail seems flipped; "" where none is told."""
+        """Kind of flip of a refused thumbnail, or ""."""
         if self.reference is None:
             return ""
         back = unflipped(thumb, self.reference)
         return told_flip({kind: self.novelty(one)[0] for kind, one in back.items()})
 
     def _may_be_mirrored(self, thumb: Thumbnail, left: float) -> bool:
-        """Whether a mirror explains a thumbnail as well as exchanged channels, which leave so much unlike."""
+        """Whether a mirror explains a thumbnail as well as exchanged channels do."""
         for code in FLIPS.values():
             novelty, unlike = self.novelty(flipped(thumb, code))
             if novelty <= 1.0 and colour_size(unlike) <= MAX_MIRRORED * left:
@@ -317,13 +317,13 @@ class NoveltyDetector:
         return False
 
     def novelty(self, thumb: Thumbnail) -> tuple[float, Thumbnail]:
-        """Novelty of a thumbnail over its limit, whatever is known, and what is unlike its neighbours."""
+        """Return the novelty of a thumbnail over its limit, and its residual."""
         rebuilt = self.neighbours.reconstruct(thumb)
         score = self.neighbours.novelty_of(rebuilt, thumb.shape[2])
         return float(np.max(score / self.limits)), rebuilt.unlike
 
     def drift(self, untouched: Prepared) -> Drift | None:
-        """Drift of the untouched sensor since calibration; None where that had no view of it."""
+        """Return the drift of the reference since calibration; None without a reference."""
         if self.reference is None:
             return None
         moved = np.sqrt(np.mean((thumbnail(untouched) - self.reference) ** 2))
@@ -429,7 +429,7 @@ def fit_novelty_detector(
 
 
 def kept_rows(count: int, seed: int = 0) -> Indices:
-    """Rows of so many frames whose thumbnails `fit_novelty_detector` keeps, in their order there."""
+    """Return the rows whose thumbnails `fit_novelty_detector` keeps, in order."""
     return _drawn(count, np.random.default_rng(seed))
 
 
@@ -440,13 +440,13 @@ def _drawn(count: int, rng: np.random.Generator) -> Indices:
 
 
 def _joint_folds(fold: Indices, also: RenderedImages) -> Indices:
-    """The recorded frames' folds, then those of the others, whose groups are dealt out to the same folds."""
+    """Folds of the recorded frames, then of the others by group."""
     _, group = np.unique(also.groups, return_inverse=True)
     return np.concatenate([fold, group % (fold.max() + 1)])
 
 
 def _limits(novelty_score: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
-    """Limits beyond which the stated ratio of frames is, half by each; never below 1."""
+    """Limits that refuse the stated ratio of frames, half by each number; at least 1."""
     each = np.quantile(novelty_score, 1 - FALSE_ALARMS / 2, axis=0)
     each = np.maximum(each, 1e-3)
     both = np.quantile(np.max(novelty_score / each, axis=1), 1 - FALSE_ALARMS, method="higher")
@@ -454,7 +454,7 @@ def _limits(novelty_score: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
 
 
 def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:
-    """Mean no-contact thumbnail, the spread around it, and the limit: half as far again as the widest."""
+    """Mean no-contact thumbnail, its spread, and the limit: 1.5 times the widest."""
     r = len(untouched)
     if r == 0:
         return None, MIN_DRIFT_SPREAD_GREY_LEVELS, MAX_DRIFT_OF_FEW

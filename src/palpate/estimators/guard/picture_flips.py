@@ -32,7 +32,7 @@ MIN_AWAY_GREY_LEVELS = 2.0  # the latter at least: below, the picture fits the u
 
 
 def flipped(picture: Thumbnail, code: int) -> Thumbnail:
-    """A picture flipped as `cv2.flip` does it: 0 up and down, 1 left and right, -1 both."""
+    """Return a picture flipped as `cv2.flip` does: 0 vertically, 1 horizontally, -1 both."""
     rows, columns = (slice(None, None, -1 if code in codes else 1) for codes in ((0, -1), (1, -1)))
     return np.ascontiguousarray(picture[rows, columns])
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from palpate.core import ImageError, RangeError, Shaped, ndarray
 from palpate.estimators.lattice.control_points import ControlPoints
-from palpate.estimators.lattice.lattice_growth import GrownLattice, grow_lattices
-from palpate.estimators.lattice.lattice_identity import MAX_MOVE, named_as
+from palpate.estimators.lattice.lattice_growth import MAX_MOVE, GrownLattice, grow_lattices, named_as
 from palpate.estimators.lattice.saddle_corners import SaddleCorners, find_corners
 from palpate.estimators.lattice.two_pigments import PigmentAxis, find_axis
 
@@ -72,7 +71,7 @@ def find_checkerboard(
 
 
 def _first_names(corners: SaddleCorners, lattice: GrownLattice) -> ControlPoints:
-    """Points of the largest lattice, columns and rows from 0, one more where tiles would change colour."""
+    """Points of the largest lattice, cells from 0, shifted by one if tiles would change color."""
     turn = corners.turn[lattice.marks]
     # At an even corner the bright tile begins there: bright lies along the diagonal of both axes.
     across = np.where(lattice.cells.sum(axis=1) % 2, -1.0, 1.0) * np.exp(1j * turn)
@@ -81,7 +80,7 @@ def _first_names(corners: SaddleCorners, lattice: GrownLattice) -> ControlPoints
 
 
 def _diagonal(corners: SaddleCorners, lattice: GrownLattice, bright: complex) -> float:
-    """How far the bright diagonal of even corners is that from (0, 0) to (1, 1): 1, or -1 for the other."""
+    """Sign of the even corners' bright diagonal: 1 for (0, 0) to (1, 1), else -1."""
     places, cells = corners.places[lattice.marks], lattice.cells
     fit, *_ = np.linalg.lstsq(np.column_stack([np.ones(len(cells)), cells]), places, rcond=None)
     main = fit[1] + fit[2]
@@ -102,7 +101,7 @@ def _same(corners: SaddleCorners, lattices: list[GrownLattice], reference: Contr
 
 
 def _refuse_shifted(points: ControlPoints, reference: ControlPoints) -> None:
-    """Refuse names when a side is missing altogether: a pattern moved by whole tiles looks like that."""
+    """Refuse names if a whole side is missing, as in a pattern shifted by whole tiles."""
     low, high = points.cells.min(axis=0), points.cells.max(axis=0)
     beyond = max((reference.cells < low).sum(axis=0).max(), (reference.cells > high).sum(axis=0).max())
     if beyond > MAX_SIDE * len(reference):

@@ -21,8 +21,7 @@ from scipy.spatial import cKDTree
 from palpate.core import Bool, Float, ImageError, InputError, PathText, RangeError, Shaped, ndarray
 from palpate.core.parsing import parser
 from palpate.estimators.lattice.control_points import ControlPoints
-from palpate.estimators.lattice.lattice_growth import LatticeKind, grow_lattices
-from palpate.estimators.lattice.lattice_identity import named_as
+from palpate.estimators.lattice.lattice_growth import LatticeKind, grow_lattices, named_as
 from palpate.estimators.lattice.two_pigments import HALF_NORMAL_MEDIAN, LAPLACIAN, noise_of
 
 Points = Float[ndarray, "n 2"]
@@ -82,7 +81,7 @@ class DottedSkin:
             raise RangeError(f"dots {self.pitch_mm} mm apart; give a distance above 0 mm")
 
     def straightened(self, places: Points) -> Points:
-        """Places ``[n 2]`` as a lens without distortion shows them [px]; themselves without a fisheye."""
+        """Return positions ``[n 2]`` without lens distortion [px]."""
         if self.fisheye is None:
             return places
         *middle, focal = self.fisheye
@@ -94,7 +93,7 @@ class DottedSkin:
 
 @parser("skin file", InputError)
 def read_skin(path: PathText) -> DottedSkin:
-    """A skin's description from a JSON or TOML file, whose keys are those of `DottedSkin`."""
+    """Read a skin's description from JSON or TOML with the keys of `DottedSkin`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8")
@@ -142,7 +141,7 @@ def find_dots(
 
 
 def _candidates(grey: Shaped[ndarray, "h w"], skin: DottedSkin) -> Points:
-    """Whole pixels of the skin's region in the middle of something like a dot."""
+    """Pixels of the region in the middle of dot-like patches."""
     found = round_patches(grey, skin.radius_px, skin.colour, skin.min_contrast)
     if skin.region is None:
         return found
@@ -219,7 +218,7 @@ def _is_there(
 
 
 def _above_ground(patches: np.ndarray, skin: DottedSkin, half: int) -> np.ndarray:
-    """What a dot differs by from the plane through the ground around it."""
+    """Difference of a dot from the plane through its ground."""
     y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(float)
     ring = (np.hypot(x, y) >= RING[0] * skin.radius_px) & (np.hypot(x, y) <= RING[1] * skin.radius_px)
     plane = np.stack([np.ones_like(x), x, y], axis=-1)
@@ -242,7 +241,7 @@ def _weights(away: Points, steps: np.ndarray, width: float) -> tuple[Offsets, np
 
 
 def _jacobian(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> np.ndarray:
-    """How the weighted sum of distances changes with the place ``[n 2 2]``, positive."""
+    """Derivative of the weighted sum of distances by the position ``[n 2 2]``, positive."""
     ws = w * raised
     spread = np.array([[np.einsum("nyx,nyx,nyx->n", ws, p, q) for q in d] for p in d]).transpose(2, 0, 1)
     j = ws.sum(axis=(1, 2))[:, None, None] * np.eye(2) - spread / width**2
@@ -259,7 +258,7 @@ def _step(raised: np.ndarray, d: Offsets, w: np.ndarray, width: float) -> Points
 def _error(
     raised: np.ndarray, variance: np.ndarray, d: Offsets, w: np.ndarray, skin: DottedSkin
 ) -> Float[ndarray, " n"]:
-    """Standard error of a centroid for pixels' noise; infinite where there is no peak."""
+    """Standard error of a centroid from pixel noise; infinite without a peak."""
     j = _jacobian(raised, d, w, WEIGHT * skin.radius_px)
     ww = w * w * variance
     middle = np.array([[np.einsum("nyx,nyx,nyx->n", ww, p, q) for q in d] for p in d]).transpose(2, 0, 1)
@@ -274,7 +273,7 @@ def _error(
 
 
 def _variance_by_level(grey: Shaped[ndarray, "h w"]) -> Float[ndarray, 256]:
-    """Variance of the noise at each grey level: a line through what levels have, as shot noise makes it."""
+    """Noise variance by gray level, a line as for shot noise."""
     rough = np.abs(cv2.filter2D(grey, cv2.CV_32F, LAPLACIAN)) / (6 * HALF_NORMAL_MEDIAN)
     level = cv2.blur(grey, (3, 3))
     square = np.ones((3, 3), np.uint8)
@@ -298,7 +297,7 @@ def _variance_by_level(grey: Shaped[ndarray, "h w"]) -> Float[ndarray, 256]:
 def _one_each(
     places: Points, sigma: Float[ndarray, " n"], radius_px: float
 ) -> tuple[Float[ndarray, "m 2"], Float[ndarray, " m"]]:
-    """Dots without those that ended where another did."""
+    """Dots without duplicates of the same position."""
     keep = np.ones(len(places), bool)
     for i, j in sorted(cKDTree(places).query_pairs(radius_px)) if len(places) else ():
         keep[j if sigma[j] >= sigma[i] else i] = False

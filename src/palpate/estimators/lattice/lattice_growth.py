@@ -1,8 +1,9 @@
-"""Marks of a square or hexagonal lattice named by their cell.
+"""Marks of a square or hexagonal lattice named by their cell, from frame to frame.
 
 A lattice grows from a mark with all neighbors, cell by cell, by an affine map through the cells around the
 next one, which tolerates rotation, shear, lens curvature, and missing marks. Marks off their predicted
-position are omitted.
+position are omitted. Cells are known up to a step and a turn; marks vote for the step to the nearest mark of
+a reference.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from palpate.core import Float, Int, RangeError, ndarray
+from palpate.estimators.lattice.control_points import ControlPoints
 
 LatticeKind = Literal["square", "hexagonal"]
 Points = Float[ndarray, "n 2"]
@@ -95,7 +97,7 @@ def grow_lattices(
 
 
 def _largest(places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> GrownLattice | None:
-    """The lattice that most marks of several beginnings belong to."""
+    """Lattice with most marks from several seeds."""
     best, reached = None, np.zeros(len(places), bool)
     tries = 0
     for seed, axes in _seeds(places, kind):
@@ -113,7 +115,7 @@ def _largest(places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> Gr
 
 
 def _seeds(places: Points, kind: str) -> list[tuple[int, np.ndarray]]:
-    """Marks between opposite neighbours, and the two axes there, from the middle outwards."""
+    """Marks between opposite neighbors, and the two axes there, from the middle outwards."""
     count = 4 if kind == "square" else 6
     near, which = cKDTree(places).query(places, k=count + 1)
     near, out = near[:, 1:], places[which[:, 1:]] - places[:, None]
@@ -131,7 +133,7 @@ def _seeds(places: Points, kind: str) -> list[tuple[int, np.ndarray]]:
 
 
 def _axes(around: Points, count: int) -> np.ndarray | None:
-    """Both axes of a lattice from a mark's neighbours, the first nearly along the image's columns."""
+    """Both axes of a lattice from a mark's neighbors, the first nearly along the image's columns."""
     first = around[np.argmax(around[:, 0] / np.hypot(*around.T))]
     angle = np.arctan2(around[:, 1], around[:, 0]) - np.arctan2(first[1], first[0])
     for wanted, add in ((np.pi / 2, 0.0),) if count == 4 else ((np.pi / 3, 0.0), (2 * np.pi / 3, 1.0)):
@@ -142,7 +144,7 @@ def _axes(around: Points, count: int) -> np.ndarray | None:
 
 
 class _Growth:
-    """A grid of cells that fills with marks. Cells lie as [row, column]."""
+    """Grid of cells [row, column] that is filled with marks."""
 
     def __init__(self, places: Points, kind: str, turn: Float[ndarray, " n"] | None) -> None:
         self.places, self.turn, self.kind = places, turn, kind
@@ -158,7 +160,7 @@ class _Growth:
         return None if self._is_sublattice() else self._lattice()
 
     def _begin(self, seed: int, axes: np.ndarray) -> None:
-        """The seed and its neighbours along both axes and back."""
+        """Start with the seed and its neighbors along both axes."""
         self.mark = np.full((2 * MARGIN + 3,) * 2, -1)
         pitch = np.hypot(*axes.T).min()
         for column, row in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -169,7 +171,7 @@ class _Growth:
     def _predicted(
         self, reach: int = 2, curved: bool = False
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where each cell's mark must lie by a map fitted to those around it, without its own."""
+        """Predicted position of each cell's mark by a map fitted to those around it."""
         known = self.mark >= 0
         xy = np.where(known[..., None], self.places[self.mark], 0.0)
         w, u, v = _weights(reach, self.kind)
@@ -194,7 +196,7 @@ class _Growth:
         return place, pitch, np.rint(_correlate(whole, (w > 0).astype(np.float64))), spans
 
     def _extend(self, step: GrowthStep) -> bool:
-        """Take the marks that lie where cells next to known ones expect them; whether there were any."""
+        """Assign marks at predicted positions next to known cells; return whether there were any."""
         place, pitch, count, spans = self._predicted(step.reach, step.curved)
         known = np.float64(self.mark >= 0)
         ready = (self.mark < 0) & spans & (count >= step.least_around)
@@ -226,7 +228,7 @@ class _Growth:
         )
 
     def _turned(self, row: np.ndarray, column: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Whether corners are turned as their cells, odd or even, ask, by the known ones around."""
+        """Whether corners are rotated as the parity of their cells requires."""
         if self.turn is None:
             return np.ones(len(row), bool)
         signs = np.where(np.indices(self.mark.shape).sum(axis=0) % 2, -1.0, 1.0)
@@ -239,7 +241,7 @@ class _Growth:
         return (own * np.conj(around[row, column])).real > 0.3 * np.abs(around[row, column])
 
     def _drop(self) -> bool:
-        """Leave out marks that are not where those around say; whether there were any."""
+        """Remove marks off their predicted position; return whether there were any."""
         place, pitch, count, spans = self._predicted()
         curved, _, _, _ = self._predicted(3, curved=True)
         row, column = np.nonzero(self.mark >= 0)
@@ -266,7 +268,7 @@ class _Growth:
             self.mark[parts != sizes.argmax()] = -1
 
     def _is_sublattice(self) -> bool:
-        """Whether marks that have no cell lie halfway between those that have, as of a finer lattice."""
+        """Whether unassigned marks lie halfway between cells, as of a finer lattice."""
         xy = np.where((self.mark >= 0)[..., None], self.places[self.mark], np.nan)
         free = np.ones(len(self.places), bool)
         free[self.mark[self.mark >= 0]] = False
@@ -292,7 +294,7 @@ class _Growth:
 
 @cache
 def _weights(reach: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights of the cells around one, by their distance, and their columns and rows from it."""
+    """Weights of the cells around one by distance, and their offsets."""
     steps = np.arange(-reach, reach + 1.0)
     column, row = np.meshgrid(steps, steps)
     away = column**2 + row**2 + (column * row if kind == "hexagonal" else 0)
@@ -301,3 +303,66 @@ def _weights(reach: int, kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _correlate(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return cv2.filter2D(image, cv2.CV_64F, mask, borderType=cv2.BORDER_CONSTANT)
+
+
+MAX_MOVE = 0.7  # of the pitch, from the reference: halfway to the next corner of the same kind
+MAX_DOT_MOVE = 0.5  # the same where all marks are alike
+MIN_AGREED = 0.6  # share of the votes
+MIN_VOTES = 5
+QUARTER = np.array([[0, 1], [-1, 0]])
+SIXTH = np.array([[0, 1], [-1, 1]])
+
+
+def named_as(
+    reference: ControlPoints,
+    lattices: list[GrownLattice],
+    places: Float[ndarray, "n 2"],
+    kind: str = "square",
+    max_move: float = MAX_DOT_MOVE,
+) -> tuple[Int[ndarray, "m 2"], Int[ndarray, " m"]]:
+    """Return cells in the reference's names, and the index of the mark in each.
+
+    Args:
+        reference: Marks of an earlier frame of the same camera.
+        lattices: Lattices grown in this frame, each named by itself.
+        places: Marks of this frame ``[n 2]`` [px].
+        kind: Kind of both lattices.
+        max_move: Distance in pitches beyond which a mark has no vote.
+    """
+    tree, taken = cKDTree(reference.places), set()
+    cells: list[tuple[int, int]] = []
+    marks: list[int] = []
+    for lattice in lattices:
+        named = _named(reference, tree, lattice, places[lattice.marks], kind, max_move)
+        if named is None:
+            continue
+        for cell, mark in zip(map(tuple, named.tolist()), lattice.marks.tolist(), strict=True):
+            if cell not in taken:
+                taken.add(cell)
+                cells.append(cell)
+                marks.append(mark)
+    return np.array(cells, int).reshape(-1, 2), np.array(marks, int)
+
+
+def _named(
+    reference: ControlPoints,
+    tree: cKDTree,
+    lattice: GrownLattice,
+    places: Float[ndarray, "n 2"],
+    kind: str,
+    max_move: float,
+) -> Int[ndarray, "n 2"] | None:
+    """Cells of one lattice in the reference's names; none without a majority."""
+    far, which = tree.query(places)
+    near = far < max_move * lattice.pitch
+    turn = QUARTER if kind == "square" else SIXTH
+    best, agreed, step = lattice.cells, 0, np.zeros(2, int)
+    cells = lattice.cells
+    for _ in range(4 if kind == "square" else 6):
+        steps, votes = np.unique(reference.cells[which[near]] - cells[near], axis=0, return_counts=True)
+        if len(votes) and votes.max() > agreed:
+            best, agreed, step = cells, int(votes.max()), steps[votes.argmax()]
+        cells = cells @ turn
+    if agreed < max(MIN_VOTES, MIN_AGREED * len(places)):
+        return None
+    return best + step

@@ -98,7 +98,7 @@ class MarkTracker:
         return tracked
 
     def _noise_over_the_references(self, frame: Shaped[ndarray, ...]) -> float:
-        """Noise of a frame over the reference's; 1 where they differ by no more than two frames may."""
+        """Noise of a frame over the reference's; 1 within the usual difference."""
         there = noise_at(self.reference.axis.of(frame), self.reference.points.places, self.pitch)
         ratio = float(np.median(there) / max(np.median(self._noise), 1e-9))
         return ratio if ratio > MIN_NOISIER else 1.0
@@ -106,7 +106,7 @@ class MarkTracker:
     def _followed(
         self, frame: Shaped[ndarray, ...], noisier: float
     ) -> tuple[Float[ndarray, "n 2"], Float[ndarray, " n"], Float[ndarray, " n"], Bool[ndarray, " n"]]:
-        """Places, standard errors and turns of all corners, and which are sound."""
+        """Positions, standard errors, angles, and validity of all corners."""
         weights = self.reference.axis.weights
         places, _, sound = refined(frame, self._places, self.pitch, ROUNDS, gains=False, weights=weights)
         ring = ring_levels(frame, places, self.pitch)
@@ -122,7 +122,7 @@ class MarkTracker:
         return places, noisier * self._spread / np.maximum(contrast, 1.0), turn, sound
 
     def _usual(self, step: Float[ndarray, "n 2"], sound: Bool[ndarray, " n"]) -> Float[ndarray, "n 2"]:
-        """Median step of the sound ones among each corner's neighbours; of all, where none is."""
+        """Median step of each corner's valid neighbors, or of all."""
         if not sound.any():
             return np.zeros_like(step)
         everywhere = np.median(step[sound], axis=0)
@@ -134,7 +134,7 @@ class MarkTracker:
         return np.where((count > 2)[:, None], both, everywhere)
 
     def _take(self, places: np.ndarray, turn: np.ndarray, sound: np.ndarray) -> None:
-        """Keep what was found; a lost corner is taken along with its neighbours."""
+        """Keep what was found; move lost corners with their neighbors."""
         moved = self._usual(places - self._places, sound)
         lost = self._places + moved
         held = ((lost > 0) & (lost < np.array(self._shape[1::-1]))).all(axis=1)
@@ -143,7 +143,7 @@ class MarkTracker:
         self._alive = sound
 
     def search(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
-        """Points found in the whole frame, named by where they were last, or none and the reason."""
+        """Return points found in the whole frame, named by their last position, or the reason."""
         last = ControlPoints(self._cells, self._places, np.zeros(len(self._cells)))
         try:
             found = find_checkerboard(frame, self.pitch, last).points

@@ -61,18 +61,18 @@ class PinLattice:
 
     @property
     def filled(self) -> float:
-        """Share of the cells of whole rings that are there."""
+        """Ratio of the cells of whole rings that are present."""
         rings = int(ring_of(self.cells).max())
         return len(self.cells) / (3 * rings * (rings + 1) + 1)
 
     @property
     def whole(self) -> bool:
-        """Whether all cells of whole rings are there, and nothing between them."""
+        """Whether all cells of whole rings are present without marks between them."""
         return self.kind != "square" and self.share == self.filled == 1.0
 
     @property
     def settled(self) -> bool:
-        """Whether another layout need not be tried."""
+        """Whether no other layout needs to be tried."""
         return self.share > SETTLED and (self.kind != "hexagonal" or self.filled > MIN_FILLED)
 
 
@@ -105,7 +105,7 @@ def _sound(found: PinLattice | None, places: Points) -> PinLattice | None:
 
 
 def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | None:
-    """Marks that are whole rings about the middle one and nothing else; quick, and none for all others."""
+    """Quick match of marks that are exactly whole rings about the middle one."""
     rings = round((math.sqrt(12 * max(len(places), 1) - 3) - 3) / 6)
     if not (2 <= rings <= MAX_RINGS and 3 * rings * (rings + 1) + 1 == len(places)):
         return None
@@ -124,7 +124,7 @@ def _whole(places: Points, kind: Literal["hexagonal", "rings"]) -> PinLattice | 
 
 @cache
 def _leads(kind: str, rings: int) -> list[Float[ndarray, "s k"]]:
-    """Matrices that lead from the places of inner rings to those of these and the next ones, step by step."""
+    """Matrices from the positions of inner rings to those of the next ones, step by step."""
     sites, known, leads = ring_sites(kind), 7, []
     for upto, degree in (*((ring, d) for ring, d in OUTWARDS if ring < rings), (rings, 3), (rings, 5)):
         terms = _terms(sites.places[: sites.upto(upto)], min(degree, rings))
@@ -139,7 +139,7 @@ def _terms(plane: Float[ndarray, "s 2"], degree: int) -> Float[ndarray, "s k"]:
 
 
 def _is_sheared(one: PinLattice, places: Points) -> bool:
-    """Whether the three directions of a hexagonal lattice differ in length as in a square one."""
+    """Whether the directions of a hexagonal lattice differ in length as in a square one."""
     design = np.column_stack([np.ones(len(one.cells)), one.cells])
     axes = np.linalg.lstsq(design, places[one.marks], rcond=None)[0][1:]
     long = np.hypot(*np.stack([axes[0], axes[1], axes[0] - axes[1]]).T)
@@ -147,7 +147,7 @@ def _is_sheared(one: PinLattice, places: Points) -> bool:
 
 
 def _better(one: PinLattice | None, other: PinLattice | None) -> PinLattice | None:
-    """The one that has more marks, of those that hold most of what stands among them."""
+    """Lattice with more marks, of those that hold most of the marks among them."""
     sound = [found for found in (one, other) if found is not None]
     return max(sound, key=lambda found: found.share * len(found.marks), default=None)
 
@@ -168,7 +168,7 @@ def _hexagonal(places: Points, size: tuple[int, int]) -> PinLattice | None:
 
 
 def _centred(lattice: GrownLattice) -> GrownLattice | None:
-    """A hexagonal lattice without strays, its cells counted from its middle; none if nothing is left."""
+    """Hexagonal lattice without strays, with cells counted from its middle, or None."""
     kept = _in_field(lattice.cells)
     cells = lattice.cells[kept]
     return GrownLattice(cells - _middle(cells), lattice.marks[kept], lattice.pitch) if len(cells) else None
@@ -189,7 +189,7 @@ def _in_field(cells: Int[ndarray, "m 2"]) -> Bool[ndarray, " m"]:
 
 
 def _middle(cells: Int[ndarray, "m 2"]) -> Int[ndarray, 2]:
-    """The cell about which whole rings hold most of the cells, and least that is empty."""
+    """Cell about which whole rings hold most cells and fewest gaps."""
     low, high = cells.min(axis=0), cells.max(axis=0)
     grid = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), -1)
     ways = grid.reshape(-1, 2)

@@ -39,13 +39,13 @@ Cells = Int[ndarray, "n 2"]
 
 
 def ring_of(cells: Cells) -> Int[ndarray, " n"]:
-    """How many steps each cell of a hexagonal lattice is from (0, 0)."""
+    """Return the ring of each cell of a hexagonal lattice about (0, 0)."""
     column, row = np.asarray(cells).T
     return (np.abs(column) + np.abs(row) + np.abs(column + row)) // 2
 
 
 def plane_of(cells: Cells) -> Points:
-    """Places of a hexagonal lattice's cells in the plane, in pitches."""
+    """Return positions of a hexagonal lattice's cells in the plane [pitches]."""
     column, row = np.asarray(cells, float).T
     return np.stack([column + row / 2, np.sqrt(0.75) * row], axis=1)
 
@@ -72,7 +72,7 @@ class RingSites:
 
 @cache
 def ring_sites(kind: str = "rings") -> RingSites:
-    """Sites of a layout: "rings" on circles, or "hexagonal" with straight rings."""
+    """Return the sites of a layout: "rings" on circles, or "hexagonal" with straight rings."""
     cells, places = [np.zeros((1, 2), int)], [np.zeros((1, 2))]
     for k in range(1, MAX_RINGS + 1):
         number = np.arange(6 * k)
@@ -149,7 +149,7 @@ def lay_rings(places: Points, size: tuple[int, int]) -> GrownLattice | None:
 
 
 def share_named(places: Points, marks: Int[ndarray, " m"]) -> float:
-    """Share of the marks within the outline of some that are among these."""
+    """Return the ratio of the marks within the outline of some that belong to these."""
     try:
         among = Delaunay(places[marks]).find_simplex(places) >= 0
     except (QhullError, ValueError):
@@ -159,7 +159,7 @@ def share_named(places: Points, marks: Int[ndarray, " m"]) -> float:
 
 
 def _candidates(places: Points, tree: cKDTree) -> Float[ndarray, "c 2"]:
-    """Marks, and gaps of a mark's size, that may be the middle, from the middle of all outwards."""
+    """Marks and mark-sized gaps that may be the middle, from the center outwards."""
     near = tree.query(places, k=2)[0][:, 1]
     candidates = np.concatenate([places, _gaps(places, near)])
     order = np.argsort(np.hypot(*(candidates - np.median(places, axis=0)).T))
@@ -167,7 +167,7 @@ def _candidates(places: Points, tree: cKDTree) -> Float[ndarray, "c 2"]:
 
 
 def _gaps(places: Points, near: Float[ndarray, " n"]) -> Float[ndarray, "g 2"]:
-    """Middles of the largest circles without a mark in them, where one may be missing."""
+    """Centers of the largest empty circles, where a mark may be missing."""
     try:
         corners = Delaunay(places).simplices
     except QhullError:  # all on one line
@@ -221,7 +221,7 @@ def _begun_at(
 
 
 def upright(cells: Cells, places: Points) -> Cells:
-    """Cells turned by sixths until columns run most nearly with the image's columns."""
+    """Return cells rotated by sixths until columns run nearly with the image's columns."""
     design = np.column_stack([np.ones(len(cells)), plane_of(cells)])
     along = np.linalg.lstsq(design, places, rcond=None)[0][1:]
     out = plane_of(DIRECTIONS) @ along
@@ -232,7 +232,7 @@ def upright(cells: Cells, places: Points) -> Cells:
 
 
 class _Laying:
-    """Sites of rings that take marks, ring by ring."""
+    """Assignment of marks to ring sites, ring by ring."""
 
     def __init__(self, places: Points, tree: cKDTree, size: tuple[int, int], kind: str = "rings") -> None:
         self.places, self.tree, self.size = places, tree, size
@@ -243,11 +243,11 @@ class _Laying:
 
     @property
     def fit(self) -> float:
-        """Marks that have a place, less the places inside the image that have none."""
+        """Return assigned sites less empty ones inside the image."""
         return float((self.mark >= 0).sum() - 0.5 * (self._inside() & (self.mark < 0)).sum())
 
     def begin(self, site: int, start: Float[ndarray, "3 2"]) -> bool:
-        """Take the marks of a site and of those around it, where a map brings them; whether more join."""
+        """Assign the middle and its surroundings; return whether more join."""
         which = np.append(_beside(site), site)
         expected = np.column_stack([np.ones(len(which)), self.sites.places[which]]) @ start
         self._take(which, expected, np.full(len(which), np.linalg.svd(start[1:], compute_uv=False)[1]))
@@ -259,7 +259,7 @@ class _Laying:
         return bool((far < WITHIN * pitch[told]).mean() > MIN_JOINED) if told.any() else False
 
     def grow(self, rings: int) -> None:
-        """Take marks up to a ring, as long as a ring finds some."""
+        """Assign marks up to a ring, as long as a ring finds some."""
         self._settle(self.reached)
         for ring in range(self.reached + 1, rings + 1):
             self._settle(ring)
@@ -272,7 +272,7 @@ class _Laying:
         self._settle(self.reached)
 
     def trim(self) -> None:
-        """Let each site choose its mark anew, and leave out what does not stand where those around say."""
+        """Reassign each site, and remove marks off their predicted position."""
         count = self.sites.upto(self.reached)
         for _ in range(RECHOICES):
             expected, pitch = self._expected(np.arange(count), count)
@@ -285,7 +285,7 @@ class _Laying:
         self._drop(count)
 
     def _drop(self, count: int) -> None:
-        """Leave out marks that do not stand where those around say."""
+        """Remove marks off their predicted position."""
         known = np.flatnonzero(self.mark >= 0)
         expected, pitch = self._expected(known, count)
         if not np.isfinite(pitch).any():
@@ -310,7 +310,7 @@ class _Laying:
         return inside & (self.sites.ring <= self.reached + 1)
 
     def _settle(self, ring: int) -> None:
-        """Fill places up to a ring until no more marks are taken."""
+        """Fill sites up to a ring until no more marks are assigned."""
         count = self.sites.upto(ring)
         while True:
             free = np.flatnonzero(self.mark[:count] < 0)
@@ -319,7 +319,7 @@ class _Laying:
                 return
 
     def _expected(self, which: Int[ndarray, " m"], count: int) -> tuple[Points, Float[ndarray, " m"]]:
-        """Where sites must lie by affine maps through the known ones around them; NaN where too few are."""
+        """Predicted positions of sites by affine maps; NaN where too few are known."""
         known = np.flatnonzero(self.mark[:count] >= 0)
         grid = np.ix_(which, known)
         w, dx, dy = self.sites.weight[grid], self.sites.across[grid], self.sites.down[grid]
@@ -335,7 +335,7 @@ class _Laying:
         return place, pitch
 
     def _take(self, which: Int[ndarray, " m"], expected: Points, pitch: Float[ndarray, " m"]) -> bool:
-        """Give each site the mark next to where it must lie, each mark to the nearest site."""
+        """Assign to each site the mark next to its prediction, each mark to its nearest site."""
         self.expected[which] = expected
         told = np.flatnonzero(np.isfinite(expected).all(axis=1))
         if not len(told):

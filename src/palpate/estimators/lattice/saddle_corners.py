@@ -78,12 +78,12 @@ def find_corners(axis: Axis, pitch_px: float, frame: Shaped[ndarray, ...] | None
 
 
 def noise_at(axis: Axis, places: Points, pitch_px: float) -> Float[ndarray, " n"]:
-    """Standard deviation of the noise around places, from what is no edge of the pattern."""
+    """Return the standard deviation of the noise around positions, without edges."""
     return _at(noise_near(axis, 0.06 * local_spread(axis, pitch_px), round(pitch_px)), places)
 
 
 def local_spread(axis: Axis, pitch_px: float) -> Float[ndarray, "h w"]:
-    """Standard deviation within a pitch of each pixel: half the contrast, in a checkerboard."""
+    """Return the standard deviation within a pitch of each pixel (half the contrast)."""
     window = (2 * round(pitch_px) + 1,) * 2
     mean = cv2.blur(np.float32(axis), window)
     square = cv2.sqrBoxFilter(axis, cv2.CV_32F, window)
@@ -93,7 +93,7 @@ def local_spread(axis: Axis, pitch_px: float) -> Float[ndarray, "h w"]:
 def _candidates(
     axis: Axis, spread: Float[ndarray, "h w"], noise: Float[ndarray, "h w"], pitch_px: float
 ) -> Points:
-    """Whole pixels where the saddle is strongest within reach and near that of an ideal corner."""
+    """Pixels with the strongest saddle within reach, nearly that of an ideal corner."""
     width = max(1.2, 0.1 * pitch_px)
     smooth = cv2.GaussianBlur(np.float32(axis), (0, 0), width)
     xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1)))
@@ -112,7 +112,7 @@ def _at(image: Float[ndarray, "h w"], places: Points) -> Float[ndarray, " n"]:
 
 
 def ring_levels(image: Shaped[ndarray, ...], places: Points, pitch_px: float) -> Float[ndarray, "n k c"]:
-    """Levels of each channel on a ring around each place, less their mean."""
+    """Return levels of each channel on a ring around each position, less their mean."""
     channels = 1 if image.ndim == 2 else image.shape[2]
     if not len(places):
         return np.zeros((0, RING, channels))
@@ -199,7 +199,7 @@ def _patches(
     half: int,
     weights: Float[ndarray, "1 c1"] | None,
 ) -> tuple[Float[ndarray, "n k k"], Int[ndarray, "n 2"]]:
-    """Squares of the axis around each middle, and where their first pixel lies."""
+    """Image squares around each position, and the index of their first pixel."""
     side, corner = 2 * half + 1, middle - half
     channels = 1 if image.ndim == 2 else image.shape[2]
     rows = image.reshape(len(image), -1)
@@ -211,13 +211,13 @@ def _patches(
 
 
 def _smooth(patches: np.ndarray) -> np.ndarray:
-    """Patches less a pixel on each side, smoothed by 1 2 1: squares of sharper gradients would alias."""
+    """Patches smoothed by 1 2 1, a pixel smaller on each side, against aliasing."""
     across = patches[:, :, :-2] + 2 * patches[:, :, 1:-1] + patches[:, :, 2:]
     return (across[:, :-2] + 2 * across[:, 1:-1] + across[:, 2:]) / 16
 
 
 def _weights(xy: Points, corner: np.ndarray, steps: np.ndarray, width: float) -> tuple[np.ndarray, ...]:
-    """Distances of rows and columns of a patch from a place, and their weights."""
+    """Distances of rows and columns of a patch from a position, and their weights."""
     away = (xy - corner).astype(np.float32)
     dx, dy = steps - away[:, :1], steps - away[:, 1:]
     return dx, dy, np.exp(-0.5 * (dx / width) ** 2), np.exp(-0.5 * (dy / width) ** 2)
@@ -230,7 +230,7 @@ def _sums(product: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.n
 def _normal_equations(
     products: tuple[np.ndarray, ...], dx: np.ndarray, dy: np.ndarray, wx: np.ndarray, wy: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix ``[n 2 2]`` and right side ``[n 2]`` of the place where gradients cross."""
+    """Matrix ``[n 2 2]`` and right side ``[n 2]`` of the point where gradients cross."""
     right = np.stack([wx, wx * dx], axis=2)
     left = np.stack([wy, wy * dy], axis=1)
     xx, xy, yy = (np.matmul(left, np.matmul(p, right)) for p in products)  # [n, by 1 or dy, by 1 or dx]
@@ -240,7 +240,7 @@ def _normal_equations(
 
 
 def _inverse(a: np.ndarray) -> np.ndarray:
-    """Inverses ``[n 2 2]``; NaN where edges run along one direction only."""
+    """Inverses ``[n 2 2]``; NaN if edges have one direction only."""
     (p, q), (o, r) = a.transpose(1, 2, 0)
     det = p * r - q * o
     det = np.where(det > 1e-3 * (p + r) ** 2, det, np.nan)
@@ -254,7 +254,7 @@ def _solved(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _gain(
     gx: np.ndarray, gy: np.ndarray, xy: Points, corner: np.ndarray, steps: np.ndarray, width: float
 ) -> Float[ndarray, " n"]:
-    """Standard error of a place for pixels' noise of one level."""
+    """Standard error of a position for pixel noise of one level."""
     dx, dy, wx, wy = _weights(xy, corner, steps, width)
     w = wy[:, :, None] * wx[:, None, :]
     d = (np.broadcast_to(dx[:, None, :], w.shape), np.broadcast_to(dy[:, :, None], w.shape))
@@ -284,7 +284,7 @@ def _moments(w: np.ndarray, rows: tuple[np.ndarray, ...], columns: tuple[np.ndar
 
 
 def _adjoint(by_x: np.ndarray, by_y: np.ndarray) -> np.ndarray:
-    """Share of each pixel ``[n k]`` in a sum of smoothed differences with these factors."""
+    """Weight of each pixel ``[n k]`` in a sum of smoothed differences."""
     share = np.zeros((len(by_x), by_x.shape[1] + 6, by_x.shape[2] + 6), np.float32)
     share[:, 3:-3, 4:-2] += by_x
     share[:, 3:-3, 2:-4] -= by_x
@@ -294,7 +294,7 @@ def _adjoint(by_x: np.ndarray, by_y: np.ndarray) -> np.ndarray:
 
 
 def _apart(corners: SaddleCorners, least_px: float) -> SaddleCorners:
-    """Corners without the worse of two that lie together."""
+    """Corners without the worse of two close ones."""
     drop = np.zeros(len(corners.places), bool)
     for i, j in cKDTree(corners.places).query_pairs(least_px) if len(drop) else ():
         drop[i if corners.sigma[i] > corners.sigma[j] else j] = True

@@ -42,7 +42,7 @@ class PigmentAxis:
 
 
 def channels_of(frame: Shaped[ndarray, ...]) -> int:
-    """Number of a frame's channels, 1 for grey."""
+    """Return the number of a frame's channels, 1 for gray."""
     return 1 if frame.ndim == 2 else frame.shape[-1]
 
 
@@ -80,7 +80,7 @@ def _refuse_ends(frame: Shaped[ndarray, ...]) -> None:
 
 
 def _stretched(axis: Float[ndarray, "h w"], weights: Float[ndarray, " c"]) -> Float[ndarray, "1 c1"]:
-    """Weights after which the axis fills an 8-bit image's range, as rounding must cost nothing."""
+    """Weights that stretch the axis over an 8-bit range."""
     low, high = np.percentile(axis[::2, ::2], [0.1, 99.9])
     if high - low < MIN_CONTRAST:
         raise ImageError(

@@ -51,7 +51,7 @@ _GENERAL = {
 
 
 class _Models(Mapping[str, Any]):
-    """The models for any sensor, and those that a sensor's own folder declares, under its name."""
+    """Models for any sensor, and those that a sensor's own folder declares."""
 
     def __getitem__(self, name: str) -> Any:
         if name in _GENERAL:
@@ -90,7 +90,7 @@ def model_kind(name: str) -> Kind:
 
 
 def model_class(path: str) -> type:
-    """The class of a plug-in, which says its settings by fields and can be asked to fit."""
+    """Return the class of a plug-in, a dataclass with a method `fit`."""
     model = import_path(path, "model")
     if not (isinstance(model, type) and is_dataclass(model)):
         raise PluginError(
@@ -102,7 +102,7 @@ def model_class(path: str) -> type:
 
 
 def make_model(name: str, options: Mapping[str, Any]) -> Model:
-    """A model by name, or of a user's by ``module:Class``, with some of its fields set."""
+    """Return a model by name or ``module:Class``, with some of its fields set."""
     path = REGISTRY.path_of(name)
     make = model_class(path)
     _check_options(name, make, options)
@@ -112,7 +112,7 @@ def make_model(name: str, options: Mapping[str, Any]) -> Model:
 
 
 def _check_options(name: str, make: type, options: Mapping[str, Any]) -> None:
-    """Check options by a model's fields: all that it needs, none that it lacks, each of its type."""
+    """Check options against a model's fields and types."""
     settable = [f for f in fields(make) if f.init]
     names = [f.name for f in settable]
     unknown = sorted(set(options) - set(names))
@@ -134,7 +134,7 @@ def _check_options(name: str, make: type, options: Mapping[str, Any]) -> None:
 
 
 def _is_of(kind: Any, value: Any) -> bool:
-    """Whether a value is of a type, as JSON tells it; True where either is none that JSON knows."""
+    """Whether a value is of a type, as JSON represents it; True for types unknown to JSON."""
     try:
         TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
     except ValidationError:
@@ -145,7 +145,7 @@ def _is_of(kind: Any, value: Any) -> bool:
 
 
 def settings_of(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """All of a model's fields, as a card tells them: those that were set, and those that were not."""
+    """Return all of a model's fields."""
     model = make_model(name, options)
     return {f.name: getattr(model, f.name) for f in fields(model)}  # type: ignore[arg-type]
 

@@ -34,7 +34,7 @@ MIN_EPOCHS, MAX_EPOCHS, MAX_MEMBERS = 10, 40, 3
 
 @dataclass(frozen=True)
 class FittedChoice:
-    """The candidate that was best, learnt from all rows."""
+    """Best candidate, trained on all rows."""
 
     fitted: Fitted
     choice: ModelChoice
@@ -100,12 +100,12 @@ class _Entry:
     note: str = ""
 
     def error(self, folds: int) -> float:
-        """Error over the first so many folds."""
+        """Error over the first folds."""
         return typical_error(np.sqrt(np.mean(np.square(self.errors[:folds]), axis=0)))
 
     @property
     def again_s(self) -> float:
-        """Time to learn it once more from all rows [s]."""
+        """Expected time to train it on all rows [s]."""
         return AGAIN * max(self.seconds, default=0.0)
 
 
@@ -120,7 +120,7 @@ class _Contest:
     entries: list[_Entry] = field(default_factory=list)
 
     def enter(self, name: str, folds: list[tuple[Indices, Indices]]) -> None:
-        """Try a candidate on as many of the folds as there is time for."""
+        """Try a candidate on as many folds as time allows."""
         entry = _Entry(name, {})
         try:
             self._try(entry, folds)
@@ -153,7 +153,7 @@ class _Contest:
                 return
 
     def _left(self, done: list[_Entry]) -> float:
-        """Time left when the best of these has been learnt from all rows [s]."""
+        """Time left after training the best candidate on all rows [s]."""
         if not done:
             return self.until - time.monotonic()
         common = min(len(one.errors) for one in done)
@@ -161,7 +161,7 @@ class _Contest:
         return self.until - time.monotonic() - best.again_s
 
     def _options(self, entry: _Entry, learn: Indices, left_s: float) -> dict[str, Any]:
-        """Epochs and members of a network that fit the time, by one epoch's; none where too few do."""
+        """Epochs and members of a network that fit the time; none if too few do."""
         started = time.monotonic()
         self._fitted(entry.name, {"epochs": 1, "members": 1}, learn)
         epoch_s = time.monotonic() - started
@@ -188,7 +188,7 @@ class _Contest:
         return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
     def result(self) -> tuple[_Entry, tuple[Trial, ...]]:
-        """The best candidate, and what each gave on the inner folds that all have seen."""
+        """Best candidate, and results on the inner folds that all have seen."""
         done = [one for one in self.entries if one.errors]
         common = min(len(one.errors) for one in done)
         best = min(done, key=lambda one: one.error(common))

@@ -50,7 +50,7 @@ class CameraVariation:
                 )
 
     def scaled(self, strength: float) -> CameraVariation:
-        """All sizes but the shift's this many times as large."""
+        """Return all sizes but the shift's multiplied by a factor."""
         return replace(
             self, **{f.name: strength * getattr(self, f.name) for f in fields(self) if f.name != "shift_px"}
         )
@@ -81,7 +81,7 @@ class CameraVariation:
         return _compressed(image, 100 - rng.uniform(0, self.below_quality_100)) if compresses else image
 
     def _moved(self, image: Planes, rng: Rng) -> Planes:
-        """Shifted, turned and zoomed in one step, so that it is interpolated once; or by whole pixels."""
+        """Shift, rotation, and zoom in one interpolation, or a shift by whole pixels."""
         height, width, channels = image.shape
         shift = rng.uniform(-self.shift_px, self.shift_px, 2)
         matrix = np.array([[1.0, 0, 0], [0, 1, 0]])
@@ -104,7 +104,7 @@ NEIGHBOURHOODS = (np.ones((3, 3), np.uint8), np.array([[0, 1, 0], [1, 1, 1], [0,
 
 
 def with_outlines_moved(image: Planes, px: float, rng: Rng) -> Planes:
-    """Return an image whose bright parts extend by `px`, at most 1, by a random one of two neighborhoods."""
+    """Return an image whose bright parts extend by `px`, at most 1."""
     neighbourhood = NEIGHBOURHOODS[int(rng.integers(2))]
     reached = (cv2.dilate if px > 0 else cv2.erode)(image, neighbourhood).reshape(image.shape)
     return np.asarray(image + np.float32(abs(px)) * (reached - image))

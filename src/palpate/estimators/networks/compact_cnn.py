@@ -35,7 +35,7 @@ with optional_imports("A network"):
 
 
 class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
-    """Grey levels in, values in the targets' units out; both scalings are part of it."""
+    """Network from gray levels to values in the targets' units, with both scalings."""
 
     def __init__(
         self, shape: tuple[int, int, int], widths: tuple[int, ...], hidden: int, scaler: Scaler
@@ -58,7 +58,7 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
         self.register_buffer("scale", torch.tensor(scaler.scale, dtype=torch.float32))
 
     def scaled(self, image: torch.Tensor) -> torch.Tensor:
-        """Values in units of their spread in the training set: what the loss is taken of."""
+        """Values in units of their spread in the training set, for the loss."""
         return self.head(self.blocks((image - self.level) / self.contrast))
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
@@ -66,20 +66,20 @@ class Network(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that
 
 
 def _stem(channels: int, features: int) -> list[nn.Module]:
-    """A quarter of the map's side at once: a marker's place survives in the features, and it is quick."""
+    """Convolution that reduces the side to a quarter."""
     wide = nn.Conv2d(channels, features, 7, stride=4, padding=3, bias=False)
     return [wide, nn.BatchNorm2d(features), nn.ReLU()]
 
 
 def _block(channels: int, features: int) -> list[nn.Module]:
-    """Half the map's side, and other features."""
+    """Convolution block that halves the side."""
     grow = nn.Conv2d(channels, features, 3, padding=1, bias=False)
     return [grow, nn.BatchNorm2d(features), nn.ReLU(), nn.MaxPool2d(2)]
 
 
 @dataclass(frozen=True)
 class FittedNetwork:
-    """Trained networks that answer with their mean."""
+    """Mean of trained networks."""
 
     members: tuple[Network, ...]
     shape: tuple[int, int, int]
@@ -201,7 +201,7 @@ class CompactCnn:
 
 
 class _Training:
-    """A network, its average, its optimiser and where they are on the schedule."""
+    """Network in training, its average, its optimizer, and its position in the schedule."""
 
     def __init__(
         self, plan: CompactCnn, data: TrainingData, rows: Indices, seed: int, rng: np.random.Generator
@@ -256,7 +256,7 @@ class _Training:
         return torch.from_numpy(camera.drawn(images, rng))
 
     def _rate(self, number: int) -> float:
-        """Up over the first 200 steps (at most a tenth of all), then down a cosine."""
+        """Linear warm-up over 200 steps (at most a tenth), then cosine decay."""
         total = self.steps * self.plan.epochs
         return cosine_rate(self.plan.learning_rate, number, total, min(200, max(1, total // 10)))
 
@@ -274,7 +274,7 @@ class _Training:
         write_checkpoint(path, {"epoch": self.epoch}, states, self.optimiser)
 
     def load(self, path: Path) -> None:
-        """Load what `save` kept; a damaged file is set aside and the fold begun anew."""
+        """Load a checkpoint; a damaged file is renamed and the fold restarted."""
         try:
             arrays = read_checkpoint(path)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
@@ -288,7 +288,7 @@ class _Training:
 
 
 def cosine_rate(peak: float, number: int, total: int, rise: int) -> float:
-    """Learning rate at one of all steps: up over the first so many, then down a cosine."""
+    """Return the learning rate at a step: linear warm-up, then cosine decay."""
     return peak * min(1.0, (number + 1) / rise) * 0.5 * (1 + math.cos(math.pi * number / total))
 
 
@@ -298,7 +298,7 @@ def write_checkpoint(
     states: dict[str, dict[str, torch.Tensor]],
     optimiser: torch.optim.Optimizer,
 ) -> None:
-    """Replace a checkpoint of numbers, named states and an optimiser's, as plain arrays, in one step."""
+    """Replace a checkpoint of numbers, named states, and an optimizer's state atomically."""
     arrays = {name: np.array(number) for name, number in numbers.items()}
     moments = {f"optimiser/{i}": state for i, state in optimiser.state_dict()["state"].items()}
     for name, state in (states | moments).items():
@@ -319,12 +319,12 @@ def read_checkpoint(path: Path) -> dict[str, torch.Tensor]:
 
 
 def checkpoint_part(arrays: dict[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
-    """Arrays whose names begin with ``name/``, without it."""
+    """Return arrays whose names begin with ``name/``, without it."""
     return {k[len(name) + 1 :]: v for k, v in arrays.items() if k.startswith(f"{name}/")}
 
 
 def optimiser_states(arrays: dict[str, torch.Tensor]) -> dict[int, dict[str, torch.Tensor]]:
-    """The optimiser's state for each weight, of a checkpoint's arrays."""
+    """Return the optimizer's state of each weight from a checkpoint's arrays."""
     states: dict[int, dict[str, torch.Tensor]] = {}
     for key, value in checkpoint_part(arrays, "optimiser").items():
         i, _, field = key.partition("/")
@@ -333,7 +333,7 @@ def optimiser_states(arrays: dict[str, torch.Tensor]) -> dict[int, dict[str, tor
 
 
 def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torch.Tensor:
-    """Each image shifted by its own whole number of pixels each way, edges repeated."""
+    """Images shifted by random whole pixels, with repeated edges."""
     if most_px == 0:
         return images
     height, width = images.shape[2:]
@@ -345,7 +345,7 @@ def _moved(images: torch.Tensor, most_px: int, rng: np.random.Generator) -> torc
 
 
 def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor | int], torch.Tensor]:
-    """A running average that is short at first, so that a brief training does not remember its beginning."""
+    """Running average with a short memory at first."""
 
     def average(mean: torch.Tensor, new: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
         share = min(most, (1 + int(count)) / (10 + int(count)))
@@ -355,13 +355,13 @@ def _running(most: float) -> Callable[[torch.Tensor, torch.Tensor, torch.Tensor 
 
 
 def fast_bfloat16() -> bool:
-    """True if this processor multiplies bfloat16 natively; elsewhere it would be slower."""
+    """Return whether this processor multiplies bfloat16 natively."""
     return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Seed torch inside, and leave the caller's state as it was."""
+    """Seed torch in a context, and restore the caller's state."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield

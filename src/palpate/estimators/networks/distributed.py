@@ -39,7 +39,7 @@ class ProcessGroup:
 
     @classmethod
     def of_environment(cls) -> ProcessGroup:
-        """Read the group from the environment that torchrun sets."""
+        """Read the group from torchrun's environment."""
         size = os.environ.get("WORLD_SIZE", "1")
         if size == "1":
             return cls()
@@ -74,11 +74,11 @@ class ProcessGroup:
         self.sum(0.0)
 
     def sum(self, number: float) -> float:
-        """Sum of the numbers of all processes; the same in all."""
+        """Return the sum of a number over all processes."""
         return self._collect(number, total=True)
 
     def first_says(self, number: float) -> float:
-        """Number of the first process, in all; those of the others are not looked at."""
+        """Return the first process's number in all processes."""
         return self._collect(number, total=False)
 
     def _collect(self, number: float, *, total: bool) -> float:
@@ -103,7 +103,7 @@ class ProcessGroup:
         return mine, self.size * len(mine) / len(rows)
 
     def device(self) -> torch.device:
-        """The processor or the GPU that is this process's own."""
+        """Return the CPU, or the GPU of this process."""
         import torch
 
         if not torch.cuda.is_available():
@@ -125,7 +125,7 @@ class ProcessGroup:
         return torch.nn.SyncBatchNorm.convert_sync_batchnorm(deepcopy(network))
 
     def spread(self, network: nn.Module, device: torch.device) -> nn.Module:
-        """The network, from the first's weights, with gradients that are the mean of all processes'."""
+        """Return the network with the first's weights and averaged gradients."""
         if self.size == 1:
             return network
         from torch.nn.parallel import DistributedDataParallel
@@ -133,7 +133,7 @@ class ProcessGroup:
         return DistributedDataParallel(network, device_ids=[device] if device.type == "cuda" else None)
 
     def align(self, network: nn.Module) -> None:
-        """Give all processes the first's weights and statistics; the network lies on the CPU."""
+        """Give all processes the first's weights and statistics; the network is on the CPU."""
         if self.size == 1:
             return
         from torch import distributed

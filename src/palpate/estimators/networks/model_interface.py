@@ -36,13 +36,13 @@ class TrainingData:
         self.values.flags.writeable = self.groups.flags.writeable = False  # scores are of these very labels
 
     def batches(self, rows: Indices, size: int = 256) -> Iterator[tuple[Indices, Tensor]]:
-        """Rows and their inputs, `size` at a time, in the order given."""
+        """Yield rows and their inputs, `size` at a time, in the given order."""
         for start in range(0, len(rows), size):
             part = rows[start : start + size]
             yield part, self.fetch(part)
 
     def sample(self, rows: Indices, most: int, rng: np.random.Generator) -> Tensor:
-        """Inputs of at most `most` of the rows, drawn without replacement."""
+        """Return inputs of at most `most` rows, drawn without replacement."""
         chosen = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
         return np.concatenate([inputs for _, inputs in self.batches(chosen)])
 
@@ -61,10 +61,10 @@ class Fitted(Protocol):
     """Trained model."""
 
     def predict(self, inputs: Tensor) -> Values:
-        """Estimates ``[n t]`` in the targets' units, for inputs ``[n c h w]``."""
+        """Return estimates ``[n t]`` in the targets' units for inputs ``[n c h w]``."""
 
     def to_onnx(self) -> onnx.ModelProto:
-        """The same map as ONNX, from ``image [n c h w]`` to ``value [n t]``, both float32."""
+        """Return the map as ONNX, from ``image [n c h w]`` to ``value [n t]``, both float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class ModelChoice:
 
 @runtime_checkable
 class Chooses(Protocol):
-    """A fitted model that says what it has chosen among; for the card."""
+    """Fitted model with a choice, for the card."""
 
     choice: ModelChoice
 
@@ -120,21 +120,21 @@ class TrainingRecord:
 
 @runtime_checkable
 class LearnsInSteps(Protocol):
-    """A fitted model that says how long it has learnt; for the card."""
+    """Fitted model with a training record, for the card."""
 
     training: TrainingRecord
 
 
 @runtime_checkable
 class TimeBoxed(Protocol):
-    """A model that is given a time for all fits of a calibration together."""
+    """Model with a time limit for all fits of a calibration."""
 
     def shared_among(self, fits: int) -> Model:
-        """The same model, for one of so many fits."""
+        """Return the model for one of several fits."""
 
 
 def typical_error(errors: Float[np.ndarray, " t"]) -> float:
-    """Geometric mean of the targets' errors: one per cent counts alike in a good target and in a poor one."""
+    """Return the geometric mean of the targets' errors."""
     return float(np.exp(np.log(np.maximum(errors, MIN_ERROR)).mean()))
 
 
@@ -143,7 +143,7 @@ MIN_ERROR = 1e-9  # in units of the spread, below which errors are alike
 
 @runtime_checkable
 class Model(Protocol):
-    """A recipe that learns."""
+    """Model that can be trained."""
 
     def fit(
         self,
@@ -166,13 +166,13 @@ class Model(Protocol):
 
 
 def predict_rows(fitted: Fitted, data: TrainingData, rows: Indices) -> Values:
-    """Predict many rows a batch at a time."""
+    """Predict rows in batches."""
     parts = [fitted.predict(inputs) for _, inputs in data.batches(rows)]
     return np.concatenate(parts) if parts else np.empty((0, data.values.shape[1]))
 
 
 def refuse_unfit(estimates: Values, shape: tuple[int, int], whose: str) -> None:
-    """Refuse, with an InputError, estimates that are not one finite number for each row and target."""
+    """Refuse estimates that are not one finite number for each row and target (InputError)."""
     fit = np.isfinite(estimates).all(axis=1) if estimates.shape == shape else np.zeros(shape[0], bool)
     if not fit.all():
         raise InputError(
@@ -183,7 +183,7 @@ def refuse_unfit(estimates: Values, shape: tuple[int, int], whose: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scaler:
-    """Values to zero mean and unit spread, and back."""
+    """Standardization of values."""
 
     mean: Float[np.ndarray, " t"]
     scale: Float[np.ndarray, " t"]
@@ -201,5 +201,5 @@ class Scaler:
 
 
 def scaled_errors(fitted: Fitted, scaler: Scaler, data: TrainingData, rows: Indices) -> Values:
-    """Errors of estimates of rows ``[n t]``, in units of the spread."""
+    """Return errors of estimates ``[n t]`` in units of the spread."""
     return scaler.scaled(predict_rows(fitted, data, rows)) - scaler.scaled(data.values[rows])

@@ -21,7 +21,7 @@ EMPTY: Weights = MappingProxyType({})
 
 
 class OnnxGraph:
-    """A graph that begins at the node `image`; every method adds to it and names what it has made."""
+    """Graph that begins at the node `image`; every method adds to it and returns a name."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -30,7 +30,7 @@ class OnnxGraph:
     def add(
         self, kind: str, inputs: Sequence[str], weights: Weights = EMPTY, *, output: str = "", **how: object
     ) -> str:
-        """Add a node, whose weights follow its inputs; returns the name of what it makes."""
+        """Add a node, whose weights follow its inputs; return the name of its output."""
         names = {f"{name}{len(self.nodes)}": value for name, value in weights.items()}
         self.constants |= names
         name = output or f"x{len(self.nodes)}"
@@ -69,17 +69,17 @@ class OnnxGraph:
         return name
 
     def centred(self, at: str, level: ArrayLike, contrast: ArrayLike) -> str:
-        """(x - level) / contrast, each one number or one a feature."""
+        """Add (x - level) / contrast, each one number or one a feature."""
         at = self.add("Sub", [at], {"level": _row(level)})
         return self.add("Div", [at], {"contrast": _row(contrast)})
 
     def restored(self, at: str, scale: ArrayLike, mean: ArrayLike, output: str = "") -> str:
-        """Scale and shift, x scale + mean, each one number or one a feature."""
+        """Add x scale + mean, each one number or one a feature."""
         at = self.add("Mul", [at], {"scale": _row(scale)})
         return self.add("Add", [at], {"mean": _row(mean)}, output=output)
 
     def model(self, shape: tuple[int, int, int], targets: int) -> onnx.ModelProto:
-        """All of it as a model from ``image [n c h w]`` to ``value [n t]``; a node must be named `value`."""
+        """Return the model from ``image [n c h w]`` to ``value [n t]``; a node must be named `value`."""
         return image_to_value(self.nodes, self.constants, shape, targets)
 
 
@@ -90,7 +90,7 @@ TREE_NODES = (
 
 
 def _tree_columns(tree: Any, number: int, ids: np.ndarray, leaf: np.ndarray) -> tuple[np.ndarray, ...]:
-    """A tree's columns of `TREE_NODES`; the last says which are leaves."""
+    """Columns of `TREE_NODES` of a tree; the last marks leaves."""
     above = tree.threshold.astype(np.float32)
     above = np.where(above > tree.threshold, np.nextafter(above, np.float32(-np.inf)), above)
     branches = (np.where(leaf, 0, column) for column in (tree.feature, above))

@@ -41,7 +41,7 @@ class FittedLinear:
 
 @dataclass(frozen=True, slots=True)
 class MeanBaseline:
-    """Learns nothing but the mean of the training set: what any other model must beat."""
+    """Mean of the training set, the baseline of every model."""
 
     def fit(
         self,

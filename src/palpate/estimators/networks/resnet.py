@@ -20,7 +20,7 @@ FEATURES = 512
 
 
 class BasicBlock(nn.Module):  # type: ignore[misc]  # torch is seen as Any, so that checking needs no torch
-    """Two 3 x 3 convolutions and a shortcut round them."""
+    """Two 3 x 3 convolutions and a shortcut."""
 
     def __init__(self, channels: int, features: int, stride: int = 1) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         return image
 
     def load_weights(self, path: Path) -> None:
-        """Take weights from a file with torchvision's names; see `read_weights` and `take`."""
+        """Take weights from a file with torchvision's names; see `take`."""
         self.take(read_weights(path), str(path))
 
     def take(self, weights: Mapping[str, torch.Tensor], source: str) -> None:
@@ -99,7 +99,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
 
 
 def check_weights(path: Path) -> None:
-    """Refuse a path that no weights can be read from."""
+    """Refuse a path from which no weights can be read."""
     if path.suffix != ".safetensors":
         raise InputError(
             f"weights {path}: only .safetensors files are read, since other kinds can run code when they are "
@@ -111,7 +111,7 @@ def check_weights(path: Path) -> None:
 
 
 def read_weights(path: Path) -> dict[str, torch.Tensor]:
-    """All arrays of a `.safetensors` file, by name."""
+    """Return all arrays of a `.safetensors` file by name."""
     check_weights(path)
     load = require("safetensors.torch", f"A file of weights such as {path}").load_file
     try:
@@ -121,6 +121,6 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
 
 
 def _listed(names: list[str]) -> str:
-    """The first few of them, and how many more."""
+    """First few names, and the number of others."""
     first, more = ", ".join(names[:8]) or "none", len(names) - 8
     return f"{first} and {more} more" if more > 0 else first

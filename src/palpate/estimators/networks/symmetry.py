@@ -36,7 +36,7 @@ class RotationalSymmetry:
 
     @classmethod
     def find(cls, order: int, images: Tensor, names: tuple[str, ...]) -> RotationalSymmetry:
-        """Find the axis from a sample of images, and what turns from the targets' names."""
+        """Find the axis from sample images, and the rotating columns from the target names."""
         pairs, lone = in_plane(names)
         if lone and order != 2:
             raise InputError(
@@ -46,18 +46,18 @@ class RotationalSymmetry:
         return cls(order, axis_of(images.mean(axis=(0, 1)), order), pairs, lone)
 
     def matrix(self, count: int) -> Float[np.ndarray, "2 3"]:
-        """The affine map of an image turned clockwise (x towards y) by `count` steps."""
+        """Return the affine map of an image rotated clockwise (x towards y) by `count` steps."""
         return np.asarray(cv2.getRotationMatrix2D(self.centre, -360.0 * count / self.order, 1.0))
 
     def turned(self, images: Tensor, values: Values, rng: np.random.Generator) -> tuple[Tensor, Values]:
-        """Each image and its values turned by its own random number of steps."""
+        """Return images and values rotated by random numbers of steps."""
         counts = rng.integers(0, self.order, len(images))
         each = zip(images, counts, strict=True)
         rotated = np.stack([_warped(image, self.matrix(int(n))) if n else image for image, n in each])
         return rotated, self.turned_values(values, counts)
 
     def turned_values(self, values: Values, counts: np.ndarray) -> Values:
-        """Values of touches turned clockwise by these numbers of steps."""
+        """Return values of touches rotated clockwise by these numbers of steps."""
         rotated = values.copy()
         cos, sin = (f(2 * math.pi * counts / self.order) for f in (np.cos, np.sin))
         for i, j in self.pairs:
@@ -105,7 +105,7 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
 
 
 def _displacement(a: Float[np.ndarray, "h w"], b: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " 2"]:
-    """Displacement (x, y) of the second image from the first, to a pixel: where they correlate most."""
+    """Displacement (x, y) of the second image from the first, by correlation, to a pixel."""
     height, width = a.shape
     spectrum = np.conj(np.fft.rfft2(a - a.mean())) * np.fft.rfft2(b - b.mean())
     y, x = np.unravel_index(int(np.argmax(np.fft.irfft2(spectrum, (height, width)))), (height, width))
@@ -114,7 +114,7 @@ def _displacement(a: Float[np.ndarray, "h w"], b: Float[np.ndarray, "h w"]) -> F
 
 
 def _likeness(mean: Float[np.ndarray, "h w"], turns: RotationalSymmetry) -> float:
-    """Correlation of the image with itself turned, inside the largest circle about the axis."""
+    """Correlation of the image with itself rotated, inside the largest circle about the axis."""
     height, width = mean.shape
     (cx, cy), (y, x) = turns.centre, np.mgrid[:height, :width]
     reach = 0.95 * min(cx, cy, width - 1 - cx, height - 1 - cy)

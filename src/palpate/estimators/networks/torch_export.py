@@ -58,12 +58,12 @@ class TorchGraph(OnnxGraph):
         return self.add("Relu", [self.add("Add", [through, around])])
 
     def columns(self, at: str, first: int, end: int) -> str:
-        """The columns from `first` up to, not including, `end` of images ``[n c h w]``."""
+        """Add the image columns from `first` up to, not including, `end`."""
         bounds = {"first": first, "end": end, "axis": 3}
         return self.add("Slice", [at], {name: np.array([place]) for name, place in bounds.items()})
 
     def centres(self, maps: nn.Conv2d, grid: torch.Tensor, at: str) -> str:
-        """Centres of a layer's maps: the softmax of each, times a grid of places ``[h w, 2]``."""
+        """Add the centers of a layer's maps: softmax times a grid of positions ``[h w, 2]``."""
         shape = np.array([0, maps.out_channels, len(grid)])
         flat = self.add("Reshape", [self.add_layer(maps, at)], {"shape": shape})
         centres = self.add("MatMul", [self.add("Softmax", [flat], axis=2)], _arrays(grid=grid))
@@ -77,7 +77,7 @@ class TorchGraph(OnnxGraph):
 
 
 def _arrays(**weights: torch.Tensor | None) -> dict[str, np.ndarray]:
-    """Those weights that there are, by name."""
+    """Weights that are present, by name."""
     return {name: value.numpy(force=True) for name, value in weights.items() if value is not None}
 
 
@@ -86,5 +86,5 @@ def _pair(size: int | tuple[int, int]) -> list[int]:
 
 
 def _both_ends(layer: nn.Module) -> list[int]:
-    """A layer's padding as ONNX asks for it: before rows and columns, then after them."""
+    """Padding in ONNX order: before rows and columns, then after them."""
     return 2 * _pair(layer.padding)

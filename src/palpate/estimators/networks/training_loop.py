@@ -112,7 +112,7 @@ class TrainingLoop:
         return self.steps or self.epochs * steps_an_epoch
 
     def rate(self, step: int, steps_an_epoch: int) -> float:
-        """Adam's step at one of the steps, before it has fallen."""
+        """Return Adam's step at a step number, before reductions."""
         if not self.cosine:
             return self.learning_rate
         total = self.steps_in_all(steps_an_epoch)
@@ -127,7 +127,7 @@ class TrainingLoop:
         progress: Progress = silent,
         checkpoint: Path | None = None,
     ) -> nn.Module:
-        """Train the network given, and return it on the CPU, ready to answer; see `run`."""
+        """Train a network, and return it on the CPU in evaluation mode; see `run`."""
         return self.run(network, task, seed=seed, progress=progress, checkpoint=checkpoint).kept()
 
     def run(
@@ -164,7 +164,7 @@ class TrainingLoop:
 
 
 class TrainingRun:
-    """A network in training: its optimiser, the best it has been, and how long ago that was."""
+    """Network in training with its optimizer and its best state."""
 
     def __init__(self, plan: TrainingLoop, network: nn.Module, task: TrainingTask, seed: int) -> None:
         self.plan, self.task, self.seed, self.epoch, self.step, self.falls = plan, task, seed, 0, 0, 0
@@ -192,7 +192,7 @@ class TrainingRun:
 
     @property
     def stopped(self) -> bool:
-        """Whether the watched rows gain no more, at the smallest step that is tried."""
+        """Whether watched rows gain no more at the smallest step."""
         return self.stops_early and self.since >= self.plan.patience and self.falls >= self.plan.falls
 
     @property
@@ -204,7 +204,7 @@ class TrainingRun:
         return TrainingRecord(self.step, self.epoch, self.plan.batch, self.best_step, self.stopped)
 
     def one_epoch(self) -> None:
-        """See every row once, then look at the watched rows."""
+        """Train on every row once, then evaluate the watched rows."""
         rng = np.random.default_rng([self.seed, self.epoch])
         order = rng.permutation(self.task.learn)
         self.network.train()
@@ -221,7 +221,7 @@ class TrainingRun:
             )
 
     def _step(self, spread: nn.Module, part: Indices, at: tuple[int, int]) -> torch.Tensor:
-        """One step down, the `at[0]`-th of `at[1]` an epoch, by this process's share of the rows."""
+        """Take the `at[0]`-th of `at[1]` steps of an epoch with this process's part of the rows."""
         mine, weight = self.processes.share(part)
         for group in self.optimiser.param_groups:
             group["lr"] = self.plan.rate(*at) * FALL**self.falls
@@ -235,7 +235,7 @@ class TrainingRun:
         return loss.detach()
 
     def _varied(self, part: Indices, step: int) -> Tensor:
-        """Inputs, each changed by a seed of its own: whichever process sees a row changes it alike."""
+        """Inputs changed by seeds that depend on the row, not on the process."""
         inputs, vary = self.task.fetch(part), self.task.vary
         if vary is None:
             return inputs
@@ -257,7 +257,7 @@ class TrainingRun:
         return torch.cuda.is_bf16_supported() if self.device.type == "cuda" else fast_bfloat16()
 
     def watched_loss(self) -> float:
-        """The loss of the watched rows, in float32 as the trained network will answer."""
+        """Return the loss of the watched rows in float32."""
         watch = self.task.watch
         self.network.eval()
         with torch.no_grad():
@@ -285,7 +285,7 @@ class TrainingRun:
             )
 
     def kept(self) -> nn.Module:
-        """The network at its best, or as it is where none was watched; on the CPU, in plain layout."""
+        """Return the best network, or the last one if none was watched, on the CPU."""
         self.plain.load_state_dict(self.best or self.network.state_dict())
         network = self.plain.to("cpu", memory_format=torch.contiguous_format).eval()
         self.processes.align(network)
@@ -297,7 +297,7 @@ class TrainingRun:
         write_checkpoint(path, counts, states, self.optimiser)
 
     def resume(self, path: Path) -> None:
-        """Go on from a checkpoint where there is one: all processes from the same."""
+        """Resume from a checkpoint if there is one, in all processes."""
         if self.processes.first and path.exists():
             self.load(path)
         self.processes.wait()
@@ -310,14 +310,14 @@ class TrainingRun:
             )
 
     def load(self, path: Path) -> None:
-        """Load what `save` kept; a file that is damaged or of another training is set aside."""
+        """Load a checkpoint; a damaged or foreign file is renamed."""
         try:
             self._take(read_checkpoint(path))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             path.replace(path.with_suffix(".damaged"))
 
     def _take(self, arrays: dict[str, torch.Tensor]) -> None:
-        """All of a checkpoint's arrays, or none of them."""
+        """Take all of a checkpoint's arrays, or none."""
         network, best = checkpoint_part(arrays, "network"), checkpoint_part(arrays, "best")
         self._require_fit(network)
         if best:
@@ -348,11 +348,11 @@ COUNTS = ("epoch", "step", "falls", "best_step", "since")
 
 
 def _batches(rows: Indices, size: int) -> list[Indices]:
-    """Rows, so many at a time; a last one by itself is left out."""
+    """Batches of rows; a last one of one row is omitted."""
     parts = [rows[i : i + size] for i in range(0, len(rows), size)]
     return [part for part in parts if len(part) > 1]
 
 
 def _laid_out(state: torch.Tensor) -> torch.Tensor:
-    """State in the layout of the weights it belongs to, so that a step is computed in the very same order."""
+    """State in the memory layout of its weights, so that steps are computed in the same order."""
     return state.contiguous(memory_format=torch.channels_last) if state.dim() == 4 else state

@@ -23,11 +23,10 @@ from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.brightest_channel import brightest_channel
 from palpate.estimators.lattice import ControlPoints, DottedSkin
 from palpate.estimators.shear.camera_motion import camera_motion
-from palpate.estimators.shear.contact_reach import reach_of
 from palpate.estimators.shear.reference_check import refuse_reference
 from palpate.estimators.shear.skin_damage import damage_of
 from palpate.estimators.shear.skin_marks import DotMarks, SkinMarks, TiledSkin, TileMarks
-from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, touch_places
+from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, reach_of, touch_places
 from palpate.estimators.shear.touch_readings import touch_readings
 from palpate.estimators.surface_strain import StrainFields, StrainMeter
 

@@ -15,8 +15,14 @@ from scipy.ndimage import label
 
 from palpate.core import Bool, Float, Int, ndarray
 from palpate.estimators.lattice import ControlPoints
-from palpate.estimators.shear.stray_marks import MIN_GROUP, NEIGHBOURS, largest_group, strayed
-from palpate.estimators.shear.touch_places import MAX_MISFIT, TouchPlaces
+from palpate.estimators.shear.touch_places import (
+    MAX_MISFIT,
+    MIN_GROUP,
+    NEIGHBOURS,
+    TouchPlaces,
+    largest_group,
+    strayed,
+)
 from palpate.estimators.surface_strain import StrainFields
 
 STRAYED = 5.0  # times a mark's standard error: what is left unexplained

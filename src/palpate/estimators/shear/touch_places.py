@@ -1,7 +1,9 @@
 """Contacts of a frame with their position and standard error, from strain and traction.
 
 If the skin's layers are known, the position is the center of the recovered pressure; else, or if no traction
-explains the marks, the center of the ring, which a lateral load shifts by up to 2 mm.
+explains the marks, the center of the ring, which a lateral load shifts by up to 2 mm. Near the rim the
+pressure is biased inward and marks fit no touch: a contact outside the validated area has no valid reading
+and is no evidence of a tear.
 """
 
 from __future__ import annotations
@@ -11,11 +13,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
-from palpate.core import RangeError
+from palpate.core import Bool, Float, Int, RangeError, ndarray
+from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
-from palpate.estimators.shear.stray_marks import MIN_GROUP, strayed
 from palpate.estimators.surface_strain import (
     ContactPeak,
     EdgeDirection,
@@ -27,6 +30,41 @@ from palpate.estimators.surface_strain import (
     find_rings,
     recover_traction,
 )
+
+STRAYED = 8.0  # times a mark's standard error
+MIN_GROUP = 3  # neighbouring marks: noise moves one, rarely two
+NEIGHBOURS = np.ones((3, 3), bool)
+
+
+def strayed(fields: StrainFields) -> int:
+    """Number of marks in the largest group that has moved beside an affine motion of all."""
+    error = np.sqrt(fields.variances.sum(axis=0))
+    off = np.hypot(*_beside_affine(fields.rest, fields.moved).T)
+    return largest_group(fields.basis.cells, off > STRAYED * error)
+
+
+def _beside_affine(at: Float[ndarray, "n 2"], moved: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+    """Shifts less an affine motion of all, marks that stray left out of it."""
+    basis = np.column_stack([np.ones(len(at)), at / max(float(np.abs(at).max()), 1e-12)])
+    sound = np.ones(len(at), bool)
+    off = moved
+    for _ in range(3):
+        off = moved - basis @ np.linalg.lstsq(basis[sound], moved[sound], rcond=None)[0]
+        size = np.hypot(*off.T)
+        sound = size <= 3 * max(float(np.median(size)), 1e-12)
+    return off
+
+
+def largest_group(cells: Int[ndarray, "n 2"], which: Bool[ndarray, " n"]) -> int:
+    """Number of marks in the largest group of neighbours."""
+    if not which.any():
+        return 0
+    column, row = (cells[which] - cells.min(axis=0)).T
+    grid = np.zeros((int(row.max()) + 1, int(column.max()) + 1), bool)
+    grid[row, column] = True
+    groups, _ = label(grid, NEIGHBOURS)
+    return int(np.bincount(groups.ravel())[1:].max())
+
 
 MIN_SIGNIFICANCE = 6.0  # of a ring's outward shift over its error: one in 10,000 frames would exceed 4
 MIN_FORCE = 8.0  # times its standard error, of a traction
@@ -181,3 +219,40 @@ def _by_pressure(
 
 def _by_ring(ring: ShearRing) -> TouchPlace:
     return TouchPlace(ring.x, ring.y, RING_SPREAD * ring.x_error, RING_SPREAD * ring.y_error, "ring", ring)
+
+
+RIM = 1.15  # pitches from the outermost marks: the area of NUSense is then 40 x 28 mm
+MAX_OUTSIDE = 0.25  # fraction of the pressure outside of the outermost marks
+CODE = "outside_calibrated_area"
+
+
+def area_of(marks: SkinMarks, skin: object) -> tuple[list[float], list[float]]:
+    """Least and greatest (x, y) of valid places [unit of the marks]."""
+    rim = RIM * marks.pitch if isinstance(skin, TiledSkin) else 0.0
+    at = marks.reference.places
+    return (at.min(axis=0) + rim).tolist(), (at.max(axis=0) - rim).tolist()
+
+
+def reach_of(fields: StrainFields, places: TouchPlaces, marks: SkinMarks, skin: object) -> Refusal:
+    """Return the refusal of a frame with a contact outside of the area."""
+    if not isinstance(skin, TiledSkin):
+        return NONE
+    low, high = (np.array(end) for end in area_of(marks, skin))
+    at = [(c.x, c.y) for c in places.contacts] or [p[:2] for p in contact_peaks(fields, marks.pitch)[:1]]
+    outside = any(((np.array(one) < low) | (np.array(one) > high)).any() for one in at)
+    if not outside and not _presses_outside(places, marks):
+        return NONE
+    size = ", ".join(f"{1e3 * a:.0f} to {1e3 * b:.0f}" for a, b in zip(low, high, strict=True))
+    return Refusal(
+        CODE, f"the contact reaches outside of the calibrated area, ({size}) mm; press inside of it"
+    )
+
+
+def _presses_outside(places: TouchPlaces, marks: SkinMarks) -> bool:
+    """Whether a large fraction of the recovered pressure lies outside of the outermost marks."""
+    traction, at = places.traction, marks.reference.places
+    if traction is None or not traction.pressure_pa.sum() > 0:
+        return False
+    nodes = traction.nodes_m
+    outside = ((nodes < at.min(axis=0)) | (nodes > at.max(axis=0))).any(axis=1)
+    return float(traction.pressure_pa[outside].sum()) > MAX_OUTSIDE * float(traction.pressure_pa.sum())

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 from palpate.core import CircularReading, ClassReading, Frame, MeasurementResult, Reading, Readings
 from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.shear.camera_motion import motion_limit
-from palpate.estimators.shear.contact_reach import area_of
 from palpate.estimators.shear.reference_check import LatticeFit
 from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
-from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces
+from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, area_of
 from palpate.estimators.surface_strain import RecoveredTraction, ShearRing, StrainFields, shear_measure
 from palpate.estimators.surface_strain.shear_measure import PUBLISHED_ALPHA
 

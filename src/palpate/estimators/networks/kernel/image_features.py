@@ -27,11 +27,11 @@ class ImageFeatures(Protocol):
     def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]: ...
 
     def add_to(self, graph: OnnxGraph) -> str:
-        """Add the same map to a graph, from its image on; returns the name of its output ``[n f]``."""
+        """Add the map to a graph after its image; return the name of its output ``[n f]``."""
 
 
 def gaussian_window(sigma_px: float) -> Float[np.ndarray, " k"]:
-    """Gaussian window of unit sum and odd length, at least three pixels."""
+    """Return a Gaussian window of unit sum and odd length, at least three pixels."""
     reach = max(1, round(TAIL * sigma_px))
     window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
     return np.asarray(window / window.sum())
@@ -50,7 +50,7 @@ class BlurredPixels:
 
     @property
     def step(self) -> int:
-        """Pixels from one sample to the next: a blur's width, which keeps what the blur has left."""
+        """Pixels between samples: a blur's width."""
         return max(1, int(self.blur_px))
 
     def compute(self, inputs: Tensor) -> Float32[np.ndarray, "n f"]:
@@ -75,12 +75,12 @@ class BlurredPixels:
 def filtered(
     plane: Float32[np.ndarray, "h w"], across: Float[np.ndarray, " k"], down: Float[np.ndarray, " k"]
 ) -> Float32[np.ndarray, "h w"]:
-    """Correlation of a plane with the outer product of two windows, black beyond its edges."""
+    """Return the correlation of a plane with the outer product of two windows, black beyond edges."""
     return cv2.sepFilter2D(plane, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
 
 
 def band(window: Float32[np.ndarray, " k"], size: int) -> Float32[np.ndarray, "n n"]:
-    """Matrix that correlates a row of pixels from its left with a window; black beyond the row's ends."""
+    """Return the matrix that correlates a row of pixels with a window, black beyond its ends."""
     reach, places = len(window) // 2, np.arange(size)
     apart = places[:, None] - places
     within = np.abs(apart) <= reach
@@ -118,19 +118,19 @@ class PinMoments:
 
     @property
     def _windows(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-        """The window, and the window times the place in it, in its own widths."""
+        """Window, and window times position in units of its width."""
         window = gaussian_window(self.window_px)
         reach = len(window) // 2
         return window, window * np.arange(-reach, reach + 1) / self.window_px
 
     def _places(self) -> Int[np.ndarray, "3 p"]:
-        """Where the moments about each pin lie in the flat maps of the graph."""
+        """Indices of each pin's moments in the flat maps of the graph."""
         line = 2 * self.height  # of one column of the image: both windows down, after one window across
         zeroth = self.columns * line + self.rows
         return np.stack([zeroth, zeroth + self.width * line, zeroth + self.height])
 
     def moments(self, inputs: Tensor) -> Float32[np.ndarray, "n 3 p"]:
-        """Zeroth moment, and first moments across and down, about each place."""
+        """Zeroth moment, and first moments along x and y, about each position."""
         flat, sloped = self._windows
         found = []
         for (image,) in inputs:

@@ -51,7 +51,7 @@ class KernelMap:
         return np.asarray(near @ self.dual + scores @ self.slopes + self.offset)
 
     def add_to(self, graph: OnnxGraph) -> str:
-        """Add the same map to a graph; from the scores on in float64, since large weights cancel there."""
+        """Add the map to a graph, in float64 from the scores on because large weights cancel."""
         centred = graph.add("Sub", [self.features.add_to(graph)], {"centre": self.centre[None]})
         narrow = graph.add("MatMul", [centred], {"axes": self.axes})
         scores = graph.add("Cast", [narrow], to=TensorProto.DOUBLE)
@@ -75,7 +75,7 @@ class KernelMap:
 
 @dataclass(frozen=True)
 class FittedKernelRidge:
-    """One map for all targets, or one for each of two parts of them."""
+    """One map for all targets, or one for each of two groups of them."""
 
     shape: tuple[int, int, int]
     maps: tuple[KernelMap, ...]
@@ -83,7 +83,7 @@ class FittedKernelRidge:
 
     @property
     def _order(self) -> Indices:
-        """Where each target stands among what the maps give."""
+        """Column of each target in the maps' outputs."""
         return np.argsort(np.concatenate([one.columns for one in self.maps]))
 
     def predict(self, inputs: Tensor) -> Values:
@@ -99,7 +99,7 @@ class FittedKernelRidge:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """Way to learn some of the targets: what is compared, how, and a penalty for each."""
+    """Features, kernel, and penalties for some of the targets."""
 
     columns: Indices
     features: ImageFeatures
@@ -201,7 +201,7 @@ def features_of(
     onto: tuple[Float32[np.ndarray, " f"], Float32[np.ndarray, "f k"]] | None = None,
     progress: Progress = silent,
 ) -> Float32[np.ndarray, "n _"]:
-    """Features of rows, or their scores along axes from a centre; few images in memory at a time."""
+    """Return features of rows, or their scores along axes, in batches."""
     parts: list[np.ndarray] = []
     for _, inputs in data.batches(rows):
         found = features.compute(inputs)
@@ -213,7 +213,7 @@ def features_of(
 def components_of(
     found: Float32[np.ndarray, "n f"], most: int
 ) -> tuple[Float32[np.ndarray, " f"], Float32[np.ndarray, "f k"]]:
-    """Centre and principal axes of rows of features; one axis of zeros where all rows are alike."""
+    """Return mean and principal axes of rows of features; a zero axis if all are equal."""
     centre = found.mean(axis=0)
     centred = found - centre
     if not np.abs(centred).max() > 1e-6 * np.abs(found).max():
@@ -237,7 +237,7 @@ class _Search:
     count: int = 0
 
     def ways(self) -> list[_Way]:
-        """The best way for all targets, or two, each for some of them."""
+        """Best variant for all targets, or two, each for some of them."""
         model, candidates, folds = self.model, self._candidates(), self._folds()
         shape = KernelShape(model.widths[0], model.linear_shares[0])
         everything = np.arange(self.data.values.shape[1])
@@ -282,7 +282,7 @@ class _Search:
         return [*(BlurredPixels(channels, blur) for blur in blurs), *pins]
 
     def _changes(self) -> list[dict[str, Any]]:
-        """Changes of the kernel's shape, tried one after another."""
+        """Changes of the kernel's shape, tried in turn."""
         model = self.model
         return [
             *({"width": width} for width in model.widths[1:]),
@@ -301,7 +301,7 @@ class _Search:
         return ((found - centre) @ axes).astype(np.float64)
 
     def _shaped(self, way: _Way, scores: Scores, errors: Float[np.ndarray, "l t"], folds: Folds) -> _Way:
-        """The way with the best shape of the kernel, and the penalties that go with it."""
+        """Variant with the best kernel shape and its penalties."""
         shape = way.shape
         for change in self._changes():
             another = replace(shape, **change)
@@ -323,7 +323,7 @@ class _Search:
         folds: Folds,
         penalties: Float[np.ndarray, " t"] | None = None,
     ) -> Float[np.ndarray, "l t"]:
-        """Errors of a way on the inner folds, noted as a trial."""
+        """Errors of a variant on the inner folds, recorded as a trial."""
         started = time.monotonic()
         errors = self._held_out(scores, shape, columns, folds, penalties)
         seconds = time.monotonic() - started
@@ -340,7 +340,7 @@ class _Search:
         folds: Folds,
         penalties: Float[np.ndarray, " t"] | None,
     ) -> Float[np.ndarray, "l t"]:
-        """Root mean square errors on held-out rows in units of the spread, for each penalty and target."""
+        """RMS errors on held-out rows in units of the spread, by penalty and target."""
         values = self.data.values[np.ix_(self.rows, columns)]
         targets = Scaler.of(values).scaled(values)
         squares = np.zeros((len(self.model.penalties), len(columns)))
@@ -360,7 +360,7 @@ class _Search:
 
 
 def _parted(errors: Float[np.ndarray, "c t"]) -> list[tuple[int, Indices]]:
-    """Candidates and the targets that each is best for: one for all, or a second where it gains enough."""
+    """Candidates and the targets each is best for; a second one only if it gains enough."""
     first = int(np.argmin([typical_error(row) for row in errors]))
     gains = np.log(np.maximum(errors[first], MIN_ERROR) / np.maximum(errors, MIN_ERROR))
     worth = np.where(gains > -np.log1p(-MIN_GAIN), gains, 0.0)

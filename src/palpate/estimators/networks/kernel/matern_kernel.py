@@ -30,7 +30,7 @@ class Kernel:
 
     @classmethod
     def over(cls, scores: Scores, width: float, linear: float) -> Kernel:
-        """Kernel by the rows' root mean square distance, and by their mean square size."""
+        """Return the kernel scaled by the rows' RMS distance and mean square."""
         square = float(scores.var(axis=0).sum()) or 1.0
         return cls(width * math.sqrt(2 * square), linear / square)
 
@@ -44,7 +44,7 @@ class Kernel:
         return (1 + r + r**2 / 3) * np.exp(-r) + linear
 
     def gradients(self, a: Scores, dual: Float[np.ndarray, " n"]) -> Scores:
-        """Gradients of Σ dual k(·, aᵢ) at the rows a themselves."""
+        """Return gradients of Σ dual k(·, aᵢ) at the rows a themselves."""
         r = self.reach(a, a)
         pull = (1 + r) * np.exp(-r) * (5 / (3 * self.length**2)) * dual
         return pull @ a - pull.sum(axis=1)[:, None] * a + self.slope * (dual @ a)
