@@ -119,7 +119,7 @@ class PinTracks:
 
     @property
     def floors(self) -> Float[ndarray, " p"]:
-        """Grey level at each pin: what is darker has no weight."""
+        """Gray level at each pin below which pixels have no weight."""
         if self.floor is not None:
             return self.floor
         return np.full(len(self.xy_px), self.ground + FLOOR * (self.bright - self.ground))
@@ -184,7 +184,7 @@ NO_LATTICE = (
 
 
 def _by_level(grey: Grey, spots: Points, ground: float, bright: float) -> PinTracks | None:
-    """Pins as the spots of one level, with one floor, where they are a whole lattice and nothing else is."""
+    """Pins as spots of one level, if they are a whole lattice and nothing else."""
     if len(spots) not in WHOLE:
         return None
     named = name_pins(spots, (grey.shape[0], grey.shape[1]))
@@ -252,7 +252,7 @@ def _uneven(grey: Grey, spots: Float[ndarray, "s 2"], named: PinLattice) -> PinT
 def _where_expected(
     kind: str, cells: Int[ndarray, "p 2"], xy: Points, others: Float[ndarray, "o 2"], size: tuple[int, int]
 ) -> tuple[Int[ndarray, "e 2"], Float[ndarray, "e 2"]]:
-    """Cells without a pin, and where one is looked for: at a spot next to its place, or at the place."""
+    """Cells without a pin, and the search position: a spot near the prediction, or the prediction."""
     if kind == "square" or ring_of(cells).max() > MAX_RINGS:
         return np.empty((0, 2), int), np.empty((0, 2))
     empty, expected = empty_sites(kind, cells, xy, size)
@@ -266,13 +266,13 @@ def _where_expected(
 
 
 def _neighbours(xy: Points, sure: int | None = None) -> Int[ndarray, "p q"]:
-    """Pins that each is compared with: those around it, of the first so many."""
+    """Pins around each, among the first so many, for comparison."""
     known = xy[:sure]
     return np.asarray(cKDTree(known).query(xy, k=min(NEAR, len(known)))[1])
 
 
 def _uncrowded(grey: Grey, xy: Points) -> Bool[ndarray, " p"]:
-    """Which spots stay where two are too near for two pins: splinters of a reflection at the rim are out."""
+    """Which spots remain where two are too close to be pins."""
     spacing, kept = _spacing(xy), np.ones(len(xy), bool)
     usual = np.percentile(spacing[_neighbours(xy)], 70, axis=1)
     crowded = np.flatnonzero(spacing < CROWDED * usual)
@@ -295,7 +295,7 @@ def _held(
     floor: Float[ndarray, " p"],
     stray: Float[ndarray, " p"],
 ) -> tuple[Points, Float[ndarray, " p"], Float[ndarray, " p"], Bool[ndarray, " p"]]:
-    """Centroids, with a shorter reach for those that else run into what is bright beside them."""
+    """Centroids, with a shorter reach for those that otherwise reach bright neighbors."""
     reach = reach.copy()
     for _ in range(SHORTER):
         moved, weight = _centroids(grey, spots, reach, floor)
@@ -320,18 +320,18 @@ def _looks_like_a_pin(
 
 
 def _apart(xy: Points, others: Float[ndarray, "o 2"]) -> Float[ndarray, " p"]:
-    """Distance of each pin to the nearest spot that is none [px]."""
+    """Distance of each pin to the nearest spot that is no pin [px]."""
     return np.asarray(cKDTree(others).query(xy)[0]) if len(others) else np.full(len(xy), np.inf)
 
 
 def _alike(pins: PinTracks) -> Bool[ndarray, " p"]:
-    """Which pins have about the weight of their neighbours; glare and dirt have not."""
+    """Which pins have about the weight of their neighbors, unlike glare and dirt."""
     usual = np.median(pins.weight[_neighbours(pins.xy_px)], axis=1)
     return np.asarray((pins.weight > LIKE[0] * usual) & (pins.weight < LIKE[1] * usual))
 
 
 def _brighter(grey: Grey, xy: Points, floor: Float[ndarray, " p"]) -> Grey:
-    """What is brighter than the floor, which changes over the frame as a polynomial of second degree."""
+    """Spots brighter than a floor that is a quadratic polynomial over the frame."""
     high, wide = grey.shape
     scale = max(high, wide)
 
@@ -345,7 +345,7 @@ def _brighter(grey: Grey, xy: Points, floor: Float[ndarray, " p"]) -> Grey:
 
 
 def _clear_of_glare(brighter: Grey, xy: Points, spacing: Float[ndarray, " p"]) -> Float[ndarray, " p"]:
-    """How far each pin is looked for so that no bright spot beside it, which is no pin, is within reach."""
+    """Reach of each pin that excludes bright spots which are no pins."""
     reach = REACH * spacing
     _, label, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(brighter, 8, cv2.CV_32S, cv2.CCL_BBDT)
     column, row = (
@@ -417,7 +417,7 @@ ONE_SIZE = 1.5  # times the nearest one's distance
 
 
 def patches(brighter: Grey) -> Points:
-    """Middles of the patches of what is brighter than the ground, of a pin's size and inside the image."""
+    """Return centers of the patches brighter than the ground, of a pin's size and inside the image."""
     # The algorithm is named, since the usual one takes 2.6 times as long on pins.
     _, _, boxes, middles = cv2.connectedComponentsWithStatsWithAlgorithm(
         brighter, 8, cv2.CV_32S, cv2.CCL_BBDT
@@ -430,7 +430,7 @@ def patches(brighter: Grey) -> Points:
 
 
 def contrast(image: Grey, level: int) -> tuple[float, float, bool]:
-    """Grey of ground and pins, and whether pins stand out from the ground's own spread."""
+    """Return gray levels of ground and pins, and whether pins stand out from the ground's spread."""
     counts = cv2.calcHist([image], [0], None, [256], [0, 256]).ravel().astype(np.float64)
     ground, pin = counts[: level + 1], counts[level + 1 :]
     if not (ground.any() and pin.any()):
@@ -448,7 +448,7 @@ def _median(counts: Float[ndarray, " n"]) -> float:
 
 
 def orderly_spots(image: Grey) -> list[Points]:
-    """Round patches of each size, those in best order first; a pixel or two from where they are."""
+    """Return round patches of each size, the most regular first, to a pixel or two."""
     found = [(_order(places), places) for places in _by_size(image)]
     return [places for order, places in sorted(found, key=lambda one: -one[0]) if order > 0]
 
@@ -470,7 +470,7 @@ def _one_each(places: Float[ndarray, "n 2"]) -> Points:
 
 
 def _order(places: Points) -> float:
-    """How many have neighbours opposite each other as in a lattice, times their share."""
+    """Number of patches with opposite neighbors, times their ratio."""
     if len(places) <= BESIDE:
         return 0.0
     near, which = cKDTree(places).query(places, k=BESIDE + 1)

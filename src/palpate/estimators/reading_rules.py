@@ -39,7 +39,7 @@ def untold(target: TargetCard, low: float, high: float) -> bool:
 
 
 def _extrapolated(target: TargetCard, over: RangeCard, value: float, low: float, high: float) -> Refusal:
-    """The estimate, or else the interval, lies beyond an end of the range by more than allowed."""
+    """Reason if the estimate, or else the interval, is too far beyond the range."""
     what = f"{target.quantity} {value:.3g} {target.unit}"
     sides = ((target.least - value, target.least - low), (value - target.greatest, high - target.greatest))
     for (estimate, end), usual, usual_end in zip(sides, over.beyond, over.reach, strict=True):
@@ -78,7 +78,7 @@ def _not_read(target: TargetCard) -> str:
 
 
 def too_unsure(target: TargetCard) -> str:
-    """Why a target is not read, by the width of its intervals; empty where they tell something."""
+    """Return why a target is not read by the width of its intervals, or ""."""
     if not target.is_as_unsure_as_its_range:
         return ""
     wide = f"its intervals are {_wide(target, 2 * target.score.half_width)} on average"
@@ -90,7 +90,7 @@ ABOUT = 0.85
 
 
 def _as_random(target: TargetCard) -> str:
-    """Why a circular target tells nothing whatever the width: that of its intervals, as it was calibrated."""
+    """Reason why a circular target is uninformative as calibrated."""
     circular = target.circular
     if circular is None or 2 * target.score.half_width < ABOUT * (target.greatest - target.least):
         return "but on rows held out of the calibration they, or its errors, were those of random guesses"
@@ -101,7 +101,7 @@ def _as_random(target: TargetCard) -> str:
 
 
 def _whole(target: TargetCard) -> str:
-    """What an interval is too wide beside: the range, the turn, or what holds as many directions anyway."""
+    """Width that an interval is compared with: the range, the turn, or as the card states."""
     if target.circular is None:
         return f"the calibrated range {_range(target)} is no wider"
     stated = target.circular.untold_width
@@ -120,7 +120,7 @@ def _tells_nothing(target: TargetCard, width: float) -> str:
 
 
 def _wide(target: TargetCard, width: float) -> str:
-    """A width in words; no interval around a direction is wider than the whole turn."""
+    """Width in words, at most the whole turn."""
     turn = target.circular.period if target.circular is not None else width
     return f"{min(width, turn):.3g} {target.unit} wide"
 
@@ -130,7 +130,7 @@ def _range(target: TargetCard) -> str:
 
 
 def _wholly_outside(target: TargetCard, value: float, half: float) -> str:
-    """The rule of cards that state no other: the whole interval lies beyond what the calibration saw."""
+    """Reason if the whole interval is beyond the range (cards without other rules)."""
     if target.least - half <= value <= target.greatest + half:
         return ""
     return (

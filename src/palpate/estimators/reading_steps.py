@@ -50,7 +50,7 @@ class StepsCard(CardPart):
 
 
 def reading_steps(card: Card) -> StepsCard:
-    """The steps by which readings of a card are made: the numbers by name, and each step as a sentence."""
+    """Return the steps by which a card's readings are made, as numbers and sentences."""
     return StepsCard(
         rule=_rule(card),
         grey_weights=GREY_WEIGHTS,
@@ -66,7 +66,7 @@ def reading_steps(card: Card) -> StepsCard:
 
 
 def _rule(card: Card) -> str:
-    """The third is the second with a lens before it: a reader that knows none must not read such a card."""
+    """Rule of the steps; with a lens it differs, so that readers without one refuse the card."""
     if card.input.lens is not None:
         return RULE_OF_LENSES
     return RULE_OF_INSTRUMENTS if _measured(card) else RULE
@@ -158,7 +158,7 @@ def _network(card: Card) -> tuple[str, ...]:
 
 
 def _digits(number: float) -> str:
-    """All digits of a number that another program shall use."""
+    """All digits of a number."""
     return repr(float(number)).removesuffix(".0")
 
 
@@ -242,7 +242,7 @@ def _verdict(card: Card) -> tuple[str, ...]:
 
 
 def _unread(card: Card) -> tuple[str, ...]:
-    """The rule for targets that the calibration does not read, and which these are."""
+    """Rule for targets that are not read, and their names."""
     ruled = [target for target in card.targets if target.has_range_rule]
     if not ruled:
         return ()

@@ -36,7 +36,7 @@ def with_reference(target: TargetCard, value: Place, low: Place, high: Place) ->
 
 
 def without_reference(target: TargetCard, value: Place, low: Place, high: Place) -> tuple[Place, Place]:
-    """Ends for what the instrument shows, by which labels are scored: `with_reference` undone."""
+    """Return the ends of the interval for the instrument's value: the inverse of `with_reference`."""
     if target.measured_by is None or target.measured_by.half_width == 0:
         return low, high
     half = target.measured_by.half_width

@@ -33,7 +33,7 @@ ARRAYS = {"layout_px.npy": "compliance", "lens_json.npy": "shear-force"}
 
 @parser("calibration kind", InputError)
 def calibration_kind(path: Path) -> str:
-    """Return the kind of a calibration: image, palm-unit, tip-unit, tip-pose, shear-force, or compliance."""
+    """Return the kind: image, palm-unit, tip-unit, tip-pose, shear-force, or compliance."""
     if path.is_dir():
         return "tip-pose" if (path / "reader.json").is_file() else "image"
     if not path.exists():

@@ -34,19 +34,19 @@ class TargetLayout:
         return sum(1 if period is None else 2 for period in self.periods)
 
     def outputs_of(self, j: int) -> slice:
-        """Which outputs a target is."""
+        """Return the outputs of a target."""
         start = TargetLayout(self.periods[:j]).outputs
         return slice(start, start + (1 if self.periods[j] is None else 2))
 
     def names(self, columns: Sequence[str]) -> tuple[str, ...]:
-        """Names of the outputs: a plain target's column, or ``QUANTITY_cos_ratio`` and ``…_sin_ratio``."""
+        """Return the outputs' names: a plain column, or ``QUANTITY_cos_ratio`` and ``…_sin_ratio``."""
         named = zip(columns, self.periods, strict=True)
         return tuple(
             name for column, period in named for name in ((column,) if period is None else _point(column))
         )
 
     def encoded(self, values: Values) -> Outputs:
-        """Outputs that a perfect model gives for these values."""
+        """Return the outputs of a perfect model for these values."""
         if self.plain:
             return values
         columns = []
@@ -59,7 +59,7 @@ class TargetLayout:
         return np.stack(columns, axis=1)
 
     def decoded(self, outputs: Outputs) -> Values:
-        """Estimates of these outputs; a circular one lies above -period/2 and up to period/2."""
+        """Return the estimates; circular ones are above -period/2 and up to period/2."""
         if self.plain:
             return outputs
         columns = []
@@ -70,7 +70,7 @@ class TargetLayout:
         return np.stack(columns, axis=1)
 
     def differences(self, estimates: Values, true: Values) -> Values:
-        """Estimates less truths, the shortest way round where a target is circular."""
+        """Return estimates less truths, by the shortest way for circular targets."""
         difference = estimates - true
         for j, period in enumerate(self.periods):
             if period is not None:
@@ -78,7 +78,7 @@ class TargetLayout:
         return difference
 
     def spans(self, values: Values) -> Float[np.ndarray, " o"]:
-        """Length of each output's range; that of a cosine or a sine is 2, whatever angles there are."""
+        """Return the length of each output's range, 2 for a cosine or sine."""
         spans = np.ptp(self.encoded(values), axis=0)
         for j, period in enumerate(self.periods):
             if period is not None:
@@ -92,7 +92,7 @@ def _point(column: str) -> tuple[str, str]:
 
 
 def default_period(symbol: str) -> float:
-    """A full turn in a unit of angle."""
+    """Return a full turn in a unit of angle."""
     unit(symbol)
     if symbol not in FULL_TURN:
         raise UnitError(

@@ -82,7 +82,7 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownRow:
-    """Something known of a press: slopes over all unknowns, by how much it is off, and its weight."""
+    """Known force or position of a press: slopes over all unknowns, residual, and weight."""
 
     slopes: State
     off: float
@@ -100,16 +100,16 @@ class UnitModel(Protocol):
     kink: float  # standard deviations from which a row of data weighs less; infinite for least squares
 
     def residuals(self, state: State) -> Iterator[tuple[Float[ndarray, " r"], float]]:
-        """Residual and standard deviation of each press's rows, without slopes."""
+        """Yield residual and standard deviation of each press's rows."""
 
     def blocks(self, state: State) -> Iterator[Block]:
-        """Rows of each press."""
+        """Yield the rows of each press."""
 
     def known(self, state: State) -> list[KnownRow]:
-        """Rows of known forces and positions."""
+        """Return rows of known forces and positions."""
 
     def inside(self, state: State) -> State:
-        """The nearest state within bounds."""
+        """Return the nearest state within bounds."""
 
 
 class Posterior(NamedTuple):
@@ -123,7 +123,7 @@ class Posterior(NamedTuple):
 
 
 def cost(model: UnitModel, state: State) -> float:
-    """Twice the negative logarithm of the posterior density, but for a constant."""
+    """Return twice the negative log posterior density, up to a constant."""
     data = sum(_misfit(residual / sd, model.kink) for residual, sd in model.residuals(state))
     sure = sum(one.weight * one.off**2 for one in model.known(state))
     away = state - model.mean
@@ -163,7 +163,7 @@ def most_probable(
 
 
 def posterior(model: UnitModel, state: State) -> Posterior:
-    """Laplace covariance of a settled state, and what correlated errors add to it."""
+    """Return the Laplace covariance of a settled state, with the part of correlated errors."""
     H, meat = model.precision.copy(), np.zeros_like(model.precision)
     for at, J, residual, sd, cluster in model.blocks(state):
         weight = _weight(residual / sd, model.kink)
@@ -193,7 +193,7 @@ def _weight(z: Float[ndarray, " r"], kink: float) -> Float[ndarray, " r"]:
 
 
 def _normal(model: UnitModel, state: State) -> tuple[Square, State]:
-    """Normal matrix, and the cost's descent."""
+    """Normal matrix and gradient descent direction of the cost."""
     H, g = model.precision.copy(), model.precision @ (model.mean - state)
     for at, J, residual, sd, _ in model.blocks(state):
         weight = _weight(residual / sd, model.kink)
@@ -206,7 +206,7 @@ def _normal(model: UnitModel, state: State) -> tuple[Square, State]:
 
 
 def _stepped(model: UnitModel, state: State, H: Square, g: State) -> State:
-    """A state after one step; unknowns that bounds hold back are left out and the others solved again."""
+    """State after one step; unknowns at bounds are fixed and the others solved again."""
     free = np.ones(len(state), bool)
     for _ in range(3):
         step = np.zeros(len(state))
@@ -279,7 +279,7 @@ def _covariance(hessian: Square, meat: Square) -> Square:
 
 
 def weight_n(mass_kg: float) -> float:
-    """Weight of a mass that is laid on a sensor [N], known to `WEIGHT_SHARE`."""
+    """Return the weight of a mass laid on a sensor [N]."""
     if not (math.isfinite(mass_kg) and mass_kg > 0):
         raise RangeError(f"a mass of {1e3 * mass_kg:g} g; give one above 0 g", code="mass-range")
     return mass_kg * GRAVITY_M_S2
@@ -288,7 +288,7 @@ def weight_n(mass_kg: float) -> float:
 def term_rows(
     names: Sequence[str], values: Float[ndarray, " t"], covariance: Covariance
 ) -> dict[str, dict[str, float]]:
-    """Each term's value and standard deviation, by its name."""
+    """Return each term's value and standard deviation by name."""
     spreads = np.sqrt(np.diag(covariance))
     return {
         name: {"value": float(value), "standard_deviation": float(spread)}
@@ -297,13 +297,13 @@ def term_rows(
 
 
 def untold_terms(names: Sequence[str], before: Covariance, after: Covariance) -> tuple[str, ...]:
-    """Terms of which hardly more is known than before."""
+    """Return terms whose uncertainty hardly fell."""
     was, now = np.sqrt(np.diag(before)), np.sqrt(np.diag(after))
     return tuple(name for name, b, a in zip(names, was, now, strict=True) if a > UNTOLD * b)
 
 
 def correlated_pairs(names: Sequence[str], covariance: Covariance) -> tuple[tuple[str, str], ...]:
-    """Pairs of terms that cannot be told apart: one may go up with the other."""
+    """Return pairs of terms that cannot be distinguished."""
     sd = np.sqrt(np.diag(covariance))
     high = np.abs(np.triu(covariance / np.outer(sd, sd), 1)) > TIED
     return tuple((names[i], names[j]) for i, j in np.argwhere(high))
@@ -341,5 +341,5 @@ def changed_since(
 
 
 def drifted(changes: dict[str, float]) -> tuple[str, ...]:
-    """Names of what has changed for sure, of changes in standard deviations."""
+    """Return names of significant changes, given in standard deviations."""
     return tuple(name for name, deviations in changes.items() if abs(deviations) > SAID)

@@ -54,7 +54,7 @@ def camera_motion(
 
 
 def _unexplained(fields: StrainFields, places: TouchPlaces | None) -> Float[ndarray, "n 2"]:
-    """Motion that the recovered traction does not explain; all of it where there is no traction."""
+    """Motion that the recovered traction does not explain."""
     traction = None if places is None else places.traction
     return fields.moved if traction is None else traction.unexplained_m
 

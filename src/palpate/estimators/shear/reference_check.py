@@ -42,7 +42,7 @@ class LatticeFit:
 
 
 def fit_lattice(points: ControlPoints) -> LatticeFit:
-    """Affine and cubic lattices through marks, marks that stray left out of the cubic."""
+    """Return the lattice fit of marks, with strays omitted from the cubic."""
     cells = _scaled(points.cells)
     affine = _fitted(cells, points.places, [(0, 0), (1, 0), (0, 1)], np.ones(len(cells), bool))
     sound = np.ones(len(cells), bool)
@@ -61,7 +61,7 @@ def fit_lattice(points: ControlPoints) -> LatticeFit:
 
 
 def refuse_reference(marks: SkinMarks, skin: object) -> LatticeFit:
-    """Refuse a reference that shows another skin, through another lens, or a touch."""
+    """Refuse a reference of another skin or lens, or with a touch."""
     points = marks.reference
     fit = fit_lattice(points)
     if isinstance(skin, TiledSkin):

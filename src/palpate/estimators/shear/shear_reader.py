@@ -44,7 +44,7 @@ class SlipWatch:
         self._past: deque[TouchPlace] = deque(maxlen=FRAMES)
 
     def slips(self, places: TouchPlaces) -> bool | None:
-        """Whether the contact has moved over the marks; None without one contact that was there before."""
+        """Return whether the contact moved over the marks; None without one contact seen before."""
         if len(places.contacts) != 1:
             self._past.clear()
             return None
@@ -65,7 +65,7 @@ def _apart(one: TouchPlace, other: TouchPlace) -> float:
 
 
 def _error(one: TouchPlace, other: TouchPlace) -> float:
-    """Standard error of their distance, along its worse axis."""
+    """Standard error of the distance, along the worse axis."""
     return max(math.hypot(one.x_error, other.x_error), math.hypot(one.y_error, other.y_error))
 
 
@@ -91,7 +91,7 @@ class FrameLook(NamedTuple):
 
 
 def pattern_box(places_px: Float[ndarray, "n 2"], shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of an image that hold marks."""
+    """Return rows and columns of an image that hold marks."""
     low = np.clip(places_px.min(axis=0), 0, None).astype(int)
     high = np.ceil(np.minimum(places_px.max(axis=0) + 1, shape[1::-1])).astype(int)
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
@@ -112,7 +112,7 @@ def look_at(image: Shaped[ndarray, ...], box: tuple[slice, slice]) -> FrameLook:
 
 
 def _level(values: Shaped[ndarray, ...], percent: float) -> float:
-    """Percentile of whole numbers from 0 on, as NumPy has it, by counting them."""
+    """Percentile of non-negative integers by counting, as NumPy defines it."""
     below = np.cumsum(np.bincount(values.ravel()))
     place = percent / 100 * (below[-1] - 1)
     lower, upper = np.searchsorted(below, [math.floor(place), math.ceil(place)], side="right")
@@ -120,7 +120,7 @@ def _level(values: Shaped[ndarray, ...], percent: float) -> float:
 
 
 def why_unreadable(now: FrameLook, reference: FrameLook) -> Refusal:
-    """Why a frame is not to be read against its reference; none where it may be."""
+    """Return the refusal of a frame that cannot be read relative to its reference."""
     if now.clipped > reference.clipped + MAX_CLIPPED:
         percent = f"{100 * now.clipped:.0f} %"
         return Refusal("saturated", f"{percent} of the pattern is saturated; lower light or exposure")
@@ -222,7 +222,7 @@ class ShearReader:
     def _damage(
         self, fields: StrainFields, places: TouchPlaces, points: ControlPoints, reach: Refusal
     ) -> Refusal:
-        """Why the skin looks torn; a contact outside the area moves marks as no model has it."""
+        """Refusal of a torn skin; a contact outside the area moves marks as no model predicts."""
         marks = self.marks
         torn = self._torn or damage_of(
             fields, places, marks.reference, points, marks.bare, marks.gap, marks.pitch, moved=not reach
@@ -230,7 +230,7 @@ class ShearReader:
         return Refusal("skin_torn", f"the skin looks torn: {torn}") if torn else NONE
 
     def _seen(self, frame: Frame) -> tuple[ControlPoints, StrainFields | None, Refusal]:
-        """Marks and strain of a frame, or why there are none."""
+        """Marks and strain of a frame, or the refusal."""
         tracked = self.marks.follow(frame.image)
         points = tracked.points
         refusal = Refusal("no_pattern", tracked.reason) if tracked.reason else NONE

@@ -73,7 +73,7 @@ def damage_of(
 
 
 def _moved(fields: StrainFields, places: TouchPlaces) -> str:
-    """Marks that have moved as no touch moves them, or where nothing touches."""
+    """Reason if marks moved as no touch moves them, or without a touch."""
     traction = places.traction
     error = np.sqrt(fields.variances.sum(axis=0))
     cells = fields.basis.cells
@@ -97,7 +97,7 @@ def _moved(fields: StrainFields, places: TouchPlaces) -> str:
 def _lost(
     reference: ControlPoints, seen: ControlPoints, bare: set[tuple[int, int]]
 ) -> Bool[ndarray, "rows columns"]:
-    """Cells of the reference without a mark in the frame, beside those of tiles that have come off."""
+    """Cells of the reference without a mark in the frame, except those of lost tiles."""
     low, high = reference.cells.min(axis=0), reference.cells.max(axis=0)
     size = (high - low + 1)[::-1]
     there = np.zeros(size, bool)
@@ -120,7 +120,7 @@ def _place_of(points: ControlPoints, cell: Int[ndarray, " 2"]) -> Float[ndarray,
 
 
 def _line_of(lost: Bool[ndarray, "rows columns"]) -> str:
-    """Whether cells are missing along a line, as a tear takes them."""
+    """Reason if cells are missing along a line."""
     single, count = label(lost, NEIGHBOURS)
     for i in range(1, count + 1):
         at = np.argwhere(single == i)

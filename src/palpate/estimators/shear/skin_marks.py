@@ -49,7 +49,7 @@ class TileCentres:
         self._box = _box(self._within, self._around // 2 + SMOOTH_REACH_PX)
 
     def at(self, cells: Float[ndarray, "n 2"] | Int[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-        """Places of cells, whole for corners and amid them for tiles [px]."""
+        """Return positions of cells, integer for corners and half-integer for tiles [px]."""
         return np.asarray(self._cubic(cells) @ self._fit)
 
     def bare(self, image: Shaped[ndarray, ...]) -> Bool[ndarray, " n"]:
@@ -63,7 +63,7 @@ class TileCentres:
         return {(i + di, j + dj) for i, j in tiles for di in (0, 1) for dj in (0, 1)}
 
     def longest_gap(self, image: Shaped[ndarray, ...], bare: Bool[ndarray, " n"]) -> float:
-        """Length of the longest dark line across tiles [pitches]; 0 below two."""
+        """Return the length of the longest dark line across tiles [pitches]; 0 below two."""
         rows, columns = self._box
         bright = cv2.GaussianBlur(brightest_channel(image[rows, columns]), (0, 0), SMOOTH_PX)
         around = cv2.dilate(bright, np.ones((self._around, self._around), np.uint8))
@@ -86,7 +86,7 @@ class TileCentres:
 
 
 def _box(mask: UInt8[ndarray, "h w"], beside_px: int) -> tuple[slice, slice]:
-    """Rows and columns of a mask, and some beside it, as far as there are any."""
+    """Rows and columns of a mask with a margin, inside the image."""
     x, y, width, height = cv2.boundingRect(mask)
     rows, columns = (
         slice(max(first - beside_px, 0), min(first + count + beside_px, size))
@@ -143,7 +143,7 @@ class TiledSkin:
 
     @property
     def pitch_px(self) -> float:
-        """Side of a tile in the image's middle [px]."""
+        """Side of a tile at the image center [px]."""
         return self.pitch_m * math.sqrt(self.lens.focal_px[0] * self.lens.focal_px[1]) / self.camera_m
 
 
@@ -166,10 +166,10 @@ class SkinMarks(Protocol):
     gap: float
 
     def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
-        """Marks of a frame on the skin [unit], or none and the reason."""
+        """Return marks of a frame on the skin [unit], or none and the reason."""
 
     def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
-        """Places of the skin [unit] in the image [px]."""
+        """Return positions on the skin [unit] in the image [px]."""
 
 
 class TileMarks:
@@ -204,7 +204,7 @@ class TileMarks:
         return TrackedPoints(points, tracked.found_anew)
 
     def _look(self, image: Shaped[ndarray, ...]) -> None:
-        """See which tiles have come off a frame, and whether a dark line crosses them."""
+        """Detect lost tiles, and a dark line across tiles."""
         off = self._tiles.bare(image)
         self.bare, self.gap = self._tiles.corners_of(off), self._tiles.longest_gap(image, off)
 
@@ -231,7 +231,7 @@ class DotMarks:
         self.gap = 0.0
 
     def follow(self, image: Shaped[ndarray, ...]) -> TrackedPoints:
-        """Dots of a frame, named by those of the frame before or, where these are lost, of the reference."""
+        """Return dots named as in the previous frame or, if lost, the reference."""
         if image.dtype != np.uint8 or image.shape != self._shape:
             raise InputError(
                 f"a frame {image.dtype} {list(image.shape)}; dots are followed in 8-bit frames of "
@@ -253,7 +253,7 @@ class DotMarks:
         return TrackedPoints(none, True, reason)
 
     def in_image(self, places: Shaped[ndarray, "n 2"]) -> Shaped[ndarray, "n 2"]:
-        """Places of the skin as a lens without distortion shows them [px]."""
+        """Return positions on the skin without lens distortion [px]."""
         return np.asarray(places * FLIPPED * self.px_per_unit + self._middle)
 
     def _known(self, found: ControlPoints) -> ControlPoints:
@@ -275,7 +275,7 @@ class DotMarks:
 
 
 def _pitch(cells: Shaped[ndarray, "n 2"], places: Shaped[ndarray, "n 2"]) -> float:
-    """Median distance of neighbours along a row."""
+    """Median distance of neighbors along a row."""
     at = dict(zip(map(tuple, cells.tolist()), places, strict=True))
     steps = [np.hypot(*(at[c + 1, r] - place)) for (c, r), place in at.items() if (c + 1, r) in at]
     return float(np.median(steps))

@@ -37,14 +37,14 @@ NEIGHBOURS = np.ones((3, 3), bool)
 
 
 def strayed(fields: StrainFields) -> int:
-    """Number of marks in the largest group that has moved beside an affine motion of all."""
+    """Return the number of marks in the largest group that moved relative to an affine motion."""
     error = np.sqrt(fields.variances.sum(axis=0))
     off = np.hypot(*_beside_affine(fields.rest, fields.moved).T)
     return largest_group(fields.basis.cells, off > STRAYED * error)
 
 
 def _beside_affine(at: Float[ndarray, "n 2"], moved: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-    """Shifts less an affine motion of all, marks that stray left out of it."""
+    """Shifts less an affine motion fitted without strays."""
     basis = np.column_stack([np.ones(len(at)), at / max(float(np.abs(at).max()), 1e-12)])
     sound = np.ones(len(at), bool)
     off = moved
@@ -56,7 +56,7 @@ def _beside_affine(at: Float[ndarray, "n 2"], moved: Float[ndarray, "n 2"]) -> F
 
 
 def largest_group(cells: Int[ndarray, "n 2"], which: Bool[ndarray, " n"]) -> int:
-    """Number of marks in the largest group of neighbours."""
+    """Return the number of marks in the largest group of neighbors."""
     if not which.any():
         return 0
     column, row = (cells[which] - cells.min(axis=0)).T
@@ -116,7 +116,7 @@ class TouchPlaces:
 
     @property
     def explained(self) -> bool:
-        """Whether a traction explains how the marks have moved."""
+        """Whether a traction explains the motion of the marks."""
         return self.traction is not None and self.traction.misfit < MAX_MISFIT
 
 
@@ -142,7 +142,7 @@ def touch_places(fields: StrainFields, marks: SkinMarks, skin: object) -> TouchP
 
 
 def _apart(peaks: list[ContactPeak], traction: RecoveredTraction) -> list[ContactPeak]:
-    """Peaks between which the pressure falls: lost marks part the stretch of an edge as well."""
+    """Peaks between which the pressure falls; lost marks also split the stretch of an edge."""
     near = cKDTree(traction.nodes_m)
     kept: list[ContactPeak] = []
     for peak in peaks:
@@ -166,7 +166,7 @@ def _pressed_edge(traction: RecoveredTraction) -> EdgeDirection | None:
 
 
 def _best_traction(fields: StrainFields, peaks: list[ContactPeak], skin: object) -> RecoveredTraction | None:
-    """Traction of a press straight down, or one with friction where that does not explain the marks."""
+    """Frictionless traction, or one with friction if that does not explain the marks."""
     if not isinstance(skin, TiledSkin) or skin.layers is None:
         return None
     traction = None
@@ -181,14 +181,14 @@ def _best_traction(fields: StrainFields, peaks: list[ContactPeak], skin: object)
 
 
 def _certain(traction: RecoveredTraction) -> bool:
-    """Whether its force stands out of the noise and its centre is known."""
+    """Whether its force is significant and its center known."""
     told = np.isfinite([*traction.centre_m, *traction.centre_error_m]).all()
     known = bool(told) and min(traction.centre_error_m) > 0
     return known and traction.force_n > MIN_FORCE * traction.force_error_n
 
 
 def _amid(traction: RecoveredTraction, peaks: list[ContactPeak]) -> float:
-    """Distance of the pressure's centre from the peaks' middle: under a light touch noise may draw it."""
+    """Distance of the center of pressure from the mean peak, which noise may shift."""
     x, y = np.mean([p[:2] for p in peaks], axis=0).tolist()
     return math.hypot(traction.centre_m[0] - x, traction.centre_m[1] - y)
 
@@ -200,7 +200,7 @@ def _near(ring: ShearRing, peaks: list[ContactPeak]) -> float:
 def _by_pressure(
     traction: RecoveredTraction, peaks: list[ContactPeak], rings: list[ShearRing]
 ) -> tuple[TouchPlace, ...]:
-    """The pressure's centre; of several contacts, that of the nodes nearest to each peak."""
+    """Center of pressure; for several contacts, of the nodes nearest to each peak."""
     spread = TRACTION_SPREAD if traction.closure == "frictionless" else FRICTION_SPREAD
     x_error, y_error = (spread * len(peaks) * error for error in traction.centre_error_m)
     away = [np.hypot(*(traction.nodes_m - p[:2]).T) for p in peaks]
@@ -227,7 +227,7 @@ CODE = "outside_calibrated_area"
 
 
 def area_of(marks: SkinMarks, skin: object) -> tuple[list[float], list[float]]:
-    """Least and greatest (x, y) of valid places [unit of the marks]."""
+    """Return the least and greatest (x, y) of valid positions [unit of the marks]."""
     rim = RIM * marks.pitch if isinstance(skin, TiledSkin) else 0.0
     at = marks.reference.places
     return (at.min(axis=0) + rim).tolist(), (at.max(axis=0) - rim).tolist()
@@ -249,7 +249,7 @@ def reach_of(fields: StrainFields, places: TouchPlaces, marks: SkinMarks, skin: 
 
 
 def _presses_outside(places: TouchPlaces, marks: SkinMarks) -> bool:
-    """Whether a large fraction of the recovered pressure lies outside of the outermost marks."""
+    """Whether much of the recovered pressure lies outside of the outermost marks."""
     traction, at = places.traction, marks.reference.places
     if traction is None or not traction.pressure_pa.sum() > 0:
         return False

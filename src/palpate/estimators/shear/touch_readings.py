@@ -140,7 +140,7 @@ def _verdict(why: Refusal) -> dict[str, Any]:
 
 
 class _Maker:
-    """Readings of one frame, with what they share."""
+    """Readings of one frame with their common fields."""
 
     def __init__(self, common: dict[str, Any], marks: SkinMarks, skin: object, lattice: LatticeFit) -> None:
         self._common, self._marks = common, marks
@@ -151,7 +151,7 @@ class _Maker:
             self._off, self._bent = (along, across), lattice.bent
 
     def place(self, contact: TouchPlace | None, why: Refusal) -> list[MeasurementResult]:
-        """Place, its error with that of lens and distance: the pattern's pitch shows their scale."""
+        """Position with the error of lens and distance, estimated from the pattern's pitch."""
         made: list[MeasurementResult] = []
         for i, axis in enumerate("xy"):
             at = NAN if contact is None else getattr(contact, axis)
@@ -191,7 +191,7 @@ class _Maker:
         ]
 
     def gamma(self, fields: StrainFields | None, places: TouchPlaces, why: Refusal) -> MeasurementResult:
-        """Gamma; its bound holds the noise, and the camera motion that is not reported."""
+        """Gamma, bounded by noise and unreported camera motion."""
         value = floor = NAN
         if fields is not None:
             alpha = PUBLISHED_ALPHA * self._marks.px_per_unit * (1 - 1e-12)

@@ -44,7 +44,7 @@ class EdgeDirection:
     centre: tuple[float, float]
 
     def contains(self, angle_rad: float) -> bool:
-        """Whether an angle, given up to half turns, lies within the 90 % interval."""
+        """Return whether an angle, modulo half turns, lies within the 90 % interval."""
         return abs(axial_difference(angle_rad, self.angle_rad)) <= self.half_rad
 
 
@@ -94,7 +94,7 @@ def edge_direction(fields: StrainFields, most_deformed: float = DEFORMED_SHARE) 
 def _axis(
     at: Float[ndarray, "2 k"], shifts: Float[ndarray, "2 k"], share: float
 ) -> tuple[float, float, tuple[float, float]]:
-    """Principal axis [rad], length over width, and centre of the samples that have moved most."""
+    """Principal axis [rad], length over width, and center of the samples that moved most."""
     size = np.hypot(*shifts)
     count = max(3, int(share * len(size)))
     most = at[:, np.argpartition(size, -count)[-count:]]

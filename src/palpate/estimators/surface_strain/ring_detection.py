@@ -75,7 +75,7 @@ class ShearRing:
 
 
 class ContactPeak(NamedTuple):
-    """Place of a contact's greatest stretch, and that area strain."""
+    """Position of a contact's greatest stretch, and its area strain."""
 
     x: float
     y: float
@@ -157,7 +157,7 @@ def find_rings(fields: StrainFields, peaks: list[ContactPeak] | None = None) -> 
 
 @lru_cache(maxsize=1)  # of one frame's fields several ask
 def mark_pitch(fields: StrainFields) -> float:
-    """Mean distance of the lattice's neighbours, from the area of a cell [unit]."""
+    """Return the mean distance of neighbors, from the area of a cell [unit]."""
     spans, seen = _spans(fields), fields.basis.supported.ravel()
     some = slice(None, None, 7 if seen.size > 700 else 1)  # a mean needs no more
     (uu, uv), (vu, vv) = fields.to_axes.reshape(2, 2, -1)[:, :, some][:, :, seen[some]]
@@ -177,14 +177,14 @@ def _smoothed(values: Field, seen: ndarray, widths: list[float]) -> Field:
 
 
 def _apart(values: Field, one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether values fall on the straight way between two places."""
+    """Whether values dip on the straight line between two positions."""
     way = [np.linspace(a, b, 25) for a, b in zip(one, other, strict=True)]
     between = map_coordinates(values, way, order=1)
     return bool(between.min() < MAX_SADDLE * min(values[one], values[other]))
 
 
 class _Shape(NamedTuple):
-    """A ring's outward, around and along parts for amplitudes of 1, with what its derivatives need."""
+    """Outward, around, and along parts of a ring for unit amplitudes, and terms of their derivatives."""
 
     d: Points
     s: float
@@ -240,7 +240,7 @@ def _bounded(params: Params) -> Params:
 
 
 def _fit(at: Points, shifts: Points, params: Params) -> tuple[Params, Float[ndarray, "p p"], Points] | None:
-    """Parameters, their covariance per mark's variance, and what is off; None where they do not settle."""
+    """Parameters, their covariance per mark variance, and the residual; None if it does not settle."""
     model, slopes = _model(params, at)
     off, damping = shifts - model, 1e-3
     loss = float((off**2).sum())
@@ -288,7 +288,7 @@ def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float, at: Points
 
 
 def _sizes(p: Float[ndarray, "p m"]) -> Float[ndarray, "p m"]:
-    """Centre, radius, width and the three shifts of rings, each a column [pitch]."""
+    """Center, radius, width, and the three shifts of rings, each a column [pitch]."""
     s, q = np.exp(p[2]), p[3]
     radius = 1 / np.sqrt(2 * q - 1)
     top = radius * (1 + radius**2) ** -q
@@ -296,7 +296,7 @@ def _sizes(p: Float[ndarray, "p m"]) -> Float[ndarray, "p m"]:
 
 
 def _half_width(q: Params) -> Params:
-    """Width [s] between the radii where r (1 + r^2)^-q is half its greatest."""
+    """Width [s] between the radii at which r (1 + r^2)^-q is half its maximum."""
     return np.interp(q, *_half_widths())
 
 

@@ -48,7 +48,7 @@ class ShearMeasure:
 
     @property
     def mean_form(self) -> float:
-        """Gamma of K samples with the mean shift of the seen ones: the same where none is missing."""
+        """Gamma of K samples with the mean shift of the seen ones."""
         return self.alpha * self.count * self.mean
 
 

@@ -58,7 +58,7 @@ class SurfaceBasis:
         return len(self.u) * len(self.v)
 
     def net(self, places: Float[ndarray, "n 2"]) -> Float[ndarray, "2 rows columns"]:
-        """Control net P of marks in the order of the cells, in their unit."""
+        """Return the control net P of marks in the order of the cells, in their unit."""
         if places.shape != self.cells.shape:
             raise InputError(
                 f"places of the shape {places.shape} for {len(self.cells)} cells; give (x, y) of each"
@@ -68,7 +68,7 @@ class SurfaceBasis:
     def sampled(
         self, net: Float[ndarray, "2 rows columns"], operator: Operator = "value"
     ) -> Float[ndarray, "2 nv nu"]:
-        """Surface of a net at the samples, or its derivative by u or by v."""
+        """Return the surface of a net at the samples, or its derivative by u or v."""
         Nu, Nv = self._rows(operator)
         return np.asarray(Nv @ net @ Nu.T)
 
@@ -146,7 +146,7 @@ def _basis(
 
 
 def _knots(length: int, degree: int, cells_per_knot: float) -> Float[ndarray, " t"]:
-    """Even knots from 0 to a length [cells], and `degree` more to each side, as an even net needs."""
+    """Even knots from 0 to a length [cells], and `degree` more on each side."""
     pieces = max(1, math.ceil(length / cells_per_knot - 1e-9))
     return np.arange(-degree, pieces + degree + 1) * (length / pieces)
 
@@ -154,13 +154,13 @@ def _knots(length: int, degree: int, cells_per_knot: float) -> Float[ndarray, " 
 def _functions(
     knots: Float[ndarray, " t"], degree: int, at: Float[ndarray, " s"], per_unit: float = 1.0
 ) -> tuple[Rows, Rows]:
-    """Basis functions at places, and their derivatives times `per_unit` ``[s k]``."""
+    """Basis functions at positions, and their derivatives times `per_unit` ``[s k]``."""
     splines = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
     return splines(at), splines.derivative()(at) * per_unit
 
 
 def _fitting(on_u: Rows, on_v: Rows, held: float) -> Float[ndarray, "rows columns n"]:
-    """Net from places: (B'B + held D'D)^-1 B'."""
+    """Map from positions to the net: (B'B + held D'D)^-1 B'."""
     n, columns, rows = len(on_u), on_u.shape[1], on_v.shape[1]
     B = (on_v[:, :, None] * on_u[:, None, :]).reshape(n, -1)
     one_u, one_v, bend_u, bend_v = (
@@ -180,7 +180,7 @@ def _fitting(on_u: Rows, on_v: Rows, held: float) -> Float[ndarray, "rows column
 def _supported(
     cells: Int[ndarray, "n 2"], length: tuple[int, int], samples: tuple[int, int]
 ) -> Bool[ndarray, "nv nu"]:
-    """Samples in squares of the lattice of which three marks or more are there."""
+    """Samples in lattice squares with three or more marks."""
     if min(length) < 1:
         raise RangeError("marks of a single row or column of the lattice are no surface; give more of it")
     there = np.zeros((length[1] + 1, length[0] + 1), int)

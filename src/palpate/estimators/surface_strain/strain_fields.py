@@ -76,17 +76,17 @@ class StrainFields:
 
     @property
     def shear(self) -> Field:
-        """Engineering shear H_xy + H_yx, the change of the angle between lines along x and y [rad]."""
+        """Engineering shear H_xy + H_yx [rad]."""
         return self.gradient[0, 1] + self.gradient[1, 0]
 
     @property
     def area_strain(self) -> Field:
-        """Growth of area to first order, H_xx + H_yy."""
+        """Area strain to first order, H_xx + H_yy."""
         return self.gradient[0, 0] + self.gradient[1, 1]
 
     @property
     def area_ratio(self) -> Field:
-        """Area over the reference's at any strain, det F."""
+        """Area ratio at any strain, det F."""
         (xx, xy), (yx, yy) = self.gradient
         return (1 + xx) * (1 + yy) - xy * yx
 
@@ -97,7 +97,7 @@ class StrainFields:
 
     @property
     def greatest_shear(self) -> Field:
-        """Greatest engineering shear over all directions in the surface, greatest less least strain."""
+        """Greatest engineering shear over all directions."""
         xx, yy = self.gradient[0, 0], self.gradient[1, 1]
         return np.hypot(xx - yy, self.shear)
 
@@ -107,7 +107,7 @@ class StrainFields:
         return PrincipalStrains(middle + radius, middle - radius, np.arctan2(shear, xx - yy) / 2)
 
     def gradient_covariance(self) -> Float[ndarray, "2 2 2 2 nv nu"]:
-        """Covariance of H_ij and H_kl at each sample, ``[i j k l nv nu]``; see the module."""
+        """Return the covariance of H_ij and H_kl at each sample ``[i j k l nv nu]``."""
         now, rest = (self._covariance_along_axes(variance) for variance in self.variances[::-1])
         F = self.gradient + np.eye(2)[:, :, None, None]
         FF = np.einsum("im...,km...->ik...", F, F)
@@ -127,7 +127,7 @@ class StrainFields:
         return np.asarray(np.einsum("aj...,ab...,bl...->jl...", self.to_axes, by_parameters, self.to_axes))
 
     def errors(self) -> StrainErrors:
-        """Standard errors of the fields, to first order in the noise."""
+        """Return standard errors of the fields, to first order in the noise."""
         covariance = self.gradient_covariance()
         angle = self.principal().direction_rad
         c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
@@ -153,7 +153,7 @@ def _error(covariance: Float[ndarray, "2 2 2 2 nv nu"], weights: Float[ndarray, 
 
 
 class _Rest(NamedTuple):
-    """The reference's surface on one set of marks."""
+    """Reference surface on one set of marks."""
 
     basis: SurfaceBasis
     at: Float[ndarray, "2 nv nu"]
@@ -251,7 +251,7 @@ class StrainMeter:
 def strain_fields(
     reference: ControlPoints, current: ControlPoints, degree: int = 1, samples: tuple[int, int] = SAMPLES
 ) -> StrainFields:
-    """Strain of one frame; `StrainMeter` for more of the same reference."""
+    """Return the strain of one frame; use `StrainMeter` for several."""
     return StrainMeter(reference, degree, samples).fields(current)
 
 

@@ -124,7 +124,7 @@ class RecoveredTraction:
 
     @property
     def friction_used(self) -> float:
-        """Lateral force over normal force; all of the contact slides where it is Coulomb's coefficient."""
+        """Lateral over normal force; the contact slides at Coulomb's coefficient."""
         return math.hypot(*self.lateral_n) / self.force_n
 
 
@@ -204,7 +204,7 @@ def recover_traction(
 
 
 def _middle_motion(skin: PatternedSkin, away: Points, spacing: float) -> Matrix:
-    """Shift (x, y), rotation and sinking of the pattern amid nodes, under loads q_x, q_y and p of 1 Pa."""
+    """Shift, rotation, and sinking of the pattern amid nodes under unit loads q_x, q_y, and p."""
     h = spacing / 2
     at = 1 + h * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     flat, near = (
@@ -233,7 +233,7 @@ def _principal_axis(
 def _amid(
     motion: Matrix, loads: Float[ndarray, " _"], used: ndarray, inverse: Matrix
 ) -> tuple[tuple[float, ...], tuple[float, ...], float]:
-    """Shift and rotation of the middle, their standard errors, and its sinking."""
+    """Shift and rotation of the center with standard errors, and its sinking."""
     values = (motion @ loads).tolist()
     of_used = motion[:, used]
     errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_used, inverse, of_used), 0.0)).tolist()
@@ -244,7 +244,7 @@ def _closed(
     skin: PatternedSkin, closure: str, G: list[Matrix], seen: Float[ndarray, " _"], smooth: Matrix,
     nodes: Points, spacing: float, weight: float,
 ) -> tuple[Matrix, list[Matrix], list[Float[ndarray, " _"]]]:  # fmt: skip
-    """Loads (q_x, q_y, p at all nodes) of unknowns that are not negative, and more equations on these."""
+    """Loads (q_x, q_y, p) as a map of non-negative unknowns, and further equations."""
     n = len(nodes)
     one, zero = np.eye(n), np.zeros((n, n))
     if closure == "frictionless":
@@ -306,7 +306,7 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
 
 
 def _differences(inside: Bool[ndarray, "ny nx"]) -> Matrix:
-    """Differences of neighbours in a row, then in a column, and of what lies at the edge to 0 beyond."""
+    """Differences of neighbors in a row, then in a column, and of edges to 0 beyond."""
     number = np.pad(np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1), 1, constant_values=-1)
     pairs = [
         np.stack([number[1:-1, :-1].ravel(), number[1:-1, 1:].ravel()]),
@@ -325,7 +325,7 @@ def _differences(inside: Bool[ndarray, "ny nx"]) -> Matrix:
 def _motion(
     skin: PatternedSkin, interface: int, at: Points, nodes: Points, spacing: float, first: int = 0
 ) -> list[Matrix]:
-    """What a camera sees move at places, x then y, under loads q_x, q_y and p of 1 Pa at nodes [m/Pa]."""
+    """Motion seen by a camera, x then y, under unit loads q_x, q_y, and p at nodes [m/Pa]."""
     tilt = np.zeros_like(at) if math.isinf(skin.camera_m) else at / skin.camera_m
     return list(_seen_motion(_node_motion(skin.stack, interface, spacing), at, nodes, tilt, CELL_M, first))
 
@@ -367,7 +367,7 @@ def _seen_motion(knots, at, nodes, tilt, cell, first_load):
 
 @lru_cache(maxsize=8)
 def _node_motion(stack: Stack, interface: int, spacing: float) -> Float[ndarray, "side side load component"]:
-    """Cubic splines of the motion about a node whose load falls to 0 at its neighbours."""
+    """Cubic splines of the motion about a node whose load falls to 0 at its neighbors."""
     waves = spread(Cells(SIDE, SIDE, CELL_M, CELL_M), 0.0)
     in_plane, across = climb(stack.slabs, stack.below, waves.k)
     one, other = in_plane[interface], across[interface]
@@ -397,7 +397,7 @@ def _node_motion(stack: Stack, interface: int, spacing: float) -> Float[ndarray,
 
 
 def _spread_of(G: Matrix, smooth: Matrix, node: int, spacing: float) -> float:
-    """Diameter at half height of what one node's pressure comes back as, without the bound at 0 [m]."""
+    """Full width at half maximum of one node's recovered pressure, without the bound at 0 [m]."""
     normal = G.T @ G
     back = np.linalg.solve(normal + smooth.T @ smooth, normal[:, node])
     return math.sqrt(4 / math.pi * int((back > back.max() / 2).sum())) * spacing
