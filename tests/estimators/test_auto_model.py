@@ -96,13 +96,6 @@ def test_time_is_kept_to_a_candidates_step(monkeypatch, rng) -> None:
         assert mean.error is not None
 
 
-def test_no_time_at_all_leaves_the_mean(no_network, rng) -> None:
-    data = spots(40, rng)
-    fitted = AutoModel(minutes=1e-9).fit(data, np.arange(40), seed=0)
-    assert fitted.choice.chosen == "mean"
-    np.testing.assert_allclose(fitted.predict(data.fetch(np.arange(3))), data.values.mean(), rtol=1e-6)
-
-
 def test_a_network_is_tried_where_the_time_allows(monkeypatch, rng) -> None:
     pytest.importorskip("torch", reason="the extra `train` is not installed")
     for name, value in (("MIN_EPOCHS", 2), ("MAX_EPOCHS", 2), ("MAX_MEMBERS", 1)):

@@ -130,20 +130,6 @@ def test_a_sequence_pairs_each_frame_with_the_last_or_with_the_first() -> None:
     assert list(along(frames, pair, from_first=True, threads=3)) == [(0, i + 1) for i in range(29)]
 
 
-def test_a_sequence_is_read_little_ahead_of_what_is_asked_for() -> None:
-    read = []
-
-    def frames():
-        for i in range(1000):
-            read.append(i)
-            yield np.zeros((8, 8), np.uint8)
-
-    flows = along(frames(), flow, threads=2)
-    next(flows)
-    assert len(read) < 20
-    flows.close()
-
-
 def test_memory_does_not_grow_with_the_sequence(rng, tmp_path) -> None:
     def peak(frames: int) -> int:
         path = tmp_path / f"{frames}.tif"

@@ -51,13 +51,6 @@ def test_one_area_in_more_frames_has_one_regression_and_a_larger_sum() -> None:
     assert many.spreads["paper"].rate_m2_n > 2.5 * few.spreads["paper"].rate_m2_n
 
 
-def test_what_a_press_does_not_allow_is_left_out(usual) -> None:
-    left = usual.above(float(usual.force_n[-2]))
-    assert len(left.force_n) == 2
-    assert "regression" not in left.spreads or np.isfinite(left.spreads["regression"].rate_m2_n)
-    assert usual.above(100.0).spreads == {}
-
-
 def test_the_circle_goes_through_the_outermost_pin_and_passes_lost_ones_over() -> None:
     at = np.array([[50.0, 40.0], [70.0, 40.0], [30.0, 40.0], [50.0, 60.0], [50.0, 20.0], [np.nan, np.nan]])
     circle = circle_through_pins(at, 80, 100)

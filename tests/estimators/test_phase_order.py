@@ -52,16 +52,6 @@ def test_six_steps_give_order_and_axis_past_whole_orders_with_a_deviation_that_i
     assert np.degrees(np.sqrt(np.mean(turned(found.axis_rad, AXIS)[clear] ** 2))) < 1.5
 
 
-@pytest.mark.parametrize("noise", [0.05])
-def test_a_wide_fold_is_crossed_as_the_axes_say(noise):
-    """A slow rise past half and whole orders: no pixel at a fold knows its axis, those behind it do."""
-    N = np.tile(np.linspace(0.1, 1.3, 240), (20, 1))
-    axis = np.full(N.shape, 0.4)
-    found = order_from_phases(phases(N, axis, SIX_STEPS, noise), SIX_STEPS, (10, 4, float(N[10, 4])))
-    assert np.abs(found.order - N)[found.valid].max() < 10 * noise
-    assert found.valid.mean() > 0.85
-
-
 def test_the_steps_are_those_of_a_polariscope_built_of_its_elements():
     """Polariser and quarter-wave plate, specimen, quarter-wave plate and analyser, turned as published."""
 

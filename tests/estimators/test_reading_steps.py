@@ -12,7 +12,6 @@ import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.calibration_job import ReferenceRule
-from palpate.calibration.sessions import reset_intervals
 from palpate.core import Image, Lens
 from palpate.core.refusal import ReasonCode
 from palpate.estimators import Estimator, read_card
@@ -196,38 +195,6 @@ def test_a_reader_that_knows_no_circle_stops_at_one(calibrate_spots, tmp_path, m
     with pytest.raises(AssertionError):
         exec(WITHOUT_PALPATE, {})
     assert all(part in words for part in ("atan2", "untold_width", "2 numbers"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("reset", [False, True])
-def test_a_reader_passes_classes_over_and_reads_a_reset_card(
-    reset, record_spots, tmp_path, monkeypatch, rewritten
-) -> None:
-    """A network with two outputs for classes behind one target's; intervals of another recording."""
-
-    def told(name: str, seed: int):
-        run = record_spots(f"{name}-plain", 16, seed=seed)
-        return rewritten(
-            run, tmp_path / name, lambda row: {**row, "session": name, "right": str(row["x_mm"] > 0)}
-        )
-
-    run = told("day0", 0)
-    plan = CalibrationPlan(
-        ("x_mm",), "pca-ridge", split="group:press", size_px=(24, 32), classes={"right": ()}
-    )
-    calibrate(run, plan, tmp_path / "cal")
-    if reset:
-        (tmp_path / "cal").rename(tmp_path / "former")
-        reset_intervals(tmp_path / "former", told("day1", 1), tmp_path / "cal")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
-    exec(WITHOUT_PALPATE, names)
-    estimator, words = Estimator.open("cal"), " ".join(read_card("cal").steps.words)
-    for i in (1, 8, 15):
-        frame = run.frame(i).image
-        reading = estimator.read(frame)["x_mm"]
-        assert names["read"](frame)["x_mm"][:3] == pytest.approx((reading.value, reading.low, reading.high))
-    assert "3 numbers" in words
 
 
 def test_grey_is_the_card_s_whole_numbers_for_every_colour() -> None:

@@ -64,12 +64,6 @@ def test_with_shuffled_radii_the_surface_tells_nothing_of_them(rng) -> None:
     assert np.linalg.norm(bad.misses, axis=1).max() > 2 * np.linalg.norm(good.misses, axis=1).max()
 
 
-def test_references_of_which_none_lies_between_others_have_no_misses(rng) -> None:
-    least = [*FLATS[:1], FLATS[1], FLATS[3], RIGID[0], RIGID[2], SOFT[0], SOFT[3]]
-    by = surface(least, rng)
-    assert by.misses.shape == (0, by.space.means.shape[1])
-
-
 @pytest.mark.parametrize(
     "references", [FLATS + RIGID, FLATS + RIGID[:1] + SOFT, FLATS[1:] + RIGID + SOFT, RIGID + SOFT]
 )

@@ -75,17 +75,6 @@ def test_one_missing_mark_is_bridged_and_two_neighbours_leave_their_square_out()
     assert (at <= np.array([5, 4]) + 1e-9).all()
 
 
-def test_the_order_of_the_marks_does_not_matter_and_a_set_is_kept():
-    cells = lattice()
-    basis = surface_basis(cells)
-    assert surface_basis(cells.copy()) is basis
-    assert basis.count == 26_896
-    back = surface_basis(cells[::-1])
-    np.testing.assert_allclose(
-        back.sampled(back.net(bent(cells[::-1]))), basis.sampled(basis.net(bent(cells))), atol=1e-9
-    )
-
-
 @pytest.mark.parametrize(("degree", "apart"), [(1, 1.0), (3, 2.0)])
 def test_covariance_is_that_of_the_operators(degree, apart):
     cells = np.delete(lattice(), [11, 30], axis=0)

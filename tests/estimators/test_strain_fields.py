@@ -127,20 +127,6 @@ def test_a_reference_that_folds_is_refused():
         strain_fields(ControlPoints(folded.cells, places, folded.sigma, "m"), rest())
 
 
-def test_marks_the_reference_does_not_know_are_left_out():
-    now = moved(rest())
-    extra = ControlPoints(
-        np.concatenate([now.cells, [[40, 3], [-2, 1]]]),
-        np.concatenate([now.places, [[1, 1], [2, 2]]]),
-        np.concatenate([now.sigma, [0, 0]]),
-        "m",
-    )
-    shuffled = np.random.default_rng(0).permutation(len(extra))
-    extra = ControlPoints(extra.cells[shuffled], extra.places[shuffled], extra.sigma[shuffled], "m")
-    one, other = (strain_fields(rest(), points, samples=(9, 7)) for points in (now, extra))
-    np.testing.assert_array_equal(one.gradient, other.gradient)
-
-
 def test_a_plane_needs_pixels_and_a_distance():
     lens = palpate.sensor("nusense").spec.lens
     with refused("unit-differs", InputError):

@@ -87,7 +87,6 @@ def sealed_from(kind: type[S], text: bytes, path: Path, own_format: str, what: s
         ) from e
     if card_id(found.model_dump(mode="json")) != found.id:
         raise CertificateError(
-            f"{path} was altered: its content no longer gives its id {found.id}; {remedy}",
-            code="card-altered",
+            f"{path} was altered: it does not match its id {found.id}; {remedy}", code="card-altered"
         )
     return found

@@ -92,8 +92,7 @@ def checked_file(folder: Path, part: FileCard) -> Path:
         )
     if path.stat().st_size > MAX_MODEL_BYTES or sha256_of(path) != part.sha256:
         raise CertificateError(
-            f"{path} is not the file this card was made with (its SHA-256 differs); "
-            "restore it or calibrate again",
+            f"{path} has another SHA-256 than its card states; restore it or calibrate again",
             code="file-hash",
         )
     return path
@@ -327,8 +326,7 @@ class Estimator:
     def _check_zero(self, zero: Zero | None) -> None:
         if self.card.input.delta and zero is None:
             raise ImageError(
-                "this calibration is differential: it needs an image of the untouched sensor; "
-                "give one with --reference FRAME"
+                "this calibration needs an image without contact; give one with --reference FRAME"
             )
 
     def _check_size(self, image: Image) -> None:

@@ -191,8 +191,8 @@ def _joint(
     best = int(joint.argmin())
     if joint[best] > HOPELESS:
         raise RangeError(
-            f"no order up to {greatest_order:g} explains the light ({joint[best]:.0%} is left over): check "
-            "the specimen's place in the photographs, the lamp, and --max-order",
+            f"no order up to {greatest_order:g} explains the light (residual {joint[best]:.0%}); check "
+            "--max-order",
             code="order-not-found",
         )
     own, told = _own_orders(cost, orders, slopes[best] * load_n, top)
@@ -238,7 +238,5 @@ def _check(load_n: ndarray, light: ndarray, field: ndarray) -> None:
         raise InputError("some light or field is negative or no number; leave out what is no specimen")
     if np.ptp(field) < MIN_CONTRAST * field.max():
         raise InputError(
-            "the stress is nearly even over the region, so that one photograph does not tell its order; use "
-            "fit_orders, which compares loads",
-            code="stress-uniform",
+            "the stress is nearly uniform over the region; use fit_orders", code="stress-uniform"
         )

@@ -81,8 +81,7 @@ def one_line(wavelength_m: float, bandwidth_m: float = 0.0) -> Polariscope:
     low, high = VISIBLE_M if bandwidth_m == 0 else (400e-9, 700e-9)
     if not low <= wavelength_m <= high:
         raise RangeError(
-            f"wavelength {wavelength_m * 1e9:g} nm is outside {low * 1e9:g} to {high * 1e9:g} nm; sodium is "
-            "589.3 nm"
+            f"wavelength {wavelength_m * 1e9:g} nm; allowed are {low * 1e9:g} to {high * 1e9:g} nm"
         )
     if not 0.0 <= bandwidth_m <= WIDEST_M:
         raise RangeError(

@@ -78,9 +78,7 @@ class Traces:
         if open_light is not None:
             if not (np.isfinite(open_light).all() and (open_light[..., use] > 0).all()):
                 raise InputError(
-                    "the photograph between parallel polarisers is dark somewhere in the region; take it "
-                    "with the specimen unloaded and the analyser turned by 90 degrees",
-                    code="white-image",
+                    "the photograph between parallel polarisers is dark in the region", code="white-image"
                 )
             y = np.concatenate([y, open_light[None, :, use]])
             cut = np.concatenate([cut, np.zeros((1, *cut.shape[1:]), dtype=bool)])
@@ -398,8 +396,7 @@ def fit_orders(
     half = best.half_width()
     if not half < best.slope:
         raise RangeError(
-            f"the photographs do not tell the orders per newton: {best.slope:.3g} ± {half:.2g} 1/N reaches "
-            "zero; load more, take more photographs, or move the region to where the stress is uniform"
+            f"the slope {best.slope:.3g} ± {half:.2g} 1/N reaches zero; take more photographs or load more"
         )
     others = [fit for fit in fits if fit is not best and fit.whole]
     rivals = [_rival(fit, best) for fit in others if abs(fit.slope - best.slope) > half]
@@ -435,15 +432,14 @@ def check_loads(load_n: Float[ndarray, " n"]) -> None:
     photographs, loads = len(load_n), len(np.unique(load_n))
     if loads == 1:
         raise InputError(
-            f"{photographs} photograph(s) at 1 load ({load_n[0]:.4g} N) cannot tell C: any number of whole "
-            f"orders more gives the same light; take {MIN_PHOTOGRAPHS} or more at {MIN_LOADS} or more "
-            "different loads, unevenly spaced",
+            f"{photographs} photograph(s) at 1 load ({load_n[0]:.4g} N) do not identify C; take "
+            f"{MIN_PHOTOGRAPHS} at {MIN_LOADS} or more different loads, unevenly spaced",
             code="too-few-loads",
         )
     if photographs < MIN_PHOTOGRAPHS or loads < MIN_LOADS:
         raise InputError(
-            f"{photographs} photograph(s) at {loads} load(s) cannot tell slope, residual order, gain and "
-            f"leak apart; take {MIN_PHOTOGRAPHS} or more at {MIN_LOADS} or more different loads"
+            f"{photographs} photograph(s) at {loads} load(s); take {MIN_PHOTOGRAPHS} at {MIN_LOADS} "
+            "different loads"
         )
 
 
@@ -486,9 +482,7 @@ def _lively(light: ndarray) -> list[int]:
     change = np.ptp(light, axis=0).mean(axis=0)
     if not change.max() > 0:
         raise InputError(
-            "the light in the region is the same at every load; move the region onto the specimen, or load "
-            "more",
-            code="light-constant",
+            "the light in the region is the same at every load; move the region", code="light-constant"
         )
     return [int(c) for c in np.flatnonzero(change >= _DULL * change.max())]
 
@@ -498,7 +492,7 @@ def _check(
 ) -> None:
     if len(load_n) != len(light) or light.shape[2] != polariscope.spectrum.weight.shape[1]:
         raise InputError(
-            f"{len(load_n)} loads and light of shape {light.shape} do not belong to one series of "
+            f"{len(load_n)} loads and light of shape {light.shape}, but "
             f"{polariscope.spectrum.weight.shape[1]} channels",
             code="shape",
         )

@@ -288,21 +288,19 @@ def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> st
         )
     if strangers := [part for part in parts if part not in targets]:
         raise InputError(
-            f"vector {name}: {', '.join(strangers)} are not among the targets, {', '.join(targets)}",
+            f"vector {name}: {', '.join(strangers)} not among the targets {', '.join(targets)}",
             code="no-target",
         )
     units = {split_column(part)[1].symbol for part in parts}
     if len(units) > 1:
         raise InputError(
-            f"vector {name}: its components are in {', '.join(sorted(units))}; a vector has one unit",
-            code="vector-units",
+            f"vector {name} has components in {', '.join(sorted(units))}; give one unit", code="vector-units"
         )
     (symbol,) = units
     column = name if name.endswith(f"_{symbol}") else f"{name}_{symbol}"
     if column in targets:
         raise InputError(
-            f"vector {name}: {column} is a target already; give the vector a name of its own",
-            code="name-taken",
+            f"vector {name}: {column} is a target already; choose another name", code="name-taken"
         )
     return column
 

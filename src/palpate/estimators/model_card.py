@@ -287,13 +287,13 @@ class InputCard(CardPart):
         """Refuse frames of another lens than the calibrated one."""
         if self.lens is None:
             raise InputError(
-                f"the frames come through lens {lens.id}, and the calibration was made without a lens: it "
-                "takes frames as the camera gives them. Leave --lens out for those, or calibrate with it"
+                f"the frames use lens {lens.id}, the calibration was made without a lens; omit --lens, or "
+                "calibrate with it"
             )
         if self.lens.id != lens.id:
             raise InputError(
-                f"the frames come through lens {lens.id}, and the calibration was made through lens "
-                f"{self.lens.id}: its numbers hold for that camera alone. Calibrate with --lens of this one"
+                f"the frames use lens {lens.id}, the calibration {self.lens.id}; calibrate with --lens of "
+                "this one"
             )
 
 

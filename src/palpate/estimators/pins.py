@@ -146,8 +146,7 @@ def find_pins(image: Shaped[ndarray, ...], least: int = MIN_PINS, *, on_lattice:
     grey = grey_frame(image)
     if grey is None:
         raise ImageError(
-            "pins are found in 8-bit grey [h w] or colour [h w 3] images, got "
-            f"{image.dtype} {list(image.shape)}",
+            f"an image {image.dtype} {list(image.shape)}; give 8-bit grey [h w] or colour [h w 3]",
             code="pixel-format",
         )
     if least < 2:
@@ -382,8 +381,7 @@ def follow(frames: Iterable[Shaped[ndarray, ...]], pins: PinTracks) -> Iterator[
         grey = grey_frame(frame)
         if grey is None:
             raise InputError(
-                "pins are followed in 8-bit grey [h w] or colour [h w 3] frames, got "
-                f"{frame.dtype} {list(frame.shape)}",
+                f"a frame {frame.dtype} {list(frame.shape)}; give 8-bit grey [h w] or colour [h w 3]",
                 code="pixel-format",
             )
         xy, weight = _centroids(grey, now.xy_px, pins.reach_px, floors)

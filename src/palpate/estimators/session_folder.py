@@ -41,7 +41,7 @@ def calibration_kind(path: Path) -> str:
     kind = _array_kind(path) if path.suffix == ".npz" else _unit_kind(path)
     if not kind:
         raise InputError(
-            f"{path} is no calibration: a folder, a unit's JSON, or an .npz made by `palpate calibrate`",
+            f"{path} is no calibration of `palpate calibrate`: a folder, JSON, or .npz",
             code="calibration-unknown",
         )
     return kind

@@ -96,7 +96,6 @@ def default_period(symbol: str) -> float:
     unit(symbol)
     if symbol not in FULL_TURN:
         raise UnitError(
-            f"a quantity in {symbol} has no period of its own; give it, as in --circular "
-            f"phase_{symbol}=PERIOD"
+            f"a quantity in {symbol} has no default period; give --circular phase_{symbol}=PERIOD"
         )
     return FULL_TURN[symbol]

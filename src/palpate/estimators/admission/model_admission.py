@@ -256,10 +256,7 @@ def _check_interface(graph: Any, image: tuple[int, int, int], outputs: int) -> N
     for values, name, wanted in ((graph.input, "image", image), (graph.output, "value", (outputs,))):
         stated = [(one.name, one.type.tensor_type.elem_type, _dims(one)) for one in values]
         if stated != [(name, FLOAT, wanted)]:
-            raise refuse(
-                "interface",
-                f"it states {stated!s:.200}, its card {name} {list(wanted)}; they do not belong together",
-            )
+            raise refuse("interface", f"it states {stated!s:.200}, its card {name} {list(wanted)}")
 
 
 def _dims(value: Any) -> tuple[int, ...]:

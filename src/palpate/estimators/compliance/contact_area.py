@@ -63,8 +63,7 @@ def fit_area(
     ]
     if sum(int(one.sum()) for one in masks) < MIN_FRAMES:
         raise InputError(
-            f"{sum(int(one.sum()) for one in masks)} frames of the references have a known contact area; "
-            f"{MIN_FRAMES} or more are needed, from a rigid plate and a soft reference",
+            f"{sum(int(one.sum()) for one in masks)} reference frames of known area; give {MIN_FRAMES}",
             code="too-few-frames",
         )
     x = [one[good] for one, good in zip(measures, masks, strict=True)]

@@ -40,9 +40,7 @@ class Field:
         both = untouched.found & now.found
         if both.sum() < MIN_PINS:
             raise InputError(
-                f"{int(both.sum())} pins are left of {len(both)}; {MIN_PINS} are needed: pins were "
-                "lost, look at light, focus and speed",
-                code="pins-lost",
+                f"{int(both.sum())} of {len(both)} pins are left; {MIN_PINS} are needed", code="pins-lost"
             )
         return cls(untouched.xy_px[both], (now.xy_px - untouched.xy_px)[both])
 
@@ -117,8 +115,7 @@ class RigidPlateStretch:
         good = np.isfinite(rings) & np.isfinite(stretches)
         if good.sum() < 6:
             raise InputError(
-                f"{int(good.sum())} states with a ring on the rigid plate; 6 or more are needed",
-                code="too-few-rings",
+                f"{int(good.sum())} rings on the rigid plate; 6 are needed", code="too-few-rings"
             )
         return cls(
             np.polyfit(rings[good], stretches[good], 3), (float(rings[good].min()), float(rings[good].max()))
@@ -129,8 +126,7 @@ class RigidPlateStretch:
         low, high = self.ring_px
         if not 0.98 * low <= ring <= 1.02 * high:
             raise RangeError(
-                f"a ring of {ring:.4g} px; on the rigid plate it went from {low:.4g} to {high:.4g} px",
-                code="ring-outside-range",
+                f"a ring of {ring:.4g} px; known are {low:.4g} to {high:.4g} px", code="ring-outside-range"
             )
         return float(stretch / np.polyval(self.coefficients, ring))
 

@@ -150,8 +150,7 @@ def _slopes(press: PressCurves) -> tuple[float, float]:
     )
     if not (force.shape == approach.shape == area.shape) or force.ndim != 1 or len(force) < MIN_SAMPLES:
         raise InputError(
-            f"{force.size} forces, {approach.size} approaches and {area.size} areas; a press has "
-            f"{MIN_SAMPLES} or more of each",
+            f"{force.size} forces, {approach.size} approaches, {area.size} areas; give {MIN_SAMPLES}",
             code="too-few-values",
         )
     if not (np.isfinite([force, approach, area]).all() and force.min() > 0 and area.min() > 0):

@@ -102,8 +102,8 @@ def as_reported(
     divergence = np.array([step.divergence for step in steps])[-len(used) :]
     if len(divergence) < len(used) or not len(used):
         raise InputError(
-            f"{len(divergence)} steps between frames for {len(used)} frames under {CONTACT_N:g} to "
-            f"{MAX_N:g} N; give the frames and the table of one press, from a frame before contact on",
+            f"{len(divergence)} steps for {len(used)} frames under {CONTACT_N:g} to {MAX_N:g} N; begin "
+            "before contact",
             code="frames-differ",
         )
     return AsReported(smooth[at[used]], divergence, area_m2(1.0, divergence))

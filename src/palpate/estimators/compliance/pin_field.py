@@ -53,8 +53,7 @@ def pin_field(places: Points, cells: Int[ndarray, "p 2"]) -> PinField:
     at, names = places[seen], cells[seen]
     if seen.sum() < DEGREES[-1][1]:
         raise InputError(
-            f"{int(seen.sum())} pins in sight; {DEGREES[-1][1]} or more tell middle and edge of their field",
-            code="too-few-pins",
+            f"{int(seen.sum())} pins are visible; {DEGREES[-1][1]} are needed", code="too-few-pins"
         )
     rings = int(ring_of(names).max())
     if rings > MAX_RINGS:

@@ -80,11 +80,7 @@ def follow_press(
     def centres(used: Int[ndarray, " u"]) -> Float[ndarray, "f p 2"]:
         pins, xy = _pin_positions(frames, int(used[-1]) + 1)
         if len(xy) <= used[-1]:
-            raise InputError(
-                f"{len(xy)} frames, and the table tells of {len(frame_sample)}; give the frames and the "
-                "table of one press",
-                code="frames-differ",
-            )
+            raise InputError(f"{len(xy)} frames, but {len(frame_sample)} in the table", code="frames-differ")
         found.append(pins)
         return xy
 
@@ -112,8 +108,8 @@ def press_of_centres(
     used = np.flatnonzero(np.isin(at, samples))
     if len(used) < MIN_FRAMES:
         raise InputError(
-            f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: "
-            "press more slowly, or take more frames a second",
+            f"{len(used)} frames of rising force above {CONTACT_N:g} N; {MIN_FRAMES} are needed: press more "
+            "slowly",
             code="too-few-frames",
         )
     xy = centres_px(used)
@@ -155,8 +151,7 @@ def _still(force_n: Samples) -> int:
     before = int(np.argmax(touched)) if touched.any() else len(force_n)
     if before == 0:
         raise InputError(
-            f"the first frame is under {force_n[0]:.3g} N; it must be taken before contact (below "
-            f"{UNTOUCHED_N:g} N), since motion is counted from there: begin higher, or bias the force sensor",
+            f"the first frame is under {force_n[0]:.3g} N; begin before contact, below {UNTOUCHED_N:g} N",
             code="first-frame-touched",
         )
     return max(1, before // 2)
@@ -185,8 +180,8 @@ def at_forces(
     low, high = float(force_n.min()), float(force_n.max())
     if levels_n.min() < low - BEYOND_N or levels_n.max() > high + BEYOND_N:
         raise RangeError(
-            f"frames from {low:.3g} to {high:.3g} N; values are wanted from {levels_n.min():g} to "
-            f"{levels_n.max():g} N: press as far as the references were pressed",
+            f"frames from {low:.3g} to {high:.3g} N, not {levels_n.min():g} to {levels_n.max():g} N; press "
+            "as far as the references",
             code="force-not-reached",
         )
     degree = min(DEGREE, len(force_n) - 1 - SPARE)
@@ -216,8 +211,8 @@ def motion_on_layout(press: PinPress, layout_px: Layout) -> Float[ndarray, "f p 
         near, which = max(found, key=lambda one: one[0].sum())
     if near.mean() < MIN_MATCHED or len(at) > len(layout_px) / MIN_MATCHED:
         raise InputError(
-            f"{int(near.sum())} of the {len(layout_px)} calibrated pins are where they should be, and "
-            f"{len(at)} pins are seen: another sensor, zoom or crop, or pins lost; calibrate for it",
+            f"{int(near.sum())} of {len(layout_px)} calibrated pins match the {len(at)} found: another "
+            "sensor, zoom, or crop; calibrate for it",
             code="layout-differs",
         )
     motion = np.full((len(press.force_n), len(layout_px), 2), np.nan)

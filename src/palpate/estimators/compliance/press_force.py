@@ -71,22 +71,20 @@ def loading(force_n: Samples, contact_n: float = CONTACT_N) -> Loading:
         raise InputError(f"{force.size} samples; a press has more than {STAYS}", code="too-few-values")
     if not np.isfinite(force).all():
         raise InputError(
-            f"sample {int(np.argmin(np.isfinite(force)))} of the force is not finite; repair the table",
-            code="not-finite",
+            f"sample {int(np.argmin(np.isfinite(force)))} of the force is not finite", code="not-finite"
         )
     above = force >= contact_n
     stays = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(above, STAYS).all(axis=1))
     if not len(stays):
         raise InputError(
-            f"the force never stays above {contact_n:g} N, its greatest is {force.max():g} N; press harder, "
-            "lower the contact threshold, or give the force's sign",
+            f"the force never stays above {contact_n:g} N, its maximum is {force.max():g} N",
             code="no-contact",
         )
     first, last = int(stays[0]), int(np.argmax(force))
     if last - first < STAYS:
         raise InputError(
-            f"the force rises to {force[last]:g} N within {last - first} samples of contact and then only "
-            "falls; the loading part is missing",
+            f"the force rises to {force[last]:g} N within {last - first} samples; its loading part is "
+            "missing",
             code="not-loading",
         )
     top = np.isclose(force, force[last], rtol=0, atol=1e-12)
@@ -147,8 +145,7 @@ def loading_slope(
     force, width = np.asarray(force_n, np.float64), np.asarray(width_m, np.float64)
     if force.shape != width.shape or force.ndim != 1 or not part.last < force.size:
         raise InputError(
-            f"{force.size} forces, {width.size} widths, loading to sample {part.last}; one of each",
-            code="lengths-differ",
+            f"{force.size} forces, {width.size} widths, loading to sample {part.last}", code="lengths-differ"
         )
     i = np.arange(part.first, part.last + 1)
     if held:
@@ -158,7 +155,6 @@ def loading_slope(
     slope = -float(np.polyfit(width[i], force[i], 1)[0])
     if not slope > 0:
         raise InputError(
-            "force does not rise as the fingers close; is the width an opening, and the force signed?",
-            code="force-constant",
+            "force does not rise as the fingers close; check width and sign", code="force-constant"
         )
     return slope

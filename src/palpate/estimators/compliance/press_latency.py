@@ -99,10 +99,7 @@ def pin_course(moved_px: Float[ndarray, "f p 2"]) -> Frames:
     """Return the RMS pin motion along the first principal component of `moved_px`, of arbitrary sign [px]."""
     kept = np.isfinite(moved_px).all(axis=(0, 2))
     if not kept.mean() > 0.5:
-        raise InputError(
-            f"{int((~kept).sum())} of {len(kept)} pins are lost; look at light, focus and speed",
-            code="pins-lost",
-        )
+        raise InputError(f"{int((~kept).sum())} of {len(kept)} pins are lost", code="pins-lost")
     motion = moved_px[:, kept].reshape(len(moved_px), -1)
     _, _, ways = np.linalg.svd(motion, full_matrices=False)
     return np.asarray(motion @ ways[0]) / math.sqrt(int(kept.sum()))
@@ -140,14 +137,13 @@ def press_latency(
     told = profile.told(float(coarse[best]))
     if told < MIN_TOLD:
         raise RangeError(
-            f"the force does not come back: a law of force over motion takes up {1 - told:.0%} of what a "
-            f"latency does ({1 - MIN_TOLD:.0%} are allowed); record the way back as well, at the same speed",
+            f"force explains {1 - told:.0%} of a latency, {1 - MIN_TOLD:.0%} are allowed; record the "
+            "unloading as well",
             code="no-unloading",
         )
     if best in (0, len(coarse) - 1):
         raise RangeError(
-            f"no latency of up to {1e3 * most_s:g} ms brings motion and force together; do frames and table "
-            "belong to one press?",
+            f"no latency of up to {1e3 * most_s:g} ms aligns motion and force of these files",
             code="latency-not-found",
         )
     near = (float(coarse[best - 1]), float(coarse[best + 1]))
@@ -177,8 +173,8 @@ class _Profile:
         kept = self._covered(time, force, at, most_s)
         if np.count_nonzero(kept) < MIN_FRAMES:
             raise RangeError(
-                f"{np.count_nonzero(kept)} frames lie {1e3 * most_s:g} ms from the record's ends, or in the "
-                f"air; {MIN_FRAMES} are needed: begin and end above the specimen, or press more slowly"
+                f"{np.count_nonzero(kept)} frames in contact are {1e3 * most_s:g} ms from the record's "
+                f"ends; {MIN_FRAMES} are needed"
             )
         self.at, motion = at[kept], motion[kept]
         _check_press(force, motion)
@@ -233,12 +229,12 @@ def _check(
 ) -> None:
     if time.shape != np.shape(force_n) or time.ndim != 1 or len(time) < MIN_FRAMES:
         raise InputError(
-            f"{time.size} times and {np.size(force_n)} forces; one of each, {MIN_FRAMES} or more",
+            f"{time.size} times, {np.size(force_n)} forces; give {MIN_FRAMES} or more of each",
             code="lengths-differ",
         )
     if len(frame_sample) != len(motion) or len(motion) < MIN_FRAMES:
         raise RangeError(
-            f"{len(motion)} motions of {len(frame_sample)} frames; one of each, {MIN_FRAMES} or more",
+            f"{len(motion)} motions, {len(frame_sample)} frames; give {MIN_FRAMES} or more",
             code="too-few-frames",
         )
     if not (np.isfinite(time).all() and np.isfinite(force_n).all() and np.isfinite(motion).all()):
@@ -253,15 +249,12 @@ def _check_press(force: Samples, motion: Frames) -> None:
     """Refuse series that are no press."""
     if force.max() - np.quantile(force, 0.05) < CONTACT_N:
         raise RangeError(
-            f"the force changes by {force.max() - force.min():.2g} N, a press by {CONTACT_N:g} N or more; "
-            "nothing is pressed, and a static contact tells no latency",
+            f"the force changes by {force.max() - force.min():.2g} N; a press needs {CONTACT_N:g} N",
             code="nothing-pressed",
         )
     if np.ptp(motion) < MIN_MOTION:
         raise RangeError(
-            f"the pins move by {np.ptp(motion):.2g} px, {MIN_MOTION:g} px are needed: a press that stands "
-            "tells no latency",
-            code="no-motion",
+            f"the pins move by {np.ptp(motion):.2g} px; {MIN_MOTION:g} px are needed", code="no-motion"
         )
 
 
@@ -290,8 +283,8 @@ def _with_interval(
     explained = 1 - least / float(np.sum((force - force.mean()) ** 2))
     if explained < MIN_EXPLAINED:
         raise RangeError(
-            f"at no latency does the motion follow the force: it explains {explained:.0%} of it, "
-            f"{MIN_EXPLAINED:.0%} are needed; do frames and table belong to one press?"
+            f"the motion explains {explained:.0%} of the force, {MIN_EXPLAINED:.0%} are needed: check the "
+            "files"
         )
     freedom, inflation = _freedom(residual, profile.columns, profile.slope(best_s)[1])
     reach = float(student.ppf((1 + COVERAGE) / 2, freedom))
@@ -301,8 +294,7 @@ def _with_interval(
     high = best_s if not len(inside) else max(best_s, float(coarse[inside[-1]]))
     if low <= coarse[0] or high >= coarse[-1]:
         raise RangeError(
-            f"any latency of up to {1e3 * coarse[-1]:g} ms fits as well as the best, {1e3 * best_s:.0f} ms; "
-            "press harder, or take more frames a second"
+            f"latencies of up to {1e3 * coarse[-1]:g} ms fit as well as {1e3 * best_s:.0f} ms; press harder"
         )
     step = float(coarse[1] - coarse[0])
     low, high = _crossing(profile, allowed, low, -step), _crossing(profile, allowed, high, step)

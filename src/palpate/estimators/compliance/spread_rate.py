@@ -53,7 +53,7 @@ def area_m2(first_m2: float, mean_divergence: Steps) -> Steps:
         raise RangeError(f"a first area of {first_m2} m2; above 0", code="area")
     if total.size and not np.abs(total).max() < MAX_EXPONENT:
         raise RangeError(
-            f"accumulated divergence of {np.abs(total).max():g}; is it the mean over pixels?",
+            f"accumulated divergence of {np.abs(total).max():g}; use the mean over pixels",
             code="divergence-range",
         )
     return np.asarray(first_m2 * np.exp(total))
@@ -69,8 +69,7 @@ def spread(force_n: Steps, area: Steps, way: Way = "regression") -> SpreadRate:
     at, mean = rising(force_n, area, BIN_N)
     if len(at) < MIN_BINS:
         raise InputError(
-            f"the forces fill {len(at)} bins of {BIN_N:g} N; a spread rate needs {MIN_BINS}: press harder",
-            code="too-few-forces",
+            f"the forces fill {len(at)} bins of {BIN_N:g} N; {MIN_BINS} are needed", code="too-few-forces"
         )
     if way == "regression":
         return SpreadRate(way, float(np.polyfit(at, mean, 1)[0]), len(at))

@@ -53,8 +53,7 @@ def check_pair(first: Grey, second: Grey) -> None:
     """Refuse images of different shape or type."""
     if first.shape != second.shape or first.dtype != second.dtype:
         raise InputError(
-            f"flow is between two images of one size and type, got {list(first.shape)} {first.dtype} and "
-            f"{list(second.shape)} {second.dtype}",
+            f"images of {list(first.shape)} {first.dtype} and {list(second.shape)} {second.dtype} differ",
             code="images-differ",
         )
 

@@ -90,8 +90,7 @@ class ColourReader:
         self._gain = np.median(self._white.reshape(-1, 3), axis=0)
         if not (self._gain > 0).all() or not np.mean(self._white > 0.02) > 0.5:
             raise InputError(
-                f"the white image has light of {self._gain.round(3).tolist()} in red, green and blue; it is "
-                "of the unloaded specimen between parallel polarisers, at the frames' exposure",
+                f"the white image has light of {self._gain.round(3).tolist()} in red, green and blue",
                 code="white-image",
             )
         self._judged = False
@@ -202,8 +201,7 @@ class ColourReader:
     def _check_shape(self, image: ndarray, before: OrderMap | None) -> None:
         if image.ndim != 3 or image.shape[2] != len(CHANNELS):
             raise InputError(
-                f"a frame of shape {image.shape} is grey or no RGB image; one wavelength repeats its light "
-                "each order, so colours need a white lamp and a colour camera (or give phase-stepped frames)",
+                f"a frame of shape {image.shape} is grey or no RGB image; give color or phase-stepped frames",
                 code="no-color-image",
             )
         if image.dtype != np.uint8 and not np.isfinite(image).all():
@@ -213,8 +211,8 @@ class ColourReader:
         for name, other in others.items():
             if other is not None and other.shape[:2] != image.shape[:2]:
                 raise InputError(
-                    f"the frame is {image.shape[1]} × {image.shape[0]} px and the {name} {other.shape[1]} × "
-                    f"{other.shape[0]}; they must be of one size",
+                    f"the frame is {image.shape[1]} × {image.shape[0]} px, the {name} {other.shape[1]} × "
+                    f"{other.shape[0]}; use one size",
                     code="image-size",
                 )
 
@@ -228,8 +226,7 @@ class ColourReader:
             return False
         if np.ptp(bright, axis=1).max() < ALIKE:
             raise InputError(
-                "all three channels of the frame are the same: it is a grey picture stored as colour, and "
-                "grey repeats itself each order; give colour frames, or phase-stepped ones",
+                "all three channels are the same: a grey image; give color or phase-stepped frames",
                 code="gray-image",
             )
         as_given, row = self._misfit(bright, (0, 1, 2))
@@ -239,9 +236,7 @@ class ColourReader:
         if share.min() < DIM * share.max():
             dark = " and ".join(c for c, s in zip(CHANNELS, share, strict=True) if s < DIM * share.max())
             raise InputError(
-                f"the frame has no light in {dark}: a lamp of one line or a filter; "
-                "colours need a white lamp",
-                code="one-color-only",
+                f"the frame has no light in {dark}; use a white lamp without a filter", code="one-color-only"
             )
         if self.isoclinics:
             return True
@@ -250,9 +245,8 @@ class ColourReader:
         if swapped[best] < as_given / 2:
             names = ", ".join(CHANNELS[c] for c in best)
             raise InputError(
-                "the frame's channels are in another order than the calibration's: its colours fit when "
-                f"taken as {names} (misfit {swapped[best]:.2g} instead of {as_given:.2g}); give red, green, "
-                "blue",
+                f"the frame's channels are {names} (misfit {swapped[best]:.2g}, as given {as_given:.2g}); "
+                "give red, green, blue",
                 code="channel-order",
             )
         return True

@@ -51,21 +51,17 @@ class ColourTable:
             raise InputError(f"the table of {self.source} holds what is no number")
         if not MIN_ORDER <= self.greatest_order <= MAX_ORDER:
             raise RangeError(
-                f"the table of {self.source} ends at order {self.greatest_order:g}; {MIN_ORDER:g} to "
-                f"{MAX_ORDER:g} are read"
+                f"the table of {self.source} ends at order {self.greatest_order:g}, not {MIN_ORDER:g} to "
+                f"{MAX_ORDER:g}"
             )
         flat = [c for c, v in zip(CHANNELS, np.ptp(self.light, axis=0), strict=True) if v < MIN_CHANGE]
         if flat:
             raise InputError(
-                f"the table of {self.source} is the same at all orders in {' and '.join(flat)}; colours need "
-                "a white lamp and three channels",
-                code="channel-constant",
+                f"the table of {self.source} is constant in {' and '.join(flat)}", code="channel-constant"
             )
         if np.ptp(self.light - self.light.mean(axis=1, keepdims=True)) < MIN_CHANGE:
             raise InputError(
-                f"the table of {self.source} is grey at all orders, and grey repeats itself; give a white "
-                "lamp",
-                code="gray-table",
+                f"the table of {self.source} is grey at all orders; use a white lamp", code="gray-table"
             )
 
     @property
@@ -110,7 +106,7 @@ def measured_table(
     """
     if light.shape[:2] != order.shape or not np.isfinite(light).all():
         raise InputError(
-            f"light of {light.shape} and orders of {order.shape} must be of one size, and finite",
+            f"light of {light.shape} and orders of {order.shape} must have one size and be finite",
             code="shape",
         )
     known = np.isfinite(order)
@@ -120,9 +116,8 @@ def measured_table(
     rows = _unbroken(count)
     if rows < MIN_ORDER / STEP:
         raise InputError(
-            f"{source} has too few pixels between orders 0 and {MIN_ORDER:g}: "
-            f"orders begin at {N.min() if N.size else float('nan'):.2f}; take a specimen with an unloaded "
-            "place or a neutral line, and more pixels an order",
+            f"{source} has too few pixels at orders 0 to {MIN_ORDER:g}; they begin at "
+            f"{N.min() if N.size else float('nan'):.2f}",
             code="order-zero-missing",
         )
     at = STEP * np.arange(rows)

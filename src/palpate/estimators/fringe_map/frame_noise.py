@@ -26,8 +26,7 @@ class FrameNoise:
     def __post_init__(self) -> None:
         if not (0 < self.read < 1 and 0 <= self.shot < 1):
             raise RangeError(
-                f"noise of {self.read} in the dark must lie above 0, and {self.shot} by light from 0, both "
-                "below 1; linear light is 1 where a camera is full",
+                f"noise of {self.read} in the dark and {self.shot} by light; allowed are 0 to 1",
                 code="noise-range",
             )
 

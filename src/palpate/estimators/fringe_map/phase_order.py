@@ -74,8 +74,7 @@ def order_from_phases(
     most = greatest_order if whole else QUARTER
     if not (0 <= row < h and 0 <= column < w and 0 <= known <= most <= MAX_ORDER):
         raise InputError(
-            f"reference {reference} is not a place of {w} × {h} px (row, column) and an order from 0 to "
-            f"{most:g}",
+            f"reference {reference} is outside of {w} × {h} px (row, column) or orders 0 to {most:g}",
             code="reference-outside",
         )
     for name, other in (("mask", mask), ("map of saturated pixels", saturated)):
@@ -175,7 +174,7 @@ def _matrix(n: int, analysers: Float[ndarray, "m 3"]) -> Float[ndarray, "n 4"]:
         if used >= 3 and np.linalg.matrix_rank(A) == used and n > used:
             return A
     raise InputError(
-        f"{n} frames behind {len(analysers)} analysers; give the six of SIX_STEPS or CAMERA's four",
+        f"{n} frames behind {len(analysers)} analysers; give six (SIX_STEPS) or four (CAMERA)",
         code="analyzer-count",
     )
 
@@ -235,16 +234,14 @@ def _branch(orders: Float32[ndarray, " k"], known: float, clear: float, place: t
     nearest = np.sort(distance)
     if nearest.size > 1 and (nearest[1] - nearest[0] < FOLD or clear < FOLD):
         raise InputError(
-            f"order {known:g} at row {place[0]}, column {place[1]} lies where phases fold, so that rising "
-            "and falling look alike; give a place an eighth of an order from whole, half and (four frames) "
-            "quarter orders",
+            f"order {known:g} at row {place[0]}, column {place[1]} is at a fold; choose another, an eighth "
+            "of an order away",
             code="phase-folded",
         )
     if nearest[0] > QUARTER / 2:
         raise InputError(
-            f"at row {place[0]}, column {place[1]} phases allow order "
-            f"{float(orders[distance.argmin()]):.3f}, {nearest[0]:.2f} from the {known:g} given; look for "
-            "frames in another order, or give its order",
+            f"row {place[0]}, column {place[1]} has order {float(orders[distance.argmin()]):.3f}, not "
+            f"{known:g} (off by {nearest[0]:.2f}); check the order of frames",
             code="frame-order",
         )
     return int(distance.argmin())

@@ -354,8 +354,7 @@ class NoveltyDetector:
             changes = KnownChanges.of_arrays(parts)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
             raise CertificateError(
-                f"{path} is not a guard that palpate wrote ({e}); calibrate again",
-                code=getattr(e, "code", "file-damaged"),
+                f"{path} is no guard ({e}); calibrate again", code=getattr(e, "code", "file-damaged")
             ) from e
         _ = neighbours.squares  # so that the first frame does not wait for them
         return cls(neighbours, parts["limits"], reference, spread, limit, changes)
@@ -364,9 +363,7 @@ class NoveltyDetector:
 def _check(path: Path, parts: Mapping[str, np.ndarray]) -> None:
     if "stray" in parts:
         raise CertificateError(
-            f"{path} is of a calibration by an earlier palpate, whose guard let two touches at once pass; "
-            "calibrate again",
-            code="guard-version",
+            f"{path} is a guard of an earlier palpate; calibrate again", code="guard-version"
         )
     thumbs, reference = parts["thumbs"], parts["reference"]
     fits = arrays_fit(thumbs, parts["left"], parts["centre"], parts["axes"])
@@ -407,10 +404,7 @@ def fit_novelty_detector(
     thumbs, fold = thumbs[rows_kept], fold[rows_kept]
     _, fold = np.unique(fold, return_inverse=True)
     if fold.max() == 0:
-        raise InputError(
-            "all frames are of one group; what new ones look like shows in others: record two or more",
-            code="too-few-groups",
-        )
+        raise InputError("all frames are of one group; record two or more", code="too-few-groups")
     thumbs_8bit = np.round(thumbs).astype(np.uint8)
     sets = [(thumbs_8bit, fold)]
     if also is not None:

@@ -62,9 +62,8 @@ def find_checkerboard(
         pitch_px = lattices[0].pitch
     if not lattices or len(lattices[0].cells) < MIN_POINTS:
         raise ImageError(
-            f"{len(corners.places)} corners in the frame, of which {sum(len(g.cells) for g in lattices)} lie "
-            f"on a lattice, and at least {MIN_POINTS} are needed; look at focus, light, the crop and the "
-            f"pitch of {pitch_px:.0f} px"
+            f"{len(corners.places)} corners, {sum(len(g.cells) for g in lattices)} on a lattice, and "
+            f"{MIN_POINTS} are needed; check focus, light, and the pitch of {pitch_px:.0f} px"
         )
     points = _first_names(corners, lattices[0]) if reference is None else _same(corners, lattices, reference)
     return CheckerboardFind(points, axis, lattices[0].pitch, len(corners.places) - len(points))
@@ -91,9 +90,8 @@ def _same(corners: SaddleCorners, lattices: list[GrownLattice], reference: Contr
     cells, marks = named_as(reference, lattices, corners.places, "square", MAX_MOVE)
     if len(cells) < max(MIN_POINTS, MIN_SEEN * len(reference)):
         raise ImageError(
-            f"{len(cells)} of the reference's {len(reference)} points are seen, and at least "
-            f"{100 * MIN_SEEN:.0f} % are needed; the pattern has left the frame, or moved by more than "
-            f"{MAX_MOVE} of a tile since the reference: give a nearer one"
+            f"{len(cells)} of the reference's {len(reference)} points are seen, {100 * MIN_SEEN:.0f} % are "
+            f"needed; give a nearer reference, within {MAX_MOVE} of a tile"
         )
     points = ControlPoints(cells, corners.places[marks], corners.sigma[marks])
     _refuse_shifted(points, reference)
@@ -106,7 +104,6 @@ def _refuse_shifted(points: ControlPoints, reference: ControlPoints) -> None:
     beyond = max((reference.cells < low).sum(axis=0).max(), (reference.cells > high).sum(axis=0).max())
     if beyond > MAX_SIDE * len(reference):
         raise ImageError(
-            f"one side of the pattern, {beyond} of the reference's {len(reference)} points, is missing, and "
-            f"at most {100 * MAX_SIDE:.0f} % may be; it has left the frame or moved by whole tiles, which "
-            "nothing in it tells: take a new reference"
+            f"a side of the pattern, {beyond} of the reference's {len(reference)} points, is missing "
+            f"({100 * MAX_SIDE:.0f} % may be); take a new reference"
         )

@@ -49,8 +49,7 @@ class ControlPoints:
         """Return the reference's positions, these positions, and the cells of the marks that both have."""
         if self.unit != reference.unit:
             raise InputError(
-                f"control points in {self.unit} and {reference.unit}; give both in one unit",
-                code="unit-differs",
+                f"control points in {self.unit} and {reference.unit}; use one unit", code="unit-differs"
             )
         own = {tuple(cell): i for i, cell in enumerate(self.cells.tolist())}
         pairs = [(i, own[cell]) for i, cell in enumerate(map(tuple, reference.cells.tolist())) if cell in own]

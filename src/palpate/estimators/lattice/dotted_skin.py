@@ -65,13 +65,13 @@ class DottedSkin:
     def __post_init__(self) -> None:
         if self.kind not in ("square", "hexagonal") or self.colour not in ("dark", "bright"):
             raise InputError(
-                f'a skin of kind {self.kind!r} and colour {self.colour!r}; kind is "square" or "hexagonal", '
-                'colour "dark" or "bright"'
+                f'a skin of kind {self.kind!r}, colour {self.colour!r}; allowed: "square", "hexagonal"; '
+                '"dark", "bright"'
             )
         if not (1 <= self.radius_px <= 0.4 * self.pitch_px):
             raise RangeError(
-                f"dots of radius {self.radius_px} px, {self.pitch_px} px apart; a radius lies between 1 px "
-                "and 0.4 of the pitch"
+                f"dots of radius {self.radius_px} px, {self.pitch_px} px apart; allowed: 1 px to 0.4 of the "
+                "pitch"
             )
         if self.region is not None and (len(self.region) != 4 or min(self.region[2:]) < 1):
             raise InputError(f"a region {self.region}; give x, y, width and height in px")
@@ -125,8 +125,8 @@ def find_dots(
     lattices = grow_lattices(straight, skin.kind)
     if not lattices or len(lattices[0].cells) < MIN_DOTS:
         raise ImageError(
-            f"{len(places)} dots in the frame, and fewer than {MIN_DOTS} on a {skin.kind} lattice; look at "
-            f"focus, light, and the skin's description: {skin}"
+            f"{len(places)} dots, fewer than {MIN_DOTS} on a {skin.kind} lattice; check focus, light, and "
+            f"{skin}"
         )
     cells, marks = lattices[0].cells, lattices[0].marks
     if reference is not None:
@@ -134,8 +134,7 @@ def find_dots(
         cells, marks = named_as(flat, lattices, straight, skin.kind)
     if len(cells) < MIN_DOTS:
         raise ImageError(
-            f"{len(cells)} dots lie near the reference's; they have moved by more than half their "
-            "distance, or are of another skin: give a nearer reference"
+            f"{len(cells)} dots lie near the reference's; give a nearer reference of the same skin"
         )
     return ControlPoints(cells, places[marks], sigma[marks])
 

@@ -74,8 +74,7 @@ class MarkTracker:
     def follow(self, frame: Shaped[ndarray, ...]) -> TrackedPoints:
         if frame.dtype != np.uint8 or frame.shape != self._shape:
             raise InputError(
-                f"a frame {frame.dtype} {list(frame.shape)}; points are followed in 8-bit frames of "
-                f"{list(self._shape)}, as the reference: give frames of that camera and crop",
+                f"a frame {frame.dtype} {list(frame.shape)}; give 8-bit frames of {list(self._shape)}",
                 code="frame-size",
             )
         if self._noisier is None:

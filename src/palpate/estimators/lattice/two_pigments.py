@@ -35,8 +35,8 @@ class PigmentAxis:
         channels = self.weights.shape[1] - 1
         if frame.dtype != np.uint8 or frame.shape[:2] != self.size or channels_of(frame) != channels:
             raise ImageError(
-                f"a frame {frame.dtype} {list(frame.shape)}; the pattern was found in 8-bit frames of "
-                f"{list(self.size)} px and {channels} channels: give frames of that camera and crop"
+                f"a frame {frame.dtype} {list(frame.shape)}; give 8-bit frames of {list(self.size)} px, "
+                f"{channels} channels"
             )
         return cv2.transform(frame, self.weights).reshape(self.size)
 
@@ -54,8 +54,7 @@ def find_axis(frame: Shaped[ndarray, ...], pitch_px: float) -> PigmentAxis:
         )
     if min(frame.shape[:2]) < 4 * pitch_px:
         raise ImageError(
-            f"a frame of {frame.shape[1]} x {frame.shape[0]} px and tiles of {pitch_px:.0f} px; a pattern "
-            "is found where four or more stand side by side: give the whole frame, or the right pitch"
+            f"a frame of {frame.shape[1]} x {frame.shape[0]} px is too small for tiles of {pitch_px:.0f} px"
         )
     _refuse_ends(frame)
     planes = np.float32(frame).reshape(*frame.shape[:2], -1)
@@ -84,8 +83,7 @@ def _stretched(axis: Float[ndarray, "h w"], weights: Float[ndarray, " c"]) -> Fl
     low, high = np.percentile(axis[::2, ::2], [0.1, 99.9])
     if high - low < MIN_CONTRAST:
         raise ImageError(
-            f"the frame's colours differ by {high - low:.1f} grey levels, and a pattern needs "
-            f"{MIN_CONTRAST:.0f}; look at light, focus and the crop"
+            f"the frame's colours differ by {high - low:.1f} grey levels; {MIN_CONTRAST:.0f} are needed"
         )
     scale = (HIGH - LOW) / (high - low)
     return np.append(scale * weights, LOW - scale * low)[None].astype(np.float64)

@@ -138,8 +138,7 @@ class CompactCnn:
         if min(self.epochs, self.members, self.batch - 1) < 1 or self.learning_rate <= 0:
             raise InputError(
                 f"epochs {self.epochs}, members {self.members}, batch {self.batch}, learning_rate "
-                f"{self.learning_rate}: epochs and members are 1 or more, a batch 2 rows or more, the "
-                "learning rate positive"
+                f"{self.learning_rate}; allowed: 1, 1, 2 or more, and above 0"
             )
         if not 0 <= self.variation <= 2:
             raise InputError(f"variation {self.variation}: from 0, none, to 2, twice the usual sizes")
@@ -157,8 +156,8 @@ class CompactCnn:
         side = min(data.shape[1:])
         if side < 4 * 2 ** (len(self.widths) - 1):
             raise InputError(
-                f"an input of {side} px a side is too small for {len(self.widths)} widths; "
-                f"take {4 * 2 ** (len(self.widths) - 1)} px or more, or fewer widths",
+                f"an input of {side} px a side is too small; {4 * 2 ** (len(self.widths) - 1)} px are "
+                f"needed for {len(self.widths)} widths",
                 code="input-size",
             )
         # Which epoch was best is not kept, so a network that stops early starts anew.

@@ -49,8 +49,8 @@ class ProcessGroup:
             group = cls(size=0)
         if not 0 <= group.rank < group.size or group.local < 0:
             raise InputError(
-                f"WORLD_SIZE is {size!r}, and RANK and LOCAL_RANK do not say which process this is; begin "
-                "several by torchrun, or unset WORLD_SIZE to train by one"
+                f"WORLD_SIZE is {size!r} without RANK and LOCAL_RANK; start with torchrun, or unset "
+                "WORLD_SIZE"
             )
         return group
 
@@ -110,8 +110,8 @@ class ProcessGroup:
             return torch.device("cpu")
         if self.local >= torch.cuda.device_count():
             raise InputError(
-                f"this is process {self.local + 1} of its machine, which has {torch.cuda.device_count()} "
-                "GPUs; give torchrun --nproc-per-node as many or fewer",
+                f"process {self.local + 1} on a machine of {torch.cuda.device_count()} GPUs; reduce "
+                "--nproc-per-node",
                 code="gpu-count",
             )
         return torch.device("cuda", self.local) if self.size > 1 else torch.device("cuda")

@@ -176,8 +176,8 @@ def refuse_unfit(estimates: Values, shape: tuple[int, int], whose: str) -> None:
     fit = np.isfinite(estimates).all(axis=1) if estimates.shape == shape else np.zeros(shape[0], bool)
     if not fit.all():
         raise InputError(
-            f"model {whose}: predict gave {list(estimates.shape)} for {list(shape)}, of which "
-            f"{np.sum(~fit)} of {shape[0]} rows are no finite numbers; every row is scored, so mend the model"
+            f"model {whose}: predict gave {list(estimates.shape)} for {list(shape)}, {np.sum(~fit)} of "
+            f"{shape[0]} rows not finite"
         )
 
 

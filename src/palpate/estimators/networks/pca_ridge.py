@@ -92,8 +92,8 @@ class PcaRidge:
     def __post_init__(self) -> None:
         if self.components < 1 or self.basis_frames < 2 or not min(self.penalties, default=0) > 0:
             raise InputError(
-                f"pca-ridge: components is {self.components}, basis_frames {self.basis_frames}; components "
-                "are 1 or more, basis_frames 2 or more, and penalties one or more, each above 0"
+                f"pca-ridge: components {self.components}, basis_frames {self.basis_frames}; allowed: 1, 2 "
+                "or more, penalties above 0"
             )
 
     def fit(

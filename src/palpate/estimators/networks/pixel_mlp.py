@@ -74,8 +74,8 @@ class PixelMlp:
         positive = min(whole) >= 1 and self.learning_rate > 0
         if not (positive and 0 < self.watched < 1 and self.penalty >= 0 and self.steps >= 0):
             raise InputError(
-                f"{self}: epochs, patience, batch and each of hidden are 1 or more, watched between 0 and 1, "
-                "the learning rate positive, the penalty and steps 0 or more"
+                f"{self}: epochs, patience, batch, hidden 1 or more, watched 0 to 1, learning rate above 0, "
+                "penalty and steps 0 or more"
             )
 
     def fit(

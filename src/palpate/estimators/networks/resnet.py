@@ -82,8 +82,7 @@ class ResNet18(nn.Module):  # type: ignore[misc]
         missing, extra = sorted(needed - set(trunk)), sorted(set(trunk) - set(mine))
         if missing or extra:
             raise InputError(
-                f"{source} does not hold a ResNet-18's weights: missing {_listed(missing)}; "
-                f"extra {_listed(extra)}",
+                f"{source} does not fit ResNet-18: missing {_listed(missing)}; extra {_listed(extra)}",
                 code="weights-names",
             )
         if mine["conv1.weight"].shape[1] == 1:
@@ -102,8 +101,7 @@ def check_weights(path: Path) -> None:
     """Refuse a path from which no weights can be read."""
     if path.suffix != ".safetensors":
         raise InputError(
-            f"weights {path}: only .safetensors files are read, since other kinds can run code when they are "
-            "opened; convert the file, or leave the option weights out to begin from scratch",
+            f"weights {path}: only .safetensors files are read, as others can run code; convert the file",
             code="weights-kind",
         )
     if not path.is_file():

@@ -40,8 +40,8 @@ class RotationalSymmetry:
         pairs, lone = in_plane(names)
         if lone and order != 2:
             raise InputError(
-                f"{', '.join(names[i] for i in lone)} has no other component among the targets to turn with; "
-                "name both, as in shear_x_mm,shear_y_mm, or leave turns out"
+                f"{', '.join(names[i] for i in lone)} has no other component to rotate with; name both, as "
+                "in shear_x_mm,shear_y_mm"
             )
         return cls(order, axis_of(images.mean(axis=(0, 1)), order), pairs, lone)
 
@@ -97,8 +97,8 @@ def axis_of(mean: Float[np.ndarray, "h w"], order: int) -> tuple[float, float]:
     likeness = _likeness(mean, RotationalSymmetry(order, axis, ()))
     if not likeness >= MIN_LIKENESS:
         raise InputError(
-            f"turned by {360 / order:g} deg the sensor's mean image correlates at {likeness:.2f} with itself "
-            f"({MIN_LIKENESS} is asked for); give the number of times that it does repeat, or leave it out",
+            f"the mean image correlates at {likeness:.2f} with itself rotated by {360 / order:g} deg; "
+            f"{MIN_LIKENESS} is needed",
             code="not-symmetric",
         )
     return axis

@@ -96,14 +96,12 @@ class TrainingLoop:
         if self.epochs < 1 or self.batch < 2 or min(self.patience, self.falls, self.steps) < 0:
             raise InputError(
                 f"epochs {self.epochs}, batch {self.batch}, patience {self.patience}, falls {self.falls}, "
-                f"steps {self.steps}: epochs are 1 or more, a batch 2 rows or more; patience (in epochs), "
-                "falls and steps are 0 (none) or more",
+                f"steps {self.steps}; allowed: 1, 2, 0, 0, 0 or more",
                 code="epoch-count",
             )
         if not (0 < self.learning_rate < math.inf and self.clip > 0):
             raise InputError(
-                f"learning_rate {self.learning_rate}, clip {self.clip}: both must be positive",
-                code="learning-rate",
+                f"learning_rate {self.learning_rate}, clip {self.clip}; above 0", code="learning-rate"
             )
         if self.precision not in PRECISIONS:
             raise InputError(f"precision {self.precision!r} ; give auto or float32", code="precision")
@@ -174,8 +172,8 @@ class TrainingRun:
         self.processes = ProcessGroup.of_environment()
         if plan.batch < 2 * self.processes.size:
             raise InputError(
-                f"a batch of {plan.batch} rows for {self.processes.size} processes; 2 rows or more for each, "
-                f"so take a batch of {2 * self.processes.size} or more, or fewer processes",
+                f"a batch of {plan.batch} rows for {self.processes.size} processes; take "
+                f"{2 * self.processes.size} rows or more",
                 code="batch-size",
             )
         self.processes.join()
@@ -279,8 +277,8 @@ class TrainingRun:
     def _require_a_number(self, loss: float) -> None:
         if not math.isfinite(loss):
             raise InputError(
-                f"the loss is {loss} in epoch {self.epoch}: a label or an image is no number, or the steps "
-                f"are too long; check the labels, or take a learning_rate below {self.plan.learning_rate:g}",
+                f"the loss is {loss} in epoch {self.epoch}; check the labels, or take a learning_rate below "
+                f"{self.plan.learning_rate:g}",
                 code="loss-not-finite",
             )
 
@@ -305,7 +303,7 @@ class TrainingRun:
             self._take(read_checkpoint(path))
         if self.epoch != self.processes.first_says(self.epoch):
             raise InputError(
-                f"process {self.processes.rank} does not see the first's {path}; share its folder",
+                f"process {self.processes.rank} does not see {path}; share its folder",
                 code="checkpoint-not-shared",
             )
 

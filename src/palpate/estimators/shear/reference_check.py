@@ -75,9 +75,8 @@ def refuse_reference(marks: SkinMarks, skin: object) -> LatticeFit:
     if peaks:
         at = ", ".join(f"({p.x:.4g}, {p.y:.4g})" for p in peaks)
         raise ImageError(
-            f"the reference frame shows a skin that is touched or torn: it is stretched by up to "
-            f"{100 * peaks[0].area_strain:.1f} % beside its even lattice, at {at} {marks.unit}; give a frame "
-            "of the untouched skin",
+            f"the reference is touched or torn: stretched by {100 * peaks[0].area_strain:.1f} % at {at} "
+            f"{marks.unit}; give a frame without contact",
             code="reference-touched",
         )
     return fit
@@ -87,16 +86,14 @@ def _refuse_other_skin(points: ControlPoints, fit: LatticeFit, skin: TiledSkin) 
     wanted = (skin.columns - 1) * (skin.rows - 1)
     if len(points) < MIN_MARKS * wanted:
         raise ImageError(
-            f"the reference frame shows {len(points)} of the skin's {wanted} marks, and at least "
-            f"{100 * MIN_MARKS:.0f} % are needed; look at focus, light, and whether all of it is in view"
+            f"the reference shows {len(points)} of {wanted} marks, {100 * MIN_MARKS:.0f} % are needed; "
+            "check focus and light"
         )
     if abs(fit.pitch / skin.pitch_m - 1) > skin.scale_tolerance or fit.bent > MAX_BENT * skin.tolerance_m:
         raise ImageError(
-            f"by this lens the pattern has tiles of {1e3 * fit.pitch:.3f} mm whose lines bend by "
-            f"{1e3 * fit.bent:.3f} mm; the skin has {1e3 * skin.pitch_m:.3f} mm within "
-            f"{100 * skin.scale_tolerance:.0f} %, straight within "
-            f"{1e3 * MAX_BENT * skin.tolerance_m:.2f} mm: the lens is of another camera, the camera "
-            "stands elsewhere, or the skin is another",
+            f"tiles of {1e3 * fit.pitch:.3f} mm, bent by {1e3 * fit.bent:.3f} mm; the skin has "
+            f"{1e3 * skin.pitch_m:.3f} mm within {100 * skin.scale_tolerance:.0f} %, bent by "
+            f"{1e3 * MAX_BENT * skin.tolerance_m:.2f} mm: another lens, distance, or skin",
             code="lens-differs",
         )
 

@@ -135,8 +135,8 @@ class TiledSkin:
         positive = (self.pitch_m, self.camera_m, self.tolerance_m, self.scale_tolerance)
         if not all(0 < value < math.inf for value in positive):
             raise RangeError(
-                f"pitch {self.pitch_m} m, camera {self.camera_m} m away, tolerances {self.tolerance_m} m and "
-                f"{self.scale_tolerance}; all are above 0 and finite"
+                f"pitch {self.pitch_m} m, camera {self.camera_m} m, tolerances {self.tolerance_m} m and "
+                f"{self.scale_tolerance}; above 0 and finite"
             )
         if min(self.columns, self.rows) < 4:
             raise RangeError(f"{self.columns} x {self.rows} tiles; a skin has 4 or more along each side")
@@ -234,8 +234,7 @@ class DotMarks:
         """Return dots named as in the previous frame or, if lost, the reference."""
         if image.dtype != np.uint8 or image.shape != self._shape:
             raise InputError(
-                f"a frame {image.dtype} {list(image.shape)}; dots are followed in 8-bit frames of "
-                f"{list(self._shape)}, as the reference: give frames of that camera and crop"
+                f"a frame {image.dtype} {list(image.shape)}; give 8-bit frames of {list(self._shape)}"
             )
         reason = ""
         for before in (self._last, self._first):

@@ -73,8 +73,8 @@ def published_force_n(gamma: float) -> float:
     force, (low, high) = PUBLISHED_SLOPE_N * gamma + PUBLISHED_OFFSET_N, PUBLISHED_RANGE_N
     if not low - 0.01 <= force <= high + 0.01:
         raise RangeError(
-            f"gamma {gamma:.4g} lies outside {published_gamma(low):.4g} to {published_gamma(high):.4g}, "
-            "which is 1 to 8 N, where the published line was drawn",
+            f"gamma {gamma:.4g} lies outside {published_gamma(low):.4g} to {published_gamma(high):.4g} (1 "
+            "to 8 N)",
             code="gamma-range",
         )
     return force

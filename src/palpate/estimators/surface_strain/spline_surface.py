@@ -130,10 +130,7 @@ def _basis(
     columns, rows = (int(n) for n in marks.max(axis=0) - first)
     supported = _supported(marks - first, (columns, rows), samples)
     if not supported.any():
-        raise RangeError(
-            f"{len(marks)} marks, and nowhere three around one square of the lattice; a surface needs "
-            "neighbours: look for the marks again, or give a clearer frame"
-        )
+        raise RangeError(f"{len(marks)} marks, and nowhere three around one square; give a clearer frame")
     knots = [_knots(length, degree, cells_per_knot) for length in (columns, rows)]
     on_marks = [
         _functions(t, degree, at)[0] for t, at in zip(knots, (marks - first).T.astype(float), strict=True)

@@ -207,10 +207,7 @@ class StrainMeter:
     def _shared(self, current: ControlPoints) -> tuple[Int[ndarray, " m"], Int[ndarray, " m"]]:
         """Rows of the marks that both have, in the reference and in the frame."""
         if current.unit != self.reference.unit:
-            raise InputError(
-                f"control points in {current.unit} against a reference in {self.reference.unit}; give both "
-                "in one unit"
-            )
+            raise InputError(f"control points in {current.unit} and {self.reference.unit}; use one unit")
         inside = ((current.cells >= self._low) & (current.cells < self._low + self._span)).all(axis=1)
         ours = np.nonzero(inside)[0]
         theirs = self._row[self._keys(current.cells[ours])]
@@ -238,10 +235,7 @@ class StrainMeter:
         area = xu * yv - xv * yu
         seen = area[basis.supported]
         if (seen * np.sign(seen.sum()) <= MIN_AREA * np.abs(seen).mean()).any():
-            raise RangeError(
-                "the reference's marks fold over one another, so that no gradient can be taken there; look "
-                "for the marks of the untouched skin again"
-            )
+            raise RangeError("the reference's marks fold over one another; find them again")
         hidden = np.where(basis.supported, 0.0, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             to_axes = np.stack([np.stack([yv, -xv]), np.stack([-yu, xu])]) / area + hidden

@@ -74,8 +74,7 @@ class PatternedSkin:
     def __post_init__(self) -> None:
         if not 0 <= self.interface <= len(self.stack.layers) - 1:
             raise InputError(
-                f"{self.interface} layers above the pattern, of {len(self.stack.layers)} in all",
-                code="layer-count",
+                f"{self.interface} layers above the pattern, of {len(self.stack.layers)}", code="layer-count"
             )
         if not (self.camera_m > 0 and 0 < self.friction < math.inf):
             raise RangeError("the camera's distance and friction are positive; give m, and a plain number")
@@ -288,8 +287,7 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
     x, y = (np.arange(a, b + spacing, spacing) for a, b in zip(low, top, strict=True))
     if len(x) * len(y) > MAX_BOX:
         raise RangeError(
-            f"the contact reaches over {1e3 * np.ptp(x):.0f} x {1e3 * np.ptp(y):.0f} mm; give a cleaner "
-            "frame, or fewer contacts at once"
+            f"the contact spans {1e3 * np.ptp(x):.0f} x {1e3 * np.ptp(y):.0f} mm; give a clearer frame"
         )
     X, Y = np.meshgrid(x, y)
     nodes = np.column_stack([X.ravel(), Y.ravel()])
@@ -299,8 +297,8 @@ def _nodes(fields: StrainFields, peaks: list[ContactPeak], spacing: float) -> tu
         inside = (nodes @ sides[:, :2].T + sides[:, 2] <= REACH_M).all(axis=1)
     if inside.sum() > MAX_NODES:
         raise RangeError(
-            f"the contact reaches over {1e6 * inside.sum() * spacing**2:.0f} mm2, over {MAX_NODES} nodes; "
-            "give a cleaner frame, or fewer contacts at once"
+            f"the contact covers {1e6 * inside.sum() * spacing**2:.0f} mm2, over {MAX_NODES} nodes; give a "
+            "clearer frame"
         )
     return nodes[inside], _differences(inside.reshape(len(y), len(x)))
 

@@ -146,8 +146,8 @@ class KernelRidge:
             raise InputError(f"{self}: give one or more of blurs, widths, linear shares and penalties")
         if min(whole) < 1 or not min(positive) > 0 or min((*self.blurs_px, *self.linear_shares)) < 0:
             raise InputError(
-                f"{self}: components are 1 or more, basis_frames 2 or more, search_rows and centres 10 or "
-                "more, widths and penalties above 0, blurs and linear shares 0 or more"
+                f"{self}: components 1, basis_frames 2, search_rows and centres 10 or more; widths and "
+                "penalties above 0; blurs and linear shares 0 or more"
             )
         if min(self.pin_windows, default=1.0) <= 0:
             raise InputError(
