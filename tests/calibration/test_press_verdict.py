@@ -11,7 +11,7 @@ from palpate.calibration.compliance.compliance_calibration import calibrate_comp
 from palpate.calibration.compliance.compliance_reading import contained, read_touch
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.contact_seat import Seat, fit_seat
+from palpate.estimators.compliance.pin_press import Seat, fit_seat
 from palpate.estimators.compliance.rate_calibration import fit_rate
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press, specimens_at

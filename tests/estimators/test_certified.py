@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.calibration import CalibrationPlan, calibrate
 from palpate.core import CertificateError, Frame, ImageError
 from palpate.core.files import sha256_of
 from palpate.core.refusal import ReasonCode
@@ -102,12 +101,11 @@ def test_a_value_beyond_the_calibrated_range_is_flagged(calibration) -> None:
     assert reading.calibrated_range == (5.0, 6.0)
 
 
-def test_a_differential_calibration_asks_for_its_reference(record_spots, tmp_path) -> None:
-    run = record_spots("run", 12)
-    calibrate(
-        run, CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), delta=True), tmp_path / "cal"
-    )
-    estimator = Estimator.open(tmp_path / "cal")
+@pytest.mark.usefixtures("changes_untried")
+def test_a_differential_calibration_asks_for_its_reference(calibrate_spots, tmp_path) -> None:
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "delta": True}
+    run, folder = calibrate_spots(tmp_path / "cal", 12, **plan)
+    estimator = Estimator.open(folder)
     with pytest.raises(ImageError, match="--reference FRAME"):
         estimator.read(run.frame(1))
     assert estimator.read(run.frame(1), estimator.zero(run.frame(0).image))["x_mm"].valid

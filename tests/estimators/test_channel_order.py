@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.estimators.guard import EXCHANGED, NoveltyDetector, fit_novelty_detector, thumbnails
-from palpate.estimators.guard.channel_order import channels_exchanged
+from palpate.estimators.guard.novelty import channels_exchanged
 
 ROWS, COLUMNS = np.mgrid[0:64, 0:64]
 ANYWHERE = slice(12, 52)

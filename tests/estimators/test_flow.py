@@ -1,6 +1,7 @@
 """Optical flow: what any flow must obey, and the fast path against the plain equations."""
 
 import tracemalloc
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,6 +34,14 @@ def waves(shape=(90, 120), shift=(0.0, 0.0), stretch=0.0) -> np.ndarray:
 
 def pins(stretch=0.0, rng=None) -> np.ndarray:
     """127 bright pins on dark, 300 x 300 px, stretched about the middle; grey noise if wanted."""
+    image = clean_pins(stretch)
+    if rng is not None:
+        image = image + rng.normal(0, 2, image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@cache
+def clean_pins(stretch: float) -> np.ndarray:
     y, x = np.indices((300, 300))
     image = np.full((300, 300), 18.0)
     for i in range(-6, 7):
@@ -40,9 +49,7 @@ def pins(stretch=0.0, rng=None) -> np.ndarray:
             if abs(i + j) <= 6:
                 px, py = 149.5 + np.array([21 * (i + j / 2), 18.2 * j]) * (1 + stretch)
                 image = np.maximum(image, 200 * np.clip((7.5 - np.hypot(x - px, y - py)) / 1.5 + 0.5, 0, 1))
-    if rng is not None:
-        image += rng.normal(0, 2, image.shape)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return image
 
 
 def test_no_motion_is_no_flow() -> None:
@@ -53,13 +60,13 @@ def test_no_motion_is_no_flow() -> None:
 
 def test_flow_solves_the_equations_of_its_minimum() -> None:
     """At rest: alpha^2 (mean - flow) = E (E . flow + E_t), Horn and Schunck's two equations."""
-    first, second = waves(), waves(shift=(0.3, -0.2))
+    first, second = waves((45, 60)), waves((45, 60), (0.3, -0.2))
     settings = HornSchunck(alpha=0.05, iterations=3000)
     u, v = horn_schunck(first, second, settings)
     e_x, e_y, e_t = derivatives(first, second)
     means = [
         sum(
-            w * np.pad(f, 1, mode="edge")[1 + i : 91 + i, 1 + j : 121 + j]
+            w * np.pad(f, 1, mode="edge")[1 + i : 46 + i, 1 + j : 61 + j]
             for (i, j), w in {
                 (0, 1): 1 / 6, (0, -1): 1 / 6, (1, 0): 1 / 6, (-1, 0): 1 / 6,
                 (1, 1): 1 / 12, (1, -1): 1 / 12, (-1, 1): 1 / 12, (-1, -1): 1 / 12,
@@ -98,15 +105,6 @@ def test_the_fast_path_agrees_on_small_and_narrow_images_whatever_it_did_before(
     for shape in ((2, 2), (3, 40), (40, 3), (9, 15), (9, 16), (9, 17), (30, 33), (2, 2)):
         first, second = rng.integers(0, 256, (2, *shape), dtype=np.uint8)
         assert_allclose(flow(first, second), horn_schunck(first, second), rtol=1e-6, atol=1e-6)
-
-
-def test_pyoptflow_finds_the_same_flow_one_pixel_away(rng) -> None:
-    pyoptflow = pytest.importorskip("pyoptflow", reason="pyoptflow is not installed")
-    first, second = pins(0.0, rng), pins(0.01, rng)
-    theirs = np.stack(pyoptflow.HornSchunck(first / 255, second / 255, alpha=0.1, Niter=26))
-    ours = horn_schunck(first, second)
-    # Its cube stands on the other side of the pixel. What the border does reaches 26 px inwards.
-    assert abs(theirs[:, 41:-39, 41:-39] - ours[:, 40:-40, 40:-40]).max() < 1e-6
 
 
 def test_coarse_to_fine_finds_motion_of_many_pixels() -> None:

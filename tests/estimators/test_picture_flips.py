@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.estimators.guard import MIRRORED, NoveltyDetector, fit_novelty_detector, thumbnails
-from palpate.estimators.guard.picture_flips import FLIPPED, FLIPS, flipped, told_flip
+from palpate.estimators.guard.known_changes import FLIPPED, FLIPS, flipped, told_flip
 
 ROWS, COLUMNS = np.mgrid[0:48, 0:64]
 EVERYWHERE, LEFT, RIGHT = (8, 56), (8, 24), (40, 56)

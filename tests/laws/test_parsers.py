@@ -57,7 +57,7 @@ OTHERS = {
     "studio/library/background_jobs.py": "lines of its own process",
     "studio/live/start_desk.py": "lines of its own process",
     "studio/live/start_process.py": "lines of its own process",
-    "estimators/unit_store.py": "units, for the parsers of each sensor's",
+    "estimators/unit_fit.py": "units, for the parsers of each sensor's",
     "studio/stop_listener.py": "answers of its own process",
     "studio/stop_process.py": "requests and address files; it imports only the standard library",
     "version.py": "text that has been refused already",

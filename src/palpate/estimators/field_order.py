@@ -22,12 +22,12 @@ from palpate.estimators.fringe_order import CONFIDENCE, OrderCandidate, OrderFit
 STEP = 0.02  # of the scan, in orders at the greatest u
 MIN_ORDER = 0.02
 TABLE_STEP = 2e-3  # orders; linear between leaves less than 2e-5 of the light
-ENOUGH = 0.5  # orders at the greatest u from which a photograph tells its own
+ENOUGH = 0.5  # orders at the greatest u from which a photograph identifies its own
 LOAD_TOLERANCE = 0.15  # by which one load may be off the line when its valley is looked for
-MIN_CONTRAST = 0.3  # range of u over its maximum: less and the field does not tell the order
-HOPELESS = 0.7  # share of the light's variance left over from which nothing was explained
+MIN_CONTRAST = 0.3  # least range of u over its maximum
+HOPELESS = 0.7  # residual ratio of the light's variance from which the fit has failed
 BANDS = 4  # of the region, fitted apart to see whether the field is the right one
-NEAR = 0.25  # orders, about the line, for a photograph that tells none
+NEAR = 0.25  # orders, about the line, for a photograph that identifies none
 UNKNOWNS = 2  # k and N0
 CANDIDATES = 5
 ROUNDS = 8

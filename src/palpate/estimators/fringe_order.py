@@ -26,11 +26,11 @@ from palpate.estimators.fringe_light import Polariscope
 
 MIN_PHOTOGRAPHS = 5  # one more than the unknowns k, N0, a and b
 MIN_LOADS = 4
-TIE = 0.5  # share of the best fit's likelihood from which a slope ties with it; the lowest comes first
+TIE = 0.5  # likelihood ratio to the best fit from which a slope ties with it
 
-RIVAL = 0.05  # share of the best fit's likelihood from which another slope is called as good
-_DULL = 0.1  # a channel that changes less than this share of the liveliest one is left out
-NO_NOISE = 1e-8  # mean squared misfit that no photograph is better than; less does not tell two slopes apart
+RIVAL = 0.05  # likelihood ratio to the best fit from which the fit is ambiguous
+_DULL = 0.1  # relative change below which a channel is omitted
+NO_NOISE = 1e-8  # least mean squared misfit
 DECIDING_LOADS = 201
 EVEN = 0.02  # of a step, by which evenly spaced loads may be off
 WHOLE = 0.1  # of an order, by which two slopes that alias may be off a whole one

@@ -174,7 +174,7 @@ class Intervals:
         return inside
 
 
-ROUNDING = 1e-9  # of an interval's length: a truth at its very end, computed another way, counts as held
+ROUNDING = 1e-9  # tolerance at an interval's ends, relative to its length
 
 
 def within(

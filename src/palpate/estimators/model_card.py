@@ -26,7 +26,7 @@ from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
 
-NO_BETTER = 0.95  # share of the error of always saying the mean, above which an estimate says nothing
+NO_BETTER = 0.95  # ratio to the mean's error above which an estimate is uninformative
 
 
 class ScoreCard(CardPart):

@@ -71,14 +71,14 @@ def settle(pixels, row, margin, xy, reach, floor, sums, weight):
                 break
 
 
-FLOOR = 0.25  # of the way from ground to pin: what is darker has no weight
+FLOOR = 0.25  # fraction of the way from ground to pin below which pixels have no weight
 LOST = 0.35  # of a pin's first weight: with less it is lost
 REACH = 0.45  # of the way to the nearest neighbour
 MIN_REACH = 0.3  # the same, next to glare
 MIN_PINS = 7
 NEAR = 19  # pins that one is compared with, itself among them
 LIKE = 0.3, 3.0  # times their weight
-DARK_AROUND = 0.35  # share of directions in which the ground is seen halfway to the neighbours
+DARK_AROUND = 0.35  # ratio of directions in which the ground is visible halfway to the neighbors
 CROWDED, SPLINTER = 0.72, 0.65  # of the neighbours' distances, and of the other's weight
 SHORTER, SHORTEN = 6, 0.8  # times that a reach is shortened, and to how much each time
 STRAY = 0.2  # of the way to the nearest neighbour, by which a centroid may lie from where it was looked for
@@ -405,8 +405,8 @@ def _centroids(
 
 CLEAR = 5.0  # spreads of the ground that pins are brighter by
 MIN_PX = 4
-RADII = 1.2, 1.7  # px in each copy
-MIN_SIDE = 32  # px of the smallest copy
+RADII = 1.2, 1.7  # px at each scale
+MIN_SIDE = 32  # px at the smallest scale
 MIN_CONTRAST = 0.03
 BESIDE = 6  # neighbours that are looked at
 OPPOSITE = 0.35  # of the nearest one's distance: how far from the mirrored place the opposite one may lie

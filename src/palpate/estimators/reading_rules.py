@@ -85,7 +85,7 @@ def too_unsure(target: TargetCard) -> str:
     return f"{wide}, {_as_random(target)}" if target.untold_width == 0 else f"{wide}, and {_whole(target)}"
 
 
-# share of the arc from which on intervals are as wide as guesses need for 90 %: 0.9, but for chance
+# ratio of the arc from which intervals are as wide as guesses need for 90 %: 0.9 less chance
 ABOUT = 0.85
 
 

@@ -9,25 +9,27 @@ Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13) are added to the Laplace co
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from palpate.core import Float, Int, Progress, RangeError, ndarray
+from palpate.core import Float, InputError, Int, Progress, RangeError, ndarray, new_file, storage_errors
 
-UNTOLD = 0.8  # of its prior spread, from which a term is not told
-TIED = 0.95  # correlation from which two terms cannot be told apart
+UNTOLD = 0.8  # ratio to its prior spread from which a term is not identified
+TIED = 0.95  # correlation from which two terms cannot be distinguished
 
 GRAVITY_M_S2 = 9.80665  # standard; over the Earth it varies by 0.5 %
 WEIGHT_SHARE = 0.005
-SAID = 2.6  # standard deviations from which a change is said: 1 in 100 by chance
+SAID = 2.6  # standard deviations of a significant change, 1 in 100 by chance
 DAILY = 0.1  # spread of a nuisance term from day to day, as a fraction of that from unit to unit
 
 AS_STATED = 4.0  # errors in number, of the stated size, that are assumed in addition to those seen
-MIN_PRESSES = 2  # presses, below which none is held out
+MIN_PRESSES = 2  # presses below which none is held out
 
 State = Float[ndarray, " u"]
 Square = Float[ndarray, "u u"]
@@ -343,3 +345,61 @@ def changed_since(
 def drifted(changes: dict[str, float]) -> tuple[str, ...]:
     """Return names of significant changes, given in standard deviations."""
     return tuple(name for name, deviations in changes.items() if abs(deviations) > SAID)
+
+
+MAX_TERM = 100.0  # in its own unit: no logarithm, angle, millimeter, pixel or mired comes near
+
+Unit = TypeVar("Unit")
+
+
+def write_unit(
+    path: Path, form: str, names: Sequence[str], terms: Float[ndarray, " t"],
+    covariance: Float[ndarray, "t t"], others: dict[str, Any],
+) -> None:  # fmt: skip
+    """Write a sensor unit to a new file; `form` is name and version, `others` are plain numbers."""
+    record = {
+        "format": form, "terms": dict(zip(names, terms.tolist(), strict=True)),
+        "covariance": covariance.tolist(), **others,
+    }  # fmt: skip
+    with new_file(path) as building:
+        building.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_unit(
+    path: Path, form: str, names: Sequence[str], command: str,
+    made: Callable[[dict[str, Any], ndarray, ndarray], Unit],
+) -> Unit:  # fmt: skip
+    """Read a sensor unit as `write_unit` wrote it.
+
+    Args:
+        path: File.
+        form: Name and version of the format.
+        names: Names of the terms.
+        command: Command that writes such a file, for messages.
+        made: Function from record, terms, and covariance to the unit; raises ValueError.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; `{command}` makes one", code="file-missing")
+    with storage_errors(path):
+        text = path.read_bytes()
+    try:
+        return made(*_numbers(json.loads(text), form, names))
+    except InputError as e:
+        raise InputError(f"{path} is no unit that can be used: {e}", code=e.code) from e
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as e:
+        raise InputError(f"{path} is no unit's file: {type(e).__name__}: {e}", code="unit-damaged") from e
+
+
+def _numbers(
+    record: dict[str, Any], form: str, names: Sequence[str]
+) -> tuple[dict[str, Any], ndarray, ndarray]:
+    if record["format"] != form:
+        raise InputError(f"its format is {record['format']!r}, not {form!r}; fit anew", code="unit-format")
+    terms = np.array([float(record["terms"][name]) for name in names])
+    covariance = np.array(record["covariance"], dtype=np.float64)
+    if covariance.shape != (len(names),) * 2 or not np.isfinite(covariance).all():
+        raise ValueError("its covariance is not one of its terms")
+    sound = bool((np.abs(terms) < MAX_TERM).all())
+    if not (sound and np.linalg.eigvalsh((covariance + covariance.T) / 2).min() > 0):
+        raise ValueError(f"its numbers are not those of {form}")
+    return record, terms, covariance

@@ -40,9 +40,16 @@ from palpate.estimators.compliance.contact_area import (
     ring_measures,
 )
 from palpate.estimators.compliance.contact_region import RigidPlateStretch
-from palpate.estimators.compliance.contact_seat import Seat, fit_seat, sideways_px
 from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger, invert_hertz
-from palpate.estimators.compliance.pin_press import PinPress, at_forces, follow_press, motion_on_layout
+from palpate.estimators.compliance.pin_press import (
+    PinPress,
+    Seat,
+    at_forces,
+    fit_seat,
+    follow_press,
+    motion_on_layout,
+    sideways_px,
+)
 from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
 from palpate.estimators.compliance.shape_surface import ShapeSurface
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness, softness

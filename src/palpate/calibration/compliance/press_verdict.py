@@ -23,8 +23,7 @@ from palpate.calibration.compliance.cue_agreement import CueMisfit, greatest_mis
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core import Drift
 from palpate.core.refusal import ReasonCode, Refusal
-from palpate.estimators.compliance.contact_seat import sideways_px
-from palpate.estimators.compliance.pin_press import PinPress
+from palpate.estimators.compliance.pin_press import PinPress, sideways_px
 from palpate.estimators.compliance.stiffness_curve import SmallSpace, Vector
 
 MAX_NOVELTY = 5.0  # times what the references' own trials showed

@@ -39,7 +39,7 @@ SCALARS = {
     "bytes": F.TYPE_BYTES,
 }
 
-# name, number, and type of each field; * marks a repeated one. Opaque stands for what is refused
+# name, number, and type of each field; * marks a repeated one; Opaque is refused
 MESSAGES: dict[str, tuple[tuple[str, int, str], ...]] = {
     "Model": (
         ("ir_version", 1, "int"), ("opset_import", 8, "*OperatorSet"), ("graph", 7, "Graph"),

@@ -264,7 +264,7 @@ def _operator(infer: Infer, least: int, most: int, attributes: str = "") -> Admi
 
 MANY = 1000
 _WINDOWS = "pads strides auto_pad"
-# attributes that a node may state with this value only, the default; int8 copies state them
+# attributes that a node may state with their default value only
 FIXED: Mapping[str, object] = {
     "allowzero": 0, "alpha": 1.0, "auto_pad": b"NOTSET", "beta": 1.0, "ceil_mode": 0, "storage_order": 0,
     "transA": 0,
@@ -273,7 +273,7 @@ _TREES = """
     n_targets aggregate_function post_transform nodes_treeids nodes_nodeids nodes_featureids nodes_values
     nodes_truenodeids nodes_falsenodeids nodes_modes target_treeids target_nodeids target_ids target_weights
 """
-# operators by (domain, name): those of models, corrections, and int8 copies, and ReduceMean for users
+# operators by (domain, name) of models and corrections, and ReduceMean for users
 OPERATORS: Mapping[tuple[str, str], AdmittedOperator] = {
     ("", "Abs"): _operator(_elementwise, 1, 1),
     ("", "Add"): _operator(_elementwise, 2, 2),

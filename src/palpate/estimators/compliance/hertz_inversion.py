@@ -24,7 +24,7 @@ MIN_SHARE = 0.2
 DRAWS = 4000
 MIN_SAMPLES = 5
 FARTHEST = 20.0  # e-folds that a drawn slope is off at most: Student's tails of two presses have no end
-OF_MODULUS, OF_RADIUS = 0.13, 0.25  # of a finger's misfit: standard deviations, as shares
+OF_MODULUS, OF_RADIUS = 0.13, 0.25  # relative standard deviations per misfit of the finger
 TOO_STIFF = (
     "the object yields {:.0%} of the approach; below {:.0%} its own part cannot be told from the finger's"
 )

@@ -15,7 +15,7 @@ from palpate.core import Float, InputError, Int, ndarray
 from palpate.estimators.lattice.ring_layout import MAX_RINGS, ring_of, ring_sites
 
 DEGREES = (5, 40), (3, 20), (1, 6)  # of the map, and pins that it needs
-ALIKE = 1e-6  # pitches by which the outermost places of a layout may differ in distance
+ALIKE = 1e-6  # pitches, tolerance of equal distances of the outermost positions
 
 Points = Float[ndarray, "p 2"]
 

@@ -38,10 +38,10 @@ MIN_MOTION = 0.5  # px that the pins must move, all taken together
 AIR = 0.1  # of the greatest force, below which a record that begins or ends so does it in the air
 MIN_RATIO = 1.5  # of two presses' speeds, for them to be two speeds
 UNLIKELY = 0.01  # chance by which presses that agree would differ so much
-MIN_APART_S = 5e-3  # that presses must differ by to be told apart: half of what readings stand anyhow
+MIN_APART_S = 5e-3  # least significant difference between presses
 MAX_CORRELATION = 0.95
 
-Series = Float[ndarray, " _"]  # of any length; that several belong together is checked, and told
+Series = Float[ndarray, " _"]  # of any length; matching lengths are checked
 Samples = Float[ndarray, " s"]
 Frames = Float[ndarray, " f"]
 Columns = Float[ndarray, "f c"]

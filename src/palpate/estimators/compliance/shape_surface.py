@@ -35,11 +35,11 @@ MIN_REFERENCES = (
 )  # rigid plate; moduli of flats; radii of rigid spheres; moduli, radii of soft spheres
 STRAIGHT = (1.0, 0.0)
 BENDS = ((0.5, 0.0), (2.0, 0.0), (1.0, 0.5))  # of E_0, and of c as c / (1 + bend c)
-BOUNDS = ((-0.1, -0.5), (0.95, 2.0))  # of places that are looked at, in s and c
+BOUNDS = ((-0.1, -0.5), (0.95, 2.0))  # bounds of the search, in s and c
 GRID = np.array(
     list(product(np.linspace(-0.05, 0.9, 20), np.linspace(-0.2, 1.6, 19)))
 )  # of places to begin at
-SINGULAR = 1e-3  # below which, of the greatest, a term tells nothing new of the references
+SINGULAR = 1e-3  # relative singular value below which a term is not identifiable
 NEEDS = (
     "to tell modulus and radius, spheres need other references beside them, of known modulus and radius: a "
     "rigid plate, soft flats of 2 moduli, rigid spheres of 2 radii, and soft spheres of 2 moduli and of 2 "

@@ -125,9 +125,9 @@ def _of_two(method, **options):
     return function
 
 
-# of two that follow each other, the neighbours one to the left of the second's places
+# left neighbors, from two consecutive vectors
 left_of = _of_two("shuffle_vector", mask=_pick(range(WIDTH - 1, 2 * WIDTH - 1)))
-# of two that follow each other, the neighbours one to the right of the first's places
+# right neighbors, from two consecutive vectors
 right_of = _of_two("shuffle_vector", mask=_pick(range(1, WIDTH + 1)))
 
 _ARITHMETIC = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}

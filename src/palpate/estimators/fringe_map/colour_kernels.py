@@ -12,7 +12,7 @@ import numpy as np
 CHANNELS = 3
 SIDE = 32  # cells of the index along each channel
 KEPT = 5  # valleys a pixel; at four orders of a white lamp more are never within reach of the best
-CAP = 30.0  # a cost beyond which more says nothing: dust, a scratch
+CAP = 30.0  # greatest cost, for dust or a scratch
 BOUND = 6.0  # natural log of the likelihood by which one neighbour may argue at most
 REACH = 20  # rows to each side over which a wide valley is integrated
 CLOSED = 4.0  # misfit at the ends of a valley that is one: two standard deviations

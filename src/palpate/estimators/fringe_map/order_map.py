@@ -9,8 +9,8 @@ import numpy as np
 
 from palpate.core import Bool, Float32, UInt8, ndarray
 
-MAX_SIGMA = 0.25  # orders, from which an order is not told
-SATURATED = 254  # code from which a channel may hold more light than it says
+MAX_SIGMA = 0.25  # orders, greatest standard deviation of an identified order
+SATURATED = 254  # code from which a channel may be saturated
 
 
 class Untold(IntEnum):

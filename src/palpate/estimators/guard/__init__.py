@@ -5,6 +5,7 @@ from palpate.estimators.guard.guard_features import Registration, frame_features
 from palpate.estimators.guard.known_changes import (
     EXCHANGED,
     MAX_HARM,
+    MIRRORED,
     SIGNATURES,
     ChangeExamples,
     KnownChanges,
@@ -23,7 +24,6 @@ from palpate.estimators.guard.novelty import (
     thumbnail,
     thumbnails,
 )
-from palpate.estimators.guard.picture_flips import MIRRORED
 
 __all__ = [
     "EXCHANGED", "MAX_HARM", "MIRRORED", "SIGNATURES", "ChangeExamples", "CopyDiscriminator", "KnownChanges",

@@ -18,8 +18,8 @@ from palpate.core import Float, Float32, UInt8
 OCTAVES = 4
 MAX_MARKER_SIDE_PX = 240  # longer side of the image that markers are found in
 MAX_COUNTED_PIXELS = 2**17  # for grey levels; of larger images every second row or fewer are counted
-LOCAL_FEATURES = 8  # features of a thumbnail beside its neighbours, the last ones
-FLOOR = 0.02  # grey levels, below which a mean says nothing
+LOCAL_FEATURES = 8  # number of features of the residual thumbnail, the last ones
+FLOOR = 0.02  # gray levels added before logarithms
 
 Grey = UInt8[np.ndarray, "h w"]
 Octave = UInt8[np.ndarray, "_ _"]

@@ -14,16 +14,61 @@ import numpy as np
 
 from palpate.core import Bool, Float, Float32, Indices, Int, Shaped
 from palpate.estimators.guard.guard_features import LOCAL_FEATURES, Registration
-from palpate.estimators.guard.picture_flips import FLIPS, MIRRORED
 
-# a frame is refused where the share of readings beyond twice their half-width would rise by more
+Thumbnail = Float32[np.ndarray, "h w c"]
+
+FLIPPED = "flipped"
+# kinds of flip, and the code by which `cv2.flip` takes each back
+FLIPS: Mapping[str, int] = {"mirrored-x": 1, "mirrored-y": 0, "rotated-180": -1}
+# words for each kind, and for several that fit alike
+MIRRORED: Mapping[str, str] = {
+    "mirrored-x": "mirrored, left for right",
+    "mirrored-y": "mirrored, upside down",
+    "rotated-180": "turned by half a turn",
+    FLIPPED: "mirrored or turned by half a turn",
+}
+# greatest novelty ratio of the best to the second-best flip that identifies the flip
+MAX_SECOND = 0.5
+# greatest ratio of the median deviation from the reference, flipped back over as it is
+MAX_FLIPPED_BACK = 0.5
+MIN_AWAY_GREY_LEVELS = 2.0  # least deviation; below, the picture fits the reference as it is
+
+
+def flipped(picture: Thumbnail, code: int) -> Thumbnail:
+    """Return a picture flipped as `cv2.flip` does: 0 vertically, 1 horizontally, -1 both."""
+    rows, columns = (slice(None, None, -1 if code in codes else 1) for codes in ((0, -1), (1, -1)))
+    return np.ascontiguousarray(picture[rows, columns])
+
+
+def unflipped(picture: Thumbnail, untouched: Thumbnail) -> dict[str, Thumbnail]:
+    """Return the picture flipped back by each flip that explains its change [gray levels].
+
+    A flip must fit the no-contact part of the frame; a touch elsewhere on a symmetric sensor could resemble
+    one.
+    """
+    away = float(np.median(np.abs(picture - untouched)))
+    back = {kind: flipped(picture, code) for kind, code in FLIPS.items()}
+    most = MAX_FLIPPED_BACK * away if away >= MIN_AWAY_GREY_LEVELS else -1.0
+    return {kind: one for kind, one in back.items() if np.median(np.abs(one - untouched)) <= most}
+
+
+def told_flip(novelty: Mapping[str, float]) -> str:
+    """Return the kind of flip by the relative novelty of the picture flipped back by each, or ""."""
+    fit = sorted((value, kind) for kind, value in novelty.items() if value <= 1.0)
+    if not fit:
+        return ""
+    told = len(fit) == 1 or fit[0][0] <= MAX_SECOND * fit[1][0]
+    return fit[0][1] if told else FLIPPED
+
+
+# greatest rise of the ratio of readings beyond twice their half-width
 MAX_HARM = 0.01
-MAX_FALSE_REFUSALS = 0.03  # share of unchanged frames, each compared with examples of other frames
+MAX_FALSE_REFUSALS = 0.03  # ratio of unchanged frames that may be rejected
 NEIGHBOURS = 12
 DIRECTIONS = 16
-THIRD = 2  # the third nearest tells how near examples are: one twin says little
+THIRD = 2  # index of the third nearest example, whose distance is used
 KNOWN_SHARE = 0.97  # of examples count as near to the others
-HARMLESS_SHARE = 0.9  # of harmless examples are less novel than what is let pass
+HARMLESS_SHARE = 0.9  # quantile of harmless novelty that is tolerated
 MIN_FEATURE_SPREAD = 0.01
 MIN_VARIANCE = 0.01  # of an axis of the unchanged frames, whose mean variance is about 1
 LINEAR_SPREADS = 3.0  # within which features count in proportion; beyond, by their logarithm
@@ -37,7 +82,7 @@ class Signature:
     remedy: str
 
 
-EXCHANGED = "exchanged channels"  # see `channel_order`
+EXCHANGED = "exchanged channels"  # see `novelty.channels_exchanged`
 
 # words for each kind, by the names of `calibration.robustness.KINDS`
 SIGNATURES: Mapping[str, Signature] = {

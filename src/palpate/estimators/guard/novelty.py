@@ -24,10 +24,65 @@ from scipy.optimize import nnls
 from palpate.core import CertificateError, Drift, Float, Float16, Float32, Indices, InputError, Int, UInt8
 from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
 from palpate.core.parsing import parser
-from palpate.estimators.guard.channel_order import channels_exchanged, colour_size
 from palpate.estimators.guard.guard_features import frame_features
-from palpate.estimators.guard.known_changes import EXCHANGED, KnownChanges, Verdict
-from palpate.estimators.guard.picture_flips import FLIPS, flipped, told_flip, unflipped
+from palpate.estimators.guard.known_changes import (
+    EXCHANGED,
+    FLIPS,
+    KnownChanges,
+    Verdict,
+    flipped,
+    told_flip,
+    unflipped,
+)
+
+# greatest regression slope of red less blue on its reconstruction: 1 is equal, -1 exchanged
+MAX_SLOPE = -0.3
+MAX_CORRELATION = -0.3  # between both after brightness is taken out
+# RMS residual below which a picture has too little color [gray levels]
+MIN_COLOUR_GREY_LEVELS = 1.0
+
+Picture = Float32[np.ndarray, "h w c"]
+
+
+def channels_exchanged(picture: Picture, rebuilt: Picture) -> bool:
+    """Return whether red and blue seem exchanged relative to the reconstruction [gray levels].
+
+    Red less blue must be inverted both as it is and after regression on brightness, because another lamp
+    changes it too.
+    """
+    if picture.shape[2] != 3:
+        return False
+    seen, known = _red_less_blue(picture), _red_less_blue(rebuilt)
+    pure, pure_known = _beside_brightness(seen, picture), _beside_brightness(known, rebuilt)
+    size, size_known = _size(pure), _size(pure_known)
+    if min(size, size_known) < MIN_COLOUR_GREY_LEVELS:
+        return False
+    slope = float(seen @ known) / float(known @ known)
+    correlation = float(pure @ pure_known) / (size * size_known * len(seen))
+    return slope < MAX_SLOPE and correlation < MAX_CORRELATION
+
+
+def colour_size(picture: Picture) -> float:
+    """Return the RMS of red less blue [gray levels]."""
+    return _size(_red_less_blue(picture))
+
+
+def _red_less_blue(picture: Picture) -> Float[np.ndarray, " n"]:
+    return np.asarray(picture[..., 0] - picture[..., 2], np.float64).ravel()
+
+
+def _beside_brightness(difference: Float[np.ndarray, " n"], picture: Picture) -> Float[np.ndarray, " n"]:
+    """Residual of a difference after linear regression on brightness."""
+    bright = picture.mean(axis=2, dtype=np.float64).ravel()
+    bright -= bright.mean()
+    difference = difference - difference.mean()
+    square = float(bright @ bright)
+    return np.asarray(difference - (float(difference @ bright) / square * bright if square else 0.0))
+
+
+def _size(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
 
 THUMBNAIL_VALUES = 1024  # a thumbnail holds about this many values, in one channel or in three
 
@@ -36,14 +91,14 @@ NEIGHBOURS = 24
 AXES = 48  # principal axes along which neighbours are searched for
 ROWS_FOR_AXES = 3000
 RIDGE = 0.01  # of the neighbours' mean squared distance, so that near twins share their weight
-# means over a block never agree better than this: thumbnails are kept in whole grey levels
+# noise floor of block means of integer thumbnails
 FLOOR_GREY_LEVELS = 0.05
 
 # greatest ratio of the red-less-blue residual, exchanged back over as it is, that counts as exchanged
 MAX_EXCHANGED_BACK = 0.75
 # greatest ratio of a mirrored frame's residual to that of an exchanged one at which it may be mirrored
 MAX_MIRRORED = 1.1
-# least one of a frame whose red and blue are exchanged: beyond the limit, however like it is else
+# least atypicality of a frame with exchanged channels
 EXCHANGED_ATYPICALITY = 2.0
 
 Prepared = UInt8[np.ndarray, "_ _ c"]
@@ -247,13 +302,13 @@ def _axes(thumbs: Kept, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 MAX_KEPT = 2000  # recorded frames
-FALSE_ALARMS = 0.03  # share of good frames that may be turned away
+FALSE_ALARMS = 0.03  # ratio of good frames that may be rejected
 
-# two averages of one scene never agree better than this, whatever a few references suggest
+# noise floor of averages of one scene
 MIN_DRIFT_SPREAD_GREY_LEVELS = 0.5
 
 FEW_REFERENCES = 5
-# fewer no-contact frames than five say little of how far such frames wander: three times their spread
+# drift limit with fewer than five no-contact frames, in their spread
 MAX_DRIFT_OF_FEW = 3.0
 
 

@@ -30,13 +30,13 @@ Offsets = tuple[np.ndarray, np.ndarray]
 MIN_ROUND = 0.1  # product of a dot's curvatures over their sum squared; 0.25 is a circle
 MIN_DOTS = 9
 MIN_CONTRAST = 5.0  # times the noise
-MIN_LEVEL = 100  # pixels of a grey level, to tell its noise
+MIN_LEVEL = 100  # pixels of a gray level needed to estimate its noise
 RING = 1.8, 2.8  # of the radius, between which the ground is seen
 WEIGHT = 0.9  # standard deviation of the weights, of the radius
 ROUNDS, STILL_PX = 12, 0.003
 MAX_MOVE = 1.2  # of the radius, from where a dot was looked for
 MAX_ANGLE = 1.4  # rad from a fisheye's axis, beyond which straightening stands still
-NO_PEAK = 1e12  # in place of a derivative where the patch has no peak: it then does not move
+NO_PEAK = 1e12  # derivative of a patch without a peak, which then does not move
 
 
 @dataclass(frozen=True)

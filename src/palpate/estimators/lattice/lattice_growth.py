@@ -25,12 +25,12 @@ Points = Float[ndarray, "n 2"]
 Cells = Int[ndarray, "n 2"]
 
 KEPT_WITHIN = 0.1, 0.22  # of the local pitch: bounds of six times the usual distance from where it must lie
-MIN_AROUND = 3  # cells that say so
-MAX_BETWEEN = 0.15  # share of marks halfway between two, beyond which a lattice is part of a finer one
+MIN_AROUND = 3  # cells that agree
+MAX_BETWEEN = 0.15  # ratio of marks halfway between two, beyond which the lattice is finer
 MIN_MARKS = 9  # fewer are no lattice
 MIN_DETERMINANT = 0.05  # of the cells around: less are nearly on one line
 MAX_SEEDS = 12  # marks from which it is begun
-HELD = 0.02  # of the weights, by which curvature is held towards none
+HELD = 0.02  # relative weight of the penalty on curvature
 MARGIN = 4  # empty cells around the known ones
 
 
@@ -307,7 +307,7 @@ def _correlate(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 MAX_MOVE = 0.7  # of the pitch, from the reference: halfway to the next corner of the same kind
 MAX_DOT_MOVE = 0.5  # the same where all marks are alike
-MIN_AGREED = 0.6  # share of the votes
+MIN_AGREED = 0.6  # ratio of the votes
 MIN_VOTES = 5
 QUARTER = np.array([[0, 1], [-1, 0]])
 SIXTH = np.array([[0, 1], [-1, 1]])

@@ -29,13 +29,13 @@ from palpate.estimators.lattice.ring_layout import (
 )
 
 PinLayoutKind = Literal["hexagonal", "rings", "square"]
-MIN_FILLED = 0.9  # share of its rings' cells: pins in rings, taken for such a lattice, leave more empty
+MIN_FILLED = 0.9  # ratio of its rings' cells; pins in circular rings leave more empty
 MIN_SHARE = 0.65  # with less, marks stand on no lattice
-MIN_OF_ALL = 0.45  # share of all marks
+MIN_OF_ALL = 0.45  # ratio of all marks
 SHEARED = 1.25  # a square's diagonal is 1.41 of its side
 OUTWARDS = (2, 1), (4, 3), (6, 3)  # rings, and the degree of the map that leads there
 OFF = 0.2  # of the distance of neighbours, between where a pin is and where the map has it
-NEARLY_EMPTY, NEARLY_FULL = 0.15, 0.6  # share of a ring's cells
+NEARLY_EMPTY, NEARLY_FULL = 0.15, 0.6  # ratios of a ring's cells
 EMPTY_COSTS = 0.5  # of a mark
 MIN_NEXT = 3  # neighbours of a pin on the edge of a hexagonal field
 

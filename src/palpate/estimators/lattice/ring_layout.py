@@ -17,7 +17,7 @@ from palpate.core import Float, Int, ndarray
 from palpate.estimators.lattice.lattice_growth import GrownLattice
 
 MAX_RINGS = 13
-REACH = 2.9  # pitches, within which known marks tell where one lies
+REACH = 2.9  # pitches within which known marks predict others
 WIDTH = 1.4  # pitches; standard deviation of their weights
 MIN_KNOWN = 4
 WITHIN = 0.36  # of the local pitch, how far a mark may lie from where it must
@@ -26,11 +26,11 @@ FIRST_RINGS = 5  # by which beginnings are compared
 MIDDLES = 24  # marks and gaps that are tried as the middle
 RECHOICES = 2
 MAX_TRIES = 4
-MIN_JOINED = 0.55  # share of the places next to a beginning that have a mark
-MIN_FILLED = 0.5  # of a ring's places inside the image
+MIN_JOINED = 0.55  # ratio of the positions next to a seed that have a mark
+MIN_FILLED = 0.5  # ratio of a ring's positions inside the image
 # sites that a mark near the middle may be: the middle, or where too much is hidden there, of one sixth
 BEGINNINGS = (0,), (1, 7, 8, 19, 20, 21)
-SETTLED = 0.93  # share of the marks among named ones that are named, with which a layout is the right one
+SETTLED = 0.93  # ratio of named marks within the layout with which no other is tried
 # cells around one, 60 degrees apart, the first along the columns
 DIRECTIONS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
 

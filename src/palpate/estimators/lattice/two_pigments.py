@@ -19,7 +19,7 @@ Axis = UInt8[ndarray, "h w"]
 LOW, HIGH = 12.0, 243.0  # where the darkest and brightest thousandth of the axis come to lie
 MIN_CONTRAST = 6.0  # grey levels between the pigments, and times the noise
 DARK, BRIGHT = 16, 250
-MAX_CLIPPED = 0.5  # share of pixels at the camera's end of range
+MAX_CLIPPED = 0.5  # greatest ratio of saturated pixels
 LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)  # its output has 6 times the noise
 HALF_NORMAL_MEDIAN = 0.6745
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from palpate.core import Float32, InputError, Tensor
 
-# share of the images that each change is drawn for; half as many are compressed, which takes longest
+# ratio of the images with each change; half as many are compressed, which takes longest
 SHARE = 0.5
 
 Rng = np.random.Generator

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
 OPSET = 18
-TREES_OPSET = 3  # of ai.onnx.ml, which trees are told in
+TREES_OPSET = 3  # opset of ai.onnx.ml for trees
 # The newest IR that the oldest onnxruntime allowed by the dependencies reads.
 IR_VERSION = 9
 

@@ -16,7 +16,7 @@ from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
 from palpate.estimators.surface_strain import StrainMeter, contact_peaks
 
 MIN_MARKS = 0.5  # of the skin's
-MAX_BENT = 5.0  # times the tolerance: root mean square beside straight lines, of what is smooth
+MAX_BENT = 5.0  # multiple of the tolerance, RMS deviation from straight lines
 MAD_TO_SIGMA = 1.4826
 DOT_TOLERANCE = 0.01  # of the pitch, for dots whose casting is not stated
 POWERS = [(i, j) for i in range(4) for j in range(4 - i)]

@@ -30,10 +30,10 @@ from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, reach
 from palpate.estimators.shear.touch_readings import touch_readings
 from palpate.estimators.surface_strain import StrainFields, StrainMeter
 
-FRAMES = 6  # before this one, that it is held against
-MIN_PITCHES = 0.08  # of the pitch: what a place moves by at least
-MIN_SIGNIFICANCE = 4.0  # of the move over its standard error
-SAME_CONTACT = 1.5  # pitches from frame to frame; what is further is another contact
+FRAMES = 6  # previous frames for comparison
+MIN_PITCHES = 0.08  # pitches, least motion of a position
+MIN_SIGNIFICANCE = 4.0  # ratio of the motion to its standard error
+SAME_CONTACT = 1.5  # pitches from frame to frame within one contact
 
 
 class SlipWatch:
@@ -71,9 +71,9 @@ def _error(one: TouchPlace, other: TouchPlace) -> float:
 
 MIN_CONTRAST = 0.4  # of the reference's
 MIN_SHARPNESS = 0.7  # of the reference's
-MAX_CLIPPED = 0.1  # share of pixels at the end of the range, beyond the reference's
+MAX_CLIPPED = 0.1  # ratio of saturated pixels beyond the reference's
 CLIPPED = 254
-STEP = 2  # every second pixel tells a level
+STEP = 2  # sampling of pixels
 
 
 class FrameLook(NamedTuple):

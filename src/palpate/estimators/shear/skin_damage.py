@@ -25,12 +25,12 @@ from palpate.estimators.shear.touch_places import (
 )
 from palpate.estimators.surface_strain import StrainFields
 
-STRAYED = 5.0  # times a mark's standard error: what is left unexplained
-OF_MOTION = 0.08  # of the greatest shift; the layers as stated leave up to 0.05 on copies of the pad
+STRAYED = 5.0  # standard errors of an unexplained mark
+OF_MOTION = 0.08  # ratio to the greatest shift; stated layers leave up to 0.05 on other units
 MIN_STAYED = 6  # neighbouring marks; a touch too light to be found moves up to four
 MIN_LINE = 4  # missing marks in a row, or a row and a diagonal
 MAX_THICKNESS = 0.8  # cells, standard deviation across such a line
-MIN_SEEN = 0.9  # of the lattice's marks, to tell what stays moved
+MIN_SEEN = 0.9  # ratio of the lattice's marks needed to detect what stays moved
 BESIDE_TOUCH = 3.0  # pitches from a contact, within which marks may be lost by the press
 
 

@@ -18,8 +18,8 @@ from palpate.estimators.brightest_channel import brightest_channel
 from palpate.estimators.lattice import ControlPoints, DottedSkin, MarkTracker, TrackedPoints, find_dots
 from palpate.estimators.surface_strain import PatternedSkin, on_plane
 
-BARE = 0.3  # of the tiles' median level: what a tile that has come off is darker than
-DARK = 0.55  # of the brightest tile around: what a gap of a pixel is darker than; red has 0.72 of yellow
+BARE = 0.3  # ratio to the tiles' median level of a lost tile
+DARK = 0.55  # ratio to the brightest tile nearby of a gap; red has 0.72 of yellow
 AROUND = 1.5  # pitches, in which the brightest tile is looked for
 TILE_REACH = 0.95  # pitches from its middle, which a tile that has come off may darken
 MIN_GAP = 2.0  # pitches, of a dark line's length

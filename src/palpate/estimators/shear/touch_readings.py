@@ -21,8 +21,8 @@ from palpate.estimators.surface_strain.shear_measure import PUBLISHED_ALPHA
 
 MIN_SHIFT_ERROR = 3.0  # times the marks' noise: standard error of a shift even where no friction is assumed
 MIN_TURN_ERROR = 2.0  # the same of a rotation, over the pitch
-SINKING_ERROR = 0.25  # of the sinking as the ring tells it, standard error
-MODEL_ERROR = 0.1  # of shift and rotation as traction tells them, standard error
+SINKING_ERROR = 0.25  # relative standard error of the sinking by the ring
+MODEL_ERROR = 0.1  # relative standard error of shift and rotation by traction
 
 
 class PatternShift(NamedTuple):

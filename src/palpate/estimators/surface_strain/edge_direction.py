@@ -16,8 +16,8 @@ import numpy as np
 from palpate.core import Float, InputError, ndarray
 from palpate.estimators.surface_strain.strain_fields import StrainFields
 
-DEFORMED_SHARE = 0.1  # share of the samples. Assumed: the thesis does not say how many.
-OTHER_SHARES = (0.7, 1.4)  # of that share, for the error
+DEFORMED_SHARE = 0.1  # ratio of the samples; assumed, not in the thesis
+OTHER_SHARES = (0.7, 1.4)  # multiples of that ratio, for the error
 DRAWS = 48
 NORMAL_90 = 1.6449  # standard errors of a two-sided 90 % interval
 MIN_ELONGATION = 1.6  # length over width of what has moved most: a round contact has up to 1.3

@@ -221,7 +221,7 @@ def components_of(
     return centre, principal_axes(centred, most)
 
 
-MIN_GAIN = 0.01  # of a target's error, for which it is learnt from other features than the rest
+MIN_GAIN = 0.01  # relative gain for which a target gets other features than the rest
 
 
 @dataclass

@@ -17,7 +17,7 @@ from palpate.core import Float, Progress, Values, silent
 
 Scores = Float[np.ndarray, "n k"]
 
-MIN_METRIC = 1e-4  # share of every component in a learnt metric, so that none is lost
+MIN_METRIC = 1e-4  # least weight of every component in a learned metric
 JITTER = 1e-9  # of the kernel's diagonal, below which its rows are alike
 
 

@@ -13,8 +13,7 @@ from pandas import DataFrame
 
 from palpate.core import Bool, ImageError, InputError, RangeError, UInt8, ndarray, storage_errors
 from palpate.core.parsing import parser
-from palpate.estimators.unit_fit import Widening
-from palpate.estimators.unit_store import read_unit, write_unit
+from palpate.estimators.unit_fit import Widening, read_unit, write_unit
 from palpate.recordings.exchange.image_files import opencv_image
 from palpate.recordings.run_reader import Run
 from palpate.sensors.palm.copies.palm_copy import (

@@ -10,7 +10,7 @@ import numpy as np
 
 from palpate.core import InputError, ndarray
 from palpate.core.parsing import parser
-from palpate.estimators.unit_store import read_unit, write_unit
+from palpate.estimators.unit_fit import read_unit, write_unit
 from palpate.sensors.tactip.tactip_sensor import tactip
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, TipCopy
 
