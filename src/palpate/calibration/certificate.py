@@ -57,15 +57,11 @@ from palpate.version import __version__
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """Result of a calibration: everything a certificate is written from.
+    """Everything that a certificate is written from.
 
     Attributes:
-        job: what was asked, and the rows and folds.
-        audit: what is on both sides of the split.
         held_out: outputs ``[n o]`` of models that had not seen the row's group; NaN for rows not scored.
-        intervals: made from these.
-        fitted, novelty: trained on all of them.
-        seconds: time it took [s].
+        fitted, novelty: trained on all rows.
         robustness, confounds, classes, pixels: None where not measured.
     """
 
@@ -112,9 +108,7 @@ class CalibrationResult:
         return self.layout.differences(self.estimates, self.data.values)
 
 
-AGREEMENT = 1e-4
-"""Largest allowed difference between the exported and the trained model, as a share of a target's range."""
-
+AGREEMENT = 1e-4  # largest difference of exported and trained model, relative to a target's range
 WORST = 6
 
 
@@ -127,12 +121,12 @@ def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
 
 
 def most_missed(errors: Values, span: Float[np.ndarray, " t"], read: Sequence[bool]) -> Indices:
-    """Rows whose error is the largest in units of each target's range, the worst first.
+    """Return the rows with the largest error relative to each target's range, the worst first.
 
     Args:
-        errors: signed, or their sizes ``[n t]``.
+        errors: signed or absolute errors ``[n t]``.
         span: lengths of the targets' ranges; 0 counts as 1.
-        read: of each target, whether it is read; where none is, all count.
+        read: whether each target is read; where none is, all count.
     """
     counted = np.array(read, bool) if any(read) else np.ones(len(span), bool)
     shares = np.abs(errors) / np.where(span > 0, span, 1.0)
@@ -179,13 +173,11 @@ def agreement(result: CalibrationResult, model: Path) -> float:
 def interval_fields(
     intervals: Intervals, j: int, over_range: RangeCard | None = None, untold_width: float | None = None
 ) -> dict[str, Any]:
-    """Fields of a target's card from which `estimators.intervals.intervals_of` makes its interval again.
+    """Return the card fields from which `estimators.intervals.intervals_of` restores a target's interval.
 
     Args:
-        intervals: of all targets.
-        j: which target.
-        over_range: its card over its range.
-        untold_width: width from which its interval carries no information, where it is circular.
+        j: index of the target.
+        untold_width: width from which a circular target's interval carries no information.
     """
     spread, layout = intervals.spread, intervals.layout
     outputs, circular = slice(j, j + 1), None
@@ -298,9 +290,8 @@ def software() -> dict[str, str]:
 PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.parquet"
 
 
+# from held-out outputs, labels, groups, coverage, and for circular targets `layout`
 IntervalFit = Callable[..., Intervals]
-"""Makes intervals from held-out outputs, labels, groups and coverage, and where a target is circular from the
-`layout` of the outputs."""
 
 
 def scored_rows(held_out: Outputs) -> Indices:
@@ -323,18 +314,12 @@ def write_certificate(
     split: SplitCard | None = None,
     more: Callable[[Path], Mapping[str, Any]] = lambda folder: {},
 ) -> Card:
-    """Write the folder; `out` appears whole or not at all.
+    """Write the calibration folder; `out` appears whole or not at all.
 
     Args:
-        result: what was calibrated.
-        out: the folder to make.
         former: card of the adapted calibration, whose model and input stay; None for a new one.
-        split: how rows were held out; None takes the result's own.
-        more: further fields of the card, from the folder, to which it may add files.
-
-    Raises:
-        CertificateError: the exported model does not repeat the trained one.
-        ExistsError: `out` exists.
+        split: split to state; None takes the result's own.
+        more: further card fields, by a function of the folder that may add files.
     """
     data, scored, intervals = result.data, result.scored, result.intervals
     with new_folder(out) as folder:
@@ -405,12 +390,7 @@ def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) ->
 
 
 def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
-    """Held-out predictions of a calibration.
-
-    Raises:
-        CertificateError: they are missing, or not those that the card names.
-        MissingExtraError: they were written as Parquet, and pyarrow is not installed.
-    """
+    """Read the held-out predictions of a calibration."""
     for part in card.files:
         if part.file in (PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE):
             return read_table(checked_file(folder, part))

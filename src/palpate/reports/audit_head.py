@@ -26,12 +26,10 @@ def not_relied_on(card: Card, target: TargetCard) -> bool:
 
 
 def remaining_remedy(card: Card, finding: Finding, elsewhere: bool = False) -> str:
-    """What a finding asks for; for an order also what helps meanwhile and has not been done.
+    """Return the remedy of a finding; for temporal order also what has not been done yet.
 
     Args:
-        card: of the calibration.
-        finding: of its audit.
-        elsewhere: whether it was evaluated on another session.
+        elsewhere: the calibration was evaluated on another session.
     """
     if finding.code not in ORDER_CODES:
         return finding.remedy

@@ -29,8 +29,8 @@ from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
 DECIDES = "#b2381f"
+# in drawing order
 COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT, "#b03060", "#1b2a33")
-"""Colors of the series of a figure, in the order in which they are drawn."""
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -46,8 +46,8 @@ STYLE: dict[Any, Any] = {
     "figure.dpi": 130,
 }
 
+# label columns of the position on the skin or dome
 SURFACES = (("x_mm", "y_mm"), ("contact_x_mm", "contact_y_mm"), ("tilt_x_deg", "tilt_y_deg"))
-"""Pairs of label columns that say where on the skin a press was; a tilt says where on a dome."""
 
 
 def picture(path: pathlib.Path) -> str:
@@ -57,12 +57,7 @@ def picture(path: pathlib.Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One drawing of a page.
-
-    Attributes:
-        title: what it shows, in words.
-        drawing: SVG to stand in the page.
-    """
+    """Titled SVG drawing of a page."""
 
     title: str
     drawing: Markup
@@ -118,12 +113,11 @@ def deciding_panel(
     growth: Float[np.ndarray, "y x"],
     edges: tuple[np.ndarray, np.ndarray],
 ) -> Panel:
-    """The prepared picture, and over it how much the error grows where a block of it shows nothing.
+    """Draw the prepared picture under the growth of the error by occluded block.
 
     Args:
-        title: of the panel.
         unit: of the growth.
-        image: the prepared picture, grey from 0 to 1 ``[h w]``.
+        image: grey from 0 to 1 ``[h w]``.
         growth: of the mean absolute error.
         edges: limits of the blocks down and across [px].
     """
@@ -226,10 +220,7 @@ def _errors(
 
 
 def _marks(axes: Axes, x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> None:
-    """Dots where the interval held the truth, crosses where it did not: by shape, for who sees no colour.
-
-    All dots are one path of strokes without length and with round ends, a tenth of the text of single marks.
-    """
+    """Dots where the interval covered the truth, crosses elsewhere; all dots are one path, for its size."""
     ends = np.repeat(np.column_stack([x, y])[inside], 2, axis=0)
     dots = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(ends) // 2), closed=False)
     dots.should_simplify = False

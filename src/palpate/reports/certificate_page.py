@@ -24,17 +24,11 @@ from palpate.reports.sections import SECTIONS, ReportedCalibration
 
 
 def write_report(calibration: PathText, out: PathText) -> Path:
-    """Write a calibration's report.
+    """Write a calibration's report as one HTML file.
 
     Args:
-        calibration: the calibration folder.
-        out: the HTML file to make; must not exist.
-
-    Raises:
-        CertificateError: the folder is damaged, or its network or another file is not the one that the card
-            was made with.
-        ExistsError: `out` exists.
-        MissingExtraError: its predictions were written as Parquet, and pyarrow is not installed.
+        calibration: calibration folder.
+        out: HTML file to make; must not exist.
     """
     calibration, out = Path(calibration), Path(out)
     card = read_card(calibration)
@@ -54,13 +48,7 @@ def render_report(calibration: Path, card: Card) -> str:
 
 
 def filled_template(name: str, package: str = "palpate.reports", /, **values: Any) -> str:
-    """A page of the folder `templates` of a package, which may include those of `palpate.reports`.
-
-    Its filters ``g`` and ``four`` write three and four significant digits and ``pc`` a share in percent;
-    ``to`` rounds to a half-width, and ``mae``, ``r2`` and ``covered`` write parts of a score as far as its
-    groups bear out;
-    ``setting`` writes a model's.
-    """
+    """Fill a page of a package's folder `templates`, which may include those of `palpate.reports`."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("palpate.reports")]),
         autoescape=True,

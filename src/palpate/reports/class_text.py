@@ -9,12 +9,10 @@ from palpate.estimators.model_card import Card
 
 
 def class_lines(card: ClassCard, score: ClassScoreCard, coverage: float) -> list[str]:
-    """Lines on one column of classes: a sentence, and a table with a line a class.
+    """Return a sentence and a table on one column of classes.
 
     Args:
-        card: of the column.
         score: its own, or that of another run.
-        coverage: that the sets promise.
     """
     widths = [max(len(name), 5) for name in card.names]
     head = max(len("true class"), *map(len, card.names))

@@ -20,9 +20,8 @@ from palpate.core import Float, ndarray, new_folder, storage_errors
 from palpate.estimators.compliance.literature_method import AsReported
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, styled_panels
 
+# specimens in order, as in the report
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
-"""For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
-
 UNBOUNDED = 30.0  # upper end that is drawn of a range without one, over its lower end
 
 Course = tuple[Float[ndarray, " _"], Float[ndarray, " _"]]
@@ -33,24 +32,15 @@ Colours = Mapping[str, str]
 def write_press_readings(
     out: Path, record: dict[str, Any], cues: PressCues, touch: PressReading | None
 ) -> None:
-    """Write a press as a folder of ``readings.json`` and ``press.png``.
-
-    Raises:
-        ExistsError: `out` exists.
-    """
+    """Write a press as a folder of ``readings.json`` and ``press.png``."""
     with new_folder(out) as building:
         (building / "readings.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
         press_figure(cues.trial, touch, cues.reported).savefig(building / "press.png")
 
 
 def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
-    """Write a comparison as a folder of ``trials.csv``, ``comparison.json`` and ``comparison.png``.
-
-    Where trials were grouped there is ``differences.csv`` as well, the mixed models' row a cue and pair.
-
-    Raises:
-        ExistsError: `out` exists.
-        StorageError: the disk refused.
+    """Write a folder of ``trials.csv``, ``comparison.json``, ``comparison.png``, and with groups
+    ``differences.csv``.
     """
     text = json.dumps(comparison.record, indent=1, allow_nan=False) + "\n"
     with new_folder(out) as building, storage_errors(out):

@@ -13,15 +13,7 @@ from palpate.reports.score_intervals import percent
 
 
 def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], all_valid: int) -> str:
-    """Sentence on the frames of an evaluation.
-
-    Args:
-        card: of the calibration.
-        scored: frames scored.
-        valid: those that tell some target and are refused neither by the guard nor by the range's rule.
-        untold: frames that do not tell a target, by its column.
-        all_valid: frames of which every reading is valid of what the calibration reads.
-    """
+    """Return the sentence on the frames of an evaluation; arguments as of `EvaluationRecord`."""
     judged = f"{valid} of {scored} frames tell something and are refused by neither guard nor range rule"
     unread = [_name(t.quantity) for t in card.targets if t.is_never_valid]
     seldom = [
@@ -45,14 +37,7 @@ def frames_of(card: Card, found: EvaluationRecord) -> str:
 
 
 def valid_readings_text(card: Card, found: Mapping[str, ValidScoreCard]) -> list[str]:
-    """Sentence on the valid readings alone: how many there were of each target, and how often they were held.
-
-    They are what a user is told to use, and need not be held more often than all.
-
-    Args:
-        card: of the calibration.
-        found: their scores, by column.
-    """
+    """Return the sentence on valid readings alone: their number and coverage by target."""
     told = [f"{_name(t.quantity)} {_covered(found[t.column])}" for t in card.targets if not t.is_never_valid]
     return [f"covered, valid readings only: {', '.join(told)}"] if told else []
 
@@ -69,11 +54,8 @@ def _name(quantity: str) -> str:
 
 
 def simulated_text(card: Card, run: Manifest | None) -> str:
-    """That a calibration's or a run's frames were simulated, in words; empty where both were measured.
-
-    Args:
-        card: of the calibration.
-        run: of what it reads; None where that is not a run, and does not tell.
+    """Return whether a calibration's or a run's frames were simulated, in words; empty where both were
+    measured.
     """
     virtual = {"the calibration": card.is_simulated, "the run": run is not None and run.is_simulated}
     named = [name for name, simulated in virtual.items() if simulated]
@@ -84,11 +66,7 @@ def simulated_text(card: Card, run: Manifest | None) -> str:
 
 
 def day_text(scores: Mapping[str, Any]) -> str:
-    """Whether scores are of another day than was learnt from, in words.
-
-    Args:
-        scores: of a calibration on a run, as `palpate.evaluate` gives them.
-    """
+    """Return whether scores are of another day than the training data, in words."""
     if scores["learnt_from_this_run"]:
         return "this is the run it learnt from: these scores say nothing about new presses"
     if scores["same_session"]:

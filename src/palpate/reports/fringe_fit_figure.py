@@ -20,16 +20,7 @@ BREWSTER = 1e-12  # [1/Pa], the unit in which C is shown
 
 
 def write_figure(fit: FringeFit, path: Path) -> None:
-    """Draw a fit: the line through the orders, the light of each order, and the colours seen and expected.
-
-    Args:
-        fit: what to draw.
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw a fit: the line through the orders, the light of each order, and colors seen and expected."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.9), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1), height_ratios=(2.5, 1))

@@ -33,14 +33,10 @@ COLUMNS = ("frame", "told_share", "order_median", "order_greatest", "sigma_media
 
 
 class OrderFiles:
-    """Files of a series of maps, written as they come; use it in a `with` block.
+    """Files of a series of maps in an empty folder, written one by one; use it in a `with` block.
 
-    ``order.tif`` and ``sigma.tif`` have a page of 32-bit numbers for each frame, NaN where the order is not
-    told; ``000000.npz`` and so on hold all there is of each; ``frames.csv`` has a line for each, and
-    ``order.png`` shows the last.
-
-    Args:
-        folder: an empty one.
+    ``order.tif`` and ``sigma.tif`` have a page of 32-bit numbers per frame, NaN for no order; ``000000.npz``
+    and so on hold each map; ``frames.csv`` has a row per frame; ``order.png`` shows the last.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -64,11 +60,7 @@ class OrderFiles:
             self._finish()
 
     def add(self, index: int, name: str, image: UInt8[ndarray, "h w *c"], found: OrderMap) -> None:
-        """Write one frame's map.
-
-        Raises:
-            StorageError: the disk refused.
-        """
+        """Write one frame's map."""
         with storage_errors(self._folder):
             for pages, values in zip(self._pages, (found.order, found.sigma), strict=True):
                 told = np.where(found.valid, values, np.float32(np.nan))

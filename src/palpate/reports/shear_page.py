@@ -49,12 +49,10 @@ class Shown:
 
 
 class ShearPage:
-    """Collects touches as they are read, and writes the page; images of two frames alone are kept.
+    """Page of touches, collected as they are read; images of two frames alone are kept.
 
     Args:
-        source: what the frames are of, for the title.
-        reader: that reads them.
-        reference: its untouched frame.
+        source: source of the frames, for the title.
     """
 
     def __init__(self, source: str, reader: ShearReader, reference: Frame) -> None:
@@ -158,13 +156,7 @@ class ShearPage:
 
 
 def touch_pictures(reader: ShearReader, frame: Frame, touch: ShearTouch) -> str:
-    """Marks' motion in the image, and the shear field with contacts, as a data address.
-
-    Args:
-        reader: that read the touch; its reference is what strain is against.
-        frame: of the touch.
-        touch: a frame that could be read.
-    """
+    """Draw the marks' motion and the shear field with contacts, as a data address."""
     marks = reader.marks
     fields = StrainMeter(marks.reference, DEGREE).fields(touch.points)
     with styled_panels(11.5, 4.6, 1, 2) as (figure, (left, right)):

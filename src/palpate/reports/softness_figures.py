@@ -26,14 +26,8 @@ def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: flo
     """Draw force over displacement and force over area of objects under one finger.
 
     Args:
-        objects: by the names that the legend shows.
-        finger: under which.
+        objects: by their names in the legend.
         greatest_n: end of the curves [N].
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     _save(lambda: _pair(objects, finger, greatest_n), path)
 
@@ -87,13 +81,7 @@ def write_specimen_figure(classes: Mapping[str, Sequence[SoftObject]], greatest_
     """Draw force over displacement and force over area of specimens, a row for each class.
 
     Args:
-        classes: the specimens by their class, from the least softener above to the most.
         greatest_n: end of the curves [N].
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     force = greatest_n * np.linspace(0.0, 1.0, 200) ** 2
     shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.88, max(len(each) for each in classes.values())))
@@ -116,12 +104,7 @@ def write_specimen_figure(classes: Mapping[str, Sequence[SoftObject]], greatest_
 
 
 def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
-    """Draw an object's two cues, what the devices render of them, and the pressure and way that it takes.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw an object's two cues, the devices' rendering of them, and the required pressure and travel."""
     state, soft = law.envelope(), law.object
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 6.4), layout="constrained")
@@ -186,12 +169,7 @@ def _axes(axes: Axes, x: str, y: str, title: str) -> None:
 
 
 def write_tracking_figure(felt: Rendering, path: Path) -> None:
-    """Draw what a finger felt beside the object: both cues, force over time, pressure and ways.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw rendered and object cues, force over time, pressure, and travel."""
     _save(lambda: _tracking(felt), path)
 
 
@@ -232,12 +210,7 @@ def _tracking(felt: Rendering) -> Figure:
 
 
 def write_bench_test_figure(test: BenchTest, path: Path) -> None:
-    """Draw a bench test: force over indentation at each pressure, the law as lines, and what it misses.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw a bench test: force over indentation at each pressure, the law as lines, and residuals."""
     _save(lambda: _bench_test(test), path)
 
 

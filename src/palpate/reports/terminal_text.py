@@ -31,15 +31,15 @@ def scores_table(
     periods: Mapping[str, float | None] | None = None,
     outside: Collection[str] = (),
 ) -> str:
-    """One line a target, and a sentence for those that the model does not read; 80 columns at most.
+    """Return one line per target, and a sentence for those that the model does not read; 80 columns at most.
 
-    After the mean absolute error stands that of always saying the mean; after the half-width of the 90 %
-    intervals the share of the truths they covered, and the 95 % interval of that share.
+    Mean absolute error is followed by that of predicting the mean; the 90 % half-width by the covered ratio
+    and its 95 % interval.
 
     Args:
-        scores: of each target's column.
-        periods: after which some of them come round again.
-        outside: columns whose labels lie outside what was calibrated, of which scores say nothing.
+        scores: by target column.
+        periods: of circular targets.
+        outside: columns whose labels lie outside the calibrated range.
     """
     lines = [HEAD, *(_cells(name, score, (periods or {}).get(name)) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]

@@ -1,6 +1,5 @@
-"""The page of an experiment's analysis: what was found first, then its figures, tables and caveats.
-
-Figures of judgements: confusion matrices, shares with intervals, psychometric functions.
+"""Page of an experiment's analysis: results first, then figures (confusion matrices, ratios with intervals,
+psychometric functions), tables, and caveats.
 """
 
 from __future__ import annotations
@@ -81,20 +80,12 @@ def share_figure(rows: Sequence[ShareRow], label: str, line: float | None = None
         return drawn(figure)
 
 
+# levels, how often the answer was given at each, of how many, and the fitted function
 PanelOfAnswers = tuple[Float[ndarray, " _"], Int[ndarray, " _"], Int[ndarray, " _"], PsychometricFit]
-"""Levels, how often the answer was given at each, of how many, and the fitted function."""
 
 
-def psychometric_figure(
-    panels: Mapping[str, PanelOfAnswers],
-    label: str,
-) -> str:
-    """Shares of an answer over levels, with the fitted function and its threshold's interval, by title.
-
-    Args:
-        panels: by title.
-        label: of the levels, with their unit.
-    """
+def psychometric_figure(panels: Mapping[str, PanelOfAnswers], label: str) -> str:
+    """Draw ratios of an answer over levels, with the fitted function and its threshold's interval."""
     columns = min(len(panels), PANELS_A_ROW)
     rows = -(-len(panels) // PANELS_A_ROW)
     with styled_panels(3.0 * columns, 2.6 * rows, rows, columns) as (figure, every):
@@ -134,13 +125,7 @@ def write_trial_page(found: ExperimentAnalysis, path: Path, source: str) -> None
     """Write the page of an analysis.
 
     Args:
-        found: what it shows.
-        path: of the HTML file; must not exist.
-        source: what was analysed, as the page says it.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
+        source: what was analyzed, in words.
     """
     page = filled_template(
         "trial.html",

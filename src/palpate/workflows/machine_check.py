@@ -39,13 +39,11 @@ EXTRAS_FOR = {
 
 @dataclass(frozen=True, slots=True)
 class MachinePart:
-    """One thing that was looked at.
+    """One inspected part of the installation.
 
     Attributes:
-        name: of it.
-        state: "missing" is what one can do without, "broken" what palpate needs.
-        detail: what was found.
-        mend: how it is mended; "" where nothing has to be.
+        state: "missing" is optional, "broken" is required.
+        mend: remedy; empty for none.
     """
 
     name: str
@@ -59,10 +57,10 @@ class MachinePart:
 
 
 def check_machine(folder: Path | None = None) -> tuple[MachinePart, ...]:
-    """Look at all that palpate needs or may use.
+    """Inspect all that palpate needs or may use.
 
     Args:
-        folder: in which one works, for the room on its disk; the current one where left out.
+        folder: working folder, for its free disk space; the current one by default.
     """
     return (
         _python(),

@@ -1,6 +1,5 @@
-"""State of a first session, and its file: what was chosen, which steps are done, and what they found.
-
-The file is written whole or not at all, and read only if a session could have written each of its values.
+"""State of a first session and its file: choices, finished steps, and their results. The file is read only if
+a session could have written each of its values.
 """
 
 from __future__ import annotations
@@ -25,15 +24,12 @@ class StartState:
     """State of a session, as kept in its file.
 
     Attributes:
-        camera: address of it; empty before one was chosen.
-        scale: serial port, "typed" or "virtual".
-        sensor: name of the sensor, which its run has.
-        asked: presses that shall be collected.
-        seed: of a virtual hand, and of all that is random in training.
+        camera: address; empty before one was chosen.
+        scale: serial port, "typed", or "virtual".
+        asked: number of presses to collect.
         unit: of the scale's lines that carry none.
-        scale_lag_s: time constant of the scale's filter; None where presses shall tell it [s].
-        done: steps that are done.
-        settings, collected, trained: what these steps found.
+        scale_lag_s: time constant of the scale's filter; None to fit it to presses [s].
+        settings, collected, trained: results of these steps.
     """
 
     camera: str = ""
@@ -51,11 +47,7 @@ class StartState:
 
 @parser("session state", InputError)
 def read_state(folder: Path) -> StartState:
-    """State that a session's folder keeps; that of a new session where it keeps none.
-
-    Raises:
-        RecordingError: its file is not a session's.
-    """
+    """Read the state in a session's folder; that of a new session where there is none."""
     path = folder / STATE
     if not path.is_file():
         return StartState()
@@ -69,11 +61,7 @@ def read_state(folder: Path) -> StartState:
 
 
 def write_state(folder: Path, state: StartState) -> None:
-    """Keep a session's state in its folder, which is made where it is not there.
-
-    Raises:
-        StorageError: the folder cannot be written.
-    """
+    """Keep a session's state in its folder, which is made if needed."""
     path = folder / STATE
     with storage_errors(path):
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,11 +71,7 @@ def write_state(folder: Path, state: StartState) -> None:
 
 
 def checked_state(state: StartState) -> StartState:
-    """A state as it was read, if each of its values is one that a session could have kept.
-
-    Raises:
-        ValueError, InputError: one is none, such as a calibration that lies outside of the session's folder.
-    """
+    """Return a state as read, if each of its values is one that a session could have kept."""
     for one in fields(StartState):
         value, usual = getattr(state, one.name), getattr(StartState(), one.name)
         if one.name == "scale_lag_s":

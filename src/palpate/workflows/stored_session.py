@@ -1,6 +1,5 @@
-"""First session as its folder keeps it: what it holds, what is said of it, and the commands that do it again.
-
-Nothing here changes the folder; the steps that fill it are those of `StartSession`.
+"""First session as its folder keeps it: contents, sentence, and equivalent commands. Nothing here changes the
+folder.
 """
 
 from __future__ import annotations
@@ -23,19 +22,7 @@ MODEL, SPLIT = "kernel-ridge", "group:press"
 
 
 class StoredSession:
-    """Session of one sensor as it lies in a folder.
-
-    Args:
-        folder: of it; that of a new session where it is not there.
-
-    Raises:
-        RecordingError: its file is not a session's.
-        InputError: a file has the folder's name.
-
-    Attributes:
-        folder: of it.
-        state: as its file keeps it.
-    """
+    """Session of one sensor in a folder; a new session where there is none."""
 
     def __init__(self, folder: PathText) -> None:
         self.folder = Path(folder)
@@ -73,10 +60,9 @@ class StoredSession:
         return not (self.state.settings or self.state.collected or self._frames())
 
     def has_nothing_left_by(self, camera: str, scale: str, asked: int | None) -> bool:
-        """Whether another scale would have nothing to weigh, since as many presses as asked for are there.
+        """Whether another scale would have nothing to weigh, since as many presses as requested are there.
 
         Args:
-            camera, scale: as `StartSession.choose_if_other` takes them.
             asked: presses that shall be there; None for as many as the session was begun for.
         """
         s = self.state
@@ -183,11 +169,7 @@ class StoredSession:
         )
 
     def _kept_presses(self) -> Run:
-        """Run of the presses that were collected.
-
-        Raises:
-            RecordingError: it was deleted or moved away, with what can be done.
-        """
+        """Run of the collected presses."""
         from palpate.recordings import Run
 
         if not (self.run / MANIFEST).is_file():

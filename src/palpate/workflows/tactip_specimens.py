@@ -18,9 +18,8 @@ def stiffness_of(words: str) -> float:
 
 
 def shape_of(spec: TacTipSpec, words: str) -> KnownBody:
-    """Reduced modulus E / (1 - nu^2), inf for a rigid body, and radius of curvature of what words name.
-
-    Both are NaN for layers and viscous bodies, which no one modulus describes.
+    """Return E / (1 - nu^2) and radius of curvature named by words: inf for rigid, NaN for layers and viscous
+    bodies.
     """
     specimen = Specimen.parse(bare(words))
     if specimen.thickness_m is not None or specimen.branches:

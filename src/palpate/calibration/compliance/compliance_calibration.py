@@ -1,8 +1,7 @@
-"""Compliance calibration of a TacTip on specimens of known stiffness, read from files and kept in one.
+"""Compliance calibration of a TacTip on specimens of known stiffness.
 
-Trials of a rigid plate and of soft references give the curve of `estimators.compliance.stiffness_curve`, by
-touch alone and with the approach beside it, and where the references' contact areas are known also the area
-fit. The file is one flat set of plain arrays, no pickles, and the calibration's id is that of its contents.
+A rigid plate and soft references give the stiffness curve, by touch alone and with the approach, and an area
+fit where contact areas are known. The file holds plain arrays; the id is that of its contents.
 """
 
 from __future__ import annotations
@@ -78,14 +77,7 @@ class ReferenceTrial:
 
 @dataclass(frozen=True)
 class ReferenceSpecimen:
-    """A specimen of known stiffness, `inf` for a rigid plate, or of known modulus and radius, and its trials.
-
-    Attributes:
-        name: of the specimen.
-        kappa_n_m: stiffness of a flat one, NaN for a sphere [N/m].
-        trials: of it.
-        body: its modulus and radius, of a flat one or a sphere.
-    """
+    """Specimen of known stiffness (`inf` for a rigid plate, NaN for a sphere) or modulus and radius."""
 
     name: str
     kappa_n_m: float
@@ -95,36 +87,23 @@ class ReferenceSpecimen:
 
 @dataclass(frozen=True)
 class ComplianceCalibration:
-    """A calibrated tip.
+    """Calibrated tip; fields are None where the references lack what they need.
 
     Attributes:
-        names: of the references.
-        layout_px: the untouched pins.
+        layout_px: no-contact pins ``[p 2]`` [px].
         levels_n: forces at which presses are compared [N].
-        touch: curve of the pins' motion alone.
-        both: curve of motion and approach; None where references had no position.
-        motions, area: of the contact's area; None where no area was known.
-        ring: area by ring and stretch; None where no area was known, or rings are cut.
-        finger: the Hertz pair that acts as the tip does; None without a rigid plate, its areas or position.
-        wobble_px: how far untouched pins stand from the layout in the references' trials.
-        speed_m_s: least and greatest of the references.
-        tilt_rad: of the specimens' tops, for which alone it holds [rad].
-        note: free words, e.g. which tip.
-        version: of palpate.
-        rate: spread rates against known ones; None where fewer than three references have areas, and in
-            calibrations of before it was fitted.
-        seat: of the contact in the references' presses; None in calibrations of before.
-        nuisances: standard sizes that intervals contain; None in calibrations of before, whose intervals
-            contain the references' own scatter only.
-        rigid_plate: stretch of the middle by the ring's radius on a rigid plate; None without one, and in
-            calibrations of before.
-        latency_s: of the camera, which the references' frames were corrected for; None for none [s].
-        shape: modulus and radius by motion and approach; None without spheres among the references, or
-            without their positions, and in calibrations of before.
-        moduli_per_m: E* over stiffness of the flat references, by the same inversion as of a press; None
-            without `finger` or a soft reference, and in calibrations of before [1/m].
-        level: areas at 4 N against known ones; None as `rate` is, and in calibrations of before, whose areas
-            there have the error of the worst reference's frames at any force.
+        touch, both: stiffness curves of the pins' motion alone, and with the approach.
+        motions, area, ring: contact area by the pins' motion, and by ring and stretch.
+        finger: Hertz pair that acts as the tip does.
+        wobble_px: RMS distance of no-contact pins from the layout [px].
+        speed_m_s: least and greatest of the references [m/s].
+        tilt_rad: inclination of the specimens' tops, for which alone it is valid [rad].
+        rate, level: spread rates and areas at 4 N against known ones.
+        nuisances: standard sizes that intervals contain.
+        rigid_plate: stretch of the middle by the ring's radius on a rigid plate.
+        latency_s: camera latency that was corrected [s].
+        shape: modulus and radius by motion and approach, from spheres.
+        moduli_per_m: E* over stiffness of the flat references, by the inversion used for a press [1/m].
     """
 
     names: tuple[str, ...]
@@ -156,22 +135,12 @@ class ComplianceCalibration:
         return contents_id(self, "compliance")
 
     def save(self, path: Path) -> None:
-        """Write one ``.npz``, whole or not at all.
-
-        Raises:
-            ExistsError: `path` exists.
-            StorageError: the disk refused.
-        """
+        """Write one ``.npz``, whole or not at all."""
         save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ComplianceCalibration:
-        """Read what `save` wrote; nothing in it is run.
-
-        Raises:
-            CertificateError: it is no such file, or a damaged one.
-            StorageError: it cannot be read.
-        """
+        """Read what `save` wrote; no code in it is run."""
         return load_record(cls, path, "compliance", "palpate calibrate --method compliance")
 
 
@@ -186,13 +155,8 @@ def calibrate_compliance(
 
     Args:
         references: two or more, pressed alike.
-        tilt_rad: of their tops [rad].
-        note: kept with it.
-        nuisances: what later presses may differ by, unseen; None for the standard sizes, `NONE` for nothing.
-
-    Raises:
-        InputError: too few references or trials, presses that do not reach far enough, or of another sensor.
-        ReferenceStiffnessError: the presses contradict the stated stiffness of a reference.
+        tilt_rad: inclination of their tops [rad].
+        nuisances: sizes by which later presses may differ; None for the standard sizes, `NONE` for none.
     """
     trials = [(i, trial) for i, one in enumerate(references) for trial in one.trials]
     if not trials:
@@ -328,11 +292,7 @@ def _areas(
 
 
 def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
-    """Slope of a line through areas at even forces, 1 to 4.5 N; NaN where too few areas are known [m^2/N].
-
-    Frames crowd at small forces, and the area's growth slows: a line through the frames' own areas would
-    depend on speed and frame rate.
-    """
+    """Return the slope of area over force, 1 to 4.5 N, at even forces; NaN with too few areas [m^2/N]."""
     known = np.isfinite(area_m2)
     if known.sum() < MIN_AREAS:
         return float("nan")
@@ -399,11 +359,7 @@ def _curves(references: Iterable[ReferenceSpecimen]) -> list[PressCurves]:
 
 
 def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
-    """Trial of a press: its pins' motion, and its contact area at their frames where the table has it.
-
-    Raises:
-        InputError, ImageError: they cannot be read as a press.
-    """
+    """Read a press: its pins' motion, and its contact area at their frames where the table has it."""
     press = follow_press(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
     area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
     return ReferenceTrial(press, area)
@@ -412,16 +368,7 @@ def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -
 def load_references(
     folder: PressFolder, progress: Progress = silent, *, latency_s: float = 0.0
 ) -> list[ReferenceSpecimen]:
-    """The specimens of known stiffness, or modulus and radius, in the folder's order.
-
-    Args:
-        folder: of the experiment.
-        progress: called with how many presses are read.
-        latency_s: of the camera, taken off [s].
-
-    Raises:
-        InputError: fewer than two have a known stiffness; and as a press cannot be read.
-    """
+    """Read the specimens of known stiffness, or modulus and radius, in the folder's order."""
     known = [one for one in folder.specimens if one.stiffness_n_m is not None or one.body.known]
     flat = sum(one.stiffness_n_m is not None for one in known)
     if flat < 2:
@@ -447,13 +394,10 @@ def read_presses(
     progress: Progress,
     latency_s: float = 0.0,
 ) -> dict[str, list[T]]:
-    """Every press of some specimens, by their names, as `read` gives it from its frames and its table.
+    """Apply `read` to frames and table of every press, by specimen.
 
     Args:
-        specimens: of an experiment.
-        read: what is made of a press.
-        progress: called with how many are read.
-        latency_s: of the camera, taken off [s].
+        latency_s: camera latency to take off [s].
     """
     done, total = 0, sum(len(one.presses) for one in specimens)
     results: dict[str, list[T]] = {one.name: [] for one in specimens}
@@ -477,20 +421,17 @@ def calibrate_folder(
     latency: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Calibrate on the specimens of known stiffness in a folder, and return what was fitted in plain numbers.
+    """Calibrate on the specimens of known stiffness in a folder; return the fit in plain numbers.
 
     Args:
-        folder: of an experiment; see `recordings.exchange.press_folder`.
+        folder: experiment; see `recordings.exchange.press_folder`.
         out: ``.npz`` to make.
-        tilt_deg: of the specimens' tops [deg].
-        note: kept with the calibration.
-        nuisances: sizes that are not the standard ones, as `Nuisances.named` has them.
-        latency: of the camera and its standard uncertainty, of which the first is taken off and the second is
-            the size of `late_ms` unless that is named; None for frames as they are [s].
-        progress: called with how many presses are read.
+        tilt_deg: inclination of the specimens' tops [deg].
+        nuisances: sizes that differ from the standard ones, see `Nuisances.named`.
+        latency: camera latency to take off; its uncertainty is the size of `late_ms` unless that is named.
 
     Raises:
-        PalpateError: a folder, press or reference that cannot be used; `out` exists.
+        PalpateError: a folder, press, or reference that cannot be used; `out` exists.
     """
     if out.suffix != ".npz":
         raise InputError(f"{out} is not an .npz file; name the calibration e.g. tip.npz")

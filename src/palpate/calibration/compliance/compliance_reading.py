@@ -72,21 +72,14 @@ class AreaCourse:
 
 @dataclass(frozen=True)
 class PressReading:
-    """Readings of what was touched.
+    """Readings of a touched object; None where the calibration or press lacks what they need.
 
     Attributes:
-        stiffness: by images and force alone.
-        stiffness_both: with the approach beside them; None without one.
-        area: of the contact, at 4 N; None where the calibration knows no area.
-        spread_rate: dA/dF by regression, of the same.
-        modulus, radius: E* and R of the object by both cues: by references of known ones where spheres are
-            among them, else the tip being a Hertz pair; None without an approach, or without areas and
-            spheres.
-        course: the area of every frame.
-        budget: of every quantity, by how much each nuisance of its standard size changes it, as a share;
-            empty for calibrations that state none.
-        nuisances: those sizes; None for such calibrations.
-        rigid_plate: stretch by ring on a rigid plate, of the calibration; None where it has none.
+        stiffness, stiffness_both: by images and force alone, and with the approach.
+        area, spread_rate: contact area at 4 N, and dA/dF by regression.
+        modulus, radius: E* and R by both cues, from spheres among the references or the tip as a Hertz pair.
+        course: area of every frame.
+        budget: relative change of every quantity by each nuisance of its standard size.
     """
 
     stiffness: Reading
@@ -116,11 +109,7 @@ def read_touch(
 
     Args:
         calibration: of this tip at this tilt.
-        presses: trials.
-        name: of the recording, for the readings.
-
-    Raises:
-        InputError: no press, one of another sensor, or one that does not reach the calibrated forces.
+        name: name of the recording in the readings.
     """
     if not presses:
         raise InputError("no press; give one or more")
@@ -134,11 +123,7 @@ def read_touch(
 
 
 def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: float) -> PressReading:
-    """Return the readings with wider intervals of area and rate for pins unlike the references'.
-
-    Both are derived from the pins by what references showed. A layer on a hard base moves them nearly as a
-    stiff flat specimen does, with another area.
-    """
+    """Widen the intervals of area and rate for pins that move unlike the references'."""
     wide: dict[str, Any] = {}
     for name in ("area", "spread_rate"):
         one: Reading | None = getattr(read, name)
@@ -207,11 +192,7 @@ def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading |
 
 
 def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Refusal]:
-    """Return the first quantity whose interval contains nothing that the stiffness allows.
-
-    The stiffness is that by both cues, or by touch where there is no position. What it allows of the other
-    quantities follows from the references, which are flat specimens of one shape.
-    """
+    """First quantity whose interval contains nothing that the stiffness allows."""
     base = read.stiffness if read.stiffness_both is None else read.stiffness_both
     ends = np.array([base.low, base.high])
     for name in ("stiffness", "area", "spread_rate", "modulus"):
@@ -324,11 +305,7 @@ Scale = Callable[[float], float]
 
 
 def _scale(reading: Reading, turning: float) -> tuple[Scale, Scale]:
-    """Scale on which a quantity's errors are even, and its inverse; both fall as the quantity grows.
-
-    Stiffness has its place on the curve; modulus and radius, which are found by differences of reciprocals,
-    have these; area and rate have their logarithms.
-    """
+    """Scale on which a quantity's errors are uniform, and its inverse; both decrease with the quantity."""
     if reading.quantity.startswith("stiffness"):
         return lambda k: 1 / (1 + k / turning), lambda s: turning * (1 / min(s, 1.0) - 1) if s > 0 else np.inf
     if reading.quantity in ("modulus", "radius"):
@@ -337,12 +314,11 @@ def _scale(reading: Reading, turning: float) -> tuple[Scale, Scale]:
 
 
 def contained(reading: Reading, altered: Sequence[float], scale: tuple[Scale, Scale]) -> tuple[float, float]:
-    """Ends of an interval that also contains changes of one standard deviation each, unknown in sign.
+    """Return the interval's ends including changes of one standard deviation each, of unknown sign.
 
     Args:
-        reading: with the interval of everything else.
-        altered: its value under each change.
-        scale: falling function on which errors are even, and its inverse.
+        altered: value under each change.
+        scale: decreasing function on which errors are uniform, and its inverse.
     """
     to, back = scale
     middle = to(reading.value)

@@ -1,9 +1,7 @@
-"""Shape of the contact as the pins of one press show it: ring, ellipse, growth of cells, flattening.
+"""Shape of the contact in the pins of one press: ring, ellipse, growth of cells, flattening.
 
-All is of the last frame against the untouched pins, in pixels or without a unit, and none of it needs a
-calibration but the flattening: that is the stretch of the middle over the stretch that a rigid plate gives
-with the same ring, 1 on a rigid plate and less on what yields, whatever the force. The ring of what yields
-becomes larger than a rigid plate's does, so flattening is of the last frame whose ring does not.
+The last frame is compared with the no-contact pins. Flattening is the stretch of the middle over that of a
+rigid plate with the same ring: 1 on a rigid plate, less on soft objects.
 """
 
 from __future__ import annotations

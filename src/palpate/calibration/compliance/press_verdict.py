@@ -1,9 +1,5 @@
-"""One verdict of a press, which every quantity read of it carries: is it a press as the references' were?
-
-A press whose pins move as on no reference gives no area and no modulus either. Beside what `follow_press` and
-the pins before contact show, four things are asked of the pins' motion itself: whether frames repeat, whether
-the contact sits beside the apex, whether the pins move as on the references, and where they do not, which
-known fault would explain most of it.
+"""Verdict on a press, shared by all its quantities: repeated frames, contact off the apex, and pin motion
+that no reference shows, with the known fault that explains most of it.
 """
 
 from __future__ import annotations
@@ -79,12 +75,7 @@ def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) ->
 
 
 def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Refusal]:
-    """Why no quantity of these presses is valid; empty where they are as the references' were.
-
-    Raises:
-        InputError: a press of another sensor.
-        RangeError: one that does not reach the calibrated forces.
-    """
+    """Return why no quantity of these presses is valid; empty where they resemble the references'."""
     flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
     reasons = [Refusal(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
@@ -159,10 +150,8 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
 
 
 def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
-    """What no reference shows and no nuisance explains, over the references' scatter, and nuisances' sizes.
-
-    Sizes are the smallest, as the root of the sum of their squares in standard sizes, that leave no more than
-    is allowed unexplained; where none do, what the best of any size leaves.
+    """Residual that no reference shows and no nuisance explains, over the references' scatter, and the
+    smallest nuisance sizes that leave no more than is allowed.
     """
     unlike = _outside(curve, row)
     seen = np.isfinite(unlike)

@@ -23,15 +23,11 @@ HOLLOW = (
 def fit_shapes(
     bodies: Sequence[KnownBody], rows: Sequence[Float[ndarray, " d"]], which: Int[ndarray, " t"]
 ) -> ShapeSurface | None:
-    """The surface through references; None where no sphere is among them.
+    """Fit the surface of modulus and radius through references; None where no sphere is among them.
 
     Args:
-        bodies: of every reference.
         rows: of every trial, motion of pins at every level and the approach from the first level to others.
         which: reference of every trial.
-
-    Raises:
-        InputError: spheres, but too few other references.
     """
     known = [i for i, body in enumerate(bodies) if body.known]
     if not any(np.isfinite(bodies[i].radius_m) for i in known):

@@ -49,14 +49,13 @@ Groups = Mapping[str, Sequence[PressCues]]
 
 @dataclass(frozen=True)
 class SpecimenComparison:
-    """A comparison of specimens.
+    """Comparison of specimens.
 
     Attributes:
         groups: cues of every trial, by specimen.
-        table: one row a trial, see `trials_table`.
-        differences: one row a cue and pair of specimens, by the mixed model; None where no groups were named.
-        calibration: the one used; None for cues that need none.
-        record: tests and means in plain numbers, as ``comparison.json`` holds them.
+        table: one row per trial, see `trials_table`.
+        differences: one row per cue and pair of specimens, by the mixed model; None without named groups.
+        record: tests and means in plain numbers, as in ``comparison.json``.
     """
 
     groups: Groups
@@ -83,13 +82,12 @@ def compare_specimens(
         pooled: also test the report's pooled samples, with a warning.
         groups: columns of ``trials.csv`` for a mixed model, the outer one first; see
             `psychophysics.compare_grouped`.
-        latency: of the camera, taken off; None for frames as they are.
-        progress: called with how many presses are read.
+        latency: camera latency to take off.
 
     Raises:
-        InputError: fewer than two specimens; groups that hold one specimen each; a calibration that does
-            not go with the latency; and as a press cannot be read.
-        LabelError: ``trials.csv`` does not tell the groups of every press.
+        InputError: fewer than two specimens, groups of one specimen each, or a calibration that does not fit
+            the latency.
+        LabelError: ``trials.csv`` lacks the groups of a press.
     """
     known = None
     if calibration is not None:
@@ -157,10 +155,9 @@ def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> p
 
 
 def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
-    """Means with Student's intervals over trials, and rank tests, of every cue that two specimens have.
+    """Return means with Student's intervals, and rank tests, of every cue that two specimens have.
 
-    Several cues are tested: the p-values of all of them (Kruskal and Wallis's) and those of all their pairs
-    (rank-sum) stand there a second time, corrected by Holm.
+    p-values of all cues (Kruskal-Wallis) and of all pairs (rank-sum) are also corrected by Holm.
     """
     tests: dict[str, Any] = {}
     for cue in [one for one in table.columns[2:] if one not in BESIDE]:
@@ -199,12 +196,12 @@ def _shared_by_trials(experiment: PressFolder, columns: Sequence[str]) -> pd.Dat
 
 
 def add_mixed_models(record: dict[str, Any], table: pd.DataFrame, shared: pd.DataFrame) -> None:
-    """Add to every cue's tests what a linear mixed model says, in place.
+    """Add a linear mixed model to every cue's tests, in place.
 
     Args:
-        record: with ``cues``, as `cue_tests` has them.
-        table: one row a trial.
-        shared: groups of the same rows, a column a level, the outer one first.
+        record: with ``cues``, see `cue_tests`.
+        table: one row per trial.
+        shared: groups of the same rows, one column per level, the outer one first.
     """
     levels = [str(one) for one in shared.columns]
     random = [f"(1 | {':'.join(levels[: i + 1])})" for i in range(len(levels))]

@@ -1,8 +1,5 @@
-"""Map of the pixels that decide a reading: by how much it errs once they show nothing.
-
-A block of the picture is replaced by its mean over many frames, which is a picture that could be, and
-held-out rows are read again (occlusion: M. D. Zeiler and R. Fergus, ECCV 2014,
-doi:10.1007/978-3-319-10590-1_53).
+"""Map of the pixels that decide a reading: growth of the error where a block is replaced by its mean over
+many frames (occlusion: M. D. Zeiler and R. Fergus, ECCV 2014, doi:10.1007/978-3-319-10590-1_53).
 """
 
 from __future__ import annotations
@@ -19,21 +16,18 @@ from palpate.core.parsing import parser
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 MAP_FILE = "deciding-pixels.npy"
-BLOCKS = 12
-"""Blocks along the picture's longer side."""
-MAX_ROWS = 60
-"""Held-out rows read again, over all folds."""
-MEAN_ROWS = 200
-"""Rows that a block's mean is taken over, at most."""
+BLOCKS = 12  # blocks along the picture's longer side
+MAX_ROWS = 60  # held-out rows read again, over all folds
+MEAN_ROWS = 200  # greatest number of rows in a block's mean
 
 
 @dataclass(frozen=True)
 class DecidingPixels:
-    """By how much the error grows where a block of the picture shows nothing.
+    """Growth of the error by occluded block.
 
     Attributes:
-        increase: ``[t y x]`` growth of the mean absolute error, in each target's unit.
-        rows: held-out rows that it is the mean of.
+        increase: growth of the mean absolute error in each target's unit ``[t y x]``.
+        rows: number of held-out rows averaged.
     """
 
     increase: Float[np.ndarray, "t y x"]
@@ -104,12 +98,9 @@ def deciding_pixels(
     """Read held-out rows again, each time with one block of the picture replaced.
 
     Args:
-        fitted: a model that has not seen these rows.
-        data: inputs and labels.
-        held_out: rows that it may read.
-        nothing: ``[c h w]`` the input that a block is taken from, see `mean_input`.
-        rows: how many of them are read, evenly spaced.
-        progress: called with the block that is replaced.
+        fitted: model that has not seen these rows.
+        nothing: replacement input ``[c h w]``, see `mean_input`.
+        rows: number of rows read, evenly spaced.
     """
     chosen = held_out[np.unique(np.linspace(0, len(held_out) - 1, min(rows, len(held_out))).astype(np.int64))]
     inputs, true = data.fetch(chosen), data.values[chosen]

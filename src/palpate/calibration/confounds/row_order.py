@@ -13,30 +13,25 @@ from palpate.calibration.confounds.kernel_regression import Kernels, explained_s
 from palpate.calibration.confounds.recorded_units import Kind, RecordedUnits
 from palpate.core import Float, Indices, Int, Values
 
-MAX_WAVES = 8
-"""Cosines over the recording: they follow a sorted label and a slow change, and no press by itself."""
+MAX_WAVES = 8  # cosines over the recording: a sorted label and slow changes, no single press
 SHUFFLES = 499
 LEVEL = 0.01
-MIN_SHARE = 0.25
-"""Share of a label's variance by its order below which it is of no account, however sure."""
+MIN_SHARE = 0.25  # R² of order below which it is irrelevant, however significant
 MAX_LAG = 3
-SHIFT_GAIN = 0.6
-"""Squared error of labels taken from another row, over that of a row's own, below which rows are shifted."""
+SHIFT_GAIN = 0.6  # squared error at another row over that of a row's own, below which rows are shifted
 MIN_SHIFTED_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class OrderCheck:
-    """What the order of the rows predicts of one label.
+    """Prediction of one label by the temporal order of the rows.
 
     Attributes:
-        rank_correlation: Spearman's, of the label with the row's number, both within their session [-1, 1].
-        share: of the label's variance within sessions by a smooth function of order or time (adjusted R²).
+        rank_correlation: Spearman's, of label and row number within sessions, -1 to 1.
+        share: adjusted R² within sessions of a smooth function of order or time.
         level: ratio of shufflings of whole units within their session that do as well.
-        by_time: whether time predicts more than the row's number.
-        units: what was shuffled.
-        asked: whether there are units enough for their order to be a finding.
-        sessions: how many there are.
+        by_time: time predicts more than the row number.
+        asked: there are enough units for their order to be a finding.
     """
 
     rank_correlation: float
@@ -56,17 +51,14 @@ class OrderCheck:
 def order_checks(
     values: Values, units: RecordedUnits, times_s: Float[np.ndarray, " n"], seed: int = 0
 ) -> list[OrderCheck]:
-    """Each label against the order of rows, and against time where it is another scale than order.
+    """Test each label against row order, and against time where its scale differs.
 
-    Order restarts in each session: labels are taken less their session's mean, and fitted by one curve that
-    all sessions share, or by one of each session's own. The level is that of shuffling whole units within
-    their session.
+    Labels are taken less their session's mean and fitted by one shared curve or one per session. The level is
+    that of shuffling whole units within their session.
 
     Args:
-        values: ``[n t]``.
-        units: of the rows.
-        times_s: of each row, not decreasing within a session [s].
-        seed: of the shufflings.
+        values: labels ``[n t]``.
+        times_s: time of each row, not decreasing within a session [s].
     """
     by_session = np.argsort(units.sessions, kind="stable")
     values, of, times_s = values[by_session], units.of[by_session], times_s[by_session]
@@ -167,9 +159,8 @@ class ShiftCheck:
     """Whether images fit the labels of other rows better than their own.
 
     Attributes:
-        lag: rows by which the labels come later than their images; 0 where their own fit best.
-        own, best: share of the labels' variance that images tell, of their own rows and at `lag`, averaged
-            over the targets.
+        lag: rows by which labels come later than their images; 0 where their own fit best.
+        own, best: mean R² of their own rows' labels, and of those at `lag`.
     """
 
     lag: int
@@ -178,12 +169,12 @@ class ShiftCheck:
 
 
 def shift_check(kernels: Kernels, values: Values, rows: Indices) -> ShiftCheck:
-    """Images against the labels of their own and of neighbouring rows.
+    """Compare images with the labels of their own and of neighboring rows.
 
     Args:
         kernels: of the images of `rows`.
-        values: ``[n t]`` labels of all rows in their order.
-        rows: which of them have their images here, ascending.
+        values: labels of all rows in their order ``[n t]``.
+        rows: ascending rows that have their images here.
     """
     inside = (rows >= MAX_LAG) & (rows < len(values) - MAX_LAG)
     lags = np.arange(-MAX_LAG, MAX_LAG + 1)
@@ -215,9 +206,7 @@ def folds_among(folds: Sequence[Indices], rows: Indices) -> list[Indices]:
     return [found for fold in folds if (found := np.flatnonzero(np.isin(rows, fold))).size]
 
 
-MAX_GAP, MAX_GAPS = 0.01, 5.0
-"""Median distance from a held-out label to the nearest trained one, as a ratio of the range and over that of
-shuffled folds, above which blocks only extrapolate."""
+MAX_GAP, MAX_GAPS = 0.01, 5.0  # median label gap to trained rows, relative to range and shuffled folds
 
 
 def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:

@@ -1,7 +1,6 @@
-"""Quantile of scores that one of a new group stays below, where the rows of a group err together.
-
-Of K groups the rank is r = ceil(c (K + 1)), and one score is drawn from each; what is taken is the mean over
-all drawings, in closed form. Why, and from whom: `calibration.sessions.session_intervals`.
+"""Quantile of scores that a row of a new group stays below, where the errors within a group are correlated:
+rank ceil(c (K + 1)) of K groups, averaged over drawings of one score per group in closed form
+(`calibration.sessions.session_intervals`).
 """
 
 from __future__ import annotations
@@ -13,21 +12,12 @@ import numpy as np
 
 from palpate.core import Float, InputError
 
-MAX_GROUPS_TO_DRAW = 200
-"""Beyond so many groups the mean over drawings and the weighted quantile are the same within a row."""
-
+MAX_GROUPS_TO_DRAW = 200  # beyond, mean over drawings and weighted quantile agree within a row
 POINTS_AT_ONCE = 4096
 
 
 def rank_of_new_group(groups: int, coverage: float) -> int:
-    """Rank r among one score of each group, which one of a new group stays below with this probability.
-
-    Args:
-        groups: how many, K.
-        coverage: c, 0 to 1.
-
-    Returns:
-        ceil(c (K + 1)); more than K where so few groups cannot promise it.
+    """Return ceil(c (K + 1)) of K groups at coverage c; more than K where so few cannot promise it.
 
     Example:
         >>> rank_of_new_group(9, 0.9), rank_of_new_group(8, 0.9), rank_of_new_group(20, 0.9)
@@ -42,17 +32,12 @@ def is_distribution_free(groups: int, coverage: float) -> bool:
 
 
 def new_group_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
-    """Score that one of a new group stays below with this probability, see the module.
-
-    Where each row is a group of its own it is the conformal quantile.
+    """Return the score that one of a new group stays below with this probability.
 
     Args:
-        scores: how far off each row was, 0 or more.
-        groups: label of each row's group ``[n]``.
+        scores: absolute scores.
+        groups: group of each row ``[n]``.
         coverage: 0 to 1.
-
-    Raises:
-        InputError: too few groups for this coverage.
     """
     names, of = np.unique(groups, return_inverse=True)
     count, rank = len(names), rank_of_new_group(len(names), coverage)
@@ -90,10 +75,9 @@ def _rank_reached(points: np.ndarray, parts: Sequence[np.ndarray], rank: int) ->
 
 
 def weighted_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, level: float) -> float:
-    """Quantile of scores where each group has the same weight, however many rows it has.
+    """Return the quantile of scores with the same weight for each group.
 
     Args:
-        scores: of each row.
         groups: number of each row's group ``[n]``, 0, 1, 2, and so on.
         level: 0 to 1.
     """

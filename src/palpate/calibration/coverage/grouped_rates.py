@@ -1,7 +1,6 @@
-"""Number of independent rows that rows in groups are worth, when a rate is counted over them.
-
-n rows count as n over the design effect of their correlation within groups (L. Kish, Survey Sampling, 1965).
-With few groups the correlation is raised towards 1, as if two groups more had been seen whose rows all agree.
+"""Effective number of independent rows for rates over grouped rows: n over the design effect (L. Kish, Survey
+Sampling, 1965). With few groups the correlation is raised towards 1, as if two uniform groups more had
+been seen.
 """
 
 from __future__ import annotations
@@ -11,20 +10,15 @@ from scipy.special import betaincinv, stdtrit
 
 from palpate.core import Int
 
-GROUPS_ADDED = 2
-"""Groups with rows that all agree, which are added to those seen where rows are few. With two, the intervals
-of `rate_interval` hold a rate of 0.9 in 96 % or more of draws, from 2 to 60 groups of 40 rows that correlate
-by 0.02 to 0.3; with one in 95.6 %, with none in 90 %."""
+GROUPS_ADDED = 2  # uniform groups; with two, intervals cover 96 % or more of draws, with none 90 %
 
 
 def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
-    """Correlation of two rows of the same group, 0 to 1: by how much more the mean of groups scatters.
-
-    It is 1 where the rows cannot tell: of one group, or all alike.
+    """Return the correlation of two rows of the same group, 0 to 1; 1 for one group or uniform rows.
 
     Args:
-        inside: whether each row is a hit ``[n]``.
-        groups: label of each row's group ``[n]``.
+        inside: hits ``[n]``.
+        groups: group of each row ``[n]``.
     """
     sizes, index = group_sizes(groups)
     n, rate, most = len(inside), float(inside.mean()), _largest_effect(sizes)
@@ -45,7 +39,7 @@ def cautious_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
 
 
 def effective_rows(groups: np.ndarray, correlation: float) -> float:
-    """Number of independent rows that rows in groups are worth, 1 to n.
+    """Return the effective number of independent rows, 1 to n.
 
     Example:
         >>> effective_rows(np.repeat([0, 1, 2, 3], 10), 1.0), effective_rows(np.repeat([0, 1], 10), 0.0)
@@ -56,12 +50,7 @@ def effective_rows(groups: np.ndarray, correlation: float) -> float:
 
 
 def rate_interval(hits: float, n: float, confidence: float) -> tuple[float, float]:
-    """Interval of a rate by Clopper and Pearson, continued to numbers that are not whole.
-
-    Args:
-        hits: 0 to `n`.
-        n: independent rows, above 0.
-        confidence: how often the interval shall hold the rate, 0 to 1.
+    """Return the Clopper-Pearson interval of a rate, continued to fractional numbers.
 
     Example:
         >>> low, high = rate_interval(9, 10, 0.95)
@@ -83,24 +72,21 @@ def coverage_interval(hits: int, n: int) -> tuple[float, float]:
 
 
 def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a rate over groups, seen and not, from rows that come in groups.
-
-    Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey Methodology 24,
-    193 (1998)).
+    """Return the 95 % Clopper-Pearson interval of a rate by the effective number of rows (E. Korn and B.
+    Graubard, Survey Methodology 24, 193 (1998)).
     """
     n = effective_rows(groups, cautious_correlation(inside, groups))
     return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
 
 
-MIN_GROUPS_OF_MEAN = 3
-"""Groups that an interval of a mean takes: two differ by too little chance to tell how groups differ."""
+MIN_GROUPS_OF_MEAN = 3  # for an interval of a mean
 
 
 def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
-    """95 % interval of a mean over groups, seen and not, from rows that come in groups; None of fewer than 3.
+    """Return the 95 % interval of a mean over groups; None for fewer than 3 groups.
 
-    Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard error
-    (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13).
+    Student's, around the cluster-robust standard error (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986),
+    doi:10.1093/biomet/73.1.13).
     """
     sizes, index = group_sizes(groups)
     count, mean = len(sizes), float(values.mean())

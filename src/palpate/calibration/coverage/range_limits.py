@@ -1,9 +1,7 @@
-"""Where a range ends: how far beyond it frames within it are read, which defines extrapolation.
+"""Limits of a range: how far beyond it frames within it are read, which defines extrapolation.
 
-An estimate, and an interval's end, may lie beyond the range as far as is usual for held-out frames within it:
-as far as in 97 % of the outermost tenth of them, in 97 % of those in the outermost tenth of the range, or in
-99 % of all, whichever is farthest. Where these tenths have too few groups for 97 %, the distance of all rows
-beyond their own label counts too.
+The limit is the farthest of: 97 % of the outermost tenth of held-out frames, 97 % of those in the outermost
+tenth of the range, and 99 % of all.
 """
 
 from __future__ import annotations
@@ -27,14 +25,13 @@ OUTER_SHARE, MIN_OUTER_ROWS = 0.1, 20
 def usual_reach(
     true: Row, low: Row, high: Row, groups: np.ndarray, ends: tuple[float, float]
 ) -> tuple[float, float]:
-    """How far below and above a range some values of rows within it usually lie, 0 or more.
+    """Return how far below and above a range values of rows within it usually lie, 0 or more.
 
     Args:
         true: labels of held-out rows.
-        low, high: of each row, what is compared with the least and with the greatest of them: its estimate
-            twice, or its interval's ends.
-        groups: label of each row's group.
-        ends: of the calibrated range, of which the rows may not have the very last.
+        low, high: values compared with the least and with the greatest label: the estimate twice, or the
+            interval's ends.
+        ends: of the calibrated range.
     """
     length = ends[1] - ends[0]
     below = _usual(true - ends[0], ends[0] - low, length, groups)
@@ -43,13 +40,12 @@ def usual_reach(
 
 
 def _usual(within: Row, beyond: Row, length: float, groups: np.ndarray) -> float:
-    """How far beyond one end values usually lie, 0 or more.
+    """Distance beyond one end at which values usually lie.
 
     Args:
-        within: how far within that end each row's label lies.
-        beyond: how far beyond it its value lies; negative where within.
-        length: of the range, in the same unit.
-        groups: label of each row's group.
+        within: distance of each label within that end.
+        beyond: distance of its value beyond it; negative where within.
+        length: of the range.
     """
     count = min(max(int(OUTER_SHARE * len(within)), MIN_OUTER_ROWS), len(within))
     tenths = np.argsort(within, kind="stable")[:count], np.flatnonzero(within <= OUTER_SHARE * length)
@@ -67,14 +63,11 @@ def range_cards(
     groups: np.ndarray,
     ranges: Sequence[tuple[float, float]],
 ) -> Sequence[RangeCard | None]:
-    """Each target's card over its range, from held-out outputs; None for a circular one.
+    """Return each target's card over its range, from held-out outputs; None for a circular one.
 
     Args:
-        intervals: as they were fitted to these.
-        outputs: of the model ``[n o]``.
-        true: the labels ``[n t]``.
-        groups: label of each row's group.
-        ranges: least and greatest label of each target, of all rows learnt from.
+        outputs, true: of the model ``[n o]``, and labels ``[n t]``.
+        ranges: least and greatest label of each target in all training rows.
     """
     layout = intervals.layout
     estimate = outputs if layout is None else layout.decoded(outputs)
@@ -89,12 +82,7 @@ def range_cards(
             beyond=usual_reach(true[:, j], estimate[:, j], estimate[:, j], groups, ranges[j]),
             reach=usual_reach(true[:, j], low[:, j], high[:, j], groups, ranges[j]),
             tenths=range_scores(
-                true[:, j],
-                estimate[:, j] - true[:, j],
-                inside[:, j],
-                groups,
-                ranges[j],
-                intervals.coverage,
+                true[:, j], estimate[:, j] - true[:, j], inside[:, j], groups, ranges[j], intervals.coverage
             ),
         )
         for j in range(true.shape[1])

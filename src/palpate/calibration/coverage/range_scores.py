@@ -20,30 +20,18 @@ from palpate.estimators.model_card import Card, TargetCard, TenthCard
 from palpate.estimators.reading_rules import too_unsure
 from palpate.estimators.target_layout import FULL_TURN
 
-MARGIN = 0.05
-"""How far below its promise a tenth's rate is allowed: 85 % where 90 % is promised."""
-SIGNIFICANCE = 0.05
-"""Probability of naming any tenth of a target whose rate is as allowed (Holm's procedure over the tenths)."""
+MARGIN = 0.05  # allowed shortfall of a tenth's rate: 85 % where 90 % is promised
+SIGNIFICANCE = 0.05  # probability of naming any tenth whose rate is as allowed (Holm)
 
 
 def range_scores(
-    along: Row,
-    error: Row,
-    inside: np.ndarray,
-    groups: np.ndarray,
-    ends: tuple[float, float],
-    coverage: float,
+    along: Row, error: Row, inside: np.ndarray, groups: np.ndarray, ends: tuple[float, float], coverage: float
 ) -> tuple[TenthCard, ...]:
-    """Score the tenths of a range; those without a row are left out.
+    """Score the tenths of a range that have rows.
 
     Args:
-        along: the value that says which tenth a row belongs to: its truth, or its estimate.
-        error: estimate less truth.
-        inside: whether each interval held the truth.
-        groups: label of each row's group.
-        ends: least and greatest value of the calibrated range; what lies beyond counts to the outermost
-            tenths.
-        coverage: what was promised.
+        along: value that assigns a row to a tenth: its truth, or its estimate.
+        ends: calibrated range; rows beyond count to the outermost tenths.
     """
     limits = np.linspace(*ends, TENTHS + 1)
     at = np.searchsorted(limits[1:-1], along, side="right")
@@ -67,15 +55,12 @@ def range_scores(
 def chance_of_so_few(
     inside: np.ndarray, groups: np.ndarray, rate: float, correlation: float | None = None
 ) -> float:
-    """Probability of as few hits, or fewer, in rows of groups whose hits have this rate.
-
-    It is the binomial one of as many rows as these are worth, see `coverage.grouped_rates`.
+    """Return the binomial probability of as few hits by the effective number of rows.
 
     Args:
-        inside: whether each row is a hit.
-        groups: label of each row's group.
-        rate: that hits are thought to have.
-        correlation: of rows of the same group, from more rows than these; None takes these rows' own.
+        inside: hits.
+        rate: assumed rate.
+        correlation: within groups; None takes these rows' own.
     """
     alike = cautious_correlation(inside, groups) if correlation is None else correlation
     effective = effective_rows(groups, alike)
@@ -88,10 +73,7 @@ Part = TypeVar("Part", TenthCard, ClassCoverageCard)
 
 
 def failing(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Parts that cover significantly less often than allowed, by Holm's procedure over all that are given.
-
-    S. Holm, Scand. J. Stat. 6, 65 (1979).
-    """
+    """Return parts that cover significantly too seldom by Holm's procedure (Scand. J. Stat. 6, 65 (1979))."""
     found: list[Part] = []
     for rank, part in enumerate(sorted(parts, key=lambda one: one.p)):
         if part.p > SIGNIFICANCE / (len(parts) - rank):
@@ -101,7 +83,7 @@ def failing(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def range_sentences(parts: Sequence[TenthCard], unit: str, coverage: float) -> tuple[str, ...]:
-    """Sentences on the parts of a range that do not keep the promise; none where all do.
+    """Return sentences on the parts of a range that do not keep the promise.
 
     Example:
         >>> above = TenthCard(start=12.0, end=18.5, n=20, groups=20, covered=8, bias=-3.0, p=1e-4)
@@ -136,14 +118,8 @@ def card_findings(card: Card) -> tuple[str, ...]:
 
 
 def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
-    """Sentences on one target, with its name.
-
-    They name tenths of its range that cover too seldom, intervals as wide as the range, and a whole turn of
-    angles that was learnt as a plain number.
-
-    Args:
-        target: its card.
-        coverage: what its intervals promise.
+    """Return sentences on one target: tenths that cover too seldom, intervals as wide as the range, and
+    angles that were trained on as plain numbers.
     """
     name = target.quantity.replace("_", " ")
     tenths = () if target.over_range is None else target.over_range.tenths

@@ -1,8 +1,7 @@
 """Bundle adjustment of a lens and its views of a flat board: least squares with robust weights.
 
-Unknowns are the lens's numbers and six of pose for each view. A view's pose meets only its own corners, so it
-is eliminated view by view (Schur's complement; Triggs et al. 2000, doi:10.1007/3-540-44480-7_21), which
-leaves the lens's own normal equations: their inverse is the covariance of its numbers.
+Each view's pose is eliminated by Schur's complement (Triggs et al. 2000, doi:10.1007/3-540-44480-7_21); the
+inverse of the lens's normal equations is the covariance of its parameters.
 """
 
 from __future__ import annotations
@@ -35,13 +34,11 @@ Pose = Float[ndarray, "6"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedLens:
-    """A lens and the poses of its views, fitted or guessed.
+    """Lens and the poses of its views, fitted or guessed.
 
     Attributes:
-        model: see `Lens`.
         numbers: of the lens, in the order of `PARAMETERS`.
-        poses: rotation vector [rad] and translation [m] of each board in the camera frame; NaN where it has
-            none.
+        poses: rotation vector [rad] and translation [m] of each board in the camera frame; NaN for none.
     """
 
     model: LensModel
@@ -61,12 +58,11 @@ class PosedLens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle(PosedLens):
-    """A fit.
+    """Fit.
 
     Attributes:
-        errors_px: seen less projected place of each corner, a view each, shape [n, 2] [px].
-        normal, score: of each view, its reduced normal matrix and right-hand side in the lens's numbers, in
-            units of 1 px.
+        errors_px: reprojection errors of each view ``[n 2]`` [px].
+        normal, score: each view's reduced normal matrix and right-hand side, in units of 1 px.
         scale_px: robust standard deviation of an error along one axis [px].
     """
 
@@ -77,11 +73,7 @@ class Bundle(PosedLens):
 
 
 def first_guess(model: LensModel, views: Sequence[BoardView]) -> PosedLens | None:
-    """A lens to begin with: the focal length at which flat boards explain the views best.
-
-    Each width of field is tried without distortion, since from a focal length that is far off a fit of a wide
-    lens descends into a valley of its own. None where no view has a pose.
-    """
+    """Return a lens without distortion at the focal length that fits the views best; None without a pose."""
     height, width = views[0].size_px
     centre = ((width - 1) / 2, (height - 1) / 2)
     best, least = None, math.inf
@@ -129,14 +121,11 @@ def adjust(
     robust: bool = True,
     steps: int = MAX_STEPS,
 ) -> Bundle:
-    """Levenberg-Marquardt from a start to the least squares of all corners.
+    """Refine a start by Levenberg-Marquardt to the least squares of all corners.
 
     Args:
-        start: numbers and one pose a view.
-        views: the same views, in the same order.
-        free: which of the lens's numbers are fitted; None fits all, an empty one the poses alone.
-        robust: Huber's weights, about the errors' own spread.
-        steps: at most.
+        free: fitted lens parameters; None fits all, an empty one the poses alone.
+        robust: use Huber's weights about the errors' own spread.
     """
     free = list(range(len(start.numbers)) if free is None else free)
     now = _linearised(start.model, start.numbers, start.poses, views, robust)

@@ -1,8 +1,6 @@
-"""Sections of a calibration's page: a function here and a template of its name in `templates/certificate`.
+"""Sections of a calibration's page: a function and a template of its name in `templates/certificate`.
 
-A section is shown where its function returns values for its template, and left out where it returns None, as
-where a card or folder lacks what it would show. To add one, write both and name it in `SECTIONS`, in the
-order in which a reader needs them: what forbids trust, answers, pictures, tables, where it came from.
+A section is left out where its function returns None. `SECTIONS` lists them in the page's order.
 """
 
 from __future__ import annotations
@@ -62,12 +60,7 @@ from palpate.reports.sections.target_verdicts import (
 
 @dataclass(frozen=True)
 class ReportedCalibration:
-    """A calibration as the page's sections see it.
-
-    Attributes:
-        folder: where it is.
-        card: what it says of itself.
-    """
+    """Calibration folder with its card."""
 
     folder: Path
     card: Card
@@ -125,8 +118,7 @@ class ReportedCalibration:
         return in_order(found), tuple(refused)
 
 
-MIN_GROUPS = 10
-"""Groups below which a card's interval of the coverage is counted again: of before, it was too narrow."""
+MIN_GROUPS = 10  # fewer groups: earlier cards stated too narrow coverage intervals
 
 
 def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
@@ -316,6 +308,7 @@ def use(report: ReportedCalibration) -> Values:
     return {"card": report.card, "before": before}
 
 
+# in the order of the page; the name of each is that of its template
 SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     findings,
     answers,
@@ -336,4 +329,3 @@ SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     steps,
     use,
 )
-"""In the order of the page; the name of each is that of its template."""

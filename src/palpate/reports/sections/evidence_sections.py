@@ -1,8 +1,4 @@
-"""Sections of a calibration's page on what stands behind its promise: days, audits, changes, instruments.
-
-A section is as those of `certificate_sections`: values for the template of its name, or None where the card
-has nothing of the kind.
-"""
+"""Sections of a calibration's page on its evidence: days, audits, camera changes, instruments."""
 
 from __future__ import annotations
 
@@ -73,10 +69,7 @@ def evaluations(report: ReportedCalibration) -> Values | None:
 
 
 def _said_of(card: Card, found: EvaluationRecord) -> Values:
-    """Findings of an evaluation: of targets that fall short there, and of those that the card does not read.
-
-    The latter cover what they promise: their intervals are as long as the range.
-    """
+    """Findings of an evaluation: targets that fall short, and those that the card does not read."""
     each = [(t, one) for t in card.targets for one in found.findings_of(t.column)]
     return {
         "findings": [one for t, one in each if t.is_read],
