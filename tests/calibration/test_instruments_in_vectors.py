@@ -79,6 +79,7 @@ def test_a_joint_region_holds_the_truth_whose_instrument_is_uncertain(k, ratio, 
 
 
 @pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.cases(1)
 def test_the_reach_of_one_quantity_would_not_hold_several(k) -> None:
     """The negative control: u told smaller, so that the region holds 1.645 u of each."""
     assert covered(k, 3 * MODEL, normal, joint_reach(1, 0.9) / joint_reach(k, 0.9)) < 0.8

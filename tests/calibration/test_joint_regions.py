@@ -34,11 +34,7 @@ def inside(card, intervals, estimate, true) -> np.ndarray:
 
 
 def test_all_components_at_once_are_covered_at_the_stated_rate() -> None:
-    """Single intervals of the same rate are the negative control: all at once they cover less.
-
-    800 rows of 200 groups set the radius: the rate scatters by 2 % from one calibration to another, the mean
-    of twenty by 0.5 %.
-    """
+    """Single intervals of the same rate are the negative control: all at once they cover less."""
     joint, single = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)

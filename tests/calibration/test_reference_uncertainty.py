@@ -7,12 +7,11 @@ import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.core import InputError, LabelError
+from palpate.core import InputError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.model_card import InstrumentCard, TargetCard
 from palpate.estimators.reference_uncertainty import reference_half_width, with_reference, without_reference
-from palpate.recordings import Manifest
-from palpate.recordings.reference_instruments import ReferenceInstrument, read_instruments
+from palpate.recordings.reference_instruments import read_instruments
 
 STATED = """
 [x_mm]
@@ -112,22 +111,3 @@ def test_a_file_that_states_no_instrument_is_refused(text, message, tmp_path) ->
         read_instruments(tmp_path / "bad.toml")
     with pytest.raises(InputError, match="check the name"):
         read_instruments(tmp_path / "none.toml")
-
-
-def test_an_instrument_of_no_column_is_refused_before_anything_is_learnt(record_spots, tmp_path) -> None:
-    plan = CalibrationPlan(
-        ("x_mm",), split="random", instruments={"y_mm": ReferenceInstrument(instrument="a")}
-    )
-    with pytest.raises(LabelError, match="y_mm"):
-        calibrate(record_spots("run", 4), plan, tmp_path / "cal")
-    with pytest.raises(InputError, match="no labels with unit"):
-        Manifest.new(sensor="s", instruments={"y_mm": ReferenceInstrument(instrument="a")})
-
-
-def test_a_manifest_keeps_its_instruments_and_one_without_is_written_as_before(tmp_path) -> None:
-    stage = ReferenceInstrument(instrument="stage", standard_uncertainty=0.01)
-    for name, instruments in (("with", {"x_mm": stage}), ("without", {})):
-        (tmp_path / name).mkdir()
-        Manifest.new(sensor="s", labels={"x_mm": "number"}, instruments=instruments).write(tmp_path / name)
-        assert Manifest.read(tmp_path / name).instruments == instruments
-    assert "instruments" not in (tmp_path / "without" / "manifest.json").read_text()

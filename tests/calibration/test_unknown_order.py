@@ -16,7 +16,6 @@ from palpate.core import LabelError
 from palpate.estimators.certified import read_card
 from palpate.estimators.findings import FindingCode
 from palpate.recordings import Manifest, Run, import_images
-from palpate.recordings.joined_runs import JoinedRun
 
 
 @pytest.fixture
@@ -56,25 +55,6 @@ def test_a_column_says_in_which_order_the_images_were_taken(named_by_place, tmp_
     assert Manifest.read(tmp_path / "timed").order == "recorded"
     with pytest.raises(LabelError, match="when"):
         import_images(folder, tmp_path / "none", name_pattern=pattern, order_by="when")
-
-
-def test_a_number_twice_gives_no_order(tmp_path) -> None:
-    folder = tmp_path / "pressed"
-    folder.mkdir()
-    for name in ("1_1", "2_1", "3_2"):
-        cv2.imwrite(str(folder / f"{name}.png"), np.zeros((8, 8), np.uint8))
-    with pytest.raises(LabelError, match="shot"):
-        import_images(folder, tmp_path / "run", name_pattern="{x_mm}_{shot}.png", order_by="shot")
-
-
-def test_runs_joined_have_an_order_only_where_each_has(named_by_place, record_spots, tmp_path) -> None:
-    folder, pattern = named_by_place
-    runs = []
-    for name, order_by in (("a", "shot"), ("b", "shot"), ("c", None)):
-        import_images(folder, tmp_path / name, name_pattern=pattern, order_by=order_by)
-        runs.append(Run.open(tmp_path / name))
-    assert JoinedRun(runs[:2]).manifest.order == "recorded"
-    assert JoinedRun(runs[1:]).manifest.order == "names"
 
 
 def test_sorted_rows_and_alternating_sessions_are_findings_only_of_an_order_of_recording() -> None:

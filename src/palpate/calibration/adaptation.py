@@ -101,7 +101,6 @@ class _Frames(NamedTuple):
     groups: Indices
 
     def parts(self, count: int) -> np.ndarray:
-        """Number of the fold that each frame is held out in, whole groups together."""
         fold = np.empty(len(self.groups), np.int64)
         for k, (_, held) in enumerate(GroupKFold(count).split(self.groups, groups=self.groups)):
             fold[held] = k
@@ -134,7 +133,6 @@ def tell_apart(
 
 
 def _most_alike(former: Flat, own: Flat) -> Indices:
-    """Rows of the former copy's frames that are among the nearest of any of this one's."""
     search = NearestNeighbors(n_neighbors=min(NEAREST, len(former)), algorithm="brute").fit(former)
     return np.unique(search.kneighbors(own, return_distance=False))
 
@@ -243,7 +241,6 @@ def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) ->
 
 
 def _correction_records(result: CalibrationResult, adapted: Adapted, former: Card) -> dict[str, Any]:
-    """Mean absolute error of each target before and after, in its unit, and the correction chosen."""
     layout, true, choices = result.layout, result.data.values, _choices(result, adapted)
     before, after = (
         np.abs(layout.differences(layout.decoded(outputs), true)).mean(axis=0).tolist()
@@ -351,7 +348,6 @@ def _grouping(run: Run) -> str:
 
 
 def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
-    """Refuse what cannot be learnt from, before anything is written."""
     card = estimator.card
     if run.hash == card.run.hash:
         raise InputError(
@@ -424,7 +420,6 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 
 
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
-    """The copy's frames, untouched ones too, beside those that the former calibration knows."""
     former = former_frames(estimator)
     job, fold = result.job, np.zeros(len(result.job.whole), np.int64)
     for k, rows in enumerate(job.folds_of_whole()):

@@ -173,7 +173,6 @@ class CalibrationJob:
         whole: PackedSet,
         classes: tuple[ClassLabels, ...] = (),
     ) -> CalibrationJob:
-        """Select the rows to train on."""
         rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
         packed = whole.only(rows)
         references = untouched.groups[rows]

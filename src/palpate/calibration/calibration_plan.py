@@ -191,7 +191,6 @@ class CalibrationPlan:
 
     @property
     def layout(self) -> TargetLayout:
-        """The order of the model's outputs."""
         return TargetLayout(tuple(self.circular.get(target) for target in self.targets))
 
     def _check_numbers(self) -> None:
@@ -225,7 +224,6 @@ class CalibrationPlan:
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         plain = asdict(replace(self, lens=None)) | {
             "instruments": {k: v.model_dump() for k, v in self.instruments.items()},
             "lens": None if self.lens is None else self.lens.card(),
@@ -235,7 +233,6 @@ class CalibrationPlan:
 
 
 def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str, float | None]:
-    """The period of each circular target, in its unit."""
     periods: dict[str, float | None] = {}
     for column, period in asked.items():
         if column not in targets:
@@ -261,7 +258,6 @@ def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str
 def _vectors(
     asked: dict[str, tuple[str, ...]], targets: Sequence[str], circular: dict[str, float | None]
 ) -> dict[str, tuple[str, ...]]:
-    """The components of each vector, by the vector's column."""
     vectors: dict[str, tuple[str, ...]] = {}
     for name, parts in asked.items():
         column = vector_column(name, parts, targets)
@@ -305,7 +301,6 @@ def check_vector_names(vectors: Iterable[str], labels: Iterable[str], source: st
 
 
 def _check_classes(plan: CalibrationPlan) -> None:
-    """Refuse columns of classes that are something else as well, or are named in a way that reads twice."""
     from palpate.estimators.networks import model_kind
 
     for column, names in plan.classes.items():

@@ -79,7 +79,6 @@ class CalibrationResult:
 
     @property
     def data(self) -> TrainingData:
-        """Inputs, values and groups of these rows."""
         return self.job.data
 
     @property
@@ -94,7 +93,6 @@ class CalibrationResult:
 
     @property
     def layout(self) -> TargetLayout:
-        """The order of the model's outputs."""
         return self.job.plan.layout
 
     @property

@@ -164,7 +164,6 @@ def correct(
 
 
 def _helps(after: np.ndarray, before: np.ndarray, presses: Indices) -> bool:
-    """True if errors have become smaller by more than chance makes them between presses."""
     rows = np.bincount(presses)
     gain = np.bincount(presses, weights=np.abs(before) - np.abs(after)) / rows
     return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
@@ -199,7 +198,6 @@ class _LeavePressOut:
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
     def weights(self, choices: tuple[Choice, ...], without: int = NO_PRESS) -> Float[np.ndarray, "k t"]:
-        """W of the choices, learnt from all presses but one."""
         others = np.arange(self.presses) != without
         n, weights = self.rows[others].sum(), np.zeros(self._moments.shape[1:])
         for j, choice in enumerate(choices):

@@ -399,7 +399,6 @@ def _stated_by_others(card: Card, target: TargetCard, run: Run) -> str | None:
 
 
 def _instrument_sentence(card: Card, target: TargetCard, run: Run, share: float) -> str:
-    """How a target was scored on labels of another instrument, whose difference is in no held-out error."""
     own, other = target.measured_by, _stated_by_others(card, target, run)
     assert own is not None
     half = f"±{half_width_text(own.half_width)} {target.unit}"
@@ -416,7 +415,6 @@ def learnt_from(card: Card, run: Run) -> bool:
 
 
 def _recordings(card: Card) -> dict[str, str]:
-    """Hash and id of every recording that a calibration had part of its content from."""
     return {one.hash: one.run_id for one in card.runs}
 
 

@@ -133,7 +133,6 @@ def calibrate(
 
 
 def _process_group(plan: CalibrationPlan) -> ProcessGroup:
-    """Processes that train together."""
     processes = ProcessGroup.of_environment()
     if processes.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
         raise InputError(
@@ -145,7 +144,6 @@ def _process_group(plan: CalibrationPlan) -> ProcessGroup:
 
 
 def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
-    """Split the rows to learn from, and refuse at once what would fail after an hour."""
     if len(run) < 10:
         raise InputError(
             f"{run.path} holds {len(run)} frames; a calibration needs 10 or more", code="few-frames"
@@ -173,7 +171,6 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
 
 
 def _classes(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[ClassLabels, ...]:
-    """The classes of the rows to learn from."""
     hint = (
         ""
         if len(table) == len(run)
@@ -227,7 +224,6 @@ WORK_FILE = re.compile(r"plan\.json|packed|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
-    """The folder of unfinished work towards this very plan, new or from an interrupted run."""
     work, request = _work_path(out), _request(run, plan, parts)
     note = work / "plan.json"
     try:
@@ -293,7 +289,6 @@ def _scored(fits: FoldFits) -> ScoredModel:
 
 
 def _novelty_detector(job: CalibrationJob, fitted: Fitted, progress: Progress) -> NoveltyDetector:
-    """A detector that knows every frame, untouched ones too, and rendered ones that the model has seen."""
     progress("learning what frames look like", 0, 1)
     thumbs = job.thumbnails()
     also = fitted.rendered_images if isinstance(fitted, LearnsFromRendered) else None

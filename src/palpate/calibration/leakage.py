@@ -204,7 +204,6 @@ def _shrunk(frames: np.ndarray, most_px: int) -> np.ndarray:
 def _nearest_across(
     thumbs: np.ndarray, split: Split, resting: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Held-out rows, the trained-on row that looks most like each, and how many pairs were compared."""
     # Beyond this many pairs every so many held-out frames stand for all.
     step = 1 + len(thumbs) ** 2 // _MAX_PAIRS
     held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
@@ -220,7 +219,6 @@ def _nearest_across(
 
 
 def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[int, int]:
-    """Held-out rows whose frame is, to the last byte, that of a row trained on, whatever the labels say."""
     batches = packed.batches(np.arange(len(packed)), _BATCH)
     digests = [sha256(frame.tobytes()).digest() for batch in batches for frame in batch]
     rows_of: dict[bytes, list[int]] = {}
@@ -237,7 +235,6 @@ def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[i
 
 
 def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCopies:
-    """Held-out rows and the row trained on that each is an altered copy of."""
     step = 1 + len(packed) // _MAX_COMPARED
     sides = []
     for k, fold in enumerate(split.folds):
@@ -323,7 +320,6 @@ def _changing_labels(table: pd.DataFrame) -> np.ndarray:
 
 
 def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
-    """Mask of frames that cannot be told from the skin at rest, touched or not."""
     untouched = np.median(thumbs[resting], axis=0)
     unseen: np.ndarray = resting | _alike(thumbs, np.broadcast_to(untouched, thumbs.shape), limit)
     return unseen

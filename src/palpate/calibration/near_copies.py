@@ -97,7 +97,6 @@ def _neighbours(
     most_shift: float,
     labels: Values | None,
 ) -> tuple[Int[np.ndarray, "q k"], Float[np.ndarray, "q k"]]:
-    """The frames trained on that are most like each query once aligned, nearest first."""
     flat = small.reshape(len(small), -1)
     even = flat - flat.mean(axis=1, keepdims=True)
     even = even / np.maximum(np.linalg.norm(even, axis=1, keepdims=True), 1e-6)
@@ -176,7 +175,6 @@ def _dimensions(steps: Float[np.ndarray, "q s"], distances: Float[np.ndarray, "q
 
 
 def _significant(chances: Float[np.ndarray, " q"]) -> Int[np.ndarray, " m"]:
-    """Places of chances that stand out at the expected share of false ones."""
     order = np.argsort(chances, kind="stable")
     passed = chances[order] <= RATE * np.arange(1, len(chances) + 1) / len(chances)
     count = int(np.flatnonzero(passed).max(initial=-1)) + 1

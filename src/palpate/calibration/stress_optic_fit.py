@@ -97,7 +97,6 @@ class Disc:
 
     @property
     def _seen_px(self) -> tuple[float, float, float]:
-        """Where the disc is seen, which its whole face needs."""
         if self.seen_px is None:
             raise InputError(
                 "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"

@@ -42,5 +42,4 @@ def remaining_remedy(card: Card, finding: Finding, elsewhere: bool = False) -> s
 
 
 def _tested_on_sessions(card: Card) -> bool:
-    """True where whole sessions were held out."""
     return card.sessions is not None and card.sessions.held_out > 1 and card.sessions.column == "session"

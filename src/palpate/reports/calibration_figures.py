@@ -186,7 +186,6 @@ def interval_ends(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, 
 
 
 def _sides(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest error, estimate less truth, that each row's interval allows for."""
     (low, high), guess = interval_ends(target, table), target_columns(target, table)[1]
     return guess - high, guess - low
 
@@ -266,7 +265,6 @@ def _map(
 
 
 def _binned(true: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Means of equal parts of the rows, ordered by the truth."""
     parts = _bins(true)
     centres = np.array([true[rows].mean() for rows in parts])
     return centres, tuple(np.array([value[rows].mean() for rows in parts]) for value in values)

@@ -82,7 +82,6 @@ def filled_template(name: str, package: str = "palpate.reports", /, **values: An
 
 
 def _with_code(text: str) -> Markup:
-    """Text with what stands between backticks as code."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))  # noqa: S704 -- escaped before
 
 

@@ -104,7 +104,6 @@ class CalibrationComparison:
         return first, second
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as JSON can hold it."""
         return {
             "calibrations": [card.id for card in self.cards],
             "simulated": [card.is_simulated for card in self.cards],
@@ -171,7 +170,6 @@ def _other_units(cards: tuple[Card, Card]) -> str:
 
 
 def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
-    """Held-out predictions by the row of the run that they are of."""
     table = read_predictions(folder, card)
     row = own_column(table, "row")
     if row.duplicated().any():
@@ -182,7 +180,6 @@ def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
 def _obstacles(
     cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], columns: list[str]
 ) -> tuple[Refusal, ...]:
-    """Reasons why two sets of scores say nothing about which calibration is the better one."""
     a, b = cards
     if a.run.hash != b.run.hash:
         elsewhere = Refusal(
@@ -230,7 +227,6 @@ def _same_folds(tables: tuple[pd.DataFrame, ...]) -> bool:
 
 
 def _alike(two: Sequence[pd.DataFrame | pd.Series[Any]]) -> bool:
-    """True where two tables or columns hold the same of the same rows."""
     return bool(np.array_equal(two[0].sort_index().to_numpy(), two[1].sort_index().to_numpy()))
 
 
@@ -312,7 +308,6 @@ def _told(card: Card) -> str:
 
 
 def _days(comparison: CalibrationComparison) -> list[str]:
-    """On which other day each was tested, said once where all targets say the same."""
     lines = []
     for k, card in enumerate(comparison.cards):
         said = {one.column: comparison.tested(one.column)[k] for one in comparison.targets}

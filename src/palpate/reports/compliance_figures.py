@@ -119,7 +119,6 @@ def _area(axes: Axes, trial: ReferenceTrial, touch: PressReading) -> None:
 
 
 def _stiffness(axes: Axes, touch: PressReading) -> None:
-    """Each estimate with its interval, over the calibrated range."""
     rows = {"touch": touch.stiffness}
     if touch.stiffness_both is not None:
         rows["touch and\nposition"] = touch.stiffness_both

@@ -148,7 +148,6 @@ def _draw(table: pd.DataFrame, fastest: Step, how: str) -> Figure:
 
 
 def _field(axes: Axes, field: FlowField, title: str) -> None:
-    """Speed of every pixel as a colour, and the mean flow of squares as arrows with a key."""
     h, w = field.shape[1:]
     speed = np.hypot(*field)
     most = float(np.quantile(speed, 0.999)) or 1.0  # a few pixels at edges claim far more

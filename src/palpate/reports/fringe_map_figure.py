@@ -60,7 +60,6 @@ class OrderFiles:
             self._finish()
 
     def add(self, index: int, name: str, image: UInt8[ndarray, "h w *c"], found: OrderMap) -> None:
-        """Write one frame's map."""
         with storage_errors(self._folder):
             for pages, values in zip(self._pages, (found.order, found.sigma), strict=True):
                 told = np.where(found.valid, values, np.float32(np.nan))

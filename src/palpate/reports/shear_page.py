@@ -67,7 +67,6 @@ class ShearPage:
         self._flagged = dict.fromkeys(FLAGS, 0)
 
     def take(self, name: str, frame: Frame | None, touch: ShearTouch | None, reason: str) -> None:
-        """Take the next frame."""
         if touch is None or frame is None or touch.reason:
             self._unread += 1
             why = reason if touch is None else touch.reason
@@ -128,7 +127,6 @@ class ShearPage:
         return f"{value:.2f} ± {(shown.high - shown.low) / 2:.2f}"
 
     def _pattern(self) -> str:
-        """The reference frame with its control points."""
         marks = self._reader.marks
         places = marks.in_image(marks.reference.places)
         with styled_panels(6.4, 4.6) as (figure, (axes,)):
@@ -213,7 +211,6 @@ def _stronger(one: Shown | None, other: Shown) -> Shown:
 
 
 def _image(axes: Axes, frame: Frame, places: np.ndarray) -> None:
-    """A frame, cut to where its marks are."""
     axes.imshow(frame.image, cmap="gray")
     (left, top), (right, bottom) = places.min(axis=0) - 30, places.max(axis=0) + 30
     height, width = frame.image.shape[:2]

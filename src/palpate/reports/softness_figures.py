@@ -146,7 +146,6 @@ def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
 
 
 def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
-    """Bands of area where the object is not rendered, darker the graver."""
     for k, (limit, words) in enumerate(LIMIT_WORDS.items()):
         for low, high in spans(state.limit == limit):
             label = words if labelled else None

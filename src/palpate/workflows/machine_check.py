@@ -52,7 +52,6 @@ class MachinePart:
     mend: str = ""
 
     def to_dict(self) -> dict[str, str]:
-        """Plain values for JSON."""
         return asdict(self)
 
 

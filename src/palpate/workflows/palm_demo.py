@@ -93,7 +93,6 @@ class DemoResult:
     sensed: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {
             "folder": str(self.folder),
             "scores": {m: {t: s.model_dump() for t, s in by.items()} for m, by in self.scores.items()},
@@ -179,7 +178,6 @@ def _presses(
 
 
 def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
-    """Calibrate and certify one way, then score it on the places of the second run."""
     way = WAYS[name]
     plan = CalibrationPlan(
         targets=TARGETS,
@@ -203,7 +201,6 @@ def _said(name: str) -> str:
 
 
 def _some_readings(folder: Path) -> tuple[str, ...]:
-    """Readings of the first model on a few new frames, and of one that is dark."""
     estimator = Estimator.open(folder / f"cal-{next(iter(WAYS))}")
     run = Run.open(folder / "run-new-places")
     lines = []

@@ -143,7 +143,6 @@ class VirtualFeed(Closing):
         (self.hand.press if go_on else self.hand.rest)()
 
     def close(self) -> None:
-        """Let go."""
         self.hand.close()
         if self.force is not None:
             self.force.close()
@@ -181,7 +180,6 @@ class CameraFeed(Closing):
             raise
 
     def grab(self) -> FedFrame:
-        """The next frame."""
         try:
             got = self._source.grab(WAIT_S)
         except NoFrameYetError as e:
@@ -197,7 +195,6 @@ class CameraFeed(Closing):
         """Do nothing: a person presses."""
 
     def close(self) -> None:
-        """Let go of both."""
         if self.force is not None:
             self.force.close()
         source = getattr(self, "_source", None)

@@ -58,7 +58,6 @@ class RenderedStimuli(Closing):
         return "Put the softness display on the arm. No finger there meanwhile."
 
     def show(self, condition: Condition, name: str, code: str) -> None:
-        """Show a stimulus under a code."""
         if (condition, name) not in self._objects:
             raise InputError(
                 f"nothing is rendered as {code} in condition {condition.value}", code="stimulus-not-rendered"

@@ -80,7 +80,6 @@ class StartSession(StoredSession):
                     self._remove_empty(made, {LOCK, STATE} if forgets else {LOCK})
 
     def _remove_empty(self, made: list[Path], names: set[str]) -> None:
-        """Remove folders that were made, unless there is more in them than files of these names."""
         with suppress(OSError):  # as where an open file cannot be removed, or somebody removed it
             if {path.name for path in self.folder.iterdir()} <= names:
                 for name in names:
@@ -169,7 +168,7 @@ class StartSession(StoredSession):
         self.choose(camera, scale, sensor=sensor, asked=asked, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
 
     def ask_more(self, more: int) -> None:
-        """Request more presses ; the file changes once `feed` has opened."""
+        """Request more presses; the file changes once `feed` has opened."""
         self._needs("camera")
         if more < 1:
             raise InputError(f"{more} more presses; ask for 1 or more", code="press-count")
@@ -336,7 +335,6 @@ class StartSession(StoredSession):
         return card
 
     def _refuse_other_unit(self, unit: str) -> None:
-        """Refuse to call bare numbers by another unit than those that presses were weighed in."""
         if self.state.unit not in ("", unit) and self._frames():
             raise InputError(
                 f"{self.folder} holds presses whose scale was read in {self.state.unit}; in "
@@ -358,12 +356,10 @@ class StartSession(StoredSession):
             raise InputError(f"the step {step!r} of {self.folder} is not done yet; it is at {self.step!r}")
 
     def _done(self, step: str) -> None:
-        """Note that a step is done, and keep it."""
         self._mark(step)
         self._write()
 
     def _mark(self, step: str) -> None:
-        """Note that a step is done, and that the later ones that follow from it are not."""
         before = STEPS[: STEPS.index(step)]
         if step == "collect":  # more presses: the calibration that is there is of fewer
             self.state.done = [one for one in self.state.done if one != "train"]
@@ -396,7 +392,6 @@ def _folders_made(folder: Path) -> list[Path]:
 
 
 def _refuse_few(asked: int) -> None:
-    """Refuse to ask for fewer presses than can be learnt from."""
     if asked < MIN_TO_LEARN:
         raise InputError(
             f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one",

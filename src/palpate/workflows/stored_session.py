@@ -41,7 +41,6 @@ class StoredSession:
 
     @property
     def run(self) -> Path:
-        """Run of the presses."""
         return self.folder / RUN
 
     @property
@@ -51,7 +50,6 @@ class StoredSession:
 
     @property
     def untouched(self) -> Path:
-        """Image of the untouched sensor."""
         return self.folder / UNTOUCHED
 
     @property
@@ -169,7 +167,6 @@ class StoredSession:
         )
 
     def _kept_presses(self) -> Run:
-        """Run of the collected presses."""
         from palpate.recordings import Run
 
         if not (self.run / MANIFEST).is_file():
@@ -181,7 +178,6 @@ class StoredSession:
         return max(2, min(FOLDS, len(table[["session", "press"]].drop_duplicates())))
 
     def _frames(self) -> int:
-        """Frames that its run holds."""
         from palpate.recordings import Run
 
         return len(Run.open(self.run)) if (self.run / MANIFEST).is_file() else 0

@@ -121,23 +121,19 @@ class VirtualPress:
 
     @property
     def viscous(self) -> bool:
-        """Whether what is pressed relaxes."""
         specimen = self.sensor.specimen(self.words)
         return specimen is not None and bool(specimen.branches)
 
     @property
     def pose(self) -> Pose:
-        """The deepest."""
         return self._contact(self.deepest).pose
 
     @property
     def deepest(self) -> int:
-        """Sample at which the tip is deepest."""
         return int(np.argmax(self.true_approach_m))
 
     @property
     def seating(self) -> Seating:
-        """Lamp and shift of the image."""
         approach = self.touches[self.deepest].approach
         return Seating(approach.lamp_gain, approach.shift_px)
 
@@ -146,12 +142,10 @@ class VirtualPress:
         return self.sensor.markers_px(self._contact(self._shown(frame)), self.seating)
 
     def frame(self, frame: int) -> UInt8[ndarray, "h w"]:
-        """One image, the same at every call."""
         rng = np.random.default_rng([self.seed, frame])
         return self.sensor.render(self._contact(self._shown(frame)), rng, self.seating).image
 
     def frames(self) -> Iterator[UInt8[ndarray, "h w"]]:
-        """All images, in order."""
         return (self.frame(i) for i in range(len(self.frame_sample)))
 
     def _shown(self, frame: int) -> int:
@@ -284,7 +278,6 @@ def _ramp_depth_m(viscous: ViscousPress, force_n: float, speed_m_s: float, rate_
 
 
 def _world(sensor: TacTip, rig: LinearRig | None, seed: int) -> World:
-    """The tip on the rig's stage."""
     vary, rate_hz, clock = (
         replace(Variation(), **sensor.variation()),
         sensor.spec.force.rate_hz,
@@ -304,7 +297,6 @@ def _range_n(rig: LinearRig | None) -> tuple[float, float, float]:
 
 
 def _follow(world: World, touches: list[Touch], until_s: float) -> None:
-    """Let time pass, and keep what happens."""
     while world.now_s < until_s:
         world.clock.sleep(min(1.0, until_s - world.now_s + 1e-9))
         world.advance()
@@ -313,7 +305,6 @@ def _follow(world: World, touches: list[Touch], until_s: float) -> None:
 
 
 def _nearest(sensor: TacTip, time_s: Float[ndarray, " s"]) -> Int[ndarray, " f"]:
-    """Samples at the middle of the camera's exposures, or just before where it lies between two."""
     ends_s = np.arange(1, math.floor(time_s[-1] * sensor.rate_hz) + 1) / sensor.rate_hz
     return np.searchsorted(time_s, ends_s - sensor.exposure_s / 2 + 1e-9, side="right") - 1
 
@@ -381,7 +372,6 @@ def at_finite_strain(spec: TacTipSpec, pressed: Iterable[float | str], tilt_rad:
 
 
 def _tabulated(spec: TacTipSpec, body: float | str, tilt_rad: float) -> bool:
-    """Whether a table holds a press on an inclined top."""
     return not isinstance(body, str) and has_table(spec, modulus_pa(spec.table, body), tilt_rad)
 
 
@@ -464,7 +454,6 @@ def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
 
 
 def _truth(press: VirtualPress) -> dict[str, Any]:
-    """Seed and seating of a press."""
     down = press.deepest + 1
     return {
         "seed": press.seed,

@@ -182,7 +182,6 @@ def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any
 
 
 def _number(seed: int, part: int) -> int:
-    """A seed for one part of a rig's work, no two alike."""
     return 1000 * (seed + 1) + part
 
 

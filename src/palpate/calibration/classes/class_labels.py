@@ -35,7 +35,6 @@ class ClassLabels:
 
     @property
     def one_hot(self) -> Float[np.ndarray, "n k"]:
-        """Outputs that a perfect model gives."""
         return np.eye(len(self.values))[self.codes]
 
     @property
@@ -60,7 +59,6 @@ class HeldOutClasses:
 
     @property
     def parts(self) -> list[Float[np.ndarray, "n _"]]:
-        """The outputs of each column."""
         return [self.outputs[:, part] for part in class_parts([len(one.names) for one in self.labels])]
 
     def shortfalls(self, rows: Indices) -> Float[np.ndarray, " m"]:

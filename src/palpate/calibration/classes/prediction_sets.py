@@ -129,7 +129,6 @@ def _card(
 
 
 def _unpromised(card: ClassCard, coverage: float) -> Iterator[str]:
-    """A sentence on the classes that too few groups show for a threshold."""
     few = [
         f"{name} ({groups})"
         for name, least, groups in zip(card.names, card.thresholds, card.groups, strict=True)

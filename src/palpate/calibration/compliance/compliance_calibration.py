@@ -131,7 +131,6 @@ class ComplianceCalibration:
 
     @cached_property
     def id(self) -> str:
-        """Name by the contents."""
         return contents_id(self, "compliance")
 
     def save(self, path: Path) -> None:
@@ -221,7 +220,6 @@ def _seats(
     layout: Float[ndarray, "p 2"],
     references: Sequence[int],
 ) -> list[Float[ndarray, "_ 2"]]:
-    """Mean motion of the pins of every trial, of some references."""
     sideways = np.stack([sideways_px(press, layout) for press in presses])
     return [sideways[which == i] for i in references]
 
@@ -235,7 +233,6 @@ def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
 
 
 def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray, "p 2"]:
-    """A press's untouched pins in the order of the layout."""
     still = replace(
         press,
         frame=press.frame[:1],
@@ -321,7 +318,6 @@ def _against_known(
     true: Sequence[Samples],
     which: Sequence[int],
 ) -> RateFit | None:
-    """A measure of areas against that of known ones, of trials whose areas were fitted without them."""
     pairs = [
         (measure(f, np.where(np.isfinite(known), a, np.nan)), measure(f, known), i)
         for f, a, known, i in zip(forces, found, true, which, strict=True)
@@ -348,7 +344,6 @@ def _moduli_per_m(finger: Finger, flats: Sequence[ReferenceSpecimen]) -> float |
 
 
 def _curves(references: Iterable[ReferenceSpecimen]) -> list[PressCurves]:
-    """Return force, approach, and area of the trials whose area and position are known."""
     return [
         PressCurves(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
         for one in references

@@ -95,7 +95,6 @@ class PressReading:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """The readings that there are."""
         all_ = (
             self.stiffness, self.stiffness_both, self.area, self.spread_rate, self.modulus, self.radius
         )  # fmt: skip
@@ -123,7 +122,6 @@ def read_touch(
 
 
 def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: float) -> PressReading:
-    """Widen the intervals of area and rate for pins that move unlike the references'."""
     wide: dict[str, Any] = {}
     for name in ("area", "spread_rate"):
         one: Reading | None = getattr(read, name)
@@ -138,7 +136,6 @@ def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: fl
 def _judged(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
 ) -> PressReading:
-    """Return the readings with the reasons that follow from their final intervals."""
     reasons = {name: _range_reasons(calibration, name, getattr(read, name)) for name in FIELDS}
     curved = calibration.shape is not None and _curved(read)
     if curved:
@@ -160,7 +157,6 @@ def _judged(
 def _not_flat(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
 ) -> list[Refusal]:
-    """Return why presses that may be on a flat object tell no quantity of one."""
     misfit = worst_misfit(calibration, presses, flat=True)
     return _reasons_of(read.radius) + misfit_reasons(misfit, greatest_misfit(calibration, flat=True))
 
@@ -170,7 +166,6 @@ def _curved(read: PressReading) -> bool:
 
 
 def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[Refusal]:
-    """Return why an interval is not inside what was calibrated."""
     if one is None or name == "radius":
         return []
     if name == "modulus" and calibration.shape is not None:
@@ -192,7 +187,6 @@ def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading |
 
 
 def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Refusal]:
-    """First quantity whose interval contains nothing that the stiffness allows."""
     base = read.stiffness if read.stiffness_both is None else read.stiffness_both
     ends = np.array([base.low, base.high])
     for name in ("stiffness", "area", "spread_rate", "modulus"):
@@ -226,7 +220,6 @@ def _on_flat(
 
 
 def _reasons_of(reading: Reading | None) -> list[Refusal]:
-    """Return the reasons that a reading carries."""
     if reading is None or reading.valid:
         return []
     texts, codes = reading.why.split(SEPARATOR), reading.code.split(SEPARATOR)
@@ -234,7 +227,6 @@ def _reasons_of(reading: Reading | None) -> list[Refusal]:
 
 
 def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | None:
-    """Return a reading with further reasons why it is not valid."""
     if reading is None or not reasons:
         return reading
     fields = joined([*_reasons_of(reading), *reasons])
@@ -244,7 +236,6 @@ def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | N
 def _read(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict, *, ring: bool = True
 ) -> PressReading:
-    """Readings under a verdict, with the scatter between presses alone."""
     reader = _PressReader(calibration, presses, verdict)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
     both = modulus = radius = None
@@ -267,7 +258,6 @@ def _read(
 def _altered_values(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict
 ) -> dict[str, dict[str, float]]:
-    """Values of every quantity, by the nuisance that all presses are given in its standard size."""
     assert calibration.nuisances is not None
     by_press = [calibration.nuisances.altered(press) for press in presses]
     values = {}
@@ -368,7 +358,6 @@ class _PressReader:
         )  # fmt: skip
 
     def by_surface(self, surface: ShapeSurface, rows: Float[ndarray, "t d"]) -> tuple[Reading, Reading]:
-        """E* and R by references of known ones."""
         found = surface.of(rows, COVERAGE)
         why = shape_reasons(surface, found)
         flat_to = float(surface.radius_m.min()), float("inf")
@@ -413,7 +402,6 @@ class _PressReader:
         return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
 
     def _between(self, error: float) -> list[Refusal]:
-        """Return why two references are not enough."""
         return [] if np.isfinite(error) else [Refusal(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
 
     def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:

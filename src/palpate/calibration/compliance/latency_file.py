@@ -153,7 +153,6 @@ def measure_latency(
 
 
 def _pairs(presses: Sequence[Path], force: Path | None) -> list[tuple[Path, Path]]:
-    """Frames and table of every press."""
     if force is not None:
         if len(presses) != 1:
             raise InputError(f"one table for {len(presses)} presses; lay each table beside its frames")

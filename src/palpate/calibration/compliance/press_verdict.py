@@ -105,7 +105,6 @@ def _speed(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> 
 
 
 def _frozen(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """Frames in which no pin has moved, though the force has risen."""
     step = np.abs(np.diff(press.moved_px, axis=0))
     still = np.nanmax(step.reshape(len(step), -1), axis=1) < REPEATED_PX
     repeated = still & (np.diff(press.force_n) > RISE_N)
@@ -123,8 +122,6 @@ def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector
 
 
 def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """Whether the pins, or pins and approach, move as on no reference, nor as one with stated nuisances."""
-
     def pins(one: PinPress) -> Vector:
         return touch_row(one, calibration.layout_px, calibration.levels_n)
 
@@ -198,7 +195,6 @@ def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vecto
 
 
 def _outside(curve: SmallSpace, row: Vector) -> Vector:
-    """What of a press lies outside of the references' space."""
     return np.asarray(row - curve.middle - curve.place(row) @ curve.basis)
 
 

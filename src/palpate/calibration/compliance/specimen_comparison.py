@@ -135,7 +135,6 @@ def compare_specimens(
 
 
 def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float] | None:
-    """Ends of the valid reading of a cue from all trials of a specimen, where there is one."""
     for one in readings:
         if cue == f"{one['quantity']}_{one['unit']}" and one["valid"]:
             return [one["low"], one["high"]]
@@ -230,7 +229,6 @@ def add_mixed_models(record: dict[str, Any], table: pd.DataFrame, shared: pd.Dat
 
 
 def _mixed_pairs(record: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Pairs of all mixed models, each with its cue."""
     return [
         (cue, pair) for cue, one in record["cues"].items() for pair in one["mixed_model"].get("pairs", [])
     ]

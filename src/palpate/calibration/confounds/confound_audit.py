@@ -76,7 +76,6 @@ class TargetEvidence:
 
     @property
     def about(self) -> str:
-        """Label column that it is of."""
         return self.label or self.column
 
     def told_outside(self, units: int) -> bool:
@@ -85,13 +84,11 @@ class TargetEvidence:
         return best >= MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / units
 
     def finding(self, code: FindingCode, **values: float | str) -> Finding:
-        """A finding about it."""
         name = output_in_words(self.column, self.about)
         return Finding(code=code, target=self.about, values={"name": name, **values})
 
     @property
     def card(self) -> TargetConfoundCard:
-        """The same on a card."""
         return TargetConfoundCard(
             column=self.column,
             rank_correlation=self.order.rank_correlation,
@@ -183,7 +180,6 @@ def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str)
 
 
 def _order_findings(evidence: TargetEvidence, told: bool, kind: str) -> list[Finding]:
-    """Findings about order, of an output that the outside predicts or not, by a split of this kind."""
     order, found = evidence.order, []
     by_neighbors = evidence.neighbors is not None and evidence.neighbors > MAX_BY_NEIGHBORS
     if order.follows:
@@ -359,7 +355,6 @@ class _AuditedRows:
         return SkinRegion(outside, inside, views[0].source)
 
     def evidence(self) -> list[TargetEvidence]:
-        """What order, outside and single locations predict of each output, next to what the model does."""
         job, region = self.job, self.region
         values, folds = self.values[self.chosen], folds_among(job.parts.folds, self.chosen)
         model = explained_share(self.values, self.held_out)
@@ -400,7 +395,6 @@ class _AuditedRows:
         ]
 
     def crop(self, told: list[int]) -> str:
-        """The largest crop about the skin in which the outside predicts none of these outputs that it did."""
         if not self.one_view or not self.region.has_outside:
             return "X,Y,WIDTH,HEIGHT"
         x, y, width, height = box = self.region.box
@@ -412,7 +406,6 @@ class _AuditedRows:
         return ",".join(map(str, self.in_frame(box)))
 
     def _is_silent(self, box: Box, told: list[int]) -> bool:
-        """True if what is left of the outside within a crop predicts none of these outputs."""
         x, y, width, height = box
         beyond = ~self.region.inside[y : y + height, x : x + width]
         if beyond.mean() <= MAX_LEFT_OUTSIDE:
@@ -423,7 +416,6 @@ class _AuditedRows:
         return bool(shares.max() < MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / self.units.count)
 
     def _scale(self) -> tuple[int, int, float, float]:
-        """Corner of the prepared image in the frame, and frame pixels in a small one, across and down."""
         height, width = self.images.shape[1:3]
         frame = self.job.run.frame(0).image.shape
         x, y, across, down = self.job.packed.preparation.crop_px or (0, 0, frame[1], frame[0])

@@ -47,7 +47,6 @@ class DecidingPixels:
             np.save(file, self.increase.astype(np.float32))
 
     def keep(self, path: Path) -> None:
-        """Keep a fold's map until all are made."""
         path.unlink(missing_ok=True)
         with new_file(path) as file_path, file_path.open("wb") as file:
             np.savez(file, increase=self.increase, rows=self.rows)

@@ -35,12 +35,10 @@ class RecordedUnits:
 
     @property
     def count(self) -> int:
-        """How many units there are."""
         return len(np.unique(self.of))
 
     @property
     def in_sessions(self) -> Int[np.ndarray, " s"]:
-        """How many there are of each session."""
         return np.array([len(np.unique(self.of[self.sessions == s])) for s in np.unique(self.sessions)])
 
     @property

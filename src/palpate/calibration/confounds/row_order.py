@@ -96,7 +96,6 @@ def order_checks(
 def _bases(
     place: Float[np.ndarray, " n"], parts: Sequence[Indices], units: Int[np.ndarray, " s"]
 ) -> list[Float[np.ndarray, "n k"]]:
-    """Waves that all sessions share, and, of several sessions, waves of each one's own."""
     shared = _waves(place, _wave_count(int(units.sum())), parts)
     if len(parts) == 1:
         return [shared]
@@ -114,7 +113,6 @@ def _wave_count(units: int) -> int:
 
 
 def _waves(place: Float[np.ndarray, " n"], count: int, parts: Sequence[Indices]) -> Float[np.ndarray, "n k"]:
-    """Orthonormal cosines over each session, less their means in it."""
     waves = np.cos(np.pi * np.arange(1, count + 1) * place[:, None])
     for part in parts:
         waves[part] -= waves[part].mean(axis=0)
@@ -124,7 +122,6 @@ def _waves(place: Float[np.ndarray, " n"], count: int, parts: Sequence[Indices])
 def _within(
     column: Float[np.ndarray, " n"], parts: Sequence[Indices], ranked: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """A label, or its rank as a share of the rows, less its session's mean."""
     within = np.empty(len(column))
     for part in parts:
         own = rankdata(column[part]) / len(part) if ranked else column[part]
@@ -135,7 +132,6 @@ def _within(
 def _share(
     basis: Float[np.ndarray, "n k"], columns: Float[np.ndarray, "n m"], sessions: int
 ) -> Float[np.ndarray, " m"]:
-    """Adjusted R² of standardised columns, less their sessions' means, on the basis."""
     n, k = basis.shape
     told = np.sum((basis.T @ columns) ** 2, axis=0) / n
     return 1 - (1 - told) * (n - sessions) / max(n - k - sessions, 1)
@@ -148,7 +144,6 @@ def _standard(column: np.ndarray) -> Float[np.ndarray, " n"]:
 def _shuffled(
     units: Int[np.ndarray, " n"], sessions: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Int[np.ndarray, "s n"]:
-    """Rows in shuffled orders of their units within each session, a unit's rows staying in their order."""
     count = int(units.max()) + 1
     keys = rng.random((SHUFFLES, count)).argsort(axis=1).argsort(axis=1)
     return np.argsort(keys[:, units] + count * sessions, axis=1, kind="stable")

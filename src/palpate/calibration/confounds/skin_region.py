@@ -55,7 +55,6 @@ class SkinRegion:
 
     @property
     def has_outside(self) -> bool:
-        """True if there is an outside to speak of."""
         return bool(self.outside.mean() >= MIN_OUTSIDE)
 
     @property
@@ -126,7 +125,6 @@ def find_skin(
 
 
 def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: RegionSource) -> SkinRegion:
-    """Convex hulls of the places that change, small ones aside, and a margin of a cell around them."""
     closed = cv2.morphologyEx(active.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     x, y, wide, tall, areas = stats[1:].T

@@ -104,7 +104,6 @@ def _misses(
 
 
 def _most_missed(target: Float[np.ndarray, " n"], units: int, rows: Indices) -> float:
-    """Share of the rows that may be missed where a target is a function."""
     asked = target[rows]
     by_median = float(np.mean(np.abs(asked - np.median(asked)) > EXACT * np.ptp(target)))
     return min(max(1 - MIN_TOLD, MISSED / units), MAX_LEFT * by_median)

@@ -138,7 +138,6 @@ def spread_terms(predicted: Outputs, errors: Values, groups: np.ndarray) -> tupl
 def _deviances(
     predicted: Outputs, errors: Values, groups: np.ndarray, terms: int
 ) -> Float[np.ndarray, "g t"]:
-    """Mean gamma deviance of each group's errors from the spread that other groups' errors foretell."""
     rows = np.empty(errors.shape)
     for others, held in parts_by_group(groups):
         spread = fit_spread(predicted[others], errors[others], (terms,) * errors.shape[1])

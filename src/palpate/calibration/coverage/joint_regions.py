@@ -83,7 +83,6 @@ def joint_score(
 def _fitted(
     scaled: Float[np.ndarray, "n k"], groups: np.ndarray
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " n"]]:
-    """The second moments of the errors, and each row's distance by those of other groups."""
     parts, scores = group_parts(groups), np.empty(len(scaled))
     for part in np.unique(parts):
         held = parts == part

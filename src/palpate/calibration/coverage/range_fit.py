@@ -88,7 +88,6 @@ def grouped_quantile(scores: Row, groups: np.ndarray, coverage: float) -> float:
 
 
 def _holds_enough(values: Row, groups: np.ndarray, start: float, end: float) -> bool:
-    """Tell whether a cell holds rows and groups enough to set a band by."""
     rows = (values >= start) & (values < end)
     return int(rows.sum()) >= MIN_ROWS and len(np.unique(groups[rows])) >= MIN_GROUPS
 
@@ -115,7 +114,6 @@ def _bands(
 
 
 def _scores(error: Row, parts: Int[np.ndarray, " n"], coverage: float) -> Row:
-    """Distance of each error from the middle of the other parts' errors, in units of their reach."""
     scores = np.empty_like(error)
     for part in np.unique(parts):
         held = parts == part

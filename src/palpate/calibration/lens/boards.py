@@ -55,7 +55,6 @@ class Board:
 
     @property
     def text(self) -> str:
-        """Words for it."""
         kind = "chessboard" if self.dictionary is None else f"ChArUco board ({self.dictionary})"
         return f"{kind} of {self.columns}x{self.rows} inner corners, squares of {self.square_m * 1e3:g} mm"
 
@@ -232,7 +231,6 @@ def _larger_size(image: np.ndarray, board: Board) -> tuple[int, int] | None:
 
 
 def _by_quadrilaterals(image: np.ndarray, board: Board) -> np.ndarray | None:
-    """OpenCV's older way, with each corner refined in a window that holds no other one."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows), flags=flags)
     if not found or len(corners) != board.columns * board.rows:

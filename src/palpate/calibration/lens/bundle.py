@@ -46,7 +46,6 @@ class PosedLens:
     poses: tuple[Pose, ...]
 
     def lens(self, size_px: tuple[int, int], max_angle_rad: float | None = None) -> Lens:
-        """The lens of its numbers."""
         values = [float(value) for value in self.numbers]
         focal, centre = (values[0], values[1]), (values[2], values[3])
         return Lens(self.model, focal, centre, tuple(values[4:]), size_px, max_angle_rad)
@@ -163,7 +162,6 @@ class _Linear:
     robust: bool
 
     def cost_at(self, scale: float) -> float:
-        """Huber's cost at a fixed scale, by which steps are compared."""
         size = np.abs(np.concatenate([error.ravel() for error in self.errors]))
         if not self.robust:
             return float(np.sum(size**2))
@@ -171,7 +169,6 @@ class _Linear:
         return float(np.sum(np.where(size <= bend, size**2, bend * (2 * size - bend))))
 
     def reduced(self, view: int, free: list[int], damping: float = 0.0) -> tuple[np.ndarray, ...]:
-        """Normal matrix and score of one view in the lens's numbers, and what gives its pose back."""
         weight = self.weights[view][:, None]
         lens, pose, error = self.by_lens[view][:, free], self.by_pose[view], self.errors[view].ravel()
         corner = pose.T @ (weight * pose)
@@ -183,7 +180,6 @@ class _Linear:
         return whole, whole - mixed @ back[:, :-1], score - mixed @ back[:, -1], back
 
     def bundle(self) -> Bundle:
-        """The fit at this place."""
         every = list(range(len(self.numbers)))
         parts = [self.reduced(view, every) for view in range(len(self.poses))]
         return Bundle(
@@ -239,7 +235,6 @@ def _linearised(
 def _stepped(
     now: _Linear, free: list[int], damping: float
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Numbers and poses after one damped Gauss-Newton step."""
     try:
         parts = [now.reduced(view, free, damping) for view in range(len(now.poses))]
         numbers, change = now.numbers.copy(), np.zeros(0)

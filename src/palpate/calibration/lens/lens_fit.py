@@ -90,7 +90,6 @@ class LensFit:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The lens's numbers by name."""
         values = (*self.lens.focal_px, *self.lens.centre_px, *self.lens.distortion)
         return dict(zip(PARAMETERS[self.lens.model], values, strict=True))
 
@@ -216,7 +215,6 @@ class _Accepted:
 def _compared(
     fits: Mapping[LensModel, _Accepted | InputError], views: Sequence[BoardView]
 ) -> dict[LensModel, float]:
-    """Held-out error of each model over the views that either uses."""
     fitted = {model: fit for model, fit in fits.items() if not isinstance(fit, InputError)}
     names = {view.name for fit in fitted.values() for view in fit.whole}
     return {model: fitted[model].held_out_of(views, names) if model in fitted else math.inf for model in fits}
@@ -227,7 +225,6 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Accepted:
-    """Fit, take out the worst view and the corners that lie far off, and fit again, until all agree."""
     guess = first_guess(model, views)
     poses = [np.full(6, np.nan)] * len(views) if guess is None else guess.poses
     rejected = [
@@ -290,7 +287,6 @@ def _good_corners(view: BoardView, errors: np.ndarray, bundle: Bundle) -> tuple[
 
 
 def _without_each(bundle: Bundle, views: Sequence[BoardView], progress: Any) -> list[float]:
-    """Error of each view by a lens fitted without it, or without its fold where there are many views."""
     count = len(views)
     folds = [list(range(i, count, MAX_FOLDS)) for i in range(min(count, MAX_FOLDS))]
     held = np.zeros(count)

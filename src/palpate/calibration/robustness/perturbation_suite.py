@@ -84,11 +84,9 @@ class Suite:
         return np.flatnonzero(told) if told.any() else np.arange(len(told))
 
     def frame(self, row: int) -> Image:
-        """The camera's frame of a row."""
         return self.job.run.frame(int(self.job.rows[row])).image
 
     def prepared(self, frame: Image) -> UInt8[np.ndarray, "_ _ _"]:
-        """What the model is given of a frame."""
         return self.job.whole.preparation.apply(frame)
 
     def outputs(self, rows: Indices, prepared: list[np.ndarray]) -> Outputs:
@@ -130,7 +128,6 @@ def told_targets(
 
 
 def _untold(learnt: np.ndarray, widths: np.ndarray, period: float | None, coverage: float) -> float:
-    """Width from which on an interval tells nothing."""
     if period is None:
         return float(np.ptp(learnt))
     least, greatest = calibrated_arc(learnt, period)
@@ -224,7 +221,6 @@ def _prepared(suite: Suite, rows: Indices) -> Iterator[np.ndarray]:
 
 
 def _tried(suite: Suite, rows: Indices, rng: np.random.Generator, progress: Progress) -> Tried:
-    """Change a few of the rows' frames by each kind and size, each frame about as often."""
     first = suite.frame(int(rows[0]))
     kinds = kinds_for(first)
     pixels = first.shape[0] * first.shape[1]
@@ -256,12 +252,10 @@ class _Errors:
 
     @property
     def scaled(self) -> Values:
-        """Errors in half-widths."""
         return self.error / self.half
 
     @property
     def beyond(self) -> np.ndarray:
-        """Readings whose error is beyond twice the half-width."""
         return np.abs(self.scaled) > BEYOND
 
 
@@ -284,7 +278,6 @@ def _turns(periods: Sequence[float | None], changed: _Errors) -> Values:
 def _harm(
     unchanged: Values, moved: Float[np.ndarray, "m t"], turns: Float[np.ndarray, "m t"]
 ) -> Float[np.ndarray, " m"]:
-    """Increase of the ratio of readings beyond twice their half-width, if every estimate moved so far."""
     usual = np.mean(np.abs(unchanged) > BEYOND, axis=0)
     pairs = zip(np.nan_to_num(moved), turns, strict=True)
     shares = np.stack([np.mean(_shortest(unchanged + far, turn) > BEYOND, axis=0) for far, turn in pairs])
@@ -330,7 +323,6 @@ def _examples(
 def _novelty(
     suite: Suite, detector: NoveltyDetector, frame: Indices, thumbs: list[np.ndarray]
 ) -> tuple[Float[np.ndarray, " m"], list[np.ndarray]]:
-    """Novelty of thumbnails of these rows, and what is unlike those that the guard keeps of other folds."""
     kept, total = kept_rows(len(suite.job.whole), suite.job.plan.seed), len(detector.neighbours.thumbs)
     novelty, unlike = np.empty(len(frame)), [np.empty(0)] * len(frame)
     for rows, whole in zip(suite.job.parts.folds, suite.job.folds_of_whole(), strict=True):
@@ -344,7 +336,6 @@ def _novelty(
 def _card(
     rows: Indices, tried: Tried, unchanged: _Errors, changed: _Errors, refused: np.ndarray
 ) -> RobustnessCard:
-    """The table of errors and refusals, and its sum in a sentence."""
     own = {int(row): i for i, row in enumerate(rows)}
     before = np.abs(unchanged.error[[own[int(row)] for row in tried.row]])
     refused_changed, table, wrong = refused[len(rows) :], [], []
@@ -471,6 +462,5 @@ def adapted_guard(
 
 
 def _in_few_folds(parts: Split) -> Split:
-    """The same rows, several folds held out together where there are many."""
     count = min(MAX_FOLDS, len(parts.folds))
     return replace(parts, folds=tuple(np.concatenate(parts.folds[k::count]) for k in range(count)))

@@ -68,7 +68,6 @@ def is_binary(image: Image) -> bool:
 
 
 def _behind_threshold(image: Image, changed: np.ndarray) -> Image:
-    """What was changed before the threshold, thresholded again where the frame has two levels."""
     if not is_binary(image):
         return _as_8_bit(changed)
     low, high = image.min(), image.max()
@@ -156,7 +155,6 @@ SPECK = 0.01  # radius of a speck, relative to the frame's shorter side
 
 
 def _dust(image: Image, percent: float, rng: Rng) -> Image:
-    """Round specks, dark or bright, until they cover the share asked for."""
     height, width = image.shape[:2]
     radius = max(1, round(SPECK * min(height, width)))
     dark, bright = (np.zeros((height, width), np.uint8) for _ in range(2))
@@ -167,7 +165,6 @@ def _dust(image: Image, percent: float, rng: Rng) -> Image:
 
 
 def _dead_columns(image: Image, count: float, rng: Rng) -> Image:
-    """Whole columns stuck at the frame's darkest or brightest grey level."""
     width = image.shape[1]
     dead = rng.choice(width, min(round(count), width), replace=False)
     stuck = image.copy()

@@ -238,7 +238,6 @@ class _SessionRows:
 
 
 def _new_session(estimator: Estimator, run: Run) -> str:
-    """Name of the one session that a run is of, which the calibration knows nothing of."""
     if why := same_session(estimator, run):
         raise InputError(
             f"{run.path} sets no interval for another day: {why}; record rows of the new session",
@@ -285,7 +284,6 @@ def _guard(
 
 
 def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> Suite:
-    """The session's frames, whole groups in a fold, with what the network gives for them."""
     card = estimator.card
     whole = pack(run, work / "packed", card.input.preparation)
     plan = CalibrationPlan.of_card(card, rule_in_run(card, run))
@@ -300,7 +298,6 @@ def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> 
 
 
 def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
-    """The usual pictures as they were, and this session's rows that are missed most."""
     for part in card.files:
         if part.file in ("example.png", "reference.png"):
             shutil.copyfile(checked_file(folder, part), building / part.file)
@@ -410,7 +407,6 @@ def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | Non
 
 
 def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
-    """A vector whose region these rows have set, and the share of them that it holds."""
     at, own = [former.columns.index(part) for part in vector.columns], intervals_of(former)
     scaled = own.errors(rows.outputs, rows.true) / own.spread.at(rows.outputs)
     correlation = np.array(vector.correlation)
@@ -422,7 +418,6 @@ def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
 
 
 def _classes(former: Card, rows: _SessionRows) -> HeldOutClasses | None:
-    """The classes, whose thresholds these rows have set, scored without each row's own group."""
     if not former.classes:
         return None
     labels = tuple(

@@ -56,7 +56,6 @@ class HeldOutSessions:
 
     @property
     def count(self) -> int:
-        """Number of sessions."""
         return len(np.unique(self.of))
 
 
@@ -248,7 +247,6 @@ def alike_sessions(
 
 
 def _level(means: Float[np.ndarray, "u d"], ours: Bool[np.ndarray, " u"]) -> float:
-    """Ratio of shufflings in which two groups of presses differ as much."""
     centred = means - means.mean(axis=0)
     axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
     kept = min(COMPONENTS, len(means) // UNITS_A_COMPONENT, int((sizes > 1e-6 * max(sizes[0], 1e-12)).sum()))
@@ -309,7 +307,6 @@ _ELSEWHERE = (
 
 
 def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, factor: float | None) -> str:
-    """What the intervals promise of a new session, in words."""
     rate, many = f"{100 * coverage:g} %", "copies" if column == "copy" else f"{column}s"
     untested = "Not yet tested on another day"
     if count < 2 and len(names) < 2:

@@ -72,7 +72,6 @@ def transferred_errors(
 
 
 def _inputs(samples: LabelledCues) -> dict[str, tuple[Rows, Fit]]:
-    """Inputs of each baseline, and how it is fitted."""
     gamma = np.array([c.gamma for c in samples.cues])
     area = np.array([c.radius_m**2 for c in samples.cues])
     inputs: dict[str, tuple[Rows, Fit]] = {

@@ -92,18 +92,15 @@ class ShearCalibration:
 
     @property
     def assumes(self) -> str:
-        """What a force assumes of the pad, in words."""
         percent = f"{100 * self.stiffness_error:.3g} %"
         return f"{self.copy}; stiffness within {percent} (standard deviation), which no frame shows"
 
     @property
     def id(self) -> str:
-        """Name by the contents."""
         return contents_id(self, "shear")
 
     @property
     def lens(self) -> Lens:
-        """The camera's lens."""
         return Lens.from_card(json.loads(self.lens_json))
 
     @property
@@ -180,7 +177,6 @@ class ShearCalibration:
 
     @property
     def _sigmas(self) -> float:
-        """Standard deviations to which the coverage reaches, of a normal error."""
         return NormalDist().inv_cdf(0.5 + self.alone.coverage / 2)
 
     def read(

@@ -77,11 +77,9 @@ class CueMeter:
         return self._meter.fields(on_plane(points, self._lens, self._camera_m))
 
     def cues(self, points: ControlPoints) -> TouchCues:
-        """Return the cues of a frame's marks."""
         return self.cues_of(self.fields(points))
 
     def cues_of(self, fields: StrainFields) -> TouchCues:
-        """Cues of strain that is at hand."""
         gamma = self._alpha_m * fields.basis.count * mean_shift(fields)
         rings = find_rings(fields)
         if not rings:

@@ -62,7 +62,6 @@ class ForceBudget:
 
     @property
     def total(self) -> float:
-        """Root of the sum of squares."""
         return math.hypot(self.noise, self.form, self.strain, self.skin)
 
     @property

@@ -67,7 +67,6 @@ class ReportedCalibration:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Its held-out predictions, a row a frame."""
         return read_predictions(self.folder, self.card)
 
     @cached_property
@@ -77,7 +76,6 @@ class ReportedCalibration:
 
     @property
     def scored_groups(self) -> int:
-        """How many groups were scored."""
         return len(np.unique(self.groups))
 
     @cached_property
@@ -89,12 +87,10 @@ class ReportedCalibration:
 
     @property
     def _took_presses_apart(self) -> bool:
-        """True after a random split, which counted rows of one press each by itself."""
         return self.card.split.kind == "random" and press_column(self.table) is not None
 
     @cached_property
     def ends(self) -> dict[str, tuple[OuterRange, ...]]:
-        """Outer ranges of each target, by its column."""
         return {t.column: outer_ranges(t, self.table, self.groups) for t in self.card.targets}
 
     @property
@@ -188,7 +184,6 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
 
 
 def _day(report: ReportedCalibration) -> str:
-    """The card's sentence on the day that its numbers are of, unless an evaluation has said more."""
     card = report.card
     if card.interval_reset is not None:
         return card.interval_reset.text
@@ -198,7 +193,6 @@ def _day(report: ReportedCalibration) -> str:
 
 
 def _untested(report: ReportedCalibration) -> bool:
-    """True for a card from before sessions were told apart, and not evaluated since."""
     return report.card.sessions is None and not others(report.evaluations)
 
 

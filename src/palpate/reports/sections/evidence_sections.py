@@ -119,7 +119,6 @@ def _map_panel(
 
 
 def _stands_out(growth: np.ndarray) -> bool:
-    """True where some block costs more than chance takes away elsewhere."""
     return float(growth.max()) > 2 * abs(float(growth.min()))
 
 

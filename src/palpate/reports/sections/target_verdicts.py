@@ -126,7 +126,6 @@ def _where(target: TargetCard) -> str:
 
 
 def _held(s: ScoreCard, coverage: float) -> str:
-    """The share of the rows that the intervals held."""
     share = percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)
     return f"{'only ' if s.coverage_90_high < coverage else ''}{share} %"
 
@@ -168,7 +167,6 @@ def _times(s: ScoreCard) -> str:
 
 
 def _promise(target: TargetCard, ends: Sequence[OuterRange]) -> str:
-    """Judgement of the intervals' promise, over all rows and at both ends of the range."""
     s = target.score
     failed = [end for end in ends if end.high < 0.9]
     unsure = [end for end in ends if end.low <= MIN_TOLD and end not in failed]
