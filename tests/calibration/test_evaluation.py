@@ -193,3 +193,8 @@ def test_labels_shifted_against_their_images_are_told(calibrate_spots, tmp_path,
     assert f"row i {'+' if lag > 0 else '-'} {abs(lag)} " in said
     for estimate in (label[:, 0] + rng.normal(0, 0.2, 100), rng.uniform(-2, 2, 100), np.zeros(100)):
         assert shifted_labels(card, label, pd.DataFrame({"estimate:x_mm": estimate})) == []
+
+
+def test_labels_without_variance_have_no_share_explained() -> None:
+    found = score("mm", np.full(5, 2.0), np.full(5, 2.5), np.ones(5), 2.0, np.arange(5))
+    assert (found.r2, found.mae, found.bias, found.coverage_90) == (0.0, 0.5, 0.5, 1.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from palpate.calibration import leakage
 from palpate.calibration.leakage import LeakageAudit, audit
 from palpate.core import ManualClock
 from palpate.estimators.findings import FindingCode
@@ -177,3 +178,12 @@ def test_real_photographs_taken_ten_at_a_time_leak_under_a_random_split_and_not_
     assert random.near_duplicates >= 70  # half of the 140 under load; the lamp flickers between the others
     assert not random.clean
     assert by_load.near_duplicates == 0
+
+
+def test_beyond_so_many_pairs_every_so_many_frames_stand_for_all(tmp_path, rng, monkeypatch):
+    """40 frames are 1,600 pairs; of 500 at most, every fourth held-out frame is compared."""
+    packed = pressed(tmp_path, rng, 1.0, presses=10, each=4)
+    whole = audited(packed, "group:press")
+    assert whole.checked_pairs == 40 * 32
+    monkeypatch.setattr(leakage, "_MAX_PAIRS", 500)
+    assert audited(packed, "group:press").checked_pairs == 5 * 2 * 32

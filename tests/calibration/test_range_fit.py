@@ -9,8 +9,13 @@ from scipy.stats import binom, norm
 from palpate.calibration.certificate import interval_fields
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals, pooled_quantile
 from palpate.calibration.coverage.range_fit import grouped_quantile
-from palpate.calibration.coverage.range_limits import range_cards, usual_reach
-from palpate.calibration.coverage.range_scores import chance_of_so_few, failing, range_scores
+from palpate.calibration.coverage.range_scores import (
+    chance_of_so_few,
+    failing,
+    range_cards,
+    range_scores,
+    usual_reach,
+)
 from palpate.estimators.intervals import ErrorCells, Intervals, intervals_of
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
 

@@ -28,7 +28,7 @@ from palpate.sensing.collection.press_collector import REST, presses_in
 from palpate.workflows.certificate_sentence import beats_the_mean, rate_beyond
 from palpate.workflows.press_feeds import FedFrame, VirtualFeed
 from palpate.workflows.start_session import StartSession
-from palpate.workflows.start_state import STATE
+from palpate.workflows.stored_session import STATE
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 

@@ -21,7 +21,7 @@ from palpate.calibration.classes import HeldOutClasses
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
 from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of, uninformative_width
 from palpate.calibration.coverage.joint_regions import vector_cards
-from palpate.calibration.coverage.range_limits import range_cards
+from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column

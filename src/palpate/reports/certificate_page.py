@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 from palpate.core import PathText, half_width_text, new_file, rounded
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card
-from palpate.reports.class_text import class_covered, classes_told
+from palpate.reports.evaluation_text import class_covered, classes_told
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,

@@ -1,7 +1,7 @@
 """Session from a newly connected camera to live newtons: resumable steps.
 
 Each step (camera, settings, no-contact frames, presses, training, live reading) keeps its result in the
-session's file (`start_state`) and its frames in a run; `stored_session` lists the equivalent commands.
+session's file (`stored_session`) and its frames in a run; `StoredSession.commands` lists the commands.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from palpate.core import InputError, Progress, lock, new_file, silent, storage_e
 from palpate.sensing.collection.press_collector import PressCollector
 from palpate.workflows.certificate_sentence import honest_sentence, left_out_text
 from palpate.workflows.press_feeds import PressFeed, open_feed
-from palpate.workflows.start_state import (
+from palpate.workflows.stored_session import (
     CALIBRATION,
+    MANIFEST,
     PRESSES,
     STATE,
     STEPS,
     StartState,
+    StoredSession,
     read_state,
     write_state,
 )
-from palpate.workflows.stored_session import MANIFEST, StoredSession
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card

@@ -14,13 +14,14 @@ from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
     approach_row,
     area_at_4_n,
+    moduli_pa,
     rate_by_areas,
+    shape_reasons,
     touch_row,
 )
 from palpate.calibration.compliance.cue_agreement import greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
-from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.core.refusal import SEPARATOR, ReasonCode, Refusal, joined
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures

@@ -46,7 +46,7 @@ from palpate.calibration.coverage.group_quantiles import (
     rank_of_new_group,
 )
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.coverage.range_limits import range_cards
+from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
 from palpate.calibration.robustness.perturbation_suite import (
     CertifiedModel,

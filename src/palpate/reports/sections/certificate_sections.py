@@ -25,7 +25,6 @@ from palpate.estimators.findings import Finding
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
-from palpate.reports.audit_head import audit_head, not_relied_on, remaining_remedy
 from palpate.reports.calibration_figures import (
     errors_of,
     held_rows,
@@ -35,7 +34,7 @@ from palpate.reports.calibration_figures import (
     surface_figure,
     target_panels,
 )
-from palpate.reports.class_text import class_answer, classes_told
+from palpate.reports.evaluation_text import class_answer, classes_told
 from palpate.reports.sections.evidence_sections import (
     audit,
     choice,
@@ -56,6 +55,7 @@ from palpate.reports.sections.target_verdicts import (
     tested_text,
     verdict,
 )
+from palpate.reports.terminal_text import audit_head, not_relied_on, remaining_remedy
 
 
 @dataclass(frozen=True)
