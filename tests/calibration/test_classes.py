@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from tests.refusals import refused
 
-from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
 from palpate.calibration.classes import ClassAnswers, class_findings, class_labels, class_score
 from palpate.calibration.classes.prediction_sets import (
     fit_thresholds,
@@ -208,18 +208,6 @@ def plan_of(**changes) -> CalibrationPlan:
     return CalibrationPlan(**({"targets": ("x_mm",), "model": "mean", "split": "group:press"} | changes))
 
 
-def test_a_text_is_called_as_it_is_labelled_and_names_give_the_order() -> None:
-    """Names given to sorted texts would call hard what is labelled soft."""
-    grades = pd.DataFrame({"grade": ["soft", "hard", "medium", "hard"], "level": [0, 2, 1, 2]})
-    names = ("soft", "medium", "hard")
-    for column in ("grade", "level"):
-        (found,) = class_labels(grades, {column: names}, "run")
-        assert np.array(found.names)[found.codes].tolist() == grades["grade"].tolist()
-        assert found.names == names
-    with refused("class-names", LabelError):
-        class_labels(grades, {"grade": ("soft", "middle", "hard")}, "run")
-
-
 @pytest.mark.parametrize(
     "cells",
     [["Soft", "hard", "soft"], ["yes", "1", "no"], ["True ", "true", "false"], ["no", "0", "yes"]],
@@ -265,16 +253,6 @@ def test_a_column_is_one_thing_at_once() -> None:
         CalibrationPlan(())
 
 
-def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
-    _, run = blobs
-    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
-    calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
-    with refused("unknown-class", LabelError, "object"):
-        evaluate(Estimator.open(tmp_path / "cal"), run)
-    with refused("has-classes", InputError, "object"):
-        adapt(tmp_path / "cal", run, tmp_path / "adapted")
-
-
 def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_alone(blobs) -> None:
     """Of 100 rows 73 are far from 90 %; 84 may be chance where 85 % is allowed."""
     folder, _ = blobs
@@ -291,3 +269,13 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
     assert findings(90, 88, 84) == ()
     (one,) = findings(90, 88, 73)
     assert all(part in one for part in ("large", "73", "100"))
+
+
+def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
+    _, run = blobs
+    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
+    calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
+    with refused("unknown-class", LabelError, "object"):
+        evaluate(Estimator.open(tmp_path / "cal"), run)
+    with refused("has-classes", InputError, "object"):
+        adapt(tmp_path / "cal", run, tmp_path / "adapted")

@@ -4,14 +4,12 @@ import math
 from fractions import Fraction
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 from scipy.stats import binomtest
 from tests.refusals import refused
 
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
-from palpate.calibration.coverage.counted_groups import press_groups
 from palpate.calibration.coverage.grouped_rates import (
     coverage_interval,
     grouped_coverage_interval,
@@ -31,12 +29,12 @@ def world(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
 def test_intervals_cover_at_their_rate() -> None:
     rng = np.random.default_rng(0)
     rates = []
-    for _ in range(30):
+    for _ in range(12):
         predicted, true = world(rng, 400)
         intervals = fit_intervals(predicted, true, np.arange(400), 0.9)
         fresh, fresh_true = world(rng, 2000)
         rates.append((np.abs(fresh - fresh_true) <= intervals.half_widths(fresh)).mean(axis=0))
-    # Each calibration's own rate scatters by 1.5 % (400 scores); the mean of 30 by 0.3 %.
+    # Each calibration's own rate scatters by 1.5 % (400 scores); the mean of 12 by 0.4 %.
     np.testing.assert_allclose(np.mean(rates, axis=0), 0.9, atol=0.012)
 
 
@@ -95,12 +93,6 @@ def test_rows_of_one_group_widen_the_interval_of_a_rate() -> None:
     assert together[1] - together[0] > 3 * (alone[1] - alone[0])
 
 
-def test_a_rate_of_one_over_groups_counts_groups() -> None:
-    groups = np.repeat(np.arange(5), 30)
-    low, high = grouped_coverage_interval(np.ones(150, bool), groups)
-    assert (low, high) == pytest.approx(coverage_interval(5, 5))
-
-
 @pytest.mark.parametrize("correlation", [0.02, 0.1, 0.3])
 @pytest.mark.parametrize("count", [2, 3, 5, 8, 15, 30])
 @pytest.mark.cases(4)
@@ -123,12 +115,6 @@ def test_one_group_tells_nothing_of_others_and_two_hardly_more() -> None:
     assert one[1] > 0.95
     low, high = grouped_coverage_interval(np.tile(np.arange(30) < 26, 2), np.repeat([0, 1], 30))
     assert high - low > 0.8
-
-
-def test_within_one_session_presses_are_counted_and_else_rows() -> None:
-    table = pd.DataFrame({"session": ["a"] * 4, "press": [7, 7, 9, 9]})
-    assert press_groups(table).tolist() == [0, 0, 1, 1]
-    assert press_groups(table[["session"]]).tolist() == [0, 1, 2, 3]
 
 
 def test_the_spread_is_held_between_a_fifth_and_five_times_the_typical_error() -> None:

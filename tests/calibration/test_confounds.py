@@ -67,16 +67,6 @@ def test_a_regression_tells_the_share_of_variance_that_there_is(rng) -> None:
     assert found[2] > 0.8  # a straight line tells nothing of a square
 
 
-@pytest.mark.parametrize("units", [np.arange(200), np.repeat(np.arange(40), 5)])
-def test_interleaved_blocks_hold_each_row_once_and_no_unit_in_parts(units) -> None:
-    folds = interleaved_blocks(units)
-    assert np.array_equal(np.sort(np.concatenate(folds)), np.arange(200))
-    assert len(folds) == 5
-    for fold in folds:
-        assert not np.isin(units[fold], units[np.setdiff1d(np.arange(200), fold)]).any()
-        assert np.sum(np.diff(fold) > 1) >= 6  # eight stretches each, spread over the whole recording
-
-
 def one_session(units: np.ndarray) -> RecordedUnits:
     return RecordedUnits(units, np.zeros(len(units), np.int64), "presses")
 

@@ -1,13 +1,11 @@
 """Cues that do not belong to one flat object invalidate every quantity; sound presses stay valid."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.virtual_presses import KAPPA_N_M, ideal, pressed, references
+from tests.virtual_presses import ideal
 
-from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, calibrate_compliance
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.cue_agreement import (
     MAX_APPROACH,
@@ -17,7 +15,6 @@ from palpate.calibration.compliance.cue_agreement import (
 )
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.core.refusal import ReasonCode
-from palpate.workflows.tactip_specimens import shape_of
 from palpate.workflows.tactip_trials import record_press, specimens_at
 
 ALWAYS = "radius"  # invalid for every press of a tip that is no Hertz body
@@ -95,39 +92,6 @@ def test_a_layer_that_few_trials_cannot_refuse_widens_area_and_rate(spec, calibr
     area = read_touch(calibration, [press]).area
     assert area is not None
     assert abs(area.value - true) < area.high - area.low
-
-
-SPHERES = (
-    "sphere:R_mm=30",
-    "sphere:R_mm=60",
-    "sphere:R_mm=20,E_MPa=0.15",
-    "sphere:R_mm=60,E_MPa=0.15",
-    "sphere:R_mm=30,E_MPa=0.06",
-)
-
-
-@pytest.mark.slow
-def test_few_sound_spheres_between_the_references_are_refused(spec) -> None:
-    """At most 3 % of 34; the misfit includes the error between references, as the intervals do."""
-    words = specimens_at(spec, KAPPA_N_M)
-    flats = references(spec, words, 4, 17_000, rendered=False)
-    flats = [replace(one, body=shape_of(spec, words[one.name])) for one in flats]
-    balls = [specimens_at(spec, {"one": body})["one"] for body in SPHERES]
-    spheres = [
-        ReferenceSpecimen(
-            one, math.nan, pressed(spec, one, 4, 19_000 + 100 * i, rendered=False), shape_of(spec, one)
-        )
-        for i, one in enumerate(balls)
-    ]
-    calibration = calibrate_compliance([*flats, *spheres])
-    rng, limit, refused = np.random.default_rng(7), greatest_misfit(calibration), 0
-    for i in range(34):
-        radius, modulus = np.exp(rng.uniform(np.log([22, 0.07]), np.log([58, 0.25])))
-        found = cue_misfit(
-            calibration, press_on(spec, f"sphere:R_mm={radius:.4g},E_MPa={modulus:.3g}", 50_000 + i)
-        )
-        refused += found.pins > limit.pins or found.approach > limit.approach
-    assert refused <= 1
 
 
 def test_the_misfit_of_a_sound_press_is_small_and_grows_with_the_scale(calibration, sound) -> None:

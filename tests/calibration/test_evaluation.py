@@ -8,7 +8,7 @@ from sklearn import metrics
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
-from palpate.calibration.coverage.counted_groups import counted_groups, counted_text, held_out_groups
+from palpate.calibration.coverage.counted_groups import held_out_groups
 from palpate.calibration.coverage.grouped_rates import coverage_interval
 from palpate.calibration.evaluation import learnt_frames, same_session, score, shifted_labels
 from palpate.calibration.learnt_frames import repeated_presses
@@ -78,19 +78,6 @@ def test_held_out_blocks_are_found_again_from_the_predictions(spec, folds_scored
     assert by == "held-out block"
     pairs = set(zip(groups.tolist(), np.array(parts.groups)[table["row"]].tolist(), strict=True))
     assert len(pairs) == len(set(groups.tolist())) == len(np.unique(np.array(parts.groups)[rows]))
-
-
-def test_a_split_that_names_no_group_counts_presses_where_rows_name_them() -> None:
-    """Press 3 of one session is not press 3 of another; rows count by themselves where nothing is named."""
-    table = pd.DataFrame({"session": ["a"] * 8 + ["b"] * 4, "press": [1, 1, 2, 2, 3, 3, 4, 4, 1, 1, 2, 2]})
-    for card in (card_of("blocks:20"), card_of("random"), card_of("group:location", ("location",))):
-        groups, by = counted_groups(card, table)
-        assert groups.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
-        assert by == "press"
-        groups, by = counted_groups(card, table[["session"]])
-        assert counted_text(len(np.unique(groups)), by).startswith("12 rows")
-    groups, by = counted_groups(card_of("session", ("session",)), table)
-    assert (len(np.unique(groups)), by) == (2, "session")
 
 
 def _compressed(image):

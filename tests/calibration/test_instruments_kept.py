@@ -10,7 +10,6 @@ import pytest
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.sessions import keep_evaluation, reset_intervals
 from palpate.calibration.sessions.evaluation_record import read_evaluation
-from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.joined_runs import joined
@@ -75,21 +74,6 @@ def test_joined_runs_have_the_least_certain_instrument_in_whichever_order(order,
     assert found.standard_uncertainty == 0.5
     assert found.instrument.startswith("laser B, the least certain of ")
     assert "fine C" in found.instrument
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_runs_of_which_some_state_no_instrument_are_refused_until_one_is_stated_for_all(
-    order, record_spots, tmp_path
-) -> None:
-    runs = [record_spots("a", 8), stating(record_spots("b", 8, seed=1), OTHER)]
-    both = joined([runs[k] for k in order])
-    with pytest.raises(LabelError, match=r"x_mm: a states no instrument .* \[x_mm\] in --instruments FILE"):
-        calibrate(both, CalibrationPlan(**PLAN), tmp_path / "cal")
-    assert not (tmp_path / "cal").exists()
-    calibrate(both, CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
-    assert named(read_card(tmp_path / "cal")) == [("stage A", 0.2)]
-    calibrate(both, CalibrationPlan(**PLAN | {"targets": ("height_mm",)}), tmp_path / "other")
 
 
 def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_nothing(

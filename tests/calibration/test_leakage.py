@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -161,23 +160,6 @@ def test_groups_on_both_sides_are_counted_by_column_and_text(tmp_path, rng):
     assert (one.code, one.values["held_out"]) == (FindingCode.GROUPS_NOT_HELD_OUT, "press")
     assert "material" in str(one.values["groups"])
     assert audited(packed, "random", group_columns=["press"]).shared_groups.keys() == {"press"}
-
-
-def real_set(folder: Path, source: Path, table: pd.DataFrame) -> PackedSet:
-    images = [cv2.imread(str(source / "images" / name), cv2.IMREAD_GRAYSCALE) for name in table["image_file"]]
-    return packed_set(folder, images, table)
-
-
-def test_real_photographs_taken_ten_at_a_time_leak_under_a_random_split_and_not_by_load(tmp_path, real_data):
-    source = real_data / "dotted-skin-weights"
-    table = pd.read_csv(source / "labels.csv")
-    # 135.5 g and 135.6 g are one load, and so are 583.8 g and 584.0 g.
-    table["load"] = table["mass_g"].round(0).map("{:.0f} g".format)
-    packed = real_set(tmp_path, source, table)
-    random, by_load = audited(packed, "random"), audited(packed, "leave-one-out:load")
-    assert random.near_duplicates >= 70  # half of the 140 under load; the lamp flickers between the others
-    assert not random.clean
-    assert by_load.near_duplicates == 0
 
 
 def test_beyond_so_many_pairs_every_so_many_frames_stand_for_all(tmp_path, rng, monkeypatch):

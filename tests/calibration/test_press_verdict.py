@@ -11,7 +11,7 @@ from palpate.calibration.compliance.compliance_calibration import rate_by_areas
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.contact_seat import Seat, fit_seat
+from palpate.estimators.compliance.contact_seat import fit_seat
 from palpate.estimators.compliance.rate_calibration import fit_rate
 from palpate.workflows.tactip_trials import record_press
 
@@ -168,13 +168,3 @@ def test_intervals_of_rates_hold_new_rates_as_often_as_they_say(rng) -> None:
         tight += abs(np.log(new / value)) < 1.645 * np.std(np.log(found) / 1.2 - np.log(true)) / np.sqrt(2)
     assert 0.88 < held / 400 < 0.97
     assert tight / 400 < 0.85  # by the error of a mean of two
-
-
-def test_a_nuisance_that_moves_all_pins_makes_no_press_off_centre_by_its_standard_size() -> None:
-    """On an inclined top all pins move far along one axis: there it counts with the seat, across not."""
-    seat = Seat(np.array([0.0, 1.0]), np.array([[-15.0, 0.0], [-16.0, 0.0]]), 0.05)
-    at, gained = np.array([-15.5 + 0.3, 0.0]), np.array([-15.5 + 0.6, 0.0])
-    assert seat.off(at, 0.5) == pytest.approx(0.3 / 0.05)
-    assert seat.off(at, 0.5, [gained]) == pytest.approx(0.3 / np.hypot(0.05, 0.3))
-    across = np.array([-15.5, 0.3])
-    assert seat.off(across, 0.5, [across + np.array([0.3, 0.0])]) == pytest.approx(0.3 / 0.05)

@@ -174,18 +174,3 @@ def test_good_frames_at_an_end_with_few_groups_are_refused_at_the_promised_rate(
     assert in_the_tenth < at_the_very_end <= 0.033
     assert at_the_very_end > 0.005  # or it would refuse nothing
     assert beyond > 0.9
-
-
-def test_what_is_usual_beyond_an_end_is_what_few_rows_exceed() -> None:
-    rng = np.random.default_rng(9)
-    true = rng.uniform(0, 10, 5000)
-    estimate = true + 0.3 * rng.standard_normal(5000)
-    below, above = usual_reach(true, estimate, estimate, np.arange(5000), (true.min(), true.max()))
-    for side in (true.min() - estimate[true < 1] > below, estimate[true > 9] - true.max() > above):
-        assert 0.0 < side.mean() < 0.05
-    # Estimates that never leave the range leave none beyond it.
-    drawn = 5 + 0.5 * (true - 5)
-    assert usual_reach(true, drawn, drawn, np.arange(5000), (0.0, 10.0)) == (0.0, 0.0)
-    # A range that is wider than these rows' by one makes every reach shorter by one.
-    wide = usual_reach(true, true - 3.0, true + 3.0, np.arange(5000), (-1.0, 11.0))
-    assert wide == pytest.approx((2.0, 2.0), abs=0.1)

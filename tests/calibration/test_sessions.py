@@ -226,9 +226,9 @@ def test_nine_sessions_are_distribution_free_and_cover_the_tenth(days, tmp_path)
     assert (card.sessions.rule, card.sessions.rank, card.sessions.factor) == ("distribution-free", 9, None)
     covered = [
         evaluate(Estimator.open(tmp_path / "cal"), run)["targets"]["height_mm"]["coverage_90"]
-        for run in days(6, presses=4, first=9)
+        for run in days(3, presses=4, first=9)
     ]
-    assert np.mean(covered) > 0.75  # six sessions, of which each counts as one
+    assert np.mean(covered) > 0.75  # three sessions, of which each counts as one
 
 
 def test_one_session_is_said_not_to_be_tested_and_is_covered_less_on_the_next(days, tmp_path) -> None:
@@ -286,21 +286,6 @@ def kept(record_spots_module, tmp_path_factory) -> Path:
 @pytest.fixture
 def calibrated(kept, tmp_path) -> Path:
     return Path(shutil.copytree(kept, tmp_path / "cal"))
-
-
-def test_an_evaluation_stands_beside_the_card_which_stays(calibrated, days) -> None:
-    before = {path.name: sha256_of(path) for path in calibrated.iterdir()}
-    card, (run,) = read_card(calibrated), days(1, first=1)
-    scores = evaluate(Estimator.open(calibrated), run)
-    path = keep_evaluation(calibrated, scores)
-    assert path.parent == calibrated
-    assert {name: sha256_of(calibrated / name) for name in before} == before
-    assert keep_evaluation(calibrated, scores) == path  # the same scores are kept once
-    (kept,) = read_evaluations(calibrated, card)
-    assert (kept.calibration, kept.session, kept.of_another_session) == (card.id, ("day1",), True)
-    assert kept.targets["x_mm"].mae == scores["targets"]["x_mm"]["mae"]
-    assert keep_evaluation(calibrated, scores, reference=True) != path
-    assert len(read_evaluations(calibrated, card)) == 2
 
 
 def test_an_altered_or_foreign_evaluation_is_refused_by_name(calibrated, days, tmp_path) -> None:

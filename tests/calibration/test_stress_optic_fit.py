@@ -138,11 +138,6 @@ def test_a_region_outside_the_photograph_is_refused(folder, roi) -> None:
         fit(folder(), roi=roi)
 
 
-def test_a_region_too_small_is_refused(folder) -> None:
-    with pytest.raises(InputError, match="too small"):
-        fit(folder(), roi=(10, 10, 2, 20))
-
-
 def test_an_unreadable_photograph_is_named_with_its_row(folder) -> None:
     where = folder()
     (where / "p3.png").write_bytes(b"not a picture")

@@ -88,27 +88,6 @@ def test_as_promised_is_said_where_both_outer_ranges_cover(calibration, rng) -> 
     assert "as promised" in verdict(target, ends)
 
 
-def test_an_outer_range_that_does_not_cover_is_named_instead(calibration, rng) -> None:
-    target, table = held_out(read_card(calibration), 20, rng)
-    said = verdict(target, outer_ranges(target, table, np.arange(len(table))))
-    assert target.score.coverage_90 == 0.9  # over all rows the rate is kept to the row
-    assert "as promised" not in said
-    assert "above 5.41" in said
-    assert "below" not in said
-
-
-def test_the_rows_of_one_press_do_not_count_as_many(calibration, rng) -> None:
-    """Twenty missed rows of one long press are one event, not twenty."""
-    target, table = held_out(read_card(calibration), 0, rng)
-    table.loc[table.index[-20:], "estimate:depth_mm"] -= 1.0
-    apart, together = np.arange(len(table)), np.minimum(np.arange(len(table)), len(table) - 20)
-    *_, alone = outer_ranges(target, table, apart)
-    *_, grouped = outer_ranges(target, table, together)
-    assert (alone.n, alone.covered) == (grouped.n, grouped.covered) == (50, 30)
-    assert grouped.low < alone.low
-    assert alone.high < grouped.high
-
-
 def test_ends_with_too_few_rows_are_not_judged(calibration, rng) -> None:
     target, table = held_out(read_card(calibration), 5, rng)
     few = table.iloc[::15]

@@ -250,20 +250,6 @@ def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dic
         StartSession(tmp_path)
 
 
-def test_unit_and_lag_of_a_scale_stay_until_others_are_stated(tmp_path: Path) -> None:
-    session = StartSession(tmp_path / "session")
-    session.choose_if_other("0", "/dev/ttyUSB0", asked=12, unit="kg", scale_lag_s=0.3)
-    session.choose_if_other("0", "/dev/ttyUSB0")
-    kept = StartSession(tmp_path / "session").state
-    assert (kept.unit, kept.scale_lag_s, kept.asked) == ("kg", 0.3, 12)
-    session.choose_if_other("0", "/dev/ttyUSB0", unit="g")
-    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("g", 0.3, 12)
-    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.0)
-    assert (session.state.unit, session.state.scale_lag_s) == ("g", 0.0)
-    session.choose_if_other("0", "/dev/ttyUSB1", asked=20)  # another scale has its own
-    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("", None, 20)
-
-
 def test_presses_that_were_weighed_in_one_unit_are_not_gone_on_with_in_another(
     whole: StartSession, tmp_path: Path
 ) -> None:
@@ -291,24 +277,6 @@ def test_a_session_whose_presses_were_deleted_says_what_can_be_done(
     whole_again._write = lambda: None  # type: ignore[method-assign]
     whole_again.ask_more(10)
     assert whole_again.state.asked == 20  # with its presses there
-
-
-def test_a_stated_lag_goes_to_the_scale_and_into_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    session, asked = StartSession(tmp_path / "session"), {}
-
-    def opened(*_: object, **words: object) -> None:
-        asked.update(words)
-        raise DeviceError("none is there")
-
-    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.35)
-    session.run.mkdir()
-    monkeypatch.setattr("palpate.workflows.start_session.open_feed", opened)
-    with pytest.raises(DeviceError, match="none is"):
-        session.feed()
-    assert asked["lag_s"] == 0.35
-    assert "--scale-lag-s 0.35" in session.commands()[0]
 
 
 def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
@@ -410,28 +378,6 @@ def test_more_presses_join_the_old_ones_and_frames_that_a_kill_left_bare_are_lef
         assert next(iter(live)).to_dict()["calibration"] == session.state.trained["id"]
     with refused("press-count", InputError):
         session.ask_more(0)
-
-
-def test_another_scale_weighs_what_is_missing_beside_the_presses_that_are_there(
-    whole: StartSession, tmp_path: Path
-) -> None:
-    shutil.copytree(whole.folder, tmp_path / "s")
-    other, held = StartSession(tmp_path / "s"), whole.presses_held
-    other.choose_if_other("virtual:tactip", "typed")
-    assert other.step == "settings", "another scale is opened anew"
-    assert (other.state.asked, other.presses_held) == (whole.state.asked, held)
-    assert other.remaining.endswith(f"holds {held} presses of {held}; nothing is still to be collected")
-    kept = StartSession(tmp_path / "s")
-    ways = (("typed", None), ("typed", held), ("typed", held + 1), (kept.state.scale, None))
-    assert [kept.has_nothing_left_by("virtual:tactip", *way) for way in ways] == [True, True, False, False]
-    assert not kept.has_nothing_left_by("virtual:palm", "typed", None)
-    assert f"{held} presses" in kept.nothing_left_text
-    other.ask_more(4)
-    assert other.state.asked == held + 4
-    assert other.remaining.endswith("; 4 are still to be collected")
-    stated = StartSession(tmp_path / "s")
-    stated.choose_if_other("virtual:tactip", "typed", asked=held + 7)
-    assert stated.remaining.endswith("; 7 are still to be collected")
 
 
 def test_a_file_in_place_of_the_folder_is_named_with_what_to_give(tmp_path: Path) -> None:

@@ -102,18 +102,6 @@ def test_on_the_linear_rig_frames_and_force_are_of_where_the_tip_really_is(drive
     assert_array_equal(record_press(tactip(), "S1=7.6", 3, LINEAR_RIG).raw_n, driven.raw_n)
 
 
-def test_the_command_in_the_encoders_place_makes_the_droop_a_false_compliance(driven) -> None:
-    """Of 1/Kp, from 1 to 5 N."""
-    part = (driven.true_force_n > 1) & (driven.true_force_n < 5)
-    force = driven.true_force_n[part]
-    real, encoder, command = (
-        np.polyfit(force, place[part], 1)[0]
-        for place in (driven.true_approach_m, driven.position_m, driven.desired_m)
-    )
-    assert_allclose(encoder, real, rtol=0.002)
-    assert_allclose(command - encoder, 1 / LINEAR_RIG.stiffness_n_m, rtol=0.05)
-
-
 def test_a_motor_too_weak_for_a_press_is_told_of() -> None:
     with refused("force-range", RangeError, match="'linear'"):
         record_press(tactip(), "S1=7.6", 3, replace(LINEAR_RIG, stall_n_m=0.7e-3))

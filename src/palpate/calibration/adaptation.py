@@ -186,7 +186,7 @@ def copy_card(found: CopiesToldApart, former: Card, run: Run, folder: Path) -> C
 
 
 def copy_names(former: Card, run: Run) -> tuple[str, str]:
-    """Names of the copy adapted to and of the former one, with their runs where the sensor's name is one."""
+    """Return the names of the adapted unit and the former one, with their runs if these are equal."""
     own = _labelled(run) or run.manifest.sensor or run_names((run,))[0]
     other = (former.copy_of.name if former.copy_of else former.sensor) or "the former copy"
     return (

@@ -70,7 +70,7 @@ def rows_matching(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, 
 
 
 def default_rule(table: pd.DataFrame) -> ReferenceRule | None:
-    """The rule of a conventional flag column, where one is there and marks any row."""
+    """Return the rule of a conventional flag column that marks any row."""
     for column in FLAG_COLUMNS:
         if column in table and table[column].astype(str).str.lower().eq("true").any():
             return ReferenceRule(column, "true")
@@ -111,7 +111,7 @@ def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
 
 
 def table_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> pd.DataFrame:
-    """Labels of these rows, numbered anew."""
+    """Return the labels of the training rows, renumbered."""
     return table.iloc[rows_to_learn(table, plan)].reset_index(drop=True)
 
 
@@ -236,13 +236,13 @@ HELD_OUT_WHOLE = (SESSION, "sensor", "copy")  # columns of which a new group is 
 
 
 def has_gaps(table: pd.DataFrame, columns: tuple[str, ...]) -> bool:
-    """True if a cell of these columns is empty."""
+    """Return whether a cell of these columns is empty."""
     cells = table[list(columns)]
     return bool(cells.isna().to_numpy().any() or (cells.astype(str) == "").to_numpy().any())
 
 
 def is_grouped(table: pd.DataFrame) -> bool:
-    """True if a conventional column without gaps groups the rows."""
+    """Return whether a conventional column without gaps groups the rows."""
     return any(
         not has_gaps(table, columns) and 1 < len(np.unique(group_names(table, columns))) < len(table)
         for columns in conventional_groups(table)
@@ -250,14 +250,14 @@ def is_grouped(table: pd.DataFrame) -> bool:
 
 
 def finest_columns(table: pd.DataFrame) -> tuple[str, ...]:
-    """The finest conventional columns without gaps that group rows, such as the press; none if none does."""
+    """Return the finest conventional columns without gaps that group rows, such as the press."""
     finer = [columns for columns in conventional_groups(table) if columns[0] not in HELD_OUT_WHOLE]
     whole = [columns for columns in finer if not has_gaps(table, columns)]
     return within_session(table, whole[-1]) if whole else ()
 
 
 def groups_within(table: pd.DataFrame) -> Indices:
-    """Number of each row's finest conventional group ``[n]``; each row its own where there is none."""
+    """Return each row's finest conventional group ``[n]``; each row its own where there is none."""
     columns = finest_columns(table)
     if not columns:
         return np.arange(len(table))
@@ -279,7 +279,7 @@ def presses_of(table: pd.DataFrame, parts: Split) -> Indices | None:
 
 
 def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
-    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
+    """Return the session, sensor, and unit of each row ``[n]``; None where no column states them."""
     columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
     return group_names(table, columns) if columns else None
 

@@ -111,7 +111,7 @@ WORST = 6
 
 
 def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
-    """Rows that are missed most, see `most_missed`; without a target, by their class."""
+    """Return the rows with the largest errors, see `most_missed`; without a target, by their class."""
     span, scored = np.ptp(result.data.values, axis=0), result.scored
     if not len(span) and result.classes is not None:
         return scored[np.argsort(result.classes.shortfalls(scored))[::-1][:WORST]]
@@ -149,7 +149,7 @@ def write_picture(path: Path, prepared: np.ndarray) -> None:
 
 
 def agreement(result: CalibrationResult, model: Path) -> float:
-    """Largest difference between exported and trained model, as a share of each target's range."""
+    """Return the largest difference of exported and trained model, relative to each target's range."""
     count = len(result.data.values)
     rows = np.linspace(0, count - 1, min(64, count)).astype(np.int64)
     inputs = result.data.fetch(rows)
@@ -196,7 +196,7 @@ def interval_fields(
 
 
 def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
-    """Ranges, intervals and scores."""
+    """Return ranges, intervals, and scores of each target."""
     scored, values, groups = result.scored, result.data.values, result.data.groups
     outputs = result.held_out[scored]
     inside = intervals.hold(outputs, values[scored])
@@ -242,7 +242,7 @@ def _range_of(true: np.ndarray, period: float | None) -> tuple[float, float]:
 
 
 def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> InstrumentCard | None:
-    """What a column's labels were measured with, and its part of intervals of this coverage."""
+    """Return the instrument of a column's labels, with its part of intervals of this coverage."""
     if stated is None:
         return None
     half_width = reference_half_width(stated.standard_uncertainty, coverage)
@@ -250,7 +250,7 @@ def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> Inst
 
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
-    """Rule by which the untouched sensor was found."""
+    """Return the rule by which no-contact frames were found."""
     rule = result.job.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
@@ -275,12 +275,12 @@ def run_card(run: Run) -> RunCard:
 
 
 def file_card(path: Path) -> FileCard:
-    """A part of the folder, by its bytes."""
+    """Return the hash of a file of the calibration folder."""
     return FileCard(file=path.name, sha256=sha256_of(path))
 
 
 def software() -> dict[str, str]:
-    """Versions of what a calibration is result and read with."""
+    """Return the versions of palpate and the libraries that a calibration depends on."""
     names = ("numpy", "scikit-learn", "onnx", "onnxruntime", "opencv-python-headless")
     return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}
 
@@ -293,12 +293,12 @@ IntervalFit = Callable[..., Intervals]
 
 
 def scored_rows(held_out: Outputs) -> Indices:
-    """Rows that were held out once, and predicted."""
+    """Return the rows that were held out once, and predicted."""
     return np.flatnonzero(~np.isnan(held_out).any(axis=1))
 
 
 def intervals_by(fit: IntervalFit, held_out: Outputs, data: TrainingData, plan: CalibrationPlan) -> Intervals:
-    """Intervals that a way of making them gives for the rows that were scored."""
+    """Return the intervals of the scored rows by an interval fit."""
     rows, layout = scored_rows(held_out), plan.layout
     given = (held_out[rows], data.values[rows], data.groups[rows], plan.coverage)
     return fit(*given) if layout.plain else fit(*given, layout=layout)
@@ -361,7 +361,7 @@ def write_certificate(
 
 
 def made_fields(folder: Path) -> dict[str, Any]:
-    """Fields of a card that say when, with what software and into which files a calibration was written."""
+    """Return the card fields of date, software, and files."""
     parts = ("model.onnx", "guard.npz")
     others = sorted(path for path in folder.iterdir() if path.is_file() and path.name not in parts)
     return {
@@ -374,7 +374,7 @@ def made_fields(folder: Path) -> dict[str, Any]:
 
 
 def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) -> pd.DataFrame:
-    """One row a scored frame: labels, held-out estimates, and interval ends ``[n t]``."""
+    """Return one row per scored frame: labels, held-out estimates, and interval ends ``[n t]``."""
     rows = result.scored
     names = [result.job.packed.names[row] for row in rows]
     own = {"row": rows, "frame": names, "held_out_in_fold": result.job.fold_of[rows]}
@@ -418,7 +418,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
 
 
 def choice_card(fitted: Fitted) -> ChoiceCard | None:
-    """Choice that a model made by inner folds; None where it made none."""
+    """Return the choice that a model made by inner folds; None where it made none."""
     if not isinstance(fitted, Chooses):
         return None
     trials = [
@@ -429,12 +429,12 @@ def choice_card(fitted: Fitted) -> ChoiceCard | None:
 
 
 def training_card(fitted: Fitted) -> TrainingCard | None:
-    """How long a network has learnt; None where it does not say."""
+    """Return the training length of a network; None where it is not stated."""
     return TrainingCard(**asdict(fitted.training)) if isinstance(fitted, LearnsInSteps) else None
 
 
 def split_card(result: CalibrationResult) -> SplitCard:
-    """Split of the rows, and the findings of its audit."""
+    """Return the split of the rows, and the findings of its audit."""
     return SplitCard(
         kind=result.job.parts.kind,
         reason=result.job.parts.reason,

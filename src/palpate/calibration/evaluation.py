@@ -92,7 +92,7 @@ def valid_score(
 
 
 def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
-    """No-contact references found in a run by the calibration's own rule: row -> reference; may be empty."""
+    """Return the no-contact references in a run by the calibration's rule: row -> reference."""
     table = run.labels
     rule = ReferenceRule.of_card(estimator.card)
     by = [] if rule is None else list(rule.for_columns(table.columns).by)
@@ -240,7 +240,7 @@ def _read_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
 
 
 def rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
-    """All rows but those of the untouched sensor, where the calibration did not learn from such."""
+    """Return all rows but no-contact rows that the calibration was not trained on."""
     untouched = _untouched_rows(card, table)
     return np.arange(len(table)) if card.reference.learnt else np.setdiff1d(np.arange(len(table)), untouched)
 
@@ -410,7 +410,7 @@ def _instrument_sentence(card: Card, target: TargetCard, run: Run, share: float)
 
 
 def learnt_from(card: Card, run: Run) -> bool:
-    """True if a calibration has learnt from this run, or has set its intervals by it."""
+    """Return whether a calibration was trained on this run, or has set its intervals by it."""
     return run.hash in _recordings(card)
 
 
@@ -441,7 +441,7 @@ def same_session(estimator: Estimator, run: Run, found: LearntFrames | None = No
 
 
 def learnt_frames(estimator: Estimator, run: Run) -> LearntFrames:
-    """What of a run's frames that show a touch a calibration has learnt from."""
+    """Return the overlap of a run's touch frames with the training data."""
     touched = np.setdiff1d(np.arange(len(run)), _untouched_rows(estimator.card, run.labels))
     return find_learnt_frames(estimator, run, touched)
 
@@ -450,7 +450,7 @@ MAX_INSIDE = 0.05  # ratio of labels in the calibrated range up to which a run d
 
 
 def labels_outside(card: Card, true: Values) -> dict[str, str]:
-    """Sentences on targets of which hardly any label ``[n t]`` lies in the calibrated range, by column."""
+    """Return sentences on targets whose labels ``[n t]`` lie outside the calibrated range, by column."""
     found = {}
     for target, labels in zip(card.targets, true.T, strict=True):
         room = 0.05 * (target.greatest - target.least)
@@ -468,7 +468,7 @@ MAX_LAG, SHIFT_GAIN, MIN_SHIFTED_ROWS = 5, 0.5, 60  # lags tried; squared-error 
 
 
 def shifted_labels(card: Card, true: Values, table: pd.DataFrame) -> list[str]:
-    """A sentence where estimates fit the labels ``[n t]`` of other rows much better; else none."""
+    """Return a sentence if estimates fit the labels ``[n t]`` of other rows much better."""
     for j, target in enumerate(card.targets):
         estimate, label = table[f"estimate:{target.column}"].to_numpy(float), true[:, j]
         if target.circular is not None or len(label) < MIN_SHIFTED_ROWS or not np.ptp(label) > 0:

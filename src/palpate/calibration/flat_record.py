@@ -24,7 +24,7 @@ Kept = TypeVar("Kept")
 
 
 def contents_id(record: Any, kind: str) -> str:
-    """Name by the contents: the kind, and 12 hexadecimal digits of their SHA-256."""
+    """Return the name by the contents: the kind, and 12 hexadecimal digits of their SHA-256."""
     digest = hashlib.sha256()
     for name, value in sorted(flat_arrays(record).items()):
         digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
@@ -62,7 +62,7 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
 
 
 def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
-    """Fields of nested dataclasses under their dotted names; what is None is left out."""
+    """Return fields of nested dataclasses under their dotted names, without None."""
     arrays: dict[str, ndarray] = {}
     for field in fields(record):
         value, name = getattr(record, field.name), prefix + field.name

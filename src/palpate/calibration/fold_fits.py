@@ -149,7 +149,7 @@ class FoldFits:
 
 
 def passed_errors(plan: CalibrationPlan) -> type[Exception]:
-    """Errors that are not a plug-in's: a fault of palpate's own models is no plug-in's."""
+    """Return the errors that are not a plug-in's fault."""
     return Exception if plan.model in MODELS else PalpateError
 
 
@@ -173,7 +173,7 @@ def representative_fold(parts: Split, values: Values) -> int:
 
 
 def fold_count(plan: CalibrationPlan) -> int:
-    """Number of parts: five, or eight where a costly model shall learn from as many rows as it can."""
+    """Return the number of folds: five, or eight for a costly model."""
     return plan.folds or (8 if model_kind(plan.model).costly else 5)
 
 

@@ -51,7 +51,7 @@ SURFACES = (("x_mm", "y_mm"), ("contact_x_mm", "contact_y_mm"), ("tilt_x_deg", "
 
 
 def picture(path: pathlib.Path) -> str:
-    """A PNG file as a data address."""
+    """Return a PNG file as a data address."""
     return _address(path.read_bytes())
 
 
@@ -67,7 +67,7 @@ PANEL_INCH = (3.4, 2.9)
 
 
 def target_panels(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[Panel, ...]:
-    """Predicted against true, error against the truth, coverage along the truth, groups counted as groups."""
+    """Draw predicted against true, error against truth, and coverage along the truth."""
     true, guess, _ = target_columns(target, table)
     error, inside = errors_of(target, true, guess), held_rows(target, table)
     sides = _sides(target, table)
@@ -86,7 +86,7 @@ def _panel(title: str, draw: Callable[..., None], *arguments: Any) -> Panel:
 
 
 def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
-    """The pair of columns that says where on the skin each frame was pressed."""
+    """Return the pair of columns of the position on the skin."""
     for x, y in SURFACES:
         if x in table and y in table and table[x].nunique() > 2 and table[y].nunique() > 2:
             return x, y
@@ -96,7 +96,7 @@ def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
 def surface_figure(
     targets: tuple[TargetCard, ...], table: pd.DataFrame, where: tuple[str, str]
 ) -> tuple[Panel, ...]:
-    """Mean absolute error over the skin, a map for each target."""
+    """Draw the mean absolute error over the skin, a map for each target."""
     x, y = (table[c].to_numpy(float) for c in where)
     panels = []
     for target in targets:
@@ -148,7 +148,7 @@ def _deciding(
 
 
 def deciding_blocks(growth: Float[np.ndarray, "y x"]) -> Bool[np.ndarray, "y x"]:
-    """The fewest blocks that hold half of all growth; none where nothing grows."""
+    """Return the fewest blocks that hold half of all growth."""
     gains = np.clip(growth, 0, None)
     order = np.argsort(gains, axis=None)[::-1]
     before = np.concatenate([[0.0], np.cumsum(gains.ravel()[order])[:-1]])
@@ -158,19 +158,19 @@ def deciding_blocks(growth: Float[np.ndarray, "y x"]) -> Bool[np.ndarray, "y x"]
 
 
 def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Truth, estimate and half-width of a target's held-out rows."""
+    """Return truth, estimate, and half-width of a target's held-out rows."""
     names = (target.column, f"estimate:{target.column}", f"half_width:{target.column}")
     true, guess, half = (table[name].to_numpy(float) for name in names)
     return true, guess, half
 
 
 def errors_of(target: TargetCard, true: np.ndarray, guess: np.ndarray) -> np.ndarray:
-    """Estimates less truths, the shortest way round where the target is circular."""
+    """Return estimates less truths, the shortest way round for a circular target."""
     return shortest(guess - true, target.period)
 
 
 def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
-    """Tell which rows' intervals held the truth; by half-widths in tables of before."""
+    """Return which rows' intervals covered the truth; by half-widths in earlier tables."""
     true, guess, half = target_columns(target, table)
     if target.over_range is None or f"low:{target.column}" not in table:
         return np.abs(errors_of(target, true, guess)) <= half
@@ -178,7 +178,7 @@ def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
 
 
 def interval_ends(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of each row's interval; by half-widths in tables of before."""
+    """Return the ends of each row's interval; by half-widths in earlier tables."""
     _, guess, half = target_columns(target, table)
     if f"low:{target.column}" not in table:
         return guess - half, guess + half
@@ -287,14 +287,14 @@ def _axis(column: str) -> str:
 def styled_panels(
     width: float, height: float, rows: int = 1, columns: int = 1, **grid: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """A figure of a size [inch] and its panels, row by row, while the pages' style holds."""
+    """Make a figure of a size [inch] and its panels in the pages' style."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, figure.subplots(rows, columns, squeeze=False, **grid).ravel()
 
 
 def drawn(figure: Figure) -> str:
-    """A figure as a PNG in a data address."""
+    """Return a figure as a PNG in a data address."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return _address(buffer.getvalue())
@@ -305,7 +305,7 @@ _NOT_IN_PAGE = re.compile(r"<metadata>.*?</metadata>|\sxmlns(:\w+)?=\"[^\"]*\"",
 
 
 def sketched(figure: Figure) -> Markup:
-    """A figure as SVG to stand in a page: its colours are the page's, and so light or dark as the page is."""
+    """Return a figure as SVG in the page's own colors."""
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})

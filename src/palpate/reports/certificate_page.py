@@ -40,7 +40,7 @@ def write_report(calibration: PathText, out: PathText) -> Path:
 
 
 def render_report(calibration: Path, card: Card) -> str:
-    """The report's HTML: the sections that there is anything to say in."""
+    """Render the report's HTML: the sections that have content."""
     report = ReportedCalibration(calibration, card)
     found = {section.__name__: section(report) for section in SECTIONS}
     shown = {name: values for name, values in found.items() if values is not None}

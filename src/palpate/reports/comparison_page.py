@@ -248,7 +248,7 @@ def _difference(target: TargetCard, card: Card, tables: tuple[pd.DataFrame, ...]
 
 
 def judgement(one: ComparedTarget) -> str:
-    """Which calibration reads a target better, in a sentence, or that these rows do not tell."""
+    """Return which calibration reads a target better, in a sentence."""
     name, pair = one.first.quantity.replace("_", " "), one.paired
     if pair is None:
         return f"{name}: not comparable, see above."
@@ -273,7 +273,7 @@ def judgement(one: ComparedTarget) -> str:
 
 
 def headline(comparison: CalibrationComparison, one: ComparedTarget) -> str:
-    """What decides between the two: held-out errors, unless an audit failed: a confound makes them small."""
+    """Return what decides between the two: held-out errors, unless an audit failed."""
     pairs = zip(comparison.cards, (one.first, one.second), strict=True)
     failed = [card.id for card, target in pairs if not_relied_on(card, target)]
     if not failed:
@@ -288,7 +288,7 @@ def headline(comparison: CalibrationComparison, one: ComparedTarget) -> str:
 
 
 def comparison_text(comparison: CalibrationComparison) -> str:
-    """The comparison for a terminal."""
+    """Return the comparison for a terminal."""
     cards = comparison.cards
     only = zip(cards, comparison.only, strict=True)
     lines = [

@@ -52,7 +52,7 @@ def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
 
 
 def comparison_figure(comparison: SpecimenComparison) -> Figure:
-    """Area over force of all trials, relative without a calibration, and a panel of boxes for every cue."""
+    """Draw area over force of all trials, and a panel of boxes for every cue."""
     groups, table, calibration = comparison.groups, comparison.table, comparison.calibration
     cues = {
         label: {str(name): list(rows[cue].dropna()) for name, rows in table.groupby("specimen", sort=False)}
@@ -75,7 +75,7 @@ def comparison_figure(comparison: SpecimenComparison) -> Figure:
 
 
 def press_figure(trial: ReferenceTrial, touch: PressReading | None, reported: AsReported) -> Figure:
-    """The pins at the greatest force, contact area over force, and the stiffness with its interval."""
+    """Draw the pins at the greatest force, contact area over force, and the stiffness."""
     with styled_panels(11.5, 3.7, columns=3, width_ratios=[1, 1.25, 1.25]) as (figure, panels):
         left, middle, right = panels
         _pins(left, trial)
@@ -169,7 +169,7 @@ def _approach(axes: Axes, trial: ReferenceTrial) -> None:
 def boxes(
     groups: Mapping[str, Sequence[float]], label: str, axes: Axes, colours: Colours | None = None
 ) -> None:
-    """A box a specimen with every trial as a point on it; colours by name, or in order."""
+    """Draw a box per specimen with every trial as a point."""
     names = list(groups)
     drawn = axes.boxplot(
         [list(groups[name]) for name in names], widths=0.5, patch_artist=True, showfliers=False
@@ -187,7 +187,7 @@ def boxes(
 def trial_lines(
     courses: Courses, across: str, label: str, axes: Axes, colours: Colours | None = None, **style: Any
 ) -> None:
-    """A line a trial, a colour a specimen; colours by name, or in order."""
+    """Draw a line per trial, a color per specimen."""
     for i, (name, lines) in enumerate(courses.items()):
         colour = COLOURS[i % len(COLOURS)] if colours is None else colours[name]
         for k, (x, y) in enumerate(lines):
@@ -199,7 +199,7 @@ def trial_lines(
 def compare_figure(
     courses: Courses, course_label: str, cues: Mapping[str, Mapping[str, Sequence[float]]]
 ) -> Figure:
-    """Area over force of all trials, and a panel of boxes for every cue."""
+    """Draw area over force of all trials, and a panel of boxes for every cue."""
     count = 1 + len(cues)
     wide = min(count, 4)
     high = -(-count // wide)

@@ -33,7 +33,7 @@ def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], 
 
 
 def frames_of(card: Card, found: EvaluationRecord) -> str:
-    """Sentence on the frames of an evaluation that was kept."""
+    """Return the sentence on the frames of a kept evaluation."""
     return frames_text(
         card, found.frames_scored, found.frames_valid, found.frames_untold, found.frames_all_valid
     )
@@ -97,7 +97,7 @@ def class_lines(card: ClassCard, score: ClassScoreCard, coverage: float) -> list
 
 
 def classes_told(card: ClassCard, score: ClassScoreCard) -> str:
-    """Accuracy beside the baseline's, and the size of the sets, in a sentence."""
+    """Return accuracy, baseline, and size of the sets, in a sentence."""
     return (
         f"{100 * score.accuracy:.1f} % of {score.n} rows right (95 % interval "
         f"{100 * score.accuracy_low:.1f} to {100 * score.accuracy_high:.1f} %), where always saying "
@@ -108,7 +108,7 @@ def classes_told(card: ClassCard, score: ClassScoreCard) -> str:
 
 
 def class_covered(one: ClassCoverageCard) -> str:
-    """Share of a class's rows whose set held it, with the interval of that share."""
+    """Return the ratio of a class's rows whose set contained it, with its interval."""
     if not one.rows:
         return "no rows"
     return (
@@ -118,7 +118,7 @@ def class_covered(one: ClassCoverageCard) -> str:
 
 
 def class_answer(row: pd.Series, card: Card) -> str:
-    """Classes that a row was told as, and what it was."""
+    """Return the predicted and true classes of a row."""
     return "; ".join(
         f"{one.column} {row[f'estimate:{one.column}']}, truth {row[one.column]}" for one in card.classes or ()
     )

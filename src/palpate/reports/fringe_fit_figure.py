@@ -34,7 +34,7 @@ def write_figure(fit: FringeFit, path: Path) -> None:
 
 
 def fit_headline(fit: FringeFit) -> str:
-    """C, its interval and whether it stands alone, in one line."""
+    """Return C, its interval, and whether it is unambiguous, in one line."""
     C, low, high = (c / BREWSTER for c in (fit.coefficient_per_pa, fit.low_per_pa, fit.high_per_pa))
     up_to = f"no other slope up to order {fit.settings['greatest_order']:g} fits nearly as well"
     digits = max(0, 1 - int(np.floor(np.log10(high - low))))

@@ -79,13 +79,13 @@ class OrderFiles:
 
 
 def map_arrays(found: OrderMap) -> dict[str, Any]:
-    """A map as named arrays: order, sigma, lead, axis_rad, misfit and why, whose numbers are of `Untold`."""
+    """Return a map as named arrays; the numbers of `why` are those of `Untold`."""
     names = ("order", "sigma", "lead", "axis_rad", "misfit", "why")
     return {name: getattr(found, name) for name in names}
 
 
 def draw_orders(image: UInt8[ndarray, "h w *c"], found: OrderMap) -> Figure:
-    """A frame beside its orders, their standard deviation, and why some are not told."""
+    """Draw a frame with its orders, their standard deviation, and why some are missing."""
     told = found.valid
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.4, 7.4), layout="constrained")

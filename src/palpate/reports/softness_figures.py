@@ -33,13 +33,13 @@ def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: flo
 
 
 def pair_panels(objects: Mapping[str, Body], finger: Body, greatest_n: float) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_pair_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_pair(objects, finger, greatest_n))
 
 
 def specimen_panels(objects: Sequence[SoftObject]) -> str:
-    """Force over displacement and over area of objects, as a PNG in a data address."""
+    """Draw force over displacement and over area of objects, as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         figure, arm, skin = _two_cues()
         for one, color in zip(objects, COLOURS, strict=False):
@@ -157,7 +157,7 @@ def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
 
 
 def spans(where: np.ndarray) -> list[tuple[int, int]]:
-    """First and last of each stretch of true values."""
+    """Return first and last of each stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], where, [False])).astype(int)))
     return [(int(low), int(high) - 1) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -173,7 +173,7 @@ def write_tracking_figure(felt: Rendering, path: Path) -> None:
 
 
 def tracking_panels(felt: Rendering) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_tracking_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_tracking(felt))
 
@@ -214,7 +214,7 @@ def write_bench_test_figure(test: BenchTest, path: Path) -> None:
 
 
 def bench_test_panels(test: BenchTest) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_bench_test_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_bench_test(test))
 
@@ -247,7 +247,7 @@ def _bench_test(test: BenchTest) -> Figure:
 
 
 def bandwidth_panels(answers: Mapping[str, PressureResponse]) -> str:
-    """Gain and phase of pressures over frequency, as a PNG in a data address."""
+    """Draw gain and phase of pressures over frequency, as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_bandwidths(answers))
 

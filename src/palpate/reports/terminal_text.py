@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def audit_head(card: Card) -> str:
-    """What the findings of a card come to, and of which targets."""
+    """Return the summary of a card's findings, with the targets concerned."""
     if card.split.clean and not (card.confounds and card.confounds.failed):
         return "The audit warns"
     named = [t.quantity.replace("_", " ") for t in card.targets if not_relied_on(card, t)]
@@ -35,7 +35,7 @@ def audit_head(card: Card) -> str:
 
 
 def not_relied_on(card: Card, target: TargetCard) -> bool:
-    """True where an audit failed over a target, or over all."""
+    """Return whether an audit failed over a target, or over all."""
     j, layout = card.columns.index(target.column), layout_of(card)
     own = {target.column, *layout.names(card.columns)[layout.outputs_of(j)], ""}
     found = card.confounds.findings if card.confounds else ()
@@ -116,7 +116,7 @@ def _cells(name: str, s: ScoreCard, period: float | None) -> tuple[str, ...]:
 
 
 def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
-    """One line a target whose labels' instrument is in its readings' intervals, beside the model's errors."""
+    """Return one line per target whose readings' intervals contain its labels' instrument."""
     return [
         f"{t.column}: ±{half_width_text(t.measured_by.half_width)} {t.unit} of its labels' instrument "
         f"({t.measured_by.instrument}) joins each reading's interval, as a root of squares"
@@ -126,7 +126,7 @@ def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
 
 
 def confounds_text(card: Card) -> list[str]:
-    """Findings that stand before the numbers, each remedy once; none where nothing was found."""
+    """Return the findings that precede the numbers, each remedy once."""
     audit = card.confounds
     found = [f for f in audit.findings if f.severity != "notes"] if audit is not None else []
     if audit is None or not found:
@@ -140,14 +140,14 @@ def confounds_text(card: Card) -> list[str]:
 
 
 def latency_line(seconds: Sequence[float]) -> str:
-    """Median and 95th percentile of the time a frame took, the first frame aside."""
+    """Return the median and 95th percentile of the time per frame, without the first frame."""
     ms = 1e3 * np.asarray(seconds[1:] or seconds)
     p50, p95 = np.percentile(ms, [50, 95])
     return f"latency: median {p50:.2f} ms, 95th percentile {p95:.2f} ms over {len(ms)} frames"
 
 
 def check_text(report: CheckReport) -> str:
-    """Contents of a run, and whether it can be relied on."""
+    """Return the contents of a run, and whether it is reliable."""
     span = "times not measured" if report.duration_s is None else f"{report.duration_s:.3g} s"
     sensor = report.sensor or "sensor not named"
     lines = [f"{report.path}: {report.frames} frames, {span}, {report.segments} segments, {sensor}"]

@@ -47,7 +47,7 @@ def write_tip_files(out: Path, record: dict[str, Any], reader: dict[str, Any], p
 
 
 def tip_figure(picture: TipPicture) -> Figure:
-    """Outward motion in upright taps over distance from the middle, the residual's map, and what is left."""
+    """Draw outward motion in upright taps over distance from the middle, the residual's map, and RMS."""
     with styled_panels(12.0, 3.8, columns=3, width_ratios=[1.3, 1.1, 0.8]) as (figure, panels):
         course, plan, bars = panels
         _course(course, picture)

@@ -31,7 +31,7 @@ PANELS_A_ROW = 3
 
 
 def confusion_figure(matrices: Mapping[str, RankConfusion]) -> str:
-    """Confusion matrices of rankings with their counts, by title, as a PNG in a data address."""
+    """Draw confusion matrices of rankings, by title, as a PNG in a data address."""
     rows = -(-len(matrices) // PANELS_A_ROW)
     columns = min(len(matrices), PANELS_A_ROW)
     with styled_panels(2.9 * columns, 2.9 * rows, rows, columns) as (figure, panels):
@@ -65,7 +65,7 @@ class ShareRow:
 
 
 def share_figure(rows: Sequence[ShareRow], label: str, line: float | None = None) -> str:
-    """Shares with intervals, one below the other; diamonds stand beside, a dotted line is one for all."""
+    """Draw ratios with intervals, one below the other."""
     with styled_panels(8.4, 0.34 * len(rows) + 0.9) as (figure, (axes,)):
         for i, one in enumerate(rows):
             axes.plot([100 * one.low, 100 * one.high], [i, i], color=INK, lw=1.4)
@@ -107,13 +107,13 @@ SAID = {Task.PAIR: "pairs", Task.RANK: "rankings"}
 
 
 def setting_said(setting: str) -> str:
-    """A setting, such as "direct I", with its condition in words: "direct with both cues"."""
+    """Return a setting, such as "direct I", with its condition in words: "direct with both cues"."""
     presentation, condition = setting.rsplit(" ", 1)
     return f"{presentation} with {CUES[Condition(condition)]}"
 
 
 def analysis_answers(found: ExperimentAnalysis) -> tuple[str, ...]:
-    """What was found, a sentence each: differences, accuracies, thresholds."""
+    """Return the results, a sentence each: differences, accuracies, thresholds."""
     return (
         *(_difference_said(one) for one in found.comparisons if one.shares),
         *(_accuracy_said(one) for one in found.accuracies),

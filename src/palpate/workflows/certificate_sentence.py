@@ -23,7 +23,7 @@ RATE = 0.9  # of intervals
 
 
 def left_out_text(frames: int) -> str:
-    """What is said of frames whose labels a kill has lost; empty where there are none."""
+    """Return the sentence on frames whose labels a kill has lost; empty for none."""
     if not frames:
         return ""
     lost = "1 frame has" if frames == 1 else f"{frames} frames have"
@@ -65,7 +65,7 @@ def _what_to_do(presses: int) -> str:
 
 
 def is_useless(card: Card, predictions: pd.DataFrame) -> bool:
-    """Whether estimates of presses that it had not seen are not surely better than always saying the mean."""
+    """Return whether held-out estimates are not significantly better than the mean."""
     return card.targets[0].score.says_nothing or not beats_the_mean(predictions)
 
 
@@ -88,7 +88,7 @@ def rate_beyond(predictions: pd.DataFrame) -> tuple[float, float, float]:
 
 
 def beats_the_mean(predictions: pd.DataFrame) -> bool:
-    """Whether held-out estimates surely err less than the other presses' mean: by 95 %, over presses."""
+    """Return whether held-out estimates err less than the other presses' mean, at 95 % over presses."""
     from palpate.calibration.coverage.grouped_rates import grouped_mean_interval
 
     predictions = predictions[predictions["press"] != REST]

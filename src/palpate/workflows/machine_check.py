@@ -141,7 +141,7 @@ def _memory() -> MachinePart:
 
 
 def memory_gb() -> tuple[float | None, float | None]:
-    """Memory of the machine and how much of it is free [GB]; None for what the system does not tell."""
+    """Return total and free memory of the machine [GB]; None where the system does not report it."""
     with suppress(OSError, ValueError):
         text = Path("/proc/meminfo").read_text()
         kb = {key: int(value) for key, value in re.findall(r"^(\w+):\s+(\d+) kB", text, re.MULTILINE)}
@@ -236,7 +236,7 @@ def _extra(name: str, sentence: str) -> MachinePart:
 
 
 def machine_text(parts: tuple[MachinePart, ...]) -> str:
-    """The parts as lines, each with how it is mended beneath."""
+    """Return the parts as lines, each with its remedy."""
     width = max(len(part.name) for part in parts)
     lines: list[Any] = []
     for part in parts:

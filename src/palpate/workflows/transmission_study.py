@@ -74,7 +74,7 @@ class StudySeed:
 
 
 def cylinder_of(spec: TacTipSpec) -> Cylinder:
-    """The virtual specimens' cylinder, whose ends slide between the plates of a slow test."""
+    """Return the virtual specimens' cylinder, whose ends slide between the plates of a slow test."""
     table = spec.table
     return Cylinder(table.specimen_radius_m, table.specimen_height_m, table.poisson_ratio, "free")
 

@@ -81,7 +81,7 @@ SEPARATOR = "|"  # between the names in a set, in tables
 
 
 def set_text(names: Sequence[str], members: Members) -> list[str]:
-    """Names of the classes in each row's set, for a table."""
+    """Return the names of the classes in each row's set, for a table."""
     return [SEPARATOR.join(np.array(names)[row]) for row in members]
 
 
@@ -234,7 +234,7 @@ def _place(value: str) -> tuple[float, str]:
 
 
 def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Float[np.ndarray, "n _"]:
-    """Columns of numbers with the classes' outputs behind them ``[n t+k]``."""
+    """Append the classes' outputs to columns of numbers ``[n t+k]``."""
     return np.column_stack([values, *(one.one_hot for one in classes)]) if classes else values
 
 

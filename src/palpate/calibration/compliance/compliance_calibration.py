@@ -86,19 +86,19 @@ def fit_shapes(
 
 
 def moduli_pa(surface: ShapeSurface) -> tuple[float, float]:
-    """Least and greatest finite modulus of the references [Pa]."""
+    """Return the least and greatest finite modulus of the references [Pa]."""
     finite = surface.modulus_pa[np.isfinite(surface.modulus_pa)]
     return float(finite.min()), float(finite.max())
 
 
 def errors_between(surface: ShapeSurface) -> dict[str, float]:
-    """Errors by which the other references tell each one between them, for files."""
+    """Return the leave-one-out errors of the references, for files."""
     of_modulus, of_c = surface.between
     return {"modulus": of_modulus, "curvature_per_m": of_c / surface.turning_m}
 
 
 def shape_reasons(surface: ShapeSurface, found: Roundness) -> list[Refusal]:
-    """Why neither modulus nor radius is valid."""
+    """Return why neither modulus nor radius is valid."""
     s, c = found.place
     least, _ = moduli_pa(surface)
     smallest, why = float(surface.radius_m.min()), []
@@ -300,14 +300,14 @@ def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray,
 
 
 def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
-    """Root mean square distance of untouched pins from the layout, less the shift of all [px]."""
+    """Return the RMS distance of no-contact pins from the layout, less the common shift [px]."""
     off = _untouched(press, layout) - layout
     off = off[np.isfinite(off).all(axis=1)]
     return float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
 
 
 def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[ndarray, " l"]) -> ndarray:
-    """The motion of the pins at every level, in one row; NaN for pins that are lost."""
+    """Return the motion of the pins at every level, in one row; NaN for lost pins."""
     motion = motion_on_layout(press, layout)
     tracked = np.isfinite(motion).all(axis=(0, 2))
     row = np.full((len(levels_n), *motion.shape[1:]), np.nan)
@@ -316,7 +316,7 @@ def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[nd
 
 
 def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarray, " l-1"]:
-    """Approach from the first level to the others, weighed as pins' motion."""
+    """Return the approach from the first level to the others, weighted as pins' motion."""
     assert press.position_m is not None
     d = at_forces(press.force_n, press.position_m, levels_n)
     return np.asarray(APPROACH_PX * (d - d[0])[1:])
@@ -356,7 +356,7 @@ def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
 
 
 def area_at_4_n(force_n: Samples, area_m2: Samples) -> float:
-    """Area at 4 N by areas at other forces; NaN where too few are known [m^2]."""
+    """Return the area at 4 N by areas at other forces; NaN with too few [m^2]."""
     known = np.isfinite(area_m2)
     if known.sum() < MIN_AREAS:
         return float("nan")
@@ -523,5 +523,5 @@ def calibrate_folder(
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number as JSON has it: None where it is not finite."""
+    """Return a number for JSON: None where it is not finite."""
     return float(value) if np.isfinite(value) else None

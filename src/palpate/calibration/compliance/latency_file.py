@@ -171,7 +171,7 @@ def _pairs(presses: Sequence[Path], force: Path | None) -> list[tuple[Path, Path
 
 
 def latency_record(used: dict[str, PressLatency], unused: dict[str, str]) -> dict[str, Any]:
-    """The latency of presses together, and of each, in the units of the edges."""
+    """Return the latency of all presses and of each, in the units of files."""
     found = joined_latency(list(used.values()))
     why = disagreement(found)
     flags = [FEW] if len(used) == 1 else []

@@ -116,7 +116,7 @@ def read_press(
 
 
 def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
-    """A press in plain numbers; what is not finite is None."""
+    """Return a press in plain numbers; None for what is not finite."""
     press, reported = cues.trial.press, cues.reported
     record: dict[str, Any] = {
         "readings": [] if touch is None else [reading_record(one) for one in touch.readings],
@@ -168,7 +168,7 @@ def _letter(cues: PressCues) -> str:
 
 
 def reading_record(reading: Reading) -> dict[str, Any]:
-    """A reading in plain numbers, in the units of the edges."""
+    """Return a reading in plain numbers, in the units of files."""
     one = reading.in_unit(UNITS[reading.quantity])
     return {
         "quantity": one.quantity,

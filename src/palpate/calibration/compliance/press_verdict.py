@@ -69,7 +69,7 @@ APPROACH_APART = (
 
 
 def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> Drift:
-    """How far untouched pins have moved against each other since calibration."""
+    """Return the relative motion of no-contact pins since calibration."""
     wobble = max(wobble_px(one, calibration.layout_px) for one in presses)
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
@@ -173,7 +173,7 @@ def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> t
 
 
 def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """The known fault, if any, whose direction holds most of what no reference shows, and its size."""
+    """Return the known fault whose direction explains most of the residual, and its size."""
     unlike = _outside(calibration.touch.space, row)
     explained: dict[str, tuple[float, float]] = {}
     for name, altered in PROBE.altered(press).items():

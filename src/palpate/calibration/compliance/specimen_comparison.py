@@ -142,7 +142,7 @@ def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float]
 
 
 def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> pd.DataFrame:
-    """One row a trial: specimen, trial, and every cue; empty where a reading is not valid."""
+    """Return one row per trial: specimen, trial, and every cue; empty for invalid readings."""
     rows = [
         {"specimen": name, "trial": i + 1, **one.row(calibration, f"{name}/{i + 1}")}
         for name, each in groups.items()
@@ -235,7 +235,7 @@ def _mixed_pairs(record: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 
 def differences_table(record: Mapping[str, Any]) -> pd.DataFrame:
-    """One row a cue and pair of specimens: the second's mean less the first's, with its interval."""
+    """Return one row per cue and pair of specimens: difference of means with its interval."""
     columns = [
         "cue", "first", "second", "shared", "value", "low", "high", "freedom", "p", "p_all_cues",
     ]  # fmt: skip

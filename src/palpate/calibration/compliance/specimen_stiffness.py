@@ -20,7 +20,7 @@ CURVED = "{}: adjusted R2 {:.3g}, less than {:g}: no line; look at first contact
 
 
 def series_line(table: PressTable) -> Line:
-    """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
+    """Fit force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
     assert table.position_m is not None
     force = smoothed(table.force_n)
     part = within(force, loading(force), CONTACT_N, MAX_N)

@@ -226,7 +226,7 @@ def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
 
 
 def order_not_tested(units: RecordedUnits) -> list[Finding]:
-    """Note that the order of the rows could not be tested; none where it could."""
+    """Return a note if the temporal order of the rows could not be tested."""
     if units.can_be_ordered:
         return []
     if not units.in_recorded_order:
@@ -262,7 +262,7 @@ def _why_none(region: SkinRegion) -> str:
 
 
 def small_images(packed: PackedSet, rows: Indices) -> Float32[np.ndarray, "n h w c"]:
-    """Area means of prepared frames, at most 64 px along the longer side [grey levels]."""
+    """Return area means of prepared frames, at most 64 px along the longer side [grey levels]."""
     height, width, channels = packed.shape
     scale = min(1.0, SMALL_PX / max(height, width))
     size = max(1, round(scale * width)), max(1, round(scale * height))

@@ -63,7 +63,7 @@ class DecidingPixels:
 
 
 def mean_input(data: TrainingData, rows: Indices) -> Float32[np.ndarray, "c h w"]:
-    """Mean input over some of the rows ``[c h w]``."""
+    """Return the mean input over some of the rows ``[c h w]``."""
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, min(MEAN_ROWS, len(rows))).astype(np.int64))]
     total = np.zeros(data.shape, np.float64)
     for _, inputs in data.batches(chosen, 64):
@@ -72,12 +72,12 @@ def mean_input(data: TrainingData, rows: Indices) -> Float32[np.ndarray, "c h w"
 
 
 def rows_of_fold(folds: int, k: int) -> int:
-    """How many rows of fold `k` are read again, so that all `folds` together read `MAX_ROWS`."""
+    """Return the rows of fold `k` to read again, so that all `folds` read `MAX_ROWS`."""
     return max(1, MAX_ROWS * (k + 1) // folds - MAX_ROWS * k // folds)
 
 
 def block_edges(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the blocks down and across a picture of so many pixels [px]."""
+    """Return the limits of the blocks down and across a picture [px]."""
     side = max(shape) / BLOCKS
     counts = [min(max(1, round(length / side)), length) for length in shape]
     return tuple(  # type: ignore[return-value]

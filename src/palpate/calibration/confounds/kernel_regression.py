@@ -68,7 +68,7 @@ class Kernels:
 
 
 def explained_share(values: Values, estimates: Values) -> Float[np.ndarray, " t"]:
-    """R² of estimates of the rows that have any: 1 − squared error / squared distance from the mean."""
+    """Return R² of estimates over the rows that have any."""
     rows = np.isfinite(estimates).all(axis=1)
     truth, guess = values[rows], estimates[rows]
     spread = np.mean((truth - truth.mean(axis=0)) ** 2, axis=0)

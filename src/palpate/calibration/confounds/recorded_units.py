@@ -48,7 +48,7 @@ class RecordedUnits:
 
 
 def have_orders(counts: Int[np.ndarray, " s"]) -> bool:
-    """True if so many units of each session can be put in enough orders."""
+    """Return whether so many units of each session have enough orders."""
     return sum(lgamma(int(count) + 1) for count in counts) >= log(MIN_ORDERS)
 
 

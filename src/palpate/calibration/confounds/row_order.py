@@ -192,12 +192,12 @@ def shift_check(kernels: Kernels, values: Values, rows: Indices) -> ShiftCheck:
 
 
 def sampled(count: int, most: int) -> Indices:
-    """At most so many rows, evenly spaced in their order."""
+    """Return at most so many rows, evenly spaced in their order."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64))
 
 
 def folds_among(folds: Sequence[Indices], rows: Indices) -> list[Indices]:
-    """Places in `rows` of each fold's rows; folds without any are left out."""
+    """Return the positions in `rows` of each fold's rows, without empty folds."""
     return [found for fold in folds if (found := np.flatnonzero(np.isin(rows, fold))).size]
 
 
@@ -205,7 +205,7 @@ MAX_GAP, MAX_GAPS = 0.01, 5.0  # median label gap to trained rows, relative to r
 
 
 def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
-    """R² of a label interpolated between the trained rows nearest in order, for each held-out row."""
+    """Return R² of a label interpolated between the trained rows nearest in order."""
     every, told = np.arange(len(values)), np.empty(len(values))
     for fold in folds:
         others = np.setdiff1d(every, fold)
@@ -215,7 +215,7 @@ def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices])
 
 
 def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
-    """Median distance from a held-out label to the nearest trained one, as a ratio of the range."""
+    """Return the median distance from a held-out label to the nearest trained one, relative to the range."""
     gaps = []
     for fold in folds:
         others = np.sort(np.delete(values, fold))
@@ -226,7 +226,7 @@ def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> floa
 
 
 def extrapolates(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> bool:
-    """True of blocks so long that each holds out a part of the range that is not trained on."""
+    """Return whether each block holds out a part of the range that is not trained on."""
     shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), len(folds))
     gap = label_gap(values, folds)
     return gap > MAX_GAP and gap > MAX_GAPS * label_gap(values, shuffled)

@@ -70,7 +70,7 @@ def change_map(
     seed: int = 0,
     sessions: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "y x"]:
-    """Mean absolute difference between frames a little apart in order, in cells [grey levels]."""
+    """Return the mean absolute difference of frames a little apart in order, in cells [grey levels]."""
     n = len(images)
     sessions = np.zeros(n, np.int64) if sessions is None else sessions
     by_session = np.argsort(sessions, kind="stable")
@@ -141,7 +141,7 @@ def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: Reg
 
 
 def boxed(shape: tuple[int, int], box: tuple[int, int, int, int]) -> SkinRegion:
-    """A region whose outside is what lies beyond a box, (x, y, width, height) [px of the picture]."""
+    """Return the region whose outside lies beyond a box, (x, y, width, height) [px of the picture]."""
     inside = np.zeros(shape, dtype=bool)
     x, y, width, height = box
     inside[max(y, 0) : y + height, max(x, 0) : x + width] = True

@@ -16,13 +16,13 @@ def shortest(difference: Row, period: float | None) -> Row:
 
 
 def mean_direction(values: Row, period: float) -> float:
-    """Direction of the mean of the points on the circle, above -period/2 and up to period/2."""
+    """Return the direction of the mean of points on the circle, in (-period/2, period/2]."""
     angle = 2 * np.pi * values / period
     return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * period / (2 * np.pi))
 
 
 def mean_of(values: Row, period: float | None) -> float:
-    """Mean of values, or their mean direction where they come round again."""
+    """Return the mean of values, or the mean direction of periodic ones."""
     return float(values.mean()) if period is None else mean_direction(values, period)
 
 

@@ -108,7 +108,7 @@ def _spread_by_others(
 
 
 def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rows to fit by and rows to score, whole groups together; a single group is both."""
+    """Return rows to fit by and rows to score, groups kept whole; a single group is both."""
     every, count = np.arange(len(groups)), len(np.unique(groups))
     if count < 2:
         return iter([(every, every)])
@@ -147,7 +147,7 @@ def _deviances(
 
 
 def fit_spread(predicted: Outputs, errors: Values, terms: tuple[int, ...]) -> ErrorSpread:
-    """How the size of errors ``[n t]`` follows the outputs ``[n o]``, each by so many terms of `design`."""
+    """Fit the size of errors ``[n t]`` as a function of the outputs ``[n o]``, by terms of `design`."""
     from sklearn.linear_model import GammaRegressor  # as above
 
     scaler = Scaler.of(predicted)

@@ -28,7 +28,7 @@ def press_groups(table: pd.DataFrame) -> np.ndarray:
 
 
 def press_column(table: pd.DataFrame) -> str | None:
-    """The column that says which rows are of one press; None where none does."""
+    """Return the column that names the press; None where there is none."""
     return next((column for column in PRESS_COLUMNS if column in table), None)
 
 

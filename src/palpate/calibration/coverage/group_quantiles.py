@@ -27,7 +27,7 @@ def rank_of_new_group(groups: int, coverage: float) -> int:
 
 
 def is_distribution_free(groups: int, coverage: float) -> bool:
-    """True if so many groups can promise a new one's coverage without knowing the errors' distribution."""
+    """Return whether so many groups can promise a new one's coverage without assumptions."""
     return rank_of_new_group(groups, coverage) <= groups
 
 

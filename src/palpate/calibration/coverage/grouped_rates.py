@@ -33,7 +33,7 @@ def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
 
 
 def cautious_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
-    """Correlation of rows of the same group, raised towards 1 where groups are few, see the module."""
+    """Return the within-group correlation, raised towards 1 where groups are few."""
     found, count = within_group_correlation(inside, groups), len(np.unique(groups))
     return found + (1 - found) * min(GROUPS_ADDED / count, 1.0)
 
@@ -67,7 +67,7 @@ CONFIDENCE = 0.95
 
 
 def coverage_interval(hits: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate by Clopper and Pearson, from `hits` of `n` independent rows."""
+    """Return the 95 % Clopper-Pearson interval of `hits` of `n` independent rows."""
     return rate_interval(hits, n, CONFIDENCE)
 
 
@@ -99,7 +99,7 @@ def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float
 
 
 def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:
-    """Rows of each group, and the number of each row's group."""
+    """Return the rows of each group, and the number of each row's group."""
     _, index = np.unique(groups, return_inverse=True)
     return np.bincount(index), index
 

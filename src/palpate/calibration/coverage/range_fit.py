@@ -48,7 +48,7 @@ def fit_range_intervals(
 
 
 def cell_limits(values: Row, groups: np.ndarray, least: float, greatest: float) -> Float[np.ndarray, " k"]:
-    """Limits between the tenths of a range, without those that would leave a cell with too few groups."""
+    """Return the limits between tenths of the range that leave each cell enough groups."""
     kept: list[float] = []
     start = -np.inf
     for limit in np.linspace(least, greatest, TENTHS + 1)[1:-1]:
@@ -61,7 +61,7 @@ def cell_limits(values: Row, groups: np.ndarray, least: float, greatest: float) 
 
 
 def group_parts(groups: np.ndarray) -> Int[np.ndarray, " n"]:
-    """Number of each row's part, of five or as many as there are groups; groups are kept whole."""
+    """Return the number of each row's part, at most five, groups kept whole."""
     # Here, since whoever reads an interval needs no scikit-learn.
     from sklearn.model_selection import GroupKFold
 

@@ -119,7 +119,7 @@ NEARLY_A_TURN = 350 / 360
 
 
 def card_findings(card: Card) -> tuple[str, ...]:
-    """What the reader of a certificate must know of its targets' ranges; empty where there is nothing."""
+    """Return the findings on the ranges of a certificate's targets."""
     return tuple(sentence for target in card.targets for sentence in target_findings(target, card.coverage))
 
 

@@ -145,7 +145,7 @@ def read_views(
 
 
 def find_board(image: UInt8[ndarray, "h w"], board: Board, name: str) -> BoardView | tuple[int, int] | None:
-    """The board in one grey image; (columns, rows) if it is one of another size, None if there is none."""
+    """Find the board in a grey image; (columns, rows) for one of another size, None without one."""
     if board.dictionary is not None:
         return _find_charuco(image, board, name)
     found = _by_sectors(image, board)

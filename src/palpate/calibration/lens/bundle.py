@@ -96,7 +96,7 @@ def first_guess(model: LensModel, views: Sequence[BoardView]) -> PosedLens | Non
 
 
 def pose_of(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) -> Pose | None:
-    """Pose of a board, from the directions of its corners; None where there is none."""
+    """Return the pose of a board from the directions of its corners; None where there is none."""
     rays = PosedLens(model, numbers, ()).lens(view.size_px).rays(view.places_px)
     known = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.02)
     if known.sum() < 6:
@@ -283,7 +283,7 @@ def _in_front(pose: np.ndarray, view: BoardView) -> bool:
 
 
 def view_error_px(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) -> float:
-    """Root mean square distance of a view's corners whose pose alone is fitted [px]; or inf."""
+    """Return the RMS error of a view's corners with only its pose fitted [px]; or inf."""
     pose = pose_of(model, numbers, view)
     if pose is None:
         return math.inf

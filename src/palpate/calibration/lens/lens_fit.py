@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -95,36 +95,11 @@ class LensFit:
 
     def card(self) -> dict[str, Any]:
         """Content of the lens file: the lens's own, and how it was calibrated."""
-        return {
-            **self.lens.card(),
-            "calibration": {
-                "board": self.board.text,
-                "standard_errors": self.standard_errors,
-                "standard_errors_by_views": self.standard_errors_by_views,
-                "mean_px": self.mean_px,
-                "rms_px": self.rms_px,
-                "held_out_px": self.held_out_px,
-                "scale_px": self.scale_px,
-                "coverage": self.coverage,
-                "widest_deg": math.degrees(self.widest_rad),
-                "other_model": self.other_model,
-                "other_held_out_px": self.other_held_out_px,
-                "plain_rms_px": self.plain_rms_px,
-                "plain_failure": self.plain_failure,
-                "views": [
-                    {
-                        "name": view.name,
-                        "rms_px": view.rms_px,
-                        "held_out_px": view.held_out_px,
-                        "corners": view.corners,
-                        "rejected_corners": view.rejected_corners,
-                    }
-                    for view in self.views
-                ],
-                "rejected": [{"name": view.name, "reason": view.reason} for view in self.rejected],
-                "warnings": list(self.warnings),
-            },
-        }
+        told = asdict(self)
+        views = [{k: v for k, v in view.items() if k != "hull_px"} for view in told.pop("views")]
+        del told["lens"], told["widest_rad"]
+        own = {"board": self.board.text, "widest_deg": math.degrees(self.widest_rad), "views": views}
+        return {**self.lens.card(), "calibration": told | own}
 
 
 def calibrate_lens(

@@ -435,7 +435,7 @@ TOGETHER = 12  # neighboring frames of the former calibration that are held out 
 
 
 def former_frames(estimator: Estimator) -> RenderedImages:
-    """Thumbnails that a calibration's guard keeps, those of neighboring presses together."""
+    """Return the thumbnails that a calibration's guard keeps, neighboring presses together."""
     kept = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
     return RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
 

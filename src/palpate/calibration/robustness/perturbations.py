@@ -56,13 +56,13 @@ def perturbed(image: Image, kind: str, size: float, rng: Rng) -> Image:
 
 
 def kinds_for(image: Image) -> tuple[str, ...]:
-    """Names of the kinds that frames like this one can suffer."""
+    """Return the names of the kinds that apply to such frames."""
     binary = is_binary(image)
     return tuple(name for name, kind in KINDS.items() if kind.of_binary in (None, binary))
 
 
 def is_binary(image: Image) -> bool:
-    """True if a frame has two grey levels, as behind a threshold."""
+    """Return whether a frame has two grey levels, as behind a threshold."""
     low, high = int(image.min()), int(image.max())
     return low < high and bool(np.isin(image, (low, high)).all())
 

@@ -144,5 +144,5 @@ def read_evaluations(folder: PathText, card: Card) -> tuple[EvaluationRecord, ..
 
 
 def in_order(found: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
-    """Evaluations, the earliest first."""
+    """Return evaluations, the earliest first."""
     return tuple(sorted(found, key=lambda one: one.created_utc))

@@ -60,7 +60,7 @@ class HeldOutSessions:
 
 
 def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> HeldOutSessions | None:
-    """Sessions that were held out whole and scored; None where fewer than two were."""
+    """Return the sessions that were held out whole and scored; None where fewer than two were."""
     for column in HELD_OUT_WHOLE:
         if column not in split.group_columns or column not in table:
             continue
@@ -75,7 +75,7 @@ def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> Hel
 
 
 def interval_fit(held: HeldOutSessions | None) -> IntervalFit:
-    """Way to make intervals: for new sessions where such were held out."""
+    """Return the interval fit: for new sessions where such were held out."""
     return fit_intervals if held is None else partial(_for_sessions, held)
 
 
@@ -174,7 +174,7 @@ def label_findings(
 
 
 def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
-    """Ratio of a target's variance ``[n]`` that lies between the sessions' means (eta squared)."""
+    """Return the ratio of a target's variance ``[n]`` between the sessions' means (eta squared)."""
     _, of = np.unique(sessions, return_inverse=True)
     means = np.bincount(of, weights=target) / np.bincount(of)
     variance = float(np.var(target))
@@ -182,7 +182,7 @@ def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
 
 
 def unlabeled_runs(run: Run) -> list[Finding]:
-    """A finding on runs whose session is their name, joined with runs that label it."""
+    """Return a finding on runs whose session is their name, joined with runs that label it."""
     runs = run.runs if isinstance(run, JoinedRun) else ()
     bare = [one.path.name for one in runs if SESSION not in one.manifest.labels]
     if not bare or len(bare) == len(runs):
@@ -333,7 +333,7 @@ def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, f
 
 
 def result_sessions(result: CalibrationResult, held: HeldOutSessions | None) -> SessionsCard:
-    """The card's part on sessions of a new calibration."""
+    """Return the card's part on sessions of a new calibration."""
     job, scored, intervals = result.job, result.scored, result.intervals
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)

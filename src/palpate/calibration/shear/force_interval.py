@@ -82,7 +82,7 @@ def _smoothed(values: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
 
 
 def press_folds(press: ndarray, folds: int = FOLDS, seed: int = 0) -> Iterator[Bool[ndarray, " n"]]:
-    """Frames that are held out, fold by fold; a press is held out whole."""
+    """Yield the held-out frames of each fold, presses kept whole."""
     names, which = np.unique(press, return_inverse=True)
     of_press: Int[ndarray, " p"] = np.random.default_rng(seed).permutation(len(names)) % folds
     for fold in range(min(folds, len(names))):

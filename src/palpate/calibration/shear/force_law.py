@@ -103,7 +103,7 @@ class MemoryTrace:
 def follow_memory(
     line: ForceLine, cues: Sequence[TouchCues], time_s: Series, press: ndarray
 ) -> tuple[Rows, Series]:
-    """m_i of each frame [N], and L; frames of one press stand in order of time."""
+    """Return m_i of each frame [N], and L; frames of one press in temporal order."""
     elastic = touched_n(line, cues)
     remembered = np.full((len(cues), len(line.memory_s)), np.nan)
     for one in dict.fromkeys(press.tolist()):
@@ -114,7 +114,7 @@ def follow_memory(
 
 
 def touched_n(line: ForceLine, cues: Sequence[TouchCues]) -> Series:
-    """Elastic force of each frame, 0 without contact [N]."""
+    """Return the elastic force of each frame, 0 without contact [N]."""
     contact = np.array([c.contacts > 0 for c in cues])
     with np.errstate(invalid="ignore"):
         return np.where(contact, np.maximum(line.elastic_n(cues), 0.0), 0.0)

@@ -369,13 +369,13 @@ def calibrate_shear(
 
 
 def usable(samples: LabelledCues) -> Bool[ndarray, " n"]:
-    """Frames from 1 N on with one contact."""
+    """Return the mask of frames from 1 N on with one contact."""
     single = np.array([c.contacts == 1 for c in samples.cues])
     return np.asarray(single & (samples.force_n >= MIN_FORCE_N))
 
 
 def calibration_record(calibration: ShearCalibration) -> dict[str, Any]:
-    """What was fitted, in plain numbers."""
+    """Return the fit in plain numbers."""
     weights, memory = calibration.line.weights, calibration.remembering
     return {
         "calibration": calibration.id,

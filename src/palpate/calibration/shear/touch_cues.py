@@ -97,7 +97,7 @@ def bridged(fields: StrainFields) -> tuple[Float[ndarray, "2 nv nu"], Bool[ndarr
 
 
 def mean_shift(fields: StrainFields) -> float:
-    """Mean length of the samples' shift [unit]."""
+    """Return the mean length of the samples' shift [unit]."""
     shift, counted = bridged(fields)
     return float(np.hypot(*shift)[counted].mean())
 

@@ -71,7 +71,7 @@ class ForceBudget:
 
 
 def stiffer(skin: PatternedSkin, share: float) -> PatternedSkin:
-    """The skin with all moduli higher by a share."""
+    """Return the skin with all moduli higher by a ratio."""
     layers = tuple(
         replace(one, youngs_modulus_pa=one.youngs_modulus_pa * (1 + share)) for one in skin.stack.layers
     )
@@ -114,7 +114,7 @@ def force_budget(
 
 
 def greatest_strain(fields: StrainFields) -> float:
-    """Greatest principal strain of the pattern, stretch or compression."""
+    """Return the greatest principal strain of the pattern, stretch or compression."""
     principal = fields.principal()
     strains = np.abs(np.stack([principal.greatest, principal.least]))
     return float(np.nanmax(strains, initial=0.0))

@@ -127,7 +127,7 @@ Values = dict[str, Any]
 
 
 def findings(report: ReportedCalibration) -> Values | None:
-    """What the audits found, where they found anything: it stands before the numbers."""
+    """Show the findings of failed audits, before the numbers."""
     card = report.card
     told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
     elsewhere = bool(others(report.evaluations))
@@ -143,7 +143,7 @@ def findings(report: ReportedCalibration) -> Values | None:
 
 
 def answers(report: ReportedCalibration) -> Values:
-    """One sentence a target, and on which day it was tested."""
+    """Show one sentence per target, and on which day it was tested."""
     return {
         "answers": [_answer(report, target) for target in report.targets],
         "vectors": report.card.vectors or (),
@@ -197,7 +197,7 @@ def _untested(report: ReportedCalibration) -> bool:
 
 
 def targets(report: ReportedCalibration) -> Values | None:
-    """Figures of each target, with its verdict and the tenths of its range."""
+    """Show figures of each target, with its verdict and the tenths of its range."""
     if not report.targets:
         return None
     return {
@@ -218,13 +218,13 @@ def targets(report: ReportedCalibration) -> Values | None:
 
 
 def classes(report: ReportedCalibration) -> Values | None:
-    """Confusion and sets of each column of classes."""
+    """Show confusion and sets of each class column."""
     told = report.card.classes
     return {"classes": told, "coverage": report.card.coverage} if told else None
 
 
 def surface(report: ReportedCalibration) -> Values | None:
-    """Maps of the error over the skin, where the labels say where it was pressed."""
+    """Show maps of the error over the skin, where labels state the position."""
     where = surface_columns(report.table)
     if where is None or not report.targets:
         return None
@@ -232,7 +232,7 @@ def surface(report: ReportedCalibration) -> Values | None:
 
 
 def scores(report: ReportedCalibration) -> Values | None:
-    """The table of scores."""
+    """Show the table of scores."""
     if not report.targets:
         return None
     few = report.scored_groups < MIN_GROUPS
@@ -241,12 +241,12 @@ def scores(report: ReportedCalibration) -> Values | None:
 
 
 def split(report: ReportedCalibration) -> Values:
-    """How rows were held out."""
+    """Show how rows were held out."""
     return {"split": report.card.split, "reset": report.card.interval_reset}
 
 
 def worst(report: ReportedCalibration) -> Values | None:
-    """Picture, name and estimate of each frame that was missed most."""
+    """Show picture, name, and estimate of each frame with the largest errors."""
     frames = []
     paths = report.folder.glob("worst-*.png")
     for number in sorted(int(path.stem.split("-")[1]) for path in paths):
@@ -277,7 +277,7 @@ def _estimate_text(row: pd.Series, target: TargetCard) -> str:
 
 
 def source(report: ReportedCalibration) -> Values:
-    """Recording, input, model and software."""
+    """Show recording, input, model, and software."""
     example, reference = report.folder / "example.png", report.folder / "reference.png"
     return {
         "card": report.card,
@@ -287,17 +287,17 @@ def source(report: ReportedCalibration) -> Values:
 
 
 def steps(report: ReportedCalibration) -> Values:
-    """Every step from the camera's pixels to a reading; of a card from before they stood on it, derived."""
+    """Show every step from the camera's pixels to a reading."""
     return {"words": steps_of(report.card)}
 
 
 def steps_of(card: Card) -> tuple[str, ...]:
-    """A card's steps in words; of a card from before it said them, those it was made for."""
+    """Return a card's steps in words; for earlier cards, derived."""
     return (card.steps or reading_steps(card)).words
 
 
 def use(report: ReportedCalibration) -> Values:
-    """How to use it, and what it does not promise."""
+    """Show how to use it, and what it does not promise."""
     before = all(target.over_range is None for target in report.card.targets)
     return {"card": report.card, "before": before}
 

@@ -25,7 +25,7 @@ Values = dict[str, Any]
 
 
 def sessions(report: ReportedCalibration) -> Values | None:
-    """Scores of each session that was learnt from, and what few of them promise."""
+    """Show scores of each training session, and what few of them promise."""
     found = report.card.sessions
     if found is None or len(found.names) < 2 or found.column not in report.table:
         return None
@@ -51,7 +51,7 @@ def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Va
 
 
 def evaluations(report: ReportedCalibration) -> Values | None:
-    """Scores on other recordings, target by target, beside the card's own; and files that are not of it."""
+    """Show scores on other recordings next to the card's own, and files that are not of it."""
     if not report.evaluations and not report.refused_evaluations:
         return None
     rows = [
@@ -78,7 +78,7 @@ def _said_of(card: Card, found: EvaluationRecord) -> Values:
 
 
 def audit(report: ReportedCalibration) -> Values | None:
-    """What other than touch tells the labels, beside the model."""
+    """Show what other than touch predicts the labels, next to the model."""
     found = report.card.confounds
     if found is None:
         return None
@@ -88,7 +88,7 @@ def audit(report: ReportedCalibration) -> Values | None:
 
 
 def deciding(report: ReportedCalibration) -> Values | None:
-    """Maps of the pixels that decide each target, over the prepared picture."""
+    """Show maps of the pixels that decide each target."""
     card, folder = report.card, report.folder
     example = folder / "example.png"
     known = card.confounds is not None and card.confounds.map_file == MAP_FILE
@@ -123,7 +123,7 @@ def _stands_out(growth: np.ndarray) -> bool:
 
 
 def robustness(report: ReportedCalibration) -> Values | None:
-    """Error and refusal against each change of the camera."""
+    """Show error and refusal under each camera change."""
     found = report.card.robustness
     if found is None:
         return None
@@ -132,12 +132,12 @@ def robustness(report: ReportedCalibration) -> Values | None:
 
 
 def choice(report: ReportedCalibration) -> Values | None:
-    """What the model tried on inner folds, and what it took."""
+    """Show what the model tried on inner folds, and what it took."""
     return None if report.card.choice is None else {"choice": report.card.choice}
 
 
 def instruments(report: ReportedCalibration) -> Values | None:
-    """What the labels were measured with, and its part of every interval beside the model's."""
+    """Show the instruments of the labels, and their part of every interval."""
     if not any(target.measured_by for target in report.card.targets):
         return None
     rows = [

@@ -69,14 +69,14 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
 
 
 def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
-    """Evaluations on sessions that were not learnt from."""
+    """Return evaluations on sessions that were not trained on."""
     return tuple(one for one in evaluations if one.of_another_session)
 
 
 def fails(
     card: Card, target: TargetCard, ends: Sequence[OuterRange], evaluations: Sequence[EvaluationRecord]
 ) -> bool:
-    """True where a target's intervals hold less than promised: over all rows, in a part, or elsewhere."""
+    """Return whether a target's intervals cover less than promised, over all rows, a part, or elsewhere."""
     scores = [target.score, *(found.targets[target.column] for found in others(evaluations))]
     return (
         any(one.coverage_90_high < card.coverage for one in scores)
@@ -87,7 +87,7 @@ def fails(
 
 
 def found_elsewhere(target: TargetCard, evaluations: Sequence[EvaluationRecord]) -> tuple[str, ...]:
-    """Where a target did not keep its promise on sessions that were not learnt from, a sentence each."""
+    """Return where a target did not keep its promise on other sessions, a sentence each."""
     name = target.quantity.replace("_", " ")
     return tuple(
         f"on {', '.join(one.session)} {sentence.removeprefix(f'{name}: ')}"
