@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from tests.refusals import refused
 
-from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
 from palpate.calibration.classes import ClassAnswers, class_findings, class_labels, class_score
 from palpate.calibration.classes.prediction_sets import (
     fit_thresholds,
