@@ -15,6 +15,8 @@ from palpate.core import ExistsError, ImageError, InputError, LabelError
 from palpate.estimators import Estimator, read_card
 from palpate.recordings import Run, RunWriter
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 TARGETS = ("x_mm", "height_mm")
 FROM_ZERO = np.zeros(2), np.ones(2)
 ORIGINAL_PRESSES = 24

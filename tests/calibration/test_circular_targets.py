@@ -40,7 +40,7 @@ def record_edges(path, count: int, *, seed: int = 0, turn: float = 360.0, shift:
 
 
 PLAN = CalibrationPlan(
-    ("depth_mm", "angle_deg"), split="random", size_px=(24, 24), circular={"angle_deg": None}
+    ("depth_mm", "angle_deg"), "pca-ridge", split="random", size_px=(24, 24), circular={"angle_deg": None}
 )
 
 

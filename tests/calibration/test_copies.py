@@ -51,7 +51,7 @@ def test_copies_that_are_alike_are_said_not_to_be_told(rng) -> None:
 def kept(record_spots_module, tmp_path_factory):
     """A folder with a calibration, adapted to a copy whose lamp is a little darker."""
     folder = tmp_path_factory.mktemp("kept")
-    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "group:press", size_px=(24, 32), delta=True)
     calibrate(record_spots_module("run", 25), plan, folder / "cal")
     adapt(folder / "cal", record_spots_module("few", 20, seed=1, lamp=-0.5), folder / "adapted")
     return folder
@@ -104,7 +104,7 @@ def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewr
         rewritten(run, tmp_path / f"c{k}", lambda row, k=k: {**row, "copy": f"copy {k}", "session": "monday"})
         for k, run in enumerate(runs)
     ]
-    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), size_px=(24, 32)), tmp_path / "cal")
+    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32)), tmp_path / "cal")
     card = read_card(tmp_path / "cal")
     assert card.split.columns == ("copy",)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)

@@ -11,7 +11,7 @@ from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,

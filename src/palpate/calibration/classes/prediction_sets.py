@@ -15,8 +15,11 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.classes.class_labels import SEPARATOR, ClassLabels, HeldOutClasses, known_codes
-from palpate.calibration.coverage.group_quantiles import is_distribution_free, new_group_quantile
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.grouped_rates import (
+    grouped_coverage_interval,
+    is_distribution_free,
+    new_group_quantile,
+)
 from palpate.calibration.coverage.range_scores import MARGIN, chance_of_so_few, failing
 from palpate.core import Bool, Float, Indices, SplitError
 from palpate.estimators.class_sets import (

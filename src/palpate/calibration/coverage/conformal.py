@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.calibration.coverage.group_quantiles import weighted_quantile
-from palpate.calibration.coverage.grouped_rates import group_sizes
+from palpate.calibration.coverage.grouped_rates import group_sizes, weighted_quantile
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.intervals import ErrorSpread, Intervals, design

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from palpate.calibration.coverage.group_quantiles import weighted_quantile
-from palpate.calibration.coverage.grouped_rates import group_sizes
+from palpate.calibration.coverage.grouped_rates import group_sizes, weighted_quantile
 from palpate.core import Float, Int
 from palpate.estimators.intervals import ErrorCells, RangeIntervals, Row
 

@@ -12,10 +12,10 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import betainc
 
-from palpate.calibration.coverage.group_quantiles import is_distribution_free
 from palpate.calibration.coverage.grouped_rates import (
     cautious_correlation,
     effective_rows,
+    is_distribution_free,
     within_group_correlation,
 )
 from palpate.calibration.coverage.range_fit import TENTHS, grouped_quantile

@@ -40,12 +40,12 @@ from palpate.calibration.certificate import (
 )
 from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
 from palpate.calibration.classes.prediction_sets import held_out_classes
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
+    grouped_coverage_interval,
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
 )
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
 from palpate.calibration.robustness.perturbation_suite import (

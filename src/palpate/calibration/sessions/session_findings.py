@@ -14,7 +14,7 @@ import pandas as pd
 from palpate.calibration.calibration_job import HELD_OUT_WHOLE, groups_within
 from palpate.calibration.certificate import CalibrationResult, IntervalFit, run_card
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
+from palpate.calibration.coverage.grouped_rates import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,

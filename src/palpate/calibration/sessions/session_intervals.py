@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import norm, t as student
 
 from palpate.calibration.coverage.conformal import fit_spread, parts_by_group, spread_terms
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
     is_distribution_free,
     new_group_quantile,
     weighted_quantile,
