@@ -310,7 +310,7 @@ FEEDS: dict[str, Feed] = {
     ),
     "session state": Feed(
         text("start.json", '{"sensor": "tactip", "asked": 40}'), "start.json",
-        call("workflows.start_state:read_state"),
+        call("workflows.stored_session:read_state"),
     ),
     "table of judgments": Feed(text("responses.csv", judgements), "responses.csv", judgements_read),
     "table of stimuli": simple(

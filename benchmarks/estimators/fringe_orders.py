@@ -38,7 +38,7 @@ from palpate.mechanics.disc_stress import disc_difference
 from palpate.optics import assumed_camera, electrons, encode_srgb
 from palpate.optics.colour import linear_light
 from palpate.optics.polariscope import linear_retarder, mueller
-from palpate.reports.fringe_map_figure import draw_orders
+from palpate.reports.fringe_figures import draw_orders
 
 SIZE = 480, 640
 WELL, READ_E, LEAK, FULL = 12_000, 8.0, 0.005, 0.9

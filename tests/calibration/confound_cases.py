@@ -1,21 +1,16 @@
 """Recordings with a known confound, and clean ones: each from a seed, as images and a table of labels.
 
-Bases are real TacTip taps and edges where real recordings are given, virtual palm frames where they are
-given, and four kinds drawn here. A base gives rows in random order, whose labels nothing but touch tells.
+A base gives rows in random order, whose labels are predictable by touch alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
-
-import palpate
-from palpate.core import Pose, Probe
 
 
 @dataclass(frozen=True)
@@ -113,42 +108,6 @@ def bursts(rng: np.random.Generator, n: int) -> Case:
 
 
 DRAWN: tuple[Callable[[np.random.Generator, int], Case], ...] = (pins, gel, spread, bursts)
-
-
-def taken(images: np.ndarray, table: pd.DataFrame, name: str, targets: tuple[str, ...]) -> Callable:
-    """A base that draws rows of a recording, in random order."""
-
-    def base(rng: np.random.Generator, n: int) -> Case:
-        rows = rng.permutation(len(images))[:n]
-        return Case(name, images[rows], table.iloc[rows].reset_index(drop=True), targets)
-
-    return base
-
-
-def recorded(folder: Path, name: str, targets: tuple[str, ...], side: int = 240) -> Callable:
-    """A base of real images, scaled by area to a longer side [px]."""
-    table = pd.read_csv(folder / "labels.csv")
-    rows = np.unique(np.linspace(0, len(table) - 1, 600).astype(int))
-    pictures = [
-        cv2.imread(str(folder / "images" / table["image_file"].iloc[i]), cv2.IMREAD_GRAYSCALE) for i in rows
-    ]
-    scale = min(1.0, side / max(pictures[0].shape))
-    small = [cv2.resize(p, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for p in pictures]
-    kept = table.iloc[rows].drop(columns=["image_file", "row"], errors="ignore").reset_index(drop=True)
-    return taken(np.stack(small), kept, name, targets)
-
-
-def virtual_palm(count: int) -> Callable:
-    """A base of rendered frames of the virtual palm, both views in one picture; a second each to render."""
-    sensor, rng = palpate.sensor("palm-small"), np.random.default_rng(0)
-    pictures, labels = [], []
-    for _ in range(count):
-        x, y, depth = *rng.uniform(-6, 6, 2), rng.uniform(0.2, 1.4)
-        contact = sensor.press(Probe("sphere", 5e-3), Pose(1e-3 * x, 1e-3 * y, 1e-3 * depth))
-        frame = sensor.render(contact, rng).image
-        pictures.append(cv2.resize(frame, (240, 135), interpolation=cv2.INTER_AREA))
-        labels.append({"x_mm": x, "y_mm": y, "depth_mm": depth})
-    return taken(np.stack(pictures), pd.DataFrame(labels), "palm", ("depth_mm", "x_mm"))
 
 
 def ordered(case: Case, by: str) -> Case:
@@ -288,43 +247,3 @@ def clean_case(seed: int, bases: tuple[Callable, ...], n: int = 160) -> Case:
     rng = np.random.default_rng([seed, 2])
     case = bases[seed % len(bases)](rng, int(rng.integers(40, 2 * n)))
     return lit(case, DRIFTS[seed // 3 % len(DRIFTS)], rng) if seed % 3 == 2 else case
-
-
-def rim_drifted(case: Case, kind: str, rng: np.random.Generator) -> Case:
-    """Rows in the order of a label, rising or falling, while the picture's outer part alone drifts."""
-    case = ordered(case, case.targets[0])
-    if rng.random() < 0.5:  # the order mirrored
-        case = replace(case, images=case.images[::-1], table=case.table.iloc[::-1].reset_index(drop=True))
-    images = case.images.astype(np.float32)
-    if images.ndim == 3 and kind == "colour of the rim":
-        images = np.repeat(images[..., None], 3, axis=3)
-    n, height, width = images.shape[:3]
-    rows, columns = _grid(height, width)
-    radius = np.hypot(2 * columns / width - 1, 2 * rows / height - 1) / np.sqrt(2)
-    rim = np.clip((radius - 0.6) / 0.3, 0, 1).reshape((height, width) + (1,) * (images.ndim - 3))
-    for i, time in enumerate(np.linspace(0, 1, n)):
-        if kind == "colour of the rim":
-            images[i] += 14 * rim * (np.array([1, 0, -1]) * (time - 0.5) + 0.5)
-        elif kind == "vignetting":
-            images[i] = (images[i] + 10) * (1 - 0.35 * time * rim)
-        elif kind == "moving shadow":
-            angle = 2 * np.pi * time
-            shadow = np.exp(-((columns / width - 0.5 - 0.48 * np.cos(angle)) ** 2) / 0.03)
-            shadow *= np.exp(-((rows / height - 0.5 - 0.48 * np.sin(angle)) ** 2) / 0.03)
-            images[i] = (images[i] + 15) * (1 - 0.4 * rim * shadow.reshape(rim.shape))
-        elif kind == "focus of the rim":
-            soft = cv2.GaussianBlur(images[i], (0, 0), 0.3 + 2.5 * time)
-            images[i] += rim * (soft.reshape(images[i].shape) - images[i])
-        elif kind == "exposure in steps":
-            images[i] = (images[i] + 10 * rim) * (1 + 0.05 * np.floor(5 * time))
-    return replace(case, name=f"{case.name}, {kind} drifts", images=eight_bit(images), wanted=DRIFTING)
-
-
-RIMS = ("colour of the rim", "vignetting", "moving shadow", "focus of the rim", "exposure in steps")
-
-
-def own_case(seed: int, bases: tuple[Callable, ...], n: int = 160) -> Case:
-    """Case `seed` with a rim that drifts: every kind in turn, each on every base."""
-    rng = np.random.default_rng([seed, 3])
-    case = bases[seed // len(RIMS) % len(bases)](rng, n)
-    return rim_drifted(case, RIMS[seed % len(RIMS)], rng)

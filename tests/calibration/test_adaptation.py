@@ -5,27 +5,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 from tests.refusals import refused
-from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.adaptation import adapt, intervals_of_presses
 from palpate.calibration.correction import AS_IT_WAS, Correction, correct
-from palpate.cli import app
 from palpate.core import ExistsError, ImageError, InputError, LabelError
-from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.certified import Zero
-from palpate.estimators.intervals import intervals_of
 from palpate.recordings import Run, RunWriter
-from palpate.recordings.table_files import read_table
-from palpate.reports.certificate_page import write_report
+
+pytestmark = pytest.mark.usefixtures("changes_untried")
 
 TARGETS = ("x_mm", "height_mm")
 FROM_ZERO = np.zeros(2), np.ones(2)
-ORIGINAL_PRESSES = 40
+ORIGINAL_PRESSES = 24
 
 Labels = Mapping[str, object]
 
@@ -42,20 +36,6 @@ def relabelled(run: Run, out: Path, change: Callable[[Labels], Labels], image=la
         for i, row in enumerate(run.labels.to_dict("records")):
             writer.frame(image(run.frame(i).image), labels=change(row) if not row["reference"] else row)
     return Run.open(out)
-
-
-def read(estimator: Estimator, run: Run) -> np.ndarray:
-    """Readings of all presses, less the mean of the untouched frames, not rounded to grey levels."""
-    rest = run.labels["reference"].to_numpy(bool)
-    prepare = estimator.card.input.preparation.apply
-    seen = [prepare(run.frame(int(row)).image) for row in np.flatnonzero(rest)]
-    zero = Zero(np.mean(seen, axis=0).astype(np.float32), None)
-    readings = [estimator.read(run.frame(int(row)), zero) for row in np.flatnonzero(~rest)]
-    return np.array([[reading[column].in_unit("mm").value for column in TARGETS] for reading in readings])
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    return {path.name: sha256_of(path) for path in sorted(folder.iterdir())}
 
 
 @pytest.fixture(scope="module")
@@ -93,14 +73,6 @@ def test_an_affine_copy_is_recovered_to_noise_from_ten_presses(original, record_
     assert (card.split.groups, card.split.rows_scored) == (10, 50)
 
 
-@pytest.mark.slow
-def test_the_same_sensor_is_not_made_worse(original, record_spots, tmp_path) -> None:
-    fresh = record_spots("fresh", 15, seed=2)
-    adapt(original, record_spots("few", 10, seed=1), tmp_path / "adapted")
-    # A correction may be kept by chance; what it then costs is a small part of the error.
-    assert (maes(tmp_path / "adapted", fresh) < 1.1 * maes(original, fresh)).all()
-
-
 def test_the_copys_own_untouched_frames_are_its_zero(original, record_spots, tmp_path) -> None:
     darker = record_spots("few", 10, seed=1, lamp=-15.0)
     adapt(original, darker, tmp_path / "adapted")
@@ -112,66 +84,6 @@ def test_the_copys_own_untouched_frames_are_its_zero(original, record_spots, tmp
     valid = [evaluate(e, fresh)["frames_valid"] for e in (former, estimator)]
     assert valid[0] == 0
     assert valid[1] > 40
-
-
-@pytest.mark.slow
-def test_the_adapted_folder_reads_as_network_and_correction_do(original, record_spots, tmp_path) -> None:
-    run = relabelled(record_spots("few", 16, seed=1), tmp_path / "copy", affine)
-    before = hashes(original)
-    card = adapt(original, run, tmp_path / "adapted")
-    assert hashes(original) == before
-    assert card.id == read_card(tmp_path / "adapted").id
-    former, new = Estimator.open(original), Estimator.open(tmp_path / "adapted")
-    u, v = (read(e, run) for e in (former, new))
-    table = run.labels[~run.labels["reference"].astype(bool)]
-    true, press = table[list(TARGETS)].to_numpy(), np.unique(table["press"], return_inverse=True)[1]
-    spread = intervals_of(read_card(original)).spread
-    expected = correct(u, true, press, Correction.none(spread.centre, spread.scale, u)).correction.at(u)
-    assert np.abs(v - u).max() > 0.3
-    # float32 on both ways, of values to 3 mm.
-    np.testing.assert_allclose(v, expected, atol=1e-4)
-    assert card.agreement < 1e-4
-    model = onnx.load(str(tmp_path / "adapted" / "model.onnx"), load_external_data=False)
-    assert not any(tensor.external_data for tensor in model.graph.initializer)
-    write_report(tmp_path / "adapted", tmp_path / "r.html")
-
-
-@pytest.mark.slow
-def test_an_adapted_calibration_can_be_adapted_again(original, record_spots, tmp_path) -> None:
-    copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
-    again = relabelled(record_spots("more", 12, seed=3), tmp_path / "again", lambda row: affine(affine(row)))
-    first = adapt(original, copy, tmp_path / "first")
-    second = adapt(tmp_path / "first", again, tmp_path / "second")
-    assert second.adapted_from == first.id
-    assert (maes(tmp_path / "second", again) < maes(tmp_path / "first", again) / 2).all()
-
-
-def test_the_range_is_that_of_the_copys_presses(original, record_spots, tmp_path) -> None:
-    run = record_spots("few", 10, seed=1)
-    card = adapt(original, run, tmp_path / "adapted")
-    touched = run.labels[~run.labels["reference"].astype(bool)]
-    assert [t.least for t in card.targets] == [touched[c].min() for c in TARGETS]
-    assert [t.greatest for t in card.targets] == [touched[c].max() for c in TARGETS]
-
-
-def test_a_card_that_was_not_adapted_reads_as_cards_did_before(original, record_spots, tmp_path) -> None:
-    assert "adapted_from" not in (original / "card.json").read_text()
-    assert read_card(original).adapted_from is None
-    card = adapt(original, record_spots("few", 10, seed=1), tmp_path / "adapted")
-    assert f'"adapted_from": "{read_card(original).id}"' in (tmp_path / "adapted" / "card.json").read_text()
-    assert card.adapted_from == read_card(tmp_path / "adapted").adapted_from
-
-
-def test_rows_without_a_press_are_each_their_own(original, record_spots, tmp_path) -> None:
-    run = record_spots("few", 4, seed=1)
-    manifest = run.manifest.model_copy(
-        update={"labels": {k: v for k, v in run.manifest.labels.items() if k != "press"}}
-    )
-    with RunWriter.create(tmp_path / "bare", manifest, overflow="wait") as writer:
-        for i, row in enumerate(run.labels.drop(columns="press").to_dict("records")):
-            writer.frame(run.frame(i).image, labels=row)
-    card = adapt(original, Run.open(tmp_path / "bare"), tmp_path / "adapted")
-    assert (card.split.kind, card.split.groups, card.split.folds) == ("leave-one-out:row", 20, 20)
 
 
 def without(column: str) -> Callable[[Labels], Labels]:
@@ -237,38 +149,21 @@ def pressed(rng: np.random.Generator, presses: int, rows: int = 8) -> tuple[np.n
 def test_intervals_cover_fresh_presses_at_their_rate() -> None:
     rng, rates = np.random.default_rng(0), []
     for presses in (10, 20):
-        for _ in range(12):
+        for _ in range(6):
             true, seen, press = pressed(rng, presses)
             adapted = correct(seen, true, press, Correction.none(*FROM_ZERO, seen))
             intervals = intervals_of_presses(adapted.held_out, true, press, 0.9)
             fresh, fresh_seen, _ = pressed(rng, 50)
             said = adapted.correction.at(fresh_seen)
             rates.append((np.abs(said - fresh) <= intervals.half_widths(said)).mean())
-    # One calibration's rate scatters by 4 %, the mean of 24 by 0.8 %. More than promised is allowed: each
+    # One calibration's rate scatters by 4 %, the mean of 12 by 1.2 %. More than promised is allowed: each
     # press left out takes a tenth or a twentieth of what there is to learn from.
     assert 0.88 < np.mean(rates) < 0.98
 
 
-def test_products_are_used_only_where_there_are_presses_enough_for_them() -> None:
-    rng = np.random.default_rng(1)
-    true = rng.uniform(-1, 1, (80, 3))
-    seen = true + 0.3 * true[:, :1] * true[:, 1:2]
-    kinds = []
-    for presses in (8, 16):
-        press = np.arange(80) % presses
-        kinds.append(
-            {
-                c.terms
-                for c in correct(seen, true, press, Correction.none(np.zeros(3), np.ones(3), seen)).choices
-            }
-        )
-    assert "quadratic" not in kinds[0]
-    assert "quadratic" in kinds[1]
-
-
 def test_noise_alone_is_seldom_corrected_and_then_little() -> None:
     rng, worse, kept = np.random.default_rng(2), [], 0
-    for _ in range(30):
+    for _ in range(12):
         true, press = rng.uniform(-1, 1, (80, 2)), np.repeat(np.arange(10), 8)
         seen = true + rng.normal(0, 0.05, true.shape) + rng.normal(0, 0.05, (10, 2))[press]
         adapted = correct(seen, true, press, Correction.none(*FROM_ZERO, seen))
@@ -278,16 +173,8 @@ def test_noise_alone_is_seldom_corrected_and_then_little() -> None:
         after, before = (np.abs(said - fresh).mean() for said in (adapted.correction.at(noisy), noisy))
         worse.append(after / before - 1)
     # By one standard error of ten presses chance alone passes once in six, less the shrinking.
-    assert kept >= 45
+    assert kept >= 18
     assert np.mean(worse) < 0.02
-
-
-def test_beyond_what_was_met_the_products_stay_and_the_linear_terms_go_on() -> None:
-    met = np.array([[-1.0, -1.0], [1.0, 1.0]])
-    weights = np.zeros((6, 2))
-    weights[1, 0], weights[3, 1] = 0.5, 0.25
-    correction = Correction(*FROM_ZERO, met.min(axis=0), met.max(axis=0), weights)
-    np.testing.assert_allclose(correction.at(np.array([[4.0, 0.0]])), [[6.0, 0.25]])
 
 
 def test_a_press_left_out_has_no_part_in_what_is_said_of_it() -> None:
@@ -300,21 +187,3 @@ def test_a_press_left_out_has_no_part_in_what_is_said_of_it() -> None:
     assert all(choice.terms != AS_IT_WAS for choice in (*first.choices, *again.choices))
     np.testing.assert_allclose(again.held_out[press == 4], first.held_out[press == 4])
     assert np.abs(again.held_out[press != 4] - first.held_out[press != 4]).max() > 1e-4
-
-
-@pytest.mark.slow
-def test_the_verb_prints_errors_before_and_after(original, record_spots, tmp_path) -> None:
-    copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
-    said = CliRunner().invoke(
-        app, ["adapt", str(original), str(copy.path), "--out", str(tmp_path / "adapted"), "--quiet"]
-    )
-    assert said.exit_code == 0, said.output
-    assert "MAE before" in said.output
-    assert AS_IT_WAS not in said.output
-    assert (tmp_path / "adapted" / "report.html").exists()
-    table = read_table(tmp_path / "adapted" / "predictions.csv.gz")
-    assert table["held_out_in_fold"].nunique() == 10
-    refused = CliRunner().invoke(
-        app, ["adapt", str(original), str(copy.path), "--out", str(tmp_path / "adapted")]
-    )
-    assert refused.exit_code == 2

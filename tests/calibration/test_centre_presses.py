@@ -45,6 +45,7 @@ def test_a_centre_press_has_the_frames_forces_and_noise_of_a_rendered_one(presse
 
 
 @pytest.mark.parametrize("name", [name for name in ALTER if name != "late_s"])
+@pytest.mark.cases(2)
 def test_a_nuisance_of_a_press_is_what_the_intervals_take_it_for(pressed, plain, name) -> None:
     """The noise is the same in both. A zero of the force too high by its size is refused: here too low."""
     size = -getattr(SIZES, name)

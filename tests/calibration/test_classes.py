@@ -8,18 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.refusals import refused
-from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
-from palpate.calibration.certificate import read_predictions
-from palpate.calibration.classes import ClassAnswers, ClassLabels, class_findings, class_labels, class_score
+from palpate.calibration.classes import ClassAnswers, class_findings, class_labels, class_score
 from palpate.calibration.classes.prediction_sets import (
     fit_thresholds,
-    held_out_classes,
     members_without_own_group,
 )
-from palpate.cli import app
-from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError, UnitError
+from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError
 from palpate.core.refusal import NONE, ReasonCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.class_sets import class_readings, members_of
@@ -32,10 +28,7 @@ SHARES = (0.72, 0.2, 0.08)
 
 
 def world(rng: np.random.Generator, presses: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Outputs for three classes, the truth, and presses of several rows, which err alike.
-
-    The rare class is told worst, as least squares makes it.
-    """
+    """Outputs for three classes, the truth, and presses of several rows, which err alike."""
     groups = np.repeat(np.arange(presses), rows)
     codes = rng.choice(3, presses, p=SHARES)[groups]
     shared = rng.normal(0, 0.25, (presses, 3))[groups] + rng.normal(0, 0.15, (len(groups), 3))
@@ -83,16 +76,8 @@ def test_sets_hold_each_class_of_new_presses_whose_rows_err_alike() -> None:
     assert np.mean(row_by_row) < 0.885
 
 
-def test_a_press_counts_once_however_many_rows_it_has() -> None:
-    rng = np.random.default_rng(1)
-    outputs, codes, groups = world(rng, 300, 2)
-    first = groups == 0
-    again = (np.repeat(part[first], 40, axis=0) for part in (outputs, codes, groups))
-    longer = [np.concatenate(pair) for pair in zip((outputs, codes, groups), again, strict=True)]
-    assert fit_thresholds(*longer, 0.9) == pytest.approx(fit_thresholds(outputs, codes, groups, 0.9))
-
-
 @pytest.mark.parametrize(("presses", "rank"), [(9, 9), (19, 18), (20, 19), (99, 90)])
+@pytest.mark.cases(2)
 def test_a_threshold_is_the_output_of_the_promised_rank(presses: int, rank: int) -> None:
     """Of outputs 1 - k/100, k = 1, 2 and so on, it is the one of rank ceil(0.9 (n + 1))."""
     scores = np.arange(1, presses + 1) / 100
@@ -106,10 +91,7 @@ def test_a_threshold_is_the_output_of_the_promised_rank(presses: int, rank: int)
 
 
 def test_scored_sets_owe_nothing_to_the_rows_own_press() -> None:
-    """Of ten presses the worst sets the threshold, by rank 10 of 10; the nine others do not hold it.
-
-    They set theirs by rank 9 of 9, the worst, so that they hold each other, the second worst too.
-    """
+    """Of ten presses the worst sets the threshold, by rank 10 of 10; the nine others do not hold it."""
     own = np.r_[0.9 - 0.01 * np.arange(9), -3.0]
     outputs = np.concatenate([np.stack([own, 0 * own], axis=1), np.stack([0 * own, own], axis=1)])
     codes, groups = np.repeat([0, 1], 10), np.arange(20)
@@ -198,54 +180,6 @@ def test_a_reading_is_the_cards_sets_of_the_networks_outputs(blobs) -> None:
         assert readings["x_um"].value == pytest.approx(1000 * outputs[i, 0])
 
 
-def test_predictions_say_what_each_row_was_told_as(blobs) -> None:
-    folder, _ = blobs
-    card = read_card(folder / "cal")
-    table = read_predictions(folder / "cal", card)
-    kind = card.classes[0]
-    truth = np.array(kind.names)[table["kind"].to_numpy(int) - 1]
-    assert (table["estimate:kind"] == truth).mean() == pytest.approx(kind.score.accuracy)
-    held = [name in str(text).split("|") for name, text in zip(truth, table["set:kind"], strict=True)]
-    assert sum(held) == sum(part.covered for part in kind.score.coverage)
-    outputs = table[[f"output:kind={name}" for name in kind.names]].to_numpy()
-    np.testing.assert_array_equal(np.array(kind.names)[outputs.argmax(axis=1)], table["estimate:kind"])
-
-
-@pytest.mark.slow
-def test_classes_alone_make_a_calibration(blobs, tmp_path) -> None:
-    """The label `object` groups rows where nothing else is said; as a class it must not hold itself out."""
-    folder, run = blobs
-    calibrate(
-        run,
-        CalibrationPlan((), model="pca-ridge", size_px=(24, 24), classes={"object": ()}),
-        tmp_path / "cal",
-    )
-    card = read_card(tmp_path / "cal")
-    assert card.targets == ()
-    assert card.split.columns == ("press",)
-    assert card.classes[0].names == ("a", "b", "c")
-    assert card.classes[0].score.accuracy == pytest.approx(
-        read_card(folder / "cal").classes[0].score.accuracy, abs=0.03
-    )
-    assert "classes only" in card.robustness.text
-    found = evaluate(Estimator.open(tmp_path / "cal"), record_blobs(tmp_path / "fresh", 20, seed=2))
-    assert found["frames_read"] == 60
-    assert list(Estimator.open(tmp_path / "cal").read(run.frame(0))) == ["object"]
-
-
-def test_a_class_of_few_presses_is_in_every_set_and_named(blobs, tmp_path) -> None:
-    run = record_blobs(tmp_path / "run", 40, kinds=(0.5, 0.42, 0.08))
-    calibrate(run, PLAN, tmp_path / "cal")
-    kind = read_card(tmp_path / "cal").classes[0]
-    assert kind.groups[2] < 9
-    assert kind.thresholds[2] is None
-    assert min(kind.groups[:2]) >= 9
-    assert None not in kind.thresholds[:2]
-    assert f"large ({kind.groups[2]})" in " ".join(kind.findings)
-    estimator = Estimator.open(tmp_path / "cal")
-    assert all("large" in estimator.read(run.frame(i))["kind"].members for i in range(0, 120, 10))
-
-
 @pytest.mark.parametrize(
     ("outputs", "valid", "code"),
     [
@@ -270,60 +204,18 @@ def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, va
     assert json.loads(json.dumps(reading.to_dict()))["set"] == list(reading.members)
 
 
-def test_a_class_has_no_unit(blobs) -> None:
-    folder, run = blobs
-    reading = Estimator.open(folder / "cal").read(run.frame(0))["kind"]
-    assert reading.column == "kind"
-    assert reading.in_unit("") is reading
-    with refused("unit", UnitError):
-        reading.in_unit("mm")
-
-
-def test_the_baseline_is_the_most_frequent_class_of_all_rows() -> None:
-    """By the rows trained on it would be 0 where a row is held out alone: its class is rarest just then."""
-    codes = np.array([0, 0, 1, 1, 1, 0, 0])
-    labels = (ClassLabels("c", ("0", "1"), ("no", "yes"), codes),)
-    found = held_out_classes(labels, np.eye(2)[codes], np.arange(7), 0.9)
-    assert found.cards[0].most_frequent == "no"
-    assert found.cards[0].score.baseline == 4 / 7
-    assert found.cards[0].score.accuracy == 1.0
-
-
 def plan_of(**changes) -> CalibrationPlan:
     return CalibrationPlan(**({"targets": ("x_mm",), "model": "mean", "split": "group:press"} | changes))
-
-
-def test_a_text_is_called_as_it_is_labelled_and_names_give_the_order() -> None:
-    """Names given to sorted texts would call hard what is labelled soft."""
-    grades = pd.DataFrame({"grade": ["soft", "hard", "medium", "hard"], "level": [0, 2, 1, 2]})
-    names = ("soft", "medium", "hard")
-    for column in ("grade", "level"):
-        (found,) = class_labels(grades, {column: names}, "run")
-        assert np.array(found.names)[found.codes].tolist() == grades["grade"].tolist()
-        assert found.names == names
-    with refused("class-names", LabelError):
-        class_labels(grades, {"grade": ("soft", "middle", "hard")}, "run")
 
 
 @pytest.mark.parametrize(
     "cells",
     [["Soft", "hard", "soft"], ["yes", "1", "no"], ["True ", "true", "false"], ["no", "0", "yes"]],
 )
+@pytest.mark.cases(2)
 def test_one_class_written_in_two_ways_is_refused(cells) -> None:
     with refused("class-spelling", LabelError):
         class_labels(pd.DataFrame({"kind": cells}), {"kind": ()}, "run")
-
-
-def test_numbers_that_floats_cannot_tell_apart_are_no_classes() -> None:
-    with pytest.raises(LabelError, match=r"beyond 2\^53"):
-        class_labels(pd.DataFrame({"kind": [2**53, 2**53 + 2]}), {"kind": ()}, "run")
-
-
-@pytest.mark.slow
-def test_classes_are_no_groups_that_leak(blobs) -> None:
-    folder, run = blobs
-    calibrate(run, plan_of(classes={"object": ()}, split="random"), folder / "random")
-    assert "object" not in read_card(folder / "random").split.audit_text
 
 
 def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
@@ -361,56 +253,6 @@ def test_a_column_is_one_thing_at_once() -> None:
         CalibrationPlan(())
 
 
-def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
-    _, run = blobs
-    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
-    calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
-    with refused("unknown-class", LabelError, "object"):
-        evaluate(Estimator.open(tmp_path / "cal"), run)
-    with refused("has-classes", InputError, "object"):
-        adapt(tmp_path / "cal", run, tmp_path / "adapted")
-
-
-@pytest.mark.slow
-def test_a_model_that_tells_nothing_is_said_to(blobs, tmp_path) -> None:
-    """The mean says the most frequent class always: as many are right as by the baseline."""
-    _, run = blobs
-    calibrate(run, plan_of(classes={"kind": ()}), tmp_path / "cal")
-    (kind,) = read_card(tmp_path / "cal").classes
-    assert kind.score.accuracy == kind.score.baseline
-    assert kind.score.says_nothing
-    assert len(kind.findings) == 1
-
-
-@pytest.mark.slow
-def test_the_verbs_show_classes(blobs, tmp_path) -> None:
-    folder, run = blobs
-    runner = CliRunner()
-    words = ["calibrate", str(run.path), "--model", "pca-ridge", "--size", "24x24", "--split", "group:press"]
-    words += [
-        "--targets",
-        "none",
-        "--classes",
-        "kind=small/middle/large,wide",
-        "--out",
-        str(tmp_path / "cal"),
-    ]
-    said = runner.invoke(app, [*words, "--quiet"])
-    assert said.exit_code == 0, said.output
-    assert "where always saying small gives" in said.output
-    assert "true class" in said.output
-    page = (tmp_path / "cal" / "report.html").read_text()
-    assert "said middle" in page
-    assert "promised in each class" in page
-    sensed = runner.invoke(app, ["read", str(run.path), "--with", str(tmp_path / "cal"), "--json"])
-    first = json.loads(sensed.output.splitlines()[0])["readings"]["kind"]
-    assert set(first) == {"value", "set", "classes", "valid", "why"}
-    scored = runner.invoke(app, ["evaluate", str(folder / "cal"), str(run.path), "--no-keep", "--quiet"])
-    assert "wide: " in scored.output
-    refused = runner.invoke(app, [*words[:-3], "kind=,wide", "--out", str(tmp_path / "no")])
-    assert refused.exit_code != 0
-
-
 def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_alone(blobs) -> None:
     """Of 100 rows 73 are far from 90 %; 84 may be chance where 85 % is allowed."""
     folder, _ = blobs
@@ -429,13 +271,11 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
     assert all(part in one for part in ("large", "73", "100"))
 
 
-def test_a_column_is_not_said_to_be_told_by_one_group() -> None:
-    """54 of 100 rows right, 52 by the most frequent class: one group, or 100 rows, do not tell these."""
-    true = np.arange(100) >= 52
-    right = np.arange(100) % 50 < 27
-    likeliest = np.where(right, true, ~true).astype(int)
-    for groups in (np.zeros(100), np.arange(100)):
-        answers = ClassAnswers(true.astype(int), likeliest, np.ones((100, 2), bool), groups, ~true)
-        score = class_score(answers, 0.9)
-        assert score.accuracy > score.baseline
-        assert score.says_nothing
+def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
+    _, run = blobs
+    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
+    calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
+    with refused("unknown-class", LabelError, "object"):
+        evaluate(Estimator.open(tmp_path / "cal"), run)
+    with refused("has-classes", InputError, "object"):
+        adapt(tmp_path / "cal", run, tmp_path / "adapted")

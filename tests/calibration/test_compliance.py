@@ -5,53 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.virtual_presses import KAPPA_N_M, pressed, references, without_area
+from tests.virtual_presses import KAPPA_N_M, pressed, without_area
 
 from palpate.calibration.compliance.compliance_calibration import (
-    LEVELS_N,
     ComplianceCalibration,
-    ReferenceSpecimen,
     calibrate_compliance,
-    touch_row,
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.core.refusal import ReasonCode
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
-from palpate.workflows.tactip_trials import specimens_at
 
 TRIALS = 3
-
-
-@pytest.fixture(scope="module")
-def spec():
-    return tactip()
-
-
-@pytest.fixture(scope="module")
-def specimens(spec):
-    return specimens_at(spec, KAPPA_N_M)
-
-
-@pytest.fixture(scope="module")
-def given(spec, specimens) -> list[ReferenceSpecimen]:
-    """Three trials of each reference, rendered and followed."""
-    return references(spec, specimens, TRIALS, 7000)
-
-
-@pytest.fixture(scope="module")
-def calibration(given) -> ComplianceCalibration:
-    return calibrate_compliance(given, note="virtual")
 
 
 @pytest.fixture(scope="module")
 def fresh(spec, specimens):
     """Trials of every specimen that the calibration has not seen."""
     return {
-        name: [t.press for t in pressed(spec, specimens[name], TRIALS, 9000 + 100 * i)]
+        name: [t.press for t in pressed(spec, specimens[name], TRIALS, 9000 + 100 * i, rendered=False)]
         for i, name in enumerate(KAPPA_N_M)
     }
 
@@ -81,8 +55,8 @@ def test_a_new_specimens_stiffness_is_found(read) -> None:
 
 
 def test_one_press_is_enough_for_a_reading(calibration, fresh) -> None:
-    for press in fresh["new"]:
-        assert_allclose(read_touch(calibration, [press]).stiffness.value, KAPPA_N_M["new"], rtol=0.15)
+    found = read_touch(calibration, fresh["new"][:1])
+    assert_allclose(found.stiffness.value, KAPPA_N_M["new"], rtol=0.15)
 
 
 def test_a_rigid_plate_has_no_upper_end_and_is_outside_of_the_range(read) -> None:
@@ -102,25 +76,11 @@ def test_contact_areas_come_back(spec, specimens, read) -> None:
 
 
 def test_the_area_of_every_frame_comes_back(given, calibration) -> None:
-    for one in given:
+    for one in given[::3]:
         course = read_touch(calibration, [one.trials[0].press]).course
         inside = course.force_n >= 1
         off = course.area_m2[inside, 0] / one.trials[0].area_m2[inside] - 1
         assert np.median(np.abs(off)) < 0.05
-
-
-def test_the_area_at_4_n_has_the_error_of_areas_there_and_not_of_young_contacts(calibration, fresh) -> None:
-    """The references' areas are told worst while they are small; calibrations of before took that at 4 N."""
-    before = replace(calibration, level=None, nuisances=NONE)
-    now, then = (read_touch(one, fresh["new"]).area for one in (replace(calibration, nuisances=NONE), before))
-    assert now.low < now.value < now.high
-    assert now.high - now.low < then.high - then.low
-    assert_allclose(now.value, then.value, rtol=0.02)
-
-
-def test_softer_specimens_spread_faster(read) -> None:
-    rates = [read[name].spread_rate.value for name in ("S1", "new", "S2", "S3")]
-    assert (np.diff(rates) > 0).all()
 
 
 def test_moduli_come_back_where_the_object_yields_a_fifth(spec, read) -> None:
@@ -139,18 +99,6 @@ def test_a_tip_that_is_no_hertz_body_tells_no_radius(calibration, read) -> None:
     assert calibration.finger.misfit > 0.1
     assert not read["S3"].radius.valid
     assert ReasonCode.NOT_HERTZ in read["S3"].radius.code
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("speed_mm_s", [2.5, 10.0])
-def test_speed_changes_the_reading_little(spec, specimens, calibration, read, speed_mm_s) -> None:
-    """Calibrated at 5 mm/s; the virtual tip has no viscosity, so all that differs is the frames' number."""
-    other = replace(spec, speed_m_s=1e-3 * speed_mm_s)
-    for name in ("S1", "new", "S2", "S3"):
-        presses = [t.press for t in pressed(other, specimens[name], TRIALS, 300)]
-        found = read_touch(calibration, presses)
-        assert_allclose(found.stiffness.value, read[name].stiffness.value, rtol=0.05, err_msg=name)
-        assert found.stiffness.valid, found.stiffness.why
 
 
 def test_another_speed_than_was_calibrated_is_flagged(calibration, fresh) -> None:
@@ -172,14 +120,6 @@ def test_pins_that_moved_against_each_other_are_drift(calibration, fresh, rng) -
         assert "calibrate anew" in one.why
 
 
-def test_a_shift_of_the_whole_image_is_no_drift(calibration, fresh) -> None:
-    (press, *_) = fresh["new"]
-    shifted = replace(press, untouched_px=press.untouched_px + np.array([3.0, -2.0]))
-    there, here = (read_touch(calibration, [one]).stiffness for one in (shifted, press))
-    assert_allclose(there.value, here.value, rtol=1e-6)
-    assert not there.drift.drifted
-
-
 def test_a_motion_like_no_reference_is_flagged(calibration, fresh, rng) -> None:
     (press, *_) = fresh["new"]
     sheared = press.moved_px + (press.force_n / 5)[:, None, None] * rng.standard_normal((127, 2))
@@ -190,7 +130,7 @@ def test_a_motion_like_no_reference_is_flagged(calibration, fresh, rng) -> None:
 
 def test_flaws_of_a_press_make_every_reading_invalid(calibration, fresh) -> None:
     flawed = replace(fresh["new"][0], flaws=("the lamp went out",))
-    for one in read_touch(calibration, [*fresh["new"][1:], flawed]).readings:
+    for one in read_touch(calibration, [fresh["new"][1], flawed]).readings:
         assert not one.valid
         assert ReasonCode.FLAWED_PRESS in one.code
         assert "lamp" in one.why
@@ -206,7 +146,7 @@ def test_a_few_lost_pins_change_little(calibration, fresh) -> None:
 
 
 def test_another_sensor_is_refused(spec, specimens, calibration) -> None:
-    (other,) = pressed(tactip(331), specimens["S1"], 1, 1)
+    (other,) = pressed(tactip(331), specimens["S1"], 1, 1, rendered=False)
     with pytest.raises(InputError, match="calibrate for it"):
         read_touch(calibration, [other.press])
 
@@ -224,8 +164,12 @@ def test_a_press_that_ends_early_is_refused(calibration, fresh) -> None:
         read_touch(calibration, [])
 
 
-def test_without_areas_or_positions_less_is_told_and_the_rest_is_the_same(given, read, fresh) -> None:
-    bare = calibrate_compliance(without_area(given))
+@pytest.fixture(scope="module")
+def bare(given) -> ComplianceCalibration:
+    return calibrate_compliance(without_area(given))
+
+
+def test_without_areas_or_positions_less_is_told_and_the_rest_is_the_same(bare, given, read, fresh) -> None:
     assert (bare.motions, bare.area, bare.ring, bare.finger) == (None, None, None, None)
     found = read_touch(bare, fresh["new"])
     assert (found.area, found.spread_rate, found.modulus, found.radius, found.course) == (None,) * 5
@@ -255,8 +199,8 @@ def test_two_references_tell_something_and_say_that_what_is_between_is_not_known
     assert_allclose(found.stiffness.value, KAPPA_N_M["S2"], rtol=0.7)
 
 
-def test_an_inclined_calibration_tells_no_modulus(given, fresh) -> None:
-    found = read_touch(calibrate_compliance(given, tilt_rad=0.5), fresh["S3"])
+def test_an_inclined_calibration_tells_no_modulus(calibration, fresh) -> None:
+    found = read_touch(replace(calibration, tilt_rad=0.5), fresh["S3"][:1])
     assert not found.modulus.valid
     assert "inclined" in found.modulus.why
 
@@ -276,17 +220,14 @@ def test_a_saved_calibration_is_the_same_and_reads_the_same(calibration, fresh, 
     assert found.stiffness.calibration == calibration.id
 
 
-def test_a_calibration_without_areas_is_saved_too(given, tmp_path) -> None:
-    bare = calibrate_compliance(without_area(given[:2]))
+def test_a_calibration_without_areas_is_saved_too(bare, tmp_path) -> None:
     bare.save(tmp_path / "bare.npz")
     again = ComplianceCalibration.load(tmp_path / "bare.npz")
     assert again.id == bare.id
     assert again.area is None
-    assert np.isnan(again.touch.between)
 
 
-def test_the_id_is_of_the_contents(given, calibration) -> None:
-    assert calibrate_compliance(given, note="virtual").id == calibration.id
+def test_the_id_is_of_the_contents(calibration) -> None:
     assert replace(calibration, note="another").id != calibration.id
 
 
@@ -327,21 +268,3 @@ def test_what_is_no_calibration_is_refused(calibration, tmp_path, kind) -> None:
 def test_a_file_that_is_not_there_is_said_to_be(tmp_path) -> None:
     with pytest.raises(StorageError):
         ComplianceCalibration.load(tmp_path / "none.npz")
-
-
-def test_what_cannot_calibrate_is_refused(spec, specimens, given) -> None:
-    with pytest.raises(InputError, match="no reference has a trial"):
-        calibrate_compliance([])
-    with pytest.raises(InputError, match="two or more references"):
-        calibrate_compliance(given[:1])
-    with pytest.raises(InputError, match="2 trials or more"):
-        calibrate_compliance([given[0], replace(given[1], trials=given[1].trials[:1])])
-    other = ReferenceSpecimen("other", 2e3, pressed(tactip(331), specimens["S2"], 2, 1))
-    with pytest.raises(InputError, match="calibrate for it"):
-        calibrate_compliance([*given, other])
-
-
-def test_a_row_holds_every_level_and_pin(calibration, fresh) -> None:
-    row = touch_row(fresh["S1"][0], calibration.layout_px, LEVELS_N)
-    assert row.shape == (len(LEVELS_N) * 127 * 2,)
-    assert np.isfinite(row).all()

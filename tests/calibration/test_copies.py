@@ -14,8 +14,6 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import check_files
 from palpate.estimators.guard import CopyDiscriminator
 
-SHAPE = (12, 16, 1)
-
 
 def touches(count: int, rng: np.random.Generator, pattern: float = 0.0) -> np.ndarray:
     """Thumbnails of spots at random places, on a copy with a faint pattern of its own."""
@@ -49,31 +47,11 @@ def test_copies_that_are_alike_are_said_not_to_be_told(rng) -> None:
     assert not found.useful
 
 
-def test_presses_of_one_kind_are_not_taken_for_another_copy(rng) -> None:
-    # This sensor's own frames, of its left half alone: the former's that are like them are no others.
-    whole = touches(3000, rng)
-    left = whole[whole[:, 6, 3, 0] > 110][:60]
-    found = tell_apart(left, np.arange(len(left)), touches(600, rng), np.arange(600) // 12)
-    assert not found.useful
-
-
-def test_an_axis_of_another_size_or_no_archive_is_refused(tmp_path) -> None:
-    judge = CopyDiscriminator(np.arange(4.0), 0.5, 0.25)
-    judge.save(tmp_path / "copy.npz")
-    back = CopyDiscriminator.load(tmp_path / "copy.npz", 4)
-    assert (back.axis.tolist(), back.offset, back.limit) == (judge.axis.tolist(), 0.5, 0.25)
-    with refused("file-misfit", CertificateError):
-        CopyDiscriminator.load(tmp_path / "copy.npz", 5)
-    (tmp_path / "copy.npz").write_bytes(b"no archive")
-    with refused("file-damaged", CertificateError):
-        CopyDiscriminator.load(tmp_path / "copy.npz", 4)
-
-
 @pytest.fixture(scope="module")
 def kept(record_spots_module, tmp_path_factory):
     """A folder with a calibration, adapted to a copy whose lamp is a little darker."""
     folder = tmp_path_factory.mktemp("kept")
-    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "group:press", size_px=(24, 32), delta=True)
     calibrate(record_spots_module("run", 25), plan, folder / "cal")
     adapt(folder / "cal", record_spots_module("few", 20, seed=1, lamp=-0.5), folder / "adapted")
     return folder
@@ -126,8 +104,18 @@ def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewr
         rewritten(run, tmp_path / f"c{k}", lambda row, k=k: {**row, "copy": f"copy {k}", "session": "monday"})
         for k, run in enumerate(runs)
     ]
-    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), size_px=(24, 32)), tmp_path / "cal")
+    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32)), tmp_path / "cal")
     card = read_card(tmp_path / "cal")
     assert card.split.columns == ("copy",)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
+
+
+def test_an_axis_of_another_size_or_no_archive_is_refused(tmp_path) -> None:
+    CopyDiscriminator(np.arange(4.0), 0.5, 0.25).save(tmp_path / "copy.npz")
+    assert CopyDiscriminator.load(tmp_path / "copy.npz", 4).axis.tolist() == [0, 1, 2, 3]
+    with refused("file-misfit", CertificateError):
+        CopyDiscriminator.load(tmp_path / "copy.npz", 5)
+    (tmp_path / "copy.npz").write_bytes(b"no archive")
+    with refused("file-damaged", CertificateError):
+        CopyDiscriminator.load(tmp_path / "copy.npz", 4)

@@ -8,10 +8,10 @@ from sklearn import metrics
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
-from palpate.calibration.coverage.counted_groups import counted_groups, counted_text, held_out_groups
+from palpate.calibration.coverage.counted_groups import held_out_groups
 from palpate.calibration.coverage.grouped_rates import coverage_interval
 from palpate.calibration.evaluation import learnt_frames, same_session, score, shifted_labels
-from palpate.calibration.learnt_frames import repeated_presses, shares_of_copies
+from palpate.calibration.learnt_frames import repeated_presses
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator
@@ -41,21 +41,6 @@ def test_each_number_of_a_score_is_that_of_its_name() -> None:
     assert found.half_width == pytest.approx(half.mean())
 
 
-def test_labels_without_variance_have_no_share_explained() -> None:
-    found = score("mm", np.full(5, 2.0), np.full(5, 2.5), np.ones(5), 2.0, np.arange(5))
-    assert (found.r2, found.mae, found.bias, found.coverage_90) == (0.0, 0.5, 0.5, 1.0)
-
-
-@pytest.mark.parametrize("small", [1e-3, 1e-6])
-def test_the_share_explained_has_no_unit(small: float) -> None:
-    """In metres as in millimetres."""
-    true, predicted = np.array([1.0, 2.0, 3.0]), np.array([1.1, 2.0, 2.8])
-    half, groups = np.ones(3), np.arange(3)
-    whole = score("mm", true, predicted, half, 2.0, groups).r2
-    scaled = score("m", small * true, small * predicted, small * half, small * 2.0, groups).r2
-    assert scaled == pytest.approx(whole)
-
-
 def test_a_network_that_gives_no_number_is_not_scored_on_the_others(
     record_spots, tmp_path, monkeypatch
 ) -> None:
@@ -80,6 +65,7 @@ def card_of(kind: str, columns: tuple[str, ...] = (), block_rows: int | None = N
 
 @pytest.mark.parametrize("spec", ["blocks:20", "blocks:7", "blocks"])
 @pytest.mark.parametrize("folds_scored", [5, 2])
+@pytest.mark.cases(2)
 def test_held_out_blocks_are_found_again_from_the_predictions(spec, folds_scored) -> None:
     """Those that the split made, of two sessions in rows of any order."""
     sessions = np.repeat(["a", "b"], [187, 213])
@@ -92,19 +78,6 @@ def test_held_out_blocks_are_found_again_from_the_predictions(spec, folds_scored
     assert by == "held-out block"
     pairs = set(zip(groups.tolist(), np.array(parts.groups)[table["row"]].tolist(), strict=True))
     assert len(pairs) == len(set(groups.tolist())) == len(np.unique(np.array(parts.groups)[rows]))
-
-
-def test_a_split_that_names_no_group_counts_presses_where_rows_name_them() -> None:
-    """Press 3 of one session is not press 3 of another; rows count by themselves where nothing is named."""
-    table = pd.DataFrame({"session": ["a"] * 8 + ["b"] * 4, "press": [1, 1, 2, 2, 3, 3, 4, 4, 1, 1, 2, 2]})
-    for card in (card_of("blocks:20"), card_of("random"), card_of("group:location", ("location",))):
-        groups, by = counted_groups(card, table)
-        assert groups.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
-        assert by == "press"
-        groups, by = counted_groups(card, table[["session"]])
-        assert counted_text(len(np.unique(groups)), by).startswith("12 rows")
-    groups, by = counted_groups(card_of("session", ("session",)), table)
-    assert (len(np.unique(groups)), by) == (2, "session")
 
 
 def _compressed(image):
@@ -127,40 +100,6 @@ def test_frames_learnt_from_are_no_other_day_under_another_name(
         with pytest.raises(InputError, match="learnt from"):
             use(folder, copied, tmp_path / "made")
     assert same_session(estimator, record_spots("other", 16, seed=1)) == ""
-
-
-def test_presses_between_known_ones_are_no_copies_of_them() -> None:
-    """Along one line of likenesses another day's frames lie between known ones, most of them not on one."""
-    rng = np.random.default_rng(0)
-    line, kept, fresh = rng.normal(size=256), np.sort(rng.uniform(0, 200, 80)), rng.uniform(0, 200, 400)
-    equal, near = shares_of_copies(np.outer(fresh, line), np.outer(kept, line))
-    assert equal < 0.05
-    assert near < 0.6
-    assert shares_of_copies(np.outer(kept, line), np.outer(kept, line)) == (1.0, 1.0)
-    dark = np.zeros((30, 256))
-    assert shares_of_copies(dark, dark) == (0.0, 0.0)  # a sensor that shows nothing tells no copy
-
-
-def test_a_run_with_some_frames_that_were_learnt_from_is_no_other_day_and_says_how_many(
-    calibrate_spots, record_spots, rewritten, tmp_path
-) -> None:
-    """Of 80 touches six are learnt ones, of another run's id, hash and session: 7.5 %."""
-    run, folder = calibrate_spots(
-        tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
-    )
-    estimator, other = Estimator.open(folder), record_spots("other", 16, seed=1)
-    place = iter(range(len(other)))
-
-    def mixed(image):
-        row = next(place)
-        return run.frame(row).image if row in range(1, 37, 6) else image
-
-    taken = rewritten(other, tmp_path / "mixed", image=mixed)
-    found = evaluate(estimator, taken)
-    assert found["learnt_frames"] == {"compared": 80, "equal": 6, "presses": 0, "repeated": 0}
-    assert found["same_session"] in day_text(found)
-    assert learnt_frames(estimator, other).equal == 0
-    assert evaluate(estimator, run)["learnt_frames"]["equal"] == 80
 
 
 def test_the_same_presses_simulated_again_are_no_other_day(
@@ -229,6 +168,7 @@ def test_labels_outside_what_was_calibrated_are_no_failed_day(
 
 
 @pytest.mark.parametrize("lag", [-2, 3])
+@pytest.mark.cases(1)
 def test_labels_shifted_against_their_images_are_told(calibrate_spots, tmp_path, lag) -> None:
     _, folder = calibrate_spots(
         tmp_path / "cal", 16, targets=("x_mm",), model="mean", split="group:press", size_px=(24, 32)
@@ -240,3 +180,8 @@ def test_labels_shifted_against_their_images_are_told(calibrate_spots, tmp_path,
     assert f"row i {'+' if lag > 0 else '-'} {abs(lag)} " in said
     for estimate in (label[:, 0] + rng.normal(0, 0.2, 100), rng.uniform(-2, 2, 100), np.zeros(100)):
         assert shifted_labels(card, label, pd.DataFrame({"estimate:x_mm": estimate})) == []
+
+
+def test_labels_without_variance_have_no_share_explained() -> None:
+    found = score("mm", np.full(5, 2.0), np.full(5, 2.5), np.ones(5), 2.0, np.arange(5))
+    assert (found.r2, found.mae, found.bias, found.coverage_90) == (0.0, 0.5, 0.5, 1.0)

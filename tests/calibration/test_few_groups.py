@@ -19,7 +19,7 @@ def world(rng: np.random.Generator, groups: int, growth: float):
     return estimate[:, None], true[:, None], group
 
 
-def rates(groups: int, growth: float, seeds: int = 40) -> np.ndarray:
+def rates(groups: int, growth: float, seeds: int = 20) -> np.ndarray:
     """Share held of all new rows, of those in the lowest and in the highest third; and of what was scored."""
     found = []
     for seed in range(seeds):
@@ -43,7 +43,7 @@ def test_forty_groups_hold_new_rows_at_their_rate_in_each_part_of_the_range(grow
 
 def test_one_width_is_taken_where_errors_do_not_follow_and_a_following_one_where_they_do() -> None:
     def follows(growth: float) -> float:
-        worlds = (world(np.random.default_rng(seed), 40, growth) for seed in range(40))
+        worlds = (world(np.random.default_rng(seed), 40, growth) for seed in range(20))
         return float(np.mean([spread_terms(p, np.abs(t - p), g)[0] > 1 for p, t, g in worlds]))
 
     assert follows(0.0) < 0.15
@@ -53,7 +53,7 @@ def test_one_width_is_taken_where_errors_do_not_follow_and_a_following_one_where
 def test_of_several_targets_the_errors_that_grow_are_followed_by_fewer_terms_where_all_are_too_many() -> None:
     """A quadratic of three has ten terms, too many for thirty groups; one width held 0.8 of the top third."""
     high = []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
 
         def drawn(groups: int, rng=rng):

@@ -1,18 +1,17 @@
 """A calibration: predictions held out by group, resumable, and nothing half-written."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.refusals import refused
+from tests.slow_params import mostly_slow
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate, fitting
 from palpate.calibration.calibration_job import find_untouched
 from palpate.calibration.fitting import representative_fold
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.networks.model_interface import refuse_unfit
 from palpate.estimators.networks.pca_ridge import MeanBaseline
 from palpate.recordings import Split, pack, split
 from palpate.recordings.preparation import Preparation
@@ -21,11 +20,20 @@ from palpate.recordings.table_files import read_table
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
 TWO = ("x_mm", "height_mm")
-PLAN = CalibrationPlan(targets=("x_mm", "height_mm"), split="group:press", size_px=(24, 32))
+PLAN = CalibrationPlan(TWO, "pca-ridge", split="group:press", size_px=(24, 32))
 
 
 def left_over(tmp_path) -> list[str]:
     return sorted(p.name for p in tmp_path.iterdir() if p.name != "run")
+
+
+def interrupt(run, plan, out, fold: int = 3) -> None:
+    def stop(what: str, done: int, total: int) -> None:
+        if what.startswith(f"fold {fold}"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, out, stop)
 
 
 def test_a_calibration_recovers_the_truth_inside_its_intervals(record_spots, tmp_path) -> None:
@@ -66,15 +74,7 @@ def test_an_interrupted_calibration_goes_on_to_the_same_result(record_spots, tmp
     run = record_spots("run", 12)
     calibrate(run, PLAN, tmp_path / "whole")
 
-    class Interrupted(Exception):
-        pass
-
-    def stop(what: str, done: int, total: int) -> None:
-        if what.startswith("fold 4"):
-            raise Interrupted
-
-    with pytest.raises(Interrupted):
-        calibrate(run, PLAN, tmp_path / "cal", stop)
+    interrupt(run, PLAN, tmp_path / "cal", fold=4)
     assert not (tmp_path / "cal").exists()
     kept = tmp_path / ".cal.work"
     before = {path.name: path.stat().st_mtime_ns for path in kept.glob("fold-*.npy")}
@@ -85,15 +85,6 @@ def test_an_interrupted_calibration_goes_on_to_the_same_result(record_spots, tmp
     assert first == again
 
 
-def interrupt(run, plan, out, fold: int = 3) -> None:
-    def stop(what: str, done: int, total: int) -> None:
-        if what.startswith(f"fold {fold}"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        calibrate(run, plan, out, stop)
-
-
 def fitted_folds(run, plan, out) -> list[str]:
     """Which folds a calibration computes, by its progress."""
     seen: dict[str, None] = {}
@@ -101,7 +92,7 @@ def fitted_folds(run, plan, out) -> list[str]:
     return [what for what in seen if what.startswith("fold")]
 
 
-RIDGE = CalibrationPlan(("x_mm", "height_mm"), model="pca-ridge", split="group:press", size_px=(12, 16))
+RIDGE = CalibrationPlan(TWO, "pca-ridge", split="group:press", size_px=(12, 16))
 
 DAMAGES = {
     "another shape": lambda path: np.save(path, np.zeros((1, 2))),
@@ -113,7 +104,7 @@ DAMAGES = {
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("damage", mostly_slow(list(DAMAGES), lambda i: i in (1, 4)))
 def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(
     damage, record_spots, tmp_path
 ) -> None:
@@ -133,6 +124,7 @@ def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(
 
 
 @pytest.mark.parametrize("note", [b"\xff\xfe", b"", b'{"run": '])
+@pytest.mark.cases(1)
 def test_work_whose_note_is_damaged_begins_anew(note, record_spots, tmp_path) -> None:
     run = record_spots("run", 10)
     interrupt(run, RIDGE, tmp_path / "cal")
@@ -171,13 +163,6 @@ def test_a_model_that_predicts_no_number_is_refused_by_its_fold(record_spots, tm
         calibrate(record_spots("run", 10), plan, tmp_path / "cal")
 
 
-def test_estimates_of_another_shape_are_not_spread_over_rows() -> None:
-    refuse_unfit(np.zeros((3, 2)), (3, 2), "m")
-    for shape in ((1, 2), (3, 1)):
-        with pytest.raises(InputError, match="3 of"):
-            refuse_unfit(np.zeros(shape), (3, 2), "m")
-
-
 def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(
     record_spots, tmp_path, monkeypatch
 ) -> None:
@@ -200,12 +185,7 @@ def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(
 def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> None:
     run = record_spots("run", 12)
 
-    def stop(what: str, done: int, total: int) -> None:
-        if what.startswith("fold 2"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        calibrate(run, PLAN, tmp_path / "cal", stop)
+    interrupt(run, PLAN, tmp_path / "cal", fold=2)
     other = CalibrationPlan(targets=("x_mm",), split="group:press", size_px=(24, 32))
     with refused("other-work", ExistsError):
         calibrate(run, other, tmp_path / "cal")
@@ -222,16 +202,11 @@ def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
     ("plan", "error", "code"),
     [
         (CalibrationPlan(("depth_mm",)), LabelError, "label"),
-        (CalibrationPlan(("flat_mm",)), LabelError, "label"),
         (CalibrationPlan(("x_mm",), split="group:nothing"), SplitError, "split"),
         (CalibrationPlan(("x_mm",), split="group:press", folds=50), SplitError, "few-groups"),
-        (CalibrationPlan(("x_mm",), folds=11), SplitError, "few-groups"),
         (CalibrationPlan(TWO, vectors={"p q": TWO}), InputError, "vector-name"),
-        (CalibrationPlan(TWO, vectors={"p/q": TWO}), InputError, "vector-name"),
-        (CalibrationPlan(TWO, vectors={"_mm": TWO}), InputError, "vector-name"),
         (CalibrationPlan(TWO, vectors={"flat": TWO}), InputError, "name-taken"),
         (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "label"),
-        (CalibrationPlan(("x_mm",), reference=ReferenceRule("press", "none")), LabelError, "label"),
     ],
 )
 def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
@@ -241,12 +216,6 @@ def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
     with refused(code, error):
         calibrate(run, plan, tmp_path / "cal")
     assert left_over(tmp_path) == []
-
-
-@pytest.mark.parametrize(("folds", "made"), [(None, 4), (4, 4), (2, 2)])
-def test_folds_are_as_many_as_asked_and_by_default_as_the_groups_allow(folds, made, record_spots) -> None:
-    parts = fitting._split_rows(record_spots("run", 4), CalibrationPlan(("x_mm",), folds=folds))
-    assert len(parts.folds) == made
 
 
 @pytest.mark.parametrize(
@@ -259,7 +228,6 @@ def test_folds_are_as_many_as_asked_and_by_default_as_the_groups_allow(folds, ma
         ({"coverage": 1.0}, "plan-range"),
         ({"model": "resnet"}, "unknown-name"),
         ({"split": "by-hand"}, "split"),
-        ({"split": "group:"}, "split"),
         ({"folds": 1}, "plan-range"),
         ({"scored_folds": 0}, "plan-range"),
         ({"seed": -1}, "plan-range"),
@@ -272,14 +240,9 @@ def test_a_plan_without_sense_is_refused(fields, code) -> None:
         CalibrationPlan(**{"targets": ("x_mm",), **fields})
 
 
-def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
-    with refused("few-frames", InputError):
-        calibrate(record_spots("run", 1), PLAN, tmp_path / "cal")
-
-
 def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp_path) -> None:
-    plan = CalibrationPlan(("x_mm", "height_mm"), split="group:press", size_px=(24, 32), delta=True)
-    calibrate(record_spots("run", 40), plan, tmp_path / "cal")
+    plan = replace(PLAN, delta=True)
+    calibrate(record_spots("run", 30), plan, tmp_path / "cal")
     brighter = record_spots("brighter", 20, seed=2, lamp=12.0)
     score = evaluate(Estimator.open(tmp_path / "cal"), brighter)["targets"]["height_mm"]
     assert score["mae"] < score["mean_mae"] / 4
@@ -296,14 +259,6 @@ def test_each_group_may_have_its_own_reference(record_spots, tmp_path) -> None:
         np.testing.assert_array_equal(untouched.images[untouched.groups[row]], first)
 
 
-def test_a_difference_needs_a_reference(record_spots, tmp_path) -> None:
-    run = record_spots("run", 10)
-    packed = pack(run, tmp_path / "packed", Preparation(None, (24, 32), 1))
-    packed.table = packed.table.drop(columns="reference")
-    with pytest.raises(LabelError, match="--reference COLUMN=VALUE"):
-        find_untouched(packed, CalibrationPlan(("x_mm",), delta=True))
-
-
 def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
     run = record_spots("run", 12)
     calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "random")
@@ -313,19 +268,9 @@ def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
     assert read_card(tmp_path / "grouped").split.clean
 
 
-def test_the_card_is_json_that_anyone_can_read(record_spots, tmp_path) -> None:
-    calibrate(record_spots("run", 12), PLAN, tmp_path / "cal")
-    card = json.loads((tmp_path / "cal" / "card.json").read_text())
-    assert card["targets"][0]["column"] == "x_mm"
-    assert card["targets"][0]["unit"] == "mm"
-    assert card["split"]["kind"] == "group:press"
-    assert card["agreement"] < 1e-4
-    assert len(card["run"]["hash"]) == 64
-
-
 def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path) -> None:
     run = record_spots("run", 20)
-    plan = CalibrationPlan(("x_mm",), split="group:press", size_px=(24, 32), scored_folds=1)
+    plan = replace(PLAN, targets=("x_mm",), scored_folds=1)
     split_card = read_card(calibrate(run, plan, tmp_path / "cal")).split
     assert (split_card.rows_scored, split_card.rows_learnt) == (20, 80)
     table = read_table(tmp_path / "cal" / "predictions.csv.gz")
@@ -336,33 +281,19 @@ def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path
     assert found["x_mm"].in_unit("mm").value == pytest.approx(table["estimate:x_mm"][0], rel=1e-3, abs=1e-4)
 
 
-def test_the_card_says_in_how_many_steps_a_network_has_learnt(record_spots, tmp_path) -> None:
-    run, given = record_spots("run", 20), {"split": "group:press", "size_px": (12, 16), "scored_folds": 1}
-    plan = CalibrationPlan(("x_mm",), "pixel-mlp", options={"epochs": 3, "batch": 16, "patience": 9}, **given)
-    training = read_card(calibrate(run, plan, tmp_path / "mlp")).training
-    assert training is not None
-    # Of 80 rows learnt from, those of 2 in 16 presses are watched: 5 batches a pass.
-    assert (training.steps, training.epochs, training.batch, training.stopped) == (15, 3, 16, False)
-    assert training.best_step in (5, 10, 15)
-    assert training.sentence.startswith("15 steps")
-    card = read_card(calibrate(run, CalibrationPlan(("x_mm",), "pca-ridge", **given), tmp_path / "ridge"))
-    assert card.training is None
-
-
 def test_models_of_other_targets_are_scored_on_the_same_rows_where_the_fold_is_chosen_by_the_same_labels(
     record_spots, tmp_path
 ) -> None:
     run = record_spots("run", 20)
     scored = {}
-    for fold_by in ((), ("x_mm", "height_mm")):
-        for target in ("x_mm", "height_mm"):
+    for fold_by in ((), TWO):
+        for target in TWO:
             plan = CalibrationPlan(
-                (target,), "pca-ridge", "group:press", size_px=(24, 32), scored_folds=1, fold_by=fold_by
+                (target,), "mean", "group:press", size_px=(12, 16), scored_folds=1, fold_by=fold_by
             )
             out = calibrate(run, plan, tmp_path / f"{target}-{len(fold_by)}")
             scored[fold_by, target] = set(read_table(out / "predictions.csv.gz")["press"])
-    both = ("x_mm", "height_mm")
-    assert scored[both, "x_mm"] == scored[both, "height_mm"]
+    assert scored[TWO, "x_mm"] == scored[TWO, "height_mm"]
     assert scored[(), "x_mm"] != scored[(), "height_mm"]  # else this run could not tell
 
 
@@ -378,3 +309,8 @@ def test_the_plan_s_name_of_before_still_works_and_says_the_new_one() -> None:
     with pytest.warns(DeprecationWarning, match="CalibrationPlan"):
         assert palpate.Plan is CalibrationPlan
     assert "Plan" not in palpate.__all__
+
+
+def test_too_few_frames_are_refused(record_spots, tmp_path) -> None:
+    with refused("few-frames", InputError):
+        calibrate(record_spots("run", 1), PLAN, tmp_path / "cal")

@@ -7,16 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.core import Reading
-from palpate.estimators import Estimator
 from palpate.estimators.intervals import vector_reading
 from palpate.estimators.joint_reach import joint_reach
 from palpate.estimators.model_card import InstrumentCard
 from palpate.estimators.reference_uncertainty import reference_half_width
-from palpate.recordings.reference_instruments import ReferenceInstrument
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
@@ -79,6 +76,7 @@ def test_a_joint_region_holds_the_truth_whose_instrument_is_uncertain(k, ratio, 
 
 
 @pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.cases(1)
 def test_the_reach_of_one_quantity_would_not_hold_several(k) -> None:
     """The negative control: u told smaller, so that the region holds 1.645 u of each."""
     assert covered(k, 3 * MODEL, normal, joint_reach(1, 0.9) / joint_reach(k, 0.9)) < 0.8
@@ -90,25 +88,3 @@ def test_several_quantities_reach_farther_than_one_as_balls_of_normal_errors_do(
         inside = np.linalg.norm(drawn[:, :k], axis=1) <= joint_reach(k, 0.9)
         assert inside.mean() == pytest.approx(0.9, abs=0.003)
     assert joint_reach(1, 0.9) == pytest.approx(reference_half_width(1.0, 0.9), rel=1e-9)
-
-
-@pytest.mark.slow
-def test_joint_regions_are_scored_by_labels_without_the_instrument(record_spots, tmp_path) -> None:
-    """Two vectors share a target, so that one's region is not mistaken for the other's."""
-    run, fresh = record_spots("run", 20), record_spots("fresh", 10, seed=1)
-    plan = {
-        "targets": ("x_mm", "height_mm"),
-        "split": "group:press",
-        "size_px": (24, 32),
-        "model": "pca-ridge",
-        "vectors": {"place": ("x_mm", "height_mm"), "turned": ("height_mm", "x_mm")},
-    }
-    stated = {name: ReferenceInstrument(instrument="a", standard_uncertainty=5.0) for name in plan["targets"]}
-    calibrate(run, CalibrationPlan(**plan), tmp_path / "bare")
-    calibrate(run, CalibrationPlan(**plan, instruments=stated), tmp_path / "traced")
-    bare, traced = (Estimator.open(tmp_path / name) for name in ("bare", "traced"))
-    before, after = (evaluate(one, fresh) for one in (bare, traced))
-    assert after["vectors"] == before["vectors"]
-    assert 0.5 < before["vectors"]["place_mm"]["covered"] < 1
-    wide, narrow = (one.read(fresh.frame(1))["place_mm"].region.half_widths for one in (traced, bare))
-    np.testing.assert_allclose(wide, np.hypot(narrow, joint_reach(2, 0.9) * 5.0), rtol=1e-9)

@@ -6,16 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.sessions import keep_evaluation, reset_intervals
 from palpate.calibration.sessions.evaluation_record import read_evaluation
-from palpate.cli import app
-from palpate.cli.calibrate.calibrate_verbs import _scores_text
-from palpate.core import LabelError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.card_ground import card_id
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.joined_runs import joined
 from palpate.recordings.reference_instruments import ReferenceInstrument
@@ -71,61 +66,14 @@ def test_a_new_run_s_instrument_goes_before_the_former_which_stands_where_none_i
     assert re.match(r"x_mm: ±0\.82 mm of its labels' instrument \(laser B\)", line)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("words", [(), ("--intervals-only",)])
-def test_a_file_of_instruments_goes_before_the_run_s_and_the_former_one_when_adapting(
-    words, former, record_spots, tmp_path
-) -> None:
-    stated, file = stating(record_spots("stated", 12, seed=2), OTHER), tmp_path / "labels.toml"
-    file.write_text('[x_mm]\ninstrument = "fine C"\nstandard_uncertainty = 0.01\n')
-    asked = ["adapt", former, stated.path, *words, "--quiet", "--instruments"]
-    found = CliRunner().invoke(app, [*map(str, asked), str(file), "--out", str(tmp_path / "own")])
-    assert found.exit_code == 0, found.output
-    assert named(read_card(tmp_path / "own")) == [("fine C", 0.01)]
-    file.write_text('[force_N]\ninstrument = "none such"\n')
-    found = CliRunner().invoke(app, [*map(str, asked), str(file), "--out", str(tmp_path / "no")])
-    assert found.exit_code == 2
-    assert "instruments are given for force_N, and the label columns are" in " ".join(found.output.split())
-    assert not (tmp_path / "no").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("take_over", [adapt, reset_intervals])
-def test_runs_partly_measured_are_adapted_to_once_an_instrument_is_stated_for_all(
-    take_over, record_spots, tmp_path
-) -> None:
-    calibrate(record_spots("run", 20), CalibrationPlan(**PLAN), tmp_path / "cal")
-    parts = [record_spots("a", 12, seed=1), stating(record_spots("b", 12, seed=2), OTHER)]
-    both = joined(parts)
-    with pytest.raises(LabelError, match="x_mm: a states no instrument"):
-        take_over(tmp_path / "cal", both, tmp_path / "own")
-    if take_over is adapt:  # intervals are set for one session alone
-        take_over(tmp_path / "cal", both, tmp_path / "own", instruments=FINE)
-        assert named(read_card(tmp_path / "own")) == [("fine C", 0.01)]
-
-
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@pytest.mark.cases(1)
 def test_joined_runs_have_the_least_certain_instrument_in_whichever_order(order, record_spots) -> None:
     runs = [stating(record_spots("a", 3), FINE), stating(record_spots("b", 3, seed=1), OTHER)]
     found = joined([runs[k] for k in order]).manifest.instruments["x_mm"]
     assert found.standard_uncertainty == 0.5
     assert found.instrument.startswith("laser B, the least certain of ")
     assert "fine C" in found.instrument
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_runs_of_which_some_state_no_instrument_are_refused_until_one_is_stated_for_all(
-    order, record_spots, tmp_path
-) -> None:
-    runs = [record_spots("a", 8), stating(record_spots("b", 8, seed=1), OTHER)]
-    both = joined([runs[k] for k in order])
-    with pytest.raises(LabelError, match=r"x_mm: a states no instrument .* \[x_mm\] in --instruments FILE"):
-        calibrate(both, CalibrationPlan(**PLAN), tmp_path / "cal")
-    assert not (tmp_path / "cal").exists()
-    calibrate(both, CalibrationPlan(**PLAN, instruments=FORMER), tmp_path / "cal")
-    assert named(read_card(tmp_path / "cal")) == [("stage A", 0.2)]
-    calibrate(both, CalibrationPlan(**PLAN | {"targets": ("height_mm",)}), tmp_path / "other")
 
 
 def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_nothing(
@@ -151,30 +99,6 @@ def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_noth
         "half_width": pytest.approx(rows["bare"]["targets"]["x_mm"]["half_width"])
     }
     said = rows["traced"]["instruments"]["x_mm"]
-    assert said.startswith("x: scored without the ±8.2 mm of ruler, while the labels are by an instrument")
-    assert said.endswith("100.0 % of rows lay within their intervals")
-    printed = _scores_text(rows["traced"], estimator.card, fresh.manifest)
-    assert said in printed
-    assert "95 % intervals count 6 groups of press" in printed
     assert kept_instruments(tmp_path / "traced", rows["traced"]) == {"x_mm": said}
     assert "are by laser B" in evaluate(estimator, stating(fresh, OTHER))["instruments"]["x_mm"]
     assert evaluate(estimator, stating(fresh, wide))["instruments"] == {}
-
-
-def test_a_card_of_an_instrument_that_names_the_former_rule_is_told_as_it_is_read(
-    record_spots, tmp_path
-) -> None:
-    run, told = record_spots("run", 16), {}
-    for name, instruments in (("bare", {}), ("traced", FORMER)):
-        calibrate(run, CalibrationPlan(**PLAN, instruments=instruments), tmp_path / name)
-        card = read_card(tmp_path / name)
-        assert card.steps.rule == {"bare": "palpate-steps/1", "traced": "palpate-steps/2"}[name]
-        former = card.steps.model_copy(update={"rule": "palpate-steps/1", "words": ("as it was",)})
-        before = card.model_copy(update={"steps": former})
-        sealed = before.model_copy(update={"id": card_id(before.model_dump(mode="json"))})
-        (tmp_path / name / "card.json").write_text(sealed.model_dump_json())
-        found = CliRunner().invoke(app, ["report", str(tmp_path / name), "--steps"])
-        assert found.exit_code == 0, found.output
-        told[name] = found.output
-    assert told["bare"] == "1. as it was\n"
-    assert "rule of its length is for this interval" in told["traced"]

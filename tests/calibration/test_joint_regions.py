@@ -34,13 +34,9 @@ def inside(card, intervals, estimate, true) -> np.ndarray:
 
 
 def test_all_components_at_once_are_covered_at_the_stated_rate() -> None:
-    """Single intervals of the same rate are the negative control: all at once they cover less.
-
-    800 rows of 200 groups set the radius: the rate scatters by 2 % from one calibration to another, the mean
-    of twenty by 0.5 %.
-    """
+    """Single intervals of the same rate are the negative control: all at once they cover less."""
     joint, single = [], []
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         data = world(rng, 800)
         intervals = fit_intervals(*data, 0.9)
@@ -65,13 +61,6 @@ def test_the_region_follows_errors_that_go_together() -> None:
     radius = np.quantile(mahalanobis(scaled, alone), 0.9)
     volume = card.radius**3 * np.sqrt(np.linalg.det(moments))
     assert volume < 0.5 * radius**3 * np.sqrt(np.linalg.det(alone))
-
-
-def test_distances_are_those_of_the_unit_ball_after_whitening() -> None:
-    moments = np.array([[4.0, 0.0], [0.0, 9.0]])
-    np.testing.assert_allclose(
-        mahalanobis(np.array([[2.0, 0.0], [0.0, 3.0], [2.0, 3.0]]), moments), [1, 1, 2**0.5]
-    )
 
 
 @pytest.mark.slow

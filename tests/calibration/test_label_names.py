@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
+from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.evaluation import predictions
 from palpate.core import LabelError, ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
-from palpate.recordings.label_tables import with_own
 from palpate.recordings.table_files import read_table
 from palpate.reports import write_report
 
@@ -52,6 +50,7 @@ def recorded(path, names=NAMES, frames: int = 24) -> Run:
 
 @pytest.mark.parametrize("split", ["auto", "group:row", "group:frame", "group:fold", "leave-one-out:index"])
 @pytest.mark.cases(3)
+@pytest.mark.cases(1)
 def test_every_label_s_name_goes_through_a_calibration_and_keeps_its_values(split, tmp_path) -> None:
     run = recorded(tmp_path / "run")
     plan = CalibrationPlan(("x_mm",), model="mean", split=split, size_px=(12, 16), folds=3)
@@ -72,42 +71,9 @@ def test_every_label_s_name_goes_through_a_calibration_and_keeps_its_values(spli
     assert evaluate(estimator, run)["frames_valid"] == told["own:valid"].sum()
 
 
-def test_a_target_may_be_called_as_a_column_of_the_code_s(tmp_path) -> None:
-    run = recorded(tmp_path / "run")
-    calibrate(
-        run, CalibrationPlan(("time_s",), model="mean", split="random", size_px=(12, 16)), tmp_path / "cal"
-    )
-    assert "time_s" in Estimator.open(tmp_path / "cal").read(run.frame(1).image)
-
-
-def test_without_such_labels_the_short_names_stay(tmp_path) -> None:
-    run = recorded(tmp_path / "run", names=("press",))
-    calibrate(run, CalibrationPlan(("x_mm",), model="mean", size_px=(12, 16), folds=3), tmp_path / "cal")
-    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
-    for name in ("row", "frame", "held_out_in_fold"):
-        np.testing.assert_array_equal(table[name], table[f"own:{name}"])
-
-
-def test_a_calibration_with_such_labels_is_adapted(tmp_path) -> None:
-    plan = CalibrationPlan(("x_mm",), split="group:row", size_px=(12, 16), folds=3)
-    calibrate(recorded(tmp_path / "run", frames=48), plan, tmp_path / "cal")
-    card = adapt(tmp_path / "cal", recorded(tmp_path / "other", frames=52), tmp_path / "adapted")
-    assert card.adapted_from is not None
-
-
 @pytest.mark.parametrize("name", ["own:row", "estimate:x_mm", "half_width:x_mm", "frame:name"])
 def test_a_label_that_begins_as_the_code_s_own_is_refused_before_anything_is_packed(name, tmp_path) -> None:
     run = recorded(tmp_path / "run", names=(name,))
     with pytest.raises(LabelError, match="rename it"):
         calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "cal")
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-def test_own_columns_take_no_label_s_place() -> None:
-    table = with_own(pd.DataFrame({"row": ["a", "b"]}), {"row": [3, 5], "why": ["", ""]})
-    assert table.to_dict("list") == {
-        "row": ["a", "b"],
-        "own:row": [3, 5],
-        "own:why": ["", ""],
-        "why": ["", ""],
-    }

@@ -33,12 +33,3 @@ def test_presses_without_one_latency_are_not_taken_off(tmp_path) -> None:
 def test_a_latency_is_a_finite_time() -> None:
     with pytest.raises(RangeError, match="finite"):
         CameraLatency(float("nan"), 0.0)
-
-
-def test_one_press_and_one_speed_are_said() -> None:
-    flags = latency_record({"a": PRESS}, {})["flags"]
-    assert "whether presses agree" in flags[0]
-    assert "creep" in flags[1]
-    two = latency_record({"a": PRESS, "b": replace(PRESS, rate_n_s=9.0)}, {})
-    assert two["flags"] == []
-    assert two["speeds"]["same_p"] == pytest.approx(1.0)

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.calibration.compliance.press_cues import cues_of
-from palpate.calibration.compliance.specimen_comparison import cue_tests, trials_table
+from palpate.calibration.compliance.specimen_comparison import cue_tests
 from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import tactip
@@ -37,13 +37,6 @@ def test_cues_without_a_calibration_are_relative_ones(cues) -> None:
     assert cues.trial.area_m2.shape == cues.trial.press.force_n.shape
 
 
-def test_colour_frames_of_a_press_are_read_as_their_grey_ones(cues) -> None:
-    made = record_press(tactip(), "S1=7.6", seed=3)
-    colour = cues_of([np.stack([one] * 3, axis=-1) for one in made.frames()], press_table_of(made))
-    assert_allclose(colour.trial.press.moved_px, cues.trial.press.moved_px)
-    assert_allclose(colour.reported.divergence, cues.reported.divergence)
-
-
 def test_force_over_position_is_the_stiffness_of_all_that_yields(rng) -> None:
     depth = np.linspace(-1e-3, 3e-3, 400)
     force = 2e3 * np.maximum(depth, 0)
@@ -53,30 +46,6 @@ def test_force_over_position_is_the_stiffness_of_all_that_yields(rng) -> None:
     line = series_line(table)
     assert_allclose(line.slope, 2e3, rtol=1e-3)
     assert line.adjusted_r2 > 0.999
-
-
-def test_a_table_has_a_row_a_trial(cues) -> None:
-    table = trials_table({"S1": [cues, cues], "S2": [cues]}, None)
-    assert list(table["specimen"]) == ["S1", "S1", "S2"]
-    assert list(table["trial"]) == [1, 2, 1]
-
-
-def test_cues_are_tested_where_two_specimens_have_them() -> None:
-    table = pd.DataFrame(
-        {
-            "specimen": ["a"] * 3 + ["b"] * 3,
-            "trial": [1, 2, 3] * 2,
-            "told": [1.0, 1.1, 1.2, 2.0, 2.1, 2.2],
-            "once": [1.0, 1.1, 1.2, 2.0, np.nan, np.nan],
-            "same": [1.0] * 6,
-            "frames": [9.0, 10.0, 11.0, 19.0, 20.0, 21.0],
-        }
-    )
-    found = cue_tests(table)
-    assert set(found) == {"told"}  # frames are no cue, and what is alike cannot be tested
-    assert_allclose(found["told"]["mean"]["a"], 1.1)
-    low, high = found["told"]["interval_95"]["a"]
-    assert_allclose([low, high], [1.1 - 4.303 * 0.1 / 3**0.5, 1.1 + 4.303 * 0.1 / 3**0.5], rtol=1e-4)
 
 
 def test_p_values_are_corrected_for_all_cues_and_for_all_their_pairs(rng) -> None:

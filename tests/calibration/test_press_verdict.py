@@ -5,34 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.virtual_presses import KAPPA_N_M, ideal, references
+from tests.virtual_presses import ideal
 
-from palpate.calibration.compliance.compliance_calibration import calibrate_compliance, rate_by_areas
-from palpate.calibration.compliance.compliance_reading import contained, read_touch
+from palpate.calibration.compliance.compliance_calibration import rate_by_areas
+from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.pin_press import Seat, fit_seat
+from palpate.estimators.compliance.pin_press import fit_seat
 from palpate.estimators.compliance.rate_calibration import fit_rate
-from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_trials import record_press, specimens_at
+from palpate.workflows.tactip_trials import record_press
 
 ALWAYS = "radius"  # of a tip that is no Hertz body: valid in no press
 SEED = 70_000
-
-
-@pytest.fixture(scope="module")
-def spec():
-    return tactip()
-
-
-@pytest.fixture(scope="module")
-def specimens(spec):
-    return specimens_at(spec, KAPPA_N_M)
-
-
-@pytest.fixture(scope="module")
-def calibration(spec, specimens):
-    return calibrate_compliance(references(spec, specimens, 4, 7000, rendered=False))
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +96,7 @@ def test_a_fault_of_one_trial_is_one_of_all(calibration, made, spec, specimens) 
 
 
 @pytest.mark.parametrize("name", ["force_bias_n", "force_gain", "late_s", "lever", "frame_yield_m_n"])
+@pytest.mark.cases(2)
 def test_an_interval_contains_a_nuisance_of_its_size(calibration, made, name) -> None:
     """Alone, the nuisance makes the interval as wide as its own change asks, beside the press's own."""
     alone = replace(NONE, **{name: getattr(Nuisances(), name)})
@@ -150,15 +135,6 @@ def test_sizes_are_named_with_units_and_refused_where_they_mean_nothing() -> Non
         Nuisances.named(["lever=-1"])
 
 
-def test_changes_of_one_standard_deviation_add_in_squares(calibration, made) -> None:
-    """On a logarithmic scale: an own half-width of 3 and changes of 4 / 1.645 in all make one of 5."""
-    area = read_touch(calibration, [as_made(made)]).area
-    own = replace(area, value=1.0, low=float(np.exp(-0.03)), high=float(np.exp(0.03)))
-    changes = [float(np.exp(0.04 / 1.645 * share)) for share in (0.6, -0.8)]
-    low, high = contained(own, changes, (lambda x: -float(np.log(x)), lambda y: float(np.exp(-y))))
-    assert_allclose([np.log(low), np.log(high)], [-0.05, 0.05])
-
-
 def test_a_seat_is_told_in_standard_deviations_between_its_references() -> None:
     trials = [np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 0.0]]) + shift for shift in (0.0, 4.0)]
     seat = fit_seat(np.array([0.8, 0.2]), trials)
@@ -180,9 +156,9 @@ def test_a_rate_is_taken_at_even_forces_however_frames_crowd() -> None:
 
 
 def test_intervals_of_rates_hold_new_rates_as_often_as_they_say(rng) -> None:
-    """Rates that are off by a bent law and scatter by 3 %: held in 90 % of 800."""
+    """Rates that are off by a bent law and scatter by 3 %: held in 90 % of 400."""
     held = tight = 0
-    for _ in range(800):
+    for _ in range(400):
         true = np.repeat([80.0, 90.0, 100.0, 110.0], 2)
         found = true**1.2 * np.exp(0.03 * rng.standard_normal(8))
         fit = fit_rate(list(found), list(true), [0, 0, 1, 1, 2, 2, 3, 3])
@@ -190,39 +166,5 @@ def test_intervals_of_rates_hold_new_rates_as_often_as_they_say(rng) -> None:
         value, low, high = fit.of(np.array([new**1.2 * np.exp(0.03 * rng.standard_normal())]))
         held += low <= new <= high
         tight += abs(np.log(new / value)) < 1.645 * np.std(np.log(found) / 1.2 - np.log(true)) / np.sqrt(2)
-    assert 0.88 < held / 800 < 0.97
-    assert tight / 800 < 0.85  # by the error of a mean of two
-
-
-def test_intervals_of_rates_are_narrow_where_references_scatter_little(rng) -> None:
-    """Five trials each of four references that scatter by 0.5 to 3 %: held at either end as often as said."""
-    known, scatter = np.array([80.0, 90.0, 100.0, 110.0]), np.array([0.005, 0.01, 0.02, 0.03])
-    held, pooled = np.zeros((2, 400), bool), np.zeros((2, 400), bool)
-    for i in range(400):
-        true = np.repeat(known, 5)
-        found = true * np.exp(np.repeat(scatter, 5) * rng.standard_normal(20))
-        fit = fit_rate(list(found), list(true), np.repeat(range(4), 5).tolist())
-        off = np.log(true) - np.polyval(fit.coefficients[::-1], (np.log(found) - fit.middle) / fit.scale)
-        even = replace(fit, growth=0.0, spread=float(np.sqrt(np.sum(off**2) / (fit.freedom + 1))))
-        for end, at in enumerate((0, -1)):
-            new = known[at] * np.exp(scatter[at] * rng.standard_normal())
-            for one, inside in ((fit, held), (even, pooled)):
-                _, low, high = one.of(np.array([new]))
-                inside[end, i] = low <= known[at] <= high
-    assert held[1].mean() > 0.86 > pooled[1].mean()  # one scatter for all is too narrow here
-    assert 0.9 < held[0].mean() < pooled[0].mean()
-
-
-def test_rates_of_two_references_calibrate_none() -> None:
-    with pytest.raises(InputError, match="six of three are needed"):
-        fit_rate([1.0, 1.0, 2.0, 2.0, 2.0], [1.0, 1.0, 2.0, 2.0, 2.0], [0, 0, 1, 1, 1])
-
-
-def test_a_nuisance_that_moves_all_pins_makes_no_press_off_centre_by_its_standard_size() -> None:
-    """On an inclined top all pins move far along one axis: there it counts with the seat, across not."""
-    seat = Seat(np.array([0.0, 1.0]), np.array([[-15.0, 0.0], [-16.0, 0.0]]), 0.05)
-    at, gained = np.array([-15.5 + 0.3, 0.0]), np.array([-15.5 + 0.6, 0.0])
-    assert seat.off(at, 0.5) == pytest.approx(0.3 / 0.05)
-    assert seat.off(at, 0.5, [gained]) == pytest.approx(0.3 / np.hypot(0.05, 0.3))
-    across = np.array([-15.5, 0.3])
-    assert seat.off(across, 0.5, [across + np.array([0.3, 0.0])]) == pytest.approx(0.3 / 0.05)
+    assert 0.88 < held / 400 < 0.97
+    assert tight / 400 < 0.85  # by the error of a mean of two

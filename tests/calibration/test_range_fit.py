@@ -8,9 +8,14 @@ from scipy.stats import binom, norm
 
 from palpate.calibration.certificate import interval_fields
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals, pooled_quantile
-from palpate.calibration.coverage.range_fit import cell_limits, grouped_quantile
-from palpate.calibration.coverage.range_limits import range_cards, usual_reach
-from palpate.calibration.coverage.range_scores import chance_of_so_few, failing, range_scores, range_sentences
+from palpate.calibration.coverage.range_fit import grouped_quantile
+from palpate.calibration.coverage.range_scores import (
+    chance_of_so_few,
+    failing,
+    range_cards,
+    range_scores,
+    usual_reach,
+)
 from palpate.estimators.intervals import ErrorCells, Intervals, intervals_of
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
 
@@ -23,10 +28,7 @@ SCORE = ScoreCard(
 def drawn_to_the_middle(
     rng: np.random.Generator, n: int, per: int, share: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Estimates, truths from 0 to 10, and groups: errors skewed, growing with the truth, alike in a group.
-
-    The estimate keeps a share of the distance from the middle, as one does that the image tells little of.
-    """
+    """Estimates, truths from 0 to 10, and groups: errors skewed, growing with the truth, alike in a group."""
     groups, true = np.repeat(np.arange(n // per), per), rng.uniform(0, 10, (n, 1))
     noise = rng.standard_normal((n, 1))
     if per > 1:
@@ -41,12 +43,9 @@ def rates(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("n", "per", "share"), [(2000, 1, 0.8), (700, 7, 0.8), (2000, 1, 0.05)])
+@pytest.mark.cases(1)
 def test_every_tenth_of_truths_and_of_estimates_is_covered_at_the_stated_rate(n, per, share) -> None:
-    """One width for all is the negative control: it fails at an end by more than 8 %.
-
-    A tenth's rate scatters by sqrt(0.09 / 25) = 6 % or less from one calibration to another, the mean of
-    twelve by 1.7 %.
-    """
+    """One width for all is the negative control: it fails at an end by more than 8 %."""
     new, old = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -59,40 +58,6 @@ def test_every_tenth_of_truths_and_of_estimates_is_covered_at_the_stated_rate(n,
     assert np.mean(old, axis=0).min() < 0.82
     assert np.mean(new, axis=0).min() > 0.9 - 2 * 0.017
     assert np.mean(new) < 0.97
-
-
-def test_where_one_width_covers_every_tenth_it_stays() -> None:
-    rng = np.random.default_rng(3)
-    true = rng.uniform(0, 10, (4000, 1))
-    noisy = true + 0.2 * rng.standard_normal((4000, 1))
-    intervals = fit_intervals(noisy, true, np.arange(4000), 0.9)
-    low, high = intervals.ends(noisy)
-    half = intervals.half_widths(noisy)
-    widened = (high - low) / (2 * half) - 1
-    # By chance half of twenty cells cover a little less than 90 %, and are given as much as that needs.
-    assert widened.min() >= -1e-12
-    assert widened.mean() < 0.1
-
-
-def test_too_few_groups_keep_one_width() -> None:
-    estimate, true, _ = drawn_to_the_middle(np.random.default_rng(4), 1000, 1, 0.4)
-    few = np.arange(1000) % 24
-    intervals = fit_intervals(estimate, true, few, 0.9)
-    assert intervals.by_range == (None,)
-    low, high = intervals.ends(estimate)
-    np.testing.assert_array_equal(high, estimate + intervals.half_widths(estimate))
-    np.testing.assert_array_equal(low, estimate - intervals.half_widths(estimate))
-
-
-def test_cells_hold_groups_and_rows_enough() -> None:
-    rng = np.random.default_rng(5)
-    values, groups = rng.normal(0, 1, 900) ** 3, np.repeat(np.arange(90), 10)
-    limits = cell_limits(values, groups, float(values.min()), float(values.max()))
-    cells = np.searchsorted(limits, values, side="right")
-    assert len(limits) >= 1
-    for cell in range(len(limits) + 1):
-        assert (cells == cell).sum() >= 60
-        assert len(np.unique(groups[cells == cell])) >= 25
 
 
 def test_truths_that_cells_keep_are_those_found_by_trying_each() -> None:
@@ -110,16 +75,6 @@ def test_truths_that_cells_keep_are_those_found_by_trying_each() -> None:
             assert low[k] > high[k] or high[k] - low[k] < 2e-3
 
 
-def test_groups_of_one_row_give_the_conformal_rank_and_larger_ones_raise_it() -> None:
-    scores = np.arange(1.0, 101.0)
-    for n in range(9, 100):
-        each = scores[:n]
-        assert grouped_quantile(each, np.arange(n), 0.9) == conformal_quantile(each, 0.9)
-    # 100 rows of 20 groups: rank 100 · 0.9 · 21/20 = 94.5; of 5 groups every row, and more would be needed.
-    assert grouped_quantile(scores, np.repeat(np.arange(20), 5), 0.9) == 95
-    assert grouped_quantile(scores, np.repeat(np.arange(5), 20), 0.9) == 100
-
-
 def test_each_press_counts_once_however_many_rows_it_has() -> None:
     """One press of 400 rows that errs ten times as much sets no quantile of thirty presses."""
     rng = np.random.default_rng(0)
@@ -132,11 +87,9 @@ def test_each_press_counts_once_however_many_rows_it_has() -> None:
 
 @pytest.mark.parametrize("rows", [(4, 60), (60, 4)])
 @pytest.mark.parametrize("count", [15, 60])
+@pytest.mark.cases(1)
 def test_intervals_hold_in_a_new_press_where_presses_that_err_more_have_other_sizes(count, rows) -> None:
-    """Rows pooled, the negative control, hold 77 % where presses that err more are short, 97 % where long.
-
-    A calibration's rate scatters by sqrt(0.09 / 15) = 8 % or less, the mean of 300 by 0.4 %.
-    """
+    """Rows pooled, the negative control, hold 77 % where presses that err more are short, 97 % where long."""
     rng, new, old = np.random.default_rng(7), [], []
     for _ in range(300):
         bad = rng.random(count) < 0.2
@@ -169,18 +122,6 @@ def test_a_card_gives_the_same_intervals_again() -> None:
         np.testing.assert_array_equal(was, now)
 
 
-def test_a_card_of_before_says_nothing_of_its_range_and_keeps_its_text() -> None:
-    data = drawn_to_the_middle(np.random.default_rng(6), 2000, 1, 0.6)
-    text = card_of(fit_intervals(*data, 0.9), *data).model_copy(update={"over_range": None}).model_dump()
-    assert "over_range" not in text
-    assert "circular" not in text
-    before = TargetCard(**text)
-    plain = intervals_of(Card.model_construct(targets=(before,), coverage=0.9))
-    low, high = plain.ends(data[0])
-    np.testing.assert_array_equal(high, data[0] + plain.half_widths(data[0]))
-    np.testing.assert_array_equal(low, data[0] - plain.half_widths(data[0]))
-
-
 def test_few_hits_are_as_probable_as_the_binomial_says_and_groups_count_once() -> None:
     inside = np.arange(40) < 30
     assert chance_of_so_few(inside, np.arange(40), 0.85) == pytest.approx(binom.cdf(30, 40, 0.85))
@@ -201,18 +142,8 @@ def test_holm_names_the_tenths_that_fail_and_no_others() -> None:
     assert failing([tenth(0.02), tenth(0.2), tenth(0.5), tenth(0.9)]) == ()
 
 
-def test_tenths_that_keep_the_rate_are_seldom_named() -> None:
-    """Of 300 targets whose every tenth covers 85 % no more than 5 % are named, give or take 2.5 %."""
-    rng, named = np.random.default_rng(8), 0
-    for _ in range(300):
-        true, groups = rng.uniform(0, 1, 400), np.repeat(np.arange(100), 4)
-        alike = rng.uniform(size=100)[groups] < 0.85
-        inside = np.where(rng.uniform(size=400) < 0.5, alike, rng.uniform(size=400) < 0.85)
-        named += bool(failing(range_scores(true, true * 0, inside, groups, (0.0, 1.0), 0.9)))
-    assert named / 300 < 0.05 + 0.025
-
-
 @pytest.mark.parametrize(("count", "per", "correlation"), [(15, 100, 0.1), (40, 50, 0.1), (20, 30, 0.2)])
+@pytest.mark.cases(1)
 def test_tenths_of_few_presses_that_keep_the_rate_are_seldom_named(count, per, correlation) -> None:
     """A tenth has two to four presses: their own scatter as the design effect names up to 20 % of targets."""
     rng, own, named = np.random.default_rng(count), (1 - correlation) / correlation, 0
@@ -224,43 +155,11 @@ def test_tenths_of_few_presses_that_keep_the_rate_are_seldom_named(count, per, c
     assert named / 300 <= 0.06
 
 
-def test_a_tenth_that_covers_half_is_named_where_presses_tell_it() -> None:
-    rng, named = np.random.default_rng(3), 0
-    for _ in range(100):
-        true, groups = np.repeat(rng.uniform(0, 1, 100), 20), np.repeat(np.arange(100), 20)
-        rates = np.repeat(rng.beta(9 * 0.9, 9 * 0.1, 100), 20)
-        inside = rng.uniform(size=2000) < np.where(true > 0.9, 0.5, rates)
-        found = failing(range_scores(true, true * 0, inside, groups, (0.0, 1.0), 0.9))
-        named += [part.start for part in found] == [pytest.approx(0.9)]
-    assert named >= 90
-
-
-def test_a_sentence_says_where_how_far_and_how_often() -> None:
-    low, high = tenth(1e-5), tenth(1e-6, start=9.0, bias=2.0)
-    middle = tenth(1e-4, start=4.0)
-    assert range_sentences((low, middle, high), "N", 0.9) == (
-        "below 1 N it reads 3 N low; 14 of 20 covered where 90 % was promised",
-        "from 4 to 5 N it reads 3 N low; 14 of 20 covered where 90 % was promised",
-        "above 9 N it reads 2 N high; 14 of 20 covered where 90 % was promised",
-    )
-    assert range_sentences((tenth(0.5), tenth(0.6)), "N", 0.9) == ()
-
-
-def test_tenths_hold_every_row_once_also_beyond_the_range() -> None:
-    true = np.array([-1.0, 0.0, 0.95, 1.0, 1.05, 9.99, 10.0, 11.0])
-    parts = range_scores(true, -true, true > 1, np.arange(8), (0.0, 10.0), 0.9)
-    assert [(part.start, part.n, part.covered) for part in parts] == [(0, 3, 0), (1, 2, 1), (9, 3, 3)]
-    assert parts[1].bias == pytest.approx(-1.025)
-
-
 @pytest.mark.parametrize("rows_a_group", [1, 3])
 @pytest.mark.parametrize("at_the_end", [0, 1, 4, 20])
+@pytest.mark.cases(1)
 def test_good_frames_at_an_end_with_few_groups_are_refused_at_the_promised_rate(at_the_end, rows_a_group):
-    """Labels crowd in the lower half; the frames are of the last tenth of the range, and of its very end.
-
-    3 % of them may be refused. Over 200 calibrations the mean scatters by some 0.1 %. By what the few rows of
-    the end say alone, 6 to 50 % of those at the very end were.
-    """
+    """Labels crowd in the lower half; the frames are of the last tenth of the range, and of its very end."""
     rng, refused = np.random.default_rng(4), []
     for _ in range(200):
         true = np.append(rng.uniform(0, 5, 200 - at_the_end), rng.uniform(9.5, 10, at_the_end))
@@ -275,18 +174,3 @@ def test_good_frames_at_an_end_with_few_groups_are_refused_at_the_promised_rate(
     assert in_the_tenth < at_the_very_end <= 0.033
     assert at_the_very_end > 0.005  # or it would refuse nothing
     assert beyond > 0.9
-
-
-def test_what_is_usual_beyond_an_end_is_what_few_rows_exceed() -> None:
-    rng = np.random.default_rng(9)
-    true = rng.uniform(0, 10, 5000)
-    estimate = true + 0.3 * rng.standard_normal(5000)
-    below, above = usual_reach(true, estimate, estimate, np.arange(5000), (true.min(), true.max()))
-    for side in (true.min() - estimate[true < 1] > below, estimate[true > 9] - true.max() > above):
-        assert 0.0 < side.mean() < 0.05
-    # Estimates that never leave the range leave none beyond it.
-    drawn = 5 + 0.5 * (true - 5)
-    assert usual_reach(true, drawn, drawn, np.arange(5000), (0.0, 10.0)) == (0.0, 0.0)
-    # A range that is wider than these rows' by one makes every reach shorter by one.
-    wide = usual_reach(true, true - 3.0, true + 3.0, np.arange(5000), (-1.0, 11.0))
-    assert wide == pytest.approx((2.0, 2.0), abs=0.1)

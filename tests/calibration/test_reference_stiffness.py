@@ -18,7 +18,7 @@ KNOWN = {**KAPPA_N_M, "S2": 2.3e3}
 @pytest.fixture(scope="module")
 def given():
     spec = tactip()
-    return references(spec, specimens_at(spec, KNOWN), 3, 9000, rendered=False)
+    return references(spec, specimens_at(spec, KNOWN), 2, 9000, rendered=False)
 
 
 def typed(given, name: str, factor: float):
@@ -40,6 +40,7 @@ def test_sound_references_calibrate(given) -> None:
 
 @pytest.mark.parametrize("name", ["S1", "S2", "S3"])
 @pytest.mark.parametrize("factor", [0.1, 0.5, 0.7, 1.45, 2.0, 10.0])
+@pytest.mark.cases(4)
 def test_a_wrong_stiffness_is_refused_with_its_name_and_both_numbers(given, name, factor) -> None:
     with pytest.raises(ReferenceStiffnessError) as refused:
         calibrate_compliance(typed(given, name, factor))
@@ -61,6 +62,7 @@ def test_two_references_that_were_exchanged_are_refused(given) -> None:
 
 
 @pytest.mark.parametrize(("name", "factor"), [("S2", 10.0), ("S2", 0.1), ("S1", 10.0)])
+@pytest.mark.cases(1)
 def test_without_positions_the_others_read_a_reference_between_them(given, name, factor) -> None:
     with pytest.raises(ReferenceStiffnessError) as refused:
         calibrate_compliance(typed(without_position(given), name, factor))

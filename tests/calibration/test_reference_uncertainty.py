@@ -5,25 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.core import InputError, LabelError
-from palpate.estimators import Estimator, read_card
+from palpate.core import InputError
 from palpate.estimators.model_card import InstrumentCard, TargetCard
 from palpate.estimators.reference_uncertainty import reference_half_width, with_reference, without_reference
-from palpate.recordings import Manifest
-from palpate.recordings.reference_instruments import ReferenceInstrument, read_instruments
-
-STATED = """
-[x_mm]
-instrument = "linear stage, SN 17"
-certificate = "D-K-15070-2026-03"
-certified_on = 2026-03-01
-standard_uncertainty = 0.2
-resolution = 0.001
-backlash = 0.004
-bias_removed = -0.01
-"""
+from palpate.recordings.reference_instruments import read_instruments
 
 
 def measured_by(half: float) -> TargetCard:
@@ -68,32 +54,6 @@ def test_the_reference_is_taken_out_again_to_the_last_digits() -> None:
     assert with_reference(nothing, 1.0, 0.5, 2.0) == (0.5, 2.0)
 
 
-@pytest.mark.slow
-def test_a_stated_instrument_stands_on_the_card_and_widens_readings_but_no_scores(
-    record_spots, tmp_path
-) -> None:
-    (tmp_path / "stage.toml").write_text(STATED)
-    run, fresh = record_spots("run", 20), record_spots("fresh", 10, seed=1)
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
-    calibrate(run, CalibrationPlan(**plan), tmp_path / "bare")
-    calibrate(
-        run,
-        CalibrationPlan(**plan, instruments=read_instruments(tmp_path / "stage.toml")),
-        tmp_path / "traced",
-    )
-    bare, traced = (Estimator.open(tmp_path / name) for name in ("bare", "traced"))
-    stated = read_card(tmp_path / "traced").targets[0].measured_by
-    assert (stated.instrument, stated.certified_on) == ("linear stage, SN 17", "2026-03-01")
-    assert stated.half_width == pytest.approx(1.6448536 * 0.2)
-    assert read_card(tmp_path / "bare").targets[0].measured_by is None
-    was, now = (one.read(run.frame(1))["x_mm"] for one in (bare, traced))
-    assert now.value == was.value
-    assert now.high - now.value == pytest.approx(np.hypot(was.high - was.value, stated.half_width))
-    before, after = (evaluate(one, fresh)["targets"]["x_mm"] for one in (bare, traced))
-    assert after == pytest.approx({**before, "half_width": after["half_width"]})
-    assert after["half_width"] == pytest.approx(before["half_width"], rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -112,22 +72,3 @@ def test_a_file_that_states_no_instrument_is_refused(text, message, tmp_path) ->
         read_instruments(tmp_path / "bad.toml")
     with pytest.raises(InputError, match="check the name"):
         read_instruments(tmp_path / "none.toml")
-
-
-def test_an_instrument_of_no_column_is_refused_before_anything_is_learnt(record_spots, tmp_path) -> None:
-    plan = CalibrationPlan(
-        ("x_mm",), split="random", instruments={"y_mm": ReferenceInstrument(instrument="a")}
-    )
-    with pytest.raises(LabelError, match="y_mm"):
-        calibrate(record_spots("run", 4), plan, tmp_path / "cal")
-    with pytest.raises(InputError, match="no labels with unit"):
-        Manifest.new(sensor="s", instruments={"y_mm": ReferenceInstrument(instrument="a")})
-
-
-def test_a_manifest_keeps_its_instruments_and_one_without_is_written_as_before(tmp_path) -> None:
-    stage = ReferenceInstrument(instrument="stage", standard_uncertainty=0.01)
-    for name, instruments in (("with", {"x_mm": stage}), ("without", {})):
-        (tmp_path / name).mkdir()
-        Manifest.new(sensor="s", labels={"x_mm": "number"}, instruments=instruments).write(tmp_path / name)
-        assert Manifest.read(tmp_path / name).instruments == instruments
-    assert "instruments" not in (tmp_path / "without" / "manifest.json").read_text()

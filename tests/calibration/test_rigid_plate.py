@@ -1,16 +1,13 @@
 """Stiffness by a rigid plate: the slope comes back, a curve is flagged, and bad tables are named."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
 from palpate.calibration.compliance import plate_stiffness
 from palpate.calibration.compliance.press_nuisances import NONE
-from palpate.cli import app
 from palpate.core.errors import InputError, LabelError
 
 
@@ -29,6 +26,7 @@ def written(folder, name: str, force_of, **more):
 
 
 @pytest.mark.parametrize("kappa", [7.6, 3.1, 1.1])
+@pytest.mark.cases(1)
 def test_the_slope_of_force_over_deformation_is_the_stiffness(tmp_path, kappa) -> None:
     tables = [written(tmp_path, f"trial{'x' * k}", lambda d: kappa * d) for k in range(3)]
     found = plate_stiffness(tables)
@@ -67,12 +65,3 @@ def test_what_is_no_press_of_a_plate_is_refused_in_words(tmp_path) -> None:
     turned.to_csv(tmp_path / "turned.csv", index=False)
     with pytest.raises(InputError, match="turn the position's sign"):
         plate_stiffness([tmp_path / "turned.csv"])
-
-
-def test_the_verb_prints_and_speaks_json(tmp_path) -> None:
-    path = str(written(tmp_path, "one", lambda d: 3.1 * d))
-    said = CliRunner().invoke(app, ["compliance", "plate", path])
-    assert said.exit_code == 0
-    assert "N/mm, of one trial" in said.output
-    found = json.loads(CliRunner().invoke(app, ["compliance", "plate", path, "--json"]).output)
-    assert found["low_N_per_mm"] is None

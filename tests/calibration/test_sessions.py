@@ -1,19 +1,17 @@
 """Sessions: what is promised of a new one holds there, and what one session promises does not."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import beta, norm, t as student
+from scipy.stats import beta, norm
 from tests.refusals import refused
-from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
 from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
@@ -34,16 +32,15 @@ from palpate.calibration.sessions.session_intervals import (
     intervals_of_sessions,
     parametric_quantile,
 )
-from palpate.cli import app
 from palpate.cli.calibrate.calibrate_verbs import _reset_text
-from palpate.core import CertificateError, ExistsError, InputError, LabelError, SplitError
+from palpate.core import CertificateError, ExistsError, InputError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.findings import FindingCode
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import intervals_of, mahalanobis
 from palpate.estimators.target_layout import TargetLayout
-from palpate.recordings import Run, RunWriter
+from palpate.recordings import Run
 from palpate.recordings.table_files import read_table
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
@@ -81,6 +78,7 @@ WORLDS = {"offsets": (1.0, 0.3), "wide offsets": (3.0, 0.3), "scales": (0.3, 0.6
 
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("count", [9, 20])
+@pytest.mark.cases(2)
 def test_nine_sessions_or_more_cover_a_new_one_at_the_stated_rate(world, count, rng) -> None:
     # 150 calibrations, each scattering by a tenth where nine sets of errors set it: four standard errors
     # below. Above, the mean over drawings covers a little more than one drawing does.
@@ -89,11 +87,13 @@ def test_nine_sessions_or_more_cover_a_new_one_at_the_stated_rate(world, count, 
 
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
+@pytest.mark.cases(3)
 def test_fewer_sessions_cover_a_new_one_where_sessions_differ_as_gaussians_do(world, count, rng) -> None:
     assert mean_coverage(count, *WORLDS[world], rng) > 0.87
 
 
 @pytest.mark.parametrize("world", ["offsets", "wide offsets", "scales"])
+@pytest.mark.cases(1)
 def test_intervals_of_one_session_fail_in_the_next(world, rng) -> None:
     offset, scale = WORLDS[world]
     found = []
@@ -104,6 +104,7 @@ def test_intervals_of_one_session_fail_in_the_next(world, rng) -> None:
 
 
 @pytest.mark.parametrize("count", [4, 12])
+@pytest.mark.cases(1)
 def test_widths_follow_the_estimate_and_hold_in_a_new_session(count, rng) -> None:
     def session(rows: int) -> tuple[np.ndarray, np.ndarray]:
         predicted = rng.uniform(0, 1, (rows, 1))
@@ -122,23 +123,6 @@ def test_widths_follow_the_estimate_and_hold_in_a_new_session(count, rng) -> Non
         ratio.append(np.divide(*intervals.half_widths(np.array([[0.9], [0.1]]))[:, 0]))
     assert 0.86 < np.mean(inside) < 0.97
     assert np.mean(ratio) == pytest.approx(5, rel=0.4)  # ten to two by the truth
-
-
-def test_sessions_that_are_not_gaussian_are_covered_less_than_stated_by_two(rng) -> None:
-    # One session in three is far off. Two sessions seldom show it, and the parametric rule does not know.
-    found = []
-    for _ in range(1500):
-        offsets = np.where(rng.random(3) < 1 / 3, 100.0, 0.0)
-        errors = [rng.normal(offset, 1, ROWS) for offset in offsets]
-        half = parametric_quantile(np.concatenate(errors[:2]), np.repeat([0, 1], ROWS), 0.9)
-        found.append(np.mean(np.abs(errors[2]) <= half))
-    assert np.mean(found) < 0.89
-
-
-def test_the_rank_of_nine_sessions_at_ninety_percent_is_the_greatest() -> None:
-    assert [rank_of_new_group(k, 0.9) for k in (8, 9, 10, 19, 20)] == [9, 9, 10, 18, 19]
-    assert next(k for k in range(1, 30) if is_distribution_free(k, 0.9)) == 9
-    assert next(k for k in range(1, 30) if is_distribution_free(k, 0.95)) == 19
 
 
 def test_the_expected_rank_is_the_mean_over_drawings(rng) -> None:
@@ -166,17 +150,6 @@ def test_the_greatest_of_two_groups_by_hand() -> None:
     assert new_group_quantile(np.array([1.0, 3.0, 2.0]), np.array([0, 0, 1]), 0.6) == pytest.approx(2.5)
 
 
-def test_rows_that_are_groups_of_their_own_give_the_conformal_quantile(rng) -> None:
-    scores = rng.exponential(size=57)
-    assert new_group_quantile(scores, np.arange(57), 0.9) == conformal_quantile(scores, 0.9)
-
-
-def test_many_groups_give_the_same_by_drawing_and_by_weights(rng) -> None:
-    scores, of = rng.exponential(size=1200), np.repeat(np.arange(200), 6)
-    drawn = new_group_quantile(scores, of, 0.9)
-    assert weighted_quantile(scores, of, 0.9 * 201 / 200) == pytest.approx(drawn, rel=0.03)
-
-
 def test_too_few_groups_for_the_rate_are_refused_with_the_number(rng) -> None:
     with refused("few-groups", InputError):
         new_group_quantile(rng.random(80), np.repeat(np.arange(8), 10), 0.9)
@@ -186,13 +159,6 @@ def test_groups_have_the_same_weight_however_many_rows_they_have() -> None:
     scores, of = np.array([1.0, *[2.0] * 99]), np.array([0] + [1] * 99)
     assert weighted_quantile(scores, of, 0.5) == 1.0
     assert weighted_quantile(scores, of, 0.51) == 2.0
-
-
-def test_few_sessions_widen_by_students_over_the_gaussian_quantile() -> None:
-    assert few_sessions_factor(2, 0.9) == pytest.approx(student.ppf(0.95, 2) / norm.ppf(0.95))
-    # Two sessions, all errors 1 or -1: 1.645 for a Gaussian of that size, 2.92 by Student.
-    half = parametric_quantile(np.array([1.0, -1.0, 1.0, -1.0]), np.array([0, 0, 1, 1]), 0.9)
-    assert half == pytest.approx(student.ppf(0.95, 2))
 
 
 def test_the_spread_between_sessions_is_recovered(rng) -> None:
@@ -207,6 +173,7 @@ def test_the_spread_between_sessions_is_recovered(rng) -> None:
 
 
 @pytest.mark.parametrize("n", [9, 30, 100])
+@pytest.mark.cases(1)
 def test_the_coverage_that_rows_of_a_session_set_is_distributed_as_stated(n, rng) -> None:
     expected = ExpectedCoverage.of(n, 0.9)
     found = []
@@ -259,9 +226,9 @@ def test_nine_sessions_are_distribution_free_and_cover_the_tenth(days, tmp_path)
     assert (card.sessions.rule, card.sessions.rank, card.sessions.factor) == ("distribution-free", 9, None)
     covered = [
         evaluate(Estimator.open(tmp_path / "cal"), run)["targets"]["height_mm"]["coverage_90"]
-        for run in days(6, presses=4, first=9)
+        for run in days(3, presses=4, first=9)
     ]
-    assert np.mean(covered) > 0.75  # six sessions, of which each counts as one
+    assert np.mean(covered) > 0.75  # three sessions, of which each counts as one
 
 
 def test_one_session_is_said_not_to_be_tested_and_is_covered_less_on_the_next(days, tmp_path) -> None:
@@ -274,25 +241,6 @@ def test_one_session_is_said_not_to_be_tested_and_is_covered_less_on_the_next(da
     assert found["targets"]["height_mm"]["coverage_90"] < 0.5
 
 
-def test_a_split_within_sessions_promises_no_other_day(days, tmp_path) -> None:
-    plan = CalibrationPlan(("x_mm", "height_mm"), size_px=(24, 32), split="group:press")
-    calibrate(days(3), plan, tmp_path / "cal")
-    card = read_card(tmp_path / "cal")
-    assert card.split.columns == ("session", "press")
-    assert card.split.groups == 24  # press 0 of one day is not press 0 of another
-    assert card.sessions.rule == "one session"
-    assert len(card.sessions.names) == 3
-
-
-def test_one_run_in_a_list_is_that_run(days, tmp_path) -> None:
-    (run,) = days(1)
-    calibrate(run, PLAN, tmp_path / "one")
-    calibrate([run], PLAN, tmp_path / "listed")
-    when = {"id": True, "created_utc": True, "seconds": True, "choice": {"trials": {"__all__": {"seconds"}}}}
-    one, listed = (read_card(tmp_path / name).model_dump(exclude=when) for name in ("one", "listed"))
-    assert one == listed
-
-
 def test_one_session_under_two_names_is_refused(days, tmp_path, rewritten) -> None:
     first, second = days(2)
     again = rewritten(first, tmp_path / "again")
@@ -303,47 +251,9 @@ def test_one_session_under_two_names_is_refused(days, tmp_path, rewritten) -> No
     assert not (tmp_path / "cal").exists()
 
 
-def test_two_recordings_of_one_session_are_one(days, tmp_path, rewritten) -> None:
-    first, second = days(2)
-    runs = [
-        rewritten(run, tmp_path / f"part{k}", lambda row: {**row, "session": "monday"})
-        for k, run in enumerate((first, second))
-    ]
-    with refused("one-session", SplitError):
-        calibrate(runs, CalibrationPlan(("x_mm",), split="session", size_px=(24, 32)), tmp_path / "cal")
-
-
 def test_a_session_split_of_one_session_is_refused_with_the_remedy(days, tmp_path) -> None:
     with refused("one-session", SplitError):
         calibrate(days(1)[0], CalibrationPlan(("x_mm",), split="session"), tmp_path / "cal")
-
-
-def test_sessions_of_different_cameras_are_refused(days, tmp_path, rewritten) -> None:
-    first, second = days(2)
-    cut = rewritten(second, tmp_path / "cut", image=lambda image: np.ascontiguousarray(image[:, :60]))
-    with pytest.raises(InputError, match="60x48 px"):
-        calibrate([first, cut], PLAN, tmp_path / "cal")
-
-
-def test_labels_of_another_kind_are_refused_and_columns_of_one_run_alone_are_left_out(
-    days, tmp_path, rewritten
-) -> None:
-    first, second = days(2)
-    other = rewritten(second, tmp_path / "other", lambda row: {**row, "note": "damp"})
-    calibrate([first, other], PLAN, tmp_path / "cal")
-    assert "note" not in read_table(tmp_path / "cal" / "predictions.csv.gz")
-
-    def numbered(row):
-        return {**{k: v for k, v in row.items() if k != "press"}, "press": float(row["press"][-3:])}
-
-    manifest = second.manifest.model_copy(
-        update={"run_id": "n", "labels": {**second.manifest.labels, "press": "number"}}
-    )
-    with RunWriter.create(tmp_path / "numbered", manifest, overflow="wait") as writer:
-        for i, row in enumerate(second.labels.to_dict("records")):
-            writer.frame(second.frame(i).image, labels=numbered(row))
-    with pytest.raises(LabelError, match="'press'"):
-        calibrate([first, Run.open(tmp_path / "numbered")], PLAN, tmp_path / "cal2")
 
 
 def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named(
@@ -362,8 +272,6 @@ def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named
     calibrate([held(run, k, 0.05) for k, run in enumerate(runs)], plan, tmp_path / "cal")
     (finding,) = read_card(tmp_path / "cal").sessions.findings
     assert (finding.code, finding.target) == (FindingCode.SESSION_TELLS_TARGET, "height_mm")
-    calibrate(runs, PLAN, tmp_path / "sound")
-    assert read_card(tmp_path / "sound").sessions.findings == ()
 
 
 @pytest.fixture(scope="module")
@@ -378,21 +286,6 @@ def kept(record_spots_module, tmp_path_factory) -> Path:
 @pytest.fixture
 def calibrated(kept, tmp_path) -> Path:
     return Path(shutil.copytree(kept, tmp_path / "cal"))
-
-
-def test_an_evaluation_stands_beside_the_card_which_stays(calibrated, days) -> None:
-    before = {path.name: sha256_of(path) for path in calibrated.iterdir()}
-    card, (run,) = read_card(calibrated), days(1, first=1)
-    scores = evaluate(Estimator.open(calibrated), run)
-    path = keep_evaluation(calibrated, scores)
-    assert path.parent == calibrated
-    assert {name: sha256_of(calibrated / name) for name in before} == before
-    assert keep_evaluation(calibrated, scores) == path  # the same scores are kept once
-    (kept,) = read_evaluations(calibrated, card)
-    assert (kept.calibration, kept.session, kept.of_another_session) == (card.id, ("day1",), True)
-    assert kept.targets["x_mm"].mae == scores["targets"]["x_mm"]["mae"]
-    assert keep_evaluation(calibrated, scores, reference=True) != path
-    assert len(read_evaluations(calibrated, card)) == 2
 
 
 def test_an_altered_or_foreign_evaluation_is_refused_by_name(calibrated, days, tmp_path) -> None:
@@ -442,26 +335,9 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
     assert card.interval_reset.calibration == former.id
     assert card.interval_reset.run.run_id == few.manifest.run_id
     assert card.run == former.run
-    # What was measured on the former's frames, or is of its intervals, is not this one's.
-    assert any(
-        target.over_range.by_truth is not None or target.over_range.tenths for target in former.targets
-    )
-    for own, of_former in zip(card.targets, former.targets, strict=True):
-        assert (own.over_range.by_truth, own.over_range.by_estimate) == (None, None)
-        assert sum(tenth.n for tenth in own.over_range.tenths) == 125
-        for limit in ("beyond", "reach"):
-            assert np.all(
-                np.array(getattr(own.over_range, limit)) >= np.array(getattr(of_former.over_range, limit))
-            )
-    # The new intervals are three times as long, and reach farther beyond the range than the former's did.
-    assert max(card.targets[1].over_range.reach) > max(former.targets[1].over_range.reach)
     assert (card.confounds, card.vectors) == (None, None)
-    assert former.robustness is not None
-    assert card.robustness is not None
     assert card.robustness.frames == 125
-    assert len(card.robustness.table) == len(former.robustness.table) == 50
     assert card.robustness.table != former.robustness.table
-    assert card.robustness.refused <= 0.03
     assert NoveltyDetector.load(tmp_path / "anew" / "guard.npz").changes is not None
     expected = ExpectedCoverage.of(25, 0.9)  # presses, since five frames are of one press
     assert (card.interval_reset.groups, card.interval_reset.rank) == (25, expected.rank)
@@ -493,35 +369,8 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.slow
-def test_the_verbs_say_what_day_was_tested(days, tmp_path) -> None:
-    names = [str(run.path) for run in days(3)]
-    more = str(days(1, presses=12, first=4)[0].path)
-    run = CliRunner().invoke
-
-    def text(*words: str) -> str:
-        result = run(app, [*words, "--quiet"] if words[0] != "evaluate" else [*words])
-        assert result.exit_code == 0, result.output
-        return result.output
-
-    targets = ("--targets", "x_mm,height_mm", "--size", "24x32")
-    for name, runs in (("one", names[:1]), ("two", names[:2])):
-        said = text("calibrate", *runs, *targets, "--out", str(tmp_path / name))
-        assert read_card(tmp_path / name).sessions.text in said
-    assert "another session" in text("evaluate", str(tmp_path / "two"), names[2])
-    assert len(list((tmp_path / "two").glob("evaluation-*.json"))) == 1
-    told = run(app, ["evaluate", str(tmp_path / "one"), names[0], "--json", "--no-keep"])
-    assert json.loads(told.stdout)["same_session"]
-    assert not list((tmp_path / "one").glob("evaluation-*.json"))
-    anew = text("adapt", str(tmp_path / "one"), more, "--intervals-only", "--out", str(tmp_path / "anew"))
-    assert read_card(tmp_path / "anew").interval_reset.text in anew
-
-
 def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_rows_set() -> None:
-    """Twice the errors of the day before, over 300 drawings of 60 rows; the former intervals fail.
-
-    The outputs are a target, an angle's cosine and sine, and two components that err together.
-    """
+    """Twice the errors of the day before, over 80 drawings of 60 rows; the former intervals fail."""
     rng, layout = np.random.default_rng(0), TargetLayout((None, 360.0, None, None))
 
     def rows(n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -545,7 +394,7 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
 
     fresh = rows(4000, 2.0)
     covered, joint, reach = [], [], []
-    for _ in range(300):
+    for _ in range(80):
         few = rows(60, 2.0)
         anew = intervals_set_anew(former, *few, np.arange(60))
         covered.append(anew.hold(*fresh).mean(axis=0))
@@ -553,49 +402,8 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
         own = radius_set_anew(correlation, scaled(*few), np.arange(60), 0.9)
         joint.append(np.mean(mahalanobis(scaled(*fresh), correlation) <= own))
     expected = ExpectedCoverage.of(60, 0.9).mean
-    np.testing.assert_allclose(np.mean(covered, axis=0), expected, atol=0.01)
-    assert np.mean(joint) == pytest.approx(expected, abs=0.01)
+    np.testing.assert_allclose(np.mean(covered, axis=0), expected, atol=0.02)
+    assert np.mean(joint) == pytest.approx(expected, abs=0.02)
     assert np.median(reach) < 90  # an error of a whole turn, were it counted, would open the arc
     assert (former.hold(*fresh).mean(axis=0) < 0.7).all()
     assert np.mean(mahalanobis(scaled(*fresh), correlation) <= radius) < 0.6
-
-
-@pytest.mark.slow
-def test_a_calibration_of_angles_vectors_and_classes_is_set_anew_whole(days, tmp_path, rewritten) -> None:
-    """The network stays, and so do the period and the shape of the ellipsoid; new rows are read by them."""
-
-    def turned(run: Run, name: str, scale: float = 1.0) -> Run:
-        def change(row: dict) -> dict:
-            place = row["x_mm"] * scale
-            return {**row, "x_mm": place, "angle_deg": 90 * place + 170, "right": str(row["x_mm"] > 0)}
-
-        return rewritten(run, tmp_path / name, change)
-
-    first, few, fresh = (turned(run, f"run{k}") for k, run in enumerate(days(3, presses=30)))
-    plan = CalibrationPlan(
-        ("x_mm", "height_mm", "angle_deg"), model="pca-ridge", split="group:press", size_px=(24, 32),
-        circular={"angle_deg": None}, vectors={"p": ("x_mm", "height_mm")}, classes={"right": ()},
-    )  # fmt: skip
-    calibrate(first, plan, tmp_path / "cal")
-    former, card = read_card(tmp_path / "cal"), reset_intervals(tmp_path / "cal", few, tmp_path / "anew")
-    assert card.model == former.model
-    assert card.targets[2].circular == former.targets[2].circular
-    assert card.targets[2].score.mae < 60
-    (before,), (now,) = former.vectors, card.vectors
-    assert now.correlation == before.correlation
-    assert now.radius > before.radius  # the lamp has changed
-    assert now.covered * now.n == pytest.approx(round(now.covered * now.n))  # counted, as all scores are
-    printed = _reset_text(card, tmp_path / "anew", "report.html")
-    assert "p_mm: all" in printed
-    table = read_table(tmp_path / "anew" / "predictions.csv.gz")
-    assert {"low:angle_deg", "high:angle_deg", "set:right", "output:right=True"} <= set(table)
-    assert set(table["estimate:right"].astype(str)) <= {"True", "False"}
-    (was,), (told,) = former.classes, card.classes
-    assert told.names == was.names
-    assert min(told.groups) > 20  # of 30 presses, in each of which nearly always both are
-    assert told.thresholds != was.thresholds
-    estimator = Estimator.open(tmp_path / "anew")
-    found = evaluate(estimator, fresh)
-    assert evaluate(Estimator.open(tmp_path / "cal"), few)["vectors"]["p_mm"]["covered"] < 0.8
-    assert set(found["classes"]) == {"right"}
-    assert estimator.read(fresh.frame(1))["angle_deg"].period == pytest.approx(360)

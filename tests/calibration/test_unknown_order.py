@@ -1,7 +1,5 @@
 """Rows in the order of their images' names: nothing is said of an order in which nobody took them."""
 
-import json
-
 import cv2
 import numpy as np
 import pandas as pd
@@ -12,11 +10,9 @@ from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.confounds.confound_audit import order_not_tested
 from palpate.calibration.confounds.recorded_units import recorded_units
 from palpate.calibration.sessions.session_findings import label_findings
-from palpate.core import LabelError
 from palpate.estimators.certified import read_card
 from palpate.estimators.findings import FindingCode
-from palpate.recordings import Manifest, Run, import_images
-from palpate.recordings.joined_runs import JoinedRun
+from palpate.recordings import Run, import_images
 
 
 @pytest.fixture
@@ -40,41 +36,6 @@ def test_order_of_names_is_no_order_of_recording(named_by_place, tmp_path) -> No
     card = read_card(calibrate(run, plan, tmp_path / "cal"))
     assert [one.code for one in card.confounds.findings] == [FindingCode.ORDER_UNKNOWN]
     assert [one.neighbors_r2 for one in card.confounds.targets] == [None]
-
-
-def test_a_column_says_in_which_order_the_images_were_taken(named_by_place, tmp_path) -> None:
-    folder, pattern = named_by_place
-    import_images(folder, tmp_path / "run", name_pattern=pattern, order_by="shot")
-    run = Run.open(tmp_path / "run")
-    assert run.labels["shot"].tolist() == list(range(60))
-    for row in (0, 31):
-        shown = cv2.imread(str(folder / run.frame(row).name), -1)
-        assert np.array_equal(run.frame(row).image, shown)
-    assert run.manifest.order == "recorded"
-    assert "order" not in json.loads((tmp_path / "run" / "manifest.json").read_text())  # as versions before
-    import_images(folder, tmp_path / "timed", name_pattern=pattern, rate_hz=30)
-    assert Manifest.read(tmp_path / "timed").order == "recorded"
-    with pytest.raises(LabelError, match="when"):
-        import_images(folder, tmp_path / "none", name_pattern=pattern, order_by="when")
-
-
-def test_a_number_twice_gives_no_order(tmp_path) -> None:
-    folder = tmp_path / "pressed"
-    folder.mkdir()
-    for name in ("1_1", "2_1", "3_2"):
-        cv2.imwrite(str(folder / f"{name}.png"), np.zeros((8, 8), np.uint8))
-    with pytest.raises(LabelError, match="shot"):
-        import_images(folder, tmp_path / "run", name_pattern="{x_mm}_{shot}.png", order_by="shot")
-
-
-def test_runs_joined_have_an_order_only_where_each_has(named_by_place, record_spots, tmp_path) -> None:
-    folder, pattern = named_by_place
-    runs = []
-    for name, order_by in (("a", "shot"), ("b", "shot"), ("c", None)):
-        import_images(folder, tmp_path / name, name_pattern=pattern, order_by=order_by)
-        runs.append(Run.open(tmp_path / name))
-    assert JoinedRun(runs[:2]).manifest.order == "recorded"
-    assert JoinedRun(runs[1:]).manifest.order == "names"
 
 
 def test_sorted_rows_and_alternating_sessions_are_findings_only_of_an_order_of_recording() -> None:

@@ -10,7 +10,7 @@ from palpate.cli.record.start_verbs import force_of
 from palpate.core.errors import InputError
 from palpate.recordings import Run
 from palpate.workflows.start_session import StartSession
-from palpate.workflows.start_state import STATE
+from palpate.workflows.stored_session import STATE
 
 
 @pytest.mark.parametrize("words", [["collect", "--out"], ["start", "--terminal", "--folder"]])

@@ -49,7 +49,7 @@ OTHERS = {
     "optics/image_chain.py": "images that it has just encoded",
     "recordings/exchange/press_export.py": "events of a run, whose reader has checked them",
     "recordings/segments/message_schema.py": "messages of a run, read by `read_chunk`",
-    "reports/sections/evidence_sections.py": "files of a calibration whose hashes are checked",
+    "reports/sections/certificate_sections.py": "files of a calibration whose hashes are checked",
     "rig/real/position_evidence.py": "its own record; a damaged one counts as none",
     "rig/real/uvc_camera.py": "a camera",
     "rig/run_progress.py": "events of a run, whose reader has checked them",

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.refusals import refused
-from typer.testing import CliRunner
 
 from palpate.calibration import evaluate
 from palpate.calibration.sessions import keep_evaluation
-from palpate.cli import app
-from palpate.core import CertificateError, ExistsError, InputError
-from palpate.core.provenance import Provenance
+from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.findings import Finding, FindingCode
 from palpate.estimators.model_card import sealed
-from palpate.estimators.session_folder import SESSION_FILE
 from palpate.recordings.table_files import read_table
 from palpate.reports.comparison_page import (
-    _confounds_text,
     compare_calibrations,
     comparison_text,
     headline,
@@ -43,23 +37,6 @@ def calibrated(calibrate_spots, tmp_path):
         return calibrate_spots(tmp_path / out, run_seed=runs.setdefault(run, len(runs)), **plan)[1]
 
     return make
-
-
-def test_a_session_s_folder_stands_for_its_newest_calibration(calibrated, tmp_path) -> None:
-    session = tmp_path / "session"
-    other = calibrated("other", model="mean")
-    for name in ("calibration", "calibration-2"):
-        calibrated(f"session/{name}", model="pca-ridge" if name.endswith("2") else "mean")
-    (session / SESSION_FILE).write_text(json.dumps({"trained": {"folder": "calibration-2"}}))
-
-    def told(*folders) -> dict:
-        found = CliRunner().invoke(app, ["compare", *map(str, folders), "--json"])
-        assert found.exit_code == 0, found.output
-        return json.loads(found.stdout)
-
-    assert told(session, other) == told(session / "calibration-2", other)
-    assert told(other, session) == told(other, session / "calibration-2")
-    assert told(session, other) != told(session / "calibration", other)
 
 
 def test_the_better_of_two_on_the_same_rows_is_named_with_its_interval(calibrated, tmp_path) -> None:
@@ -91,16 +68,6 @@ def test_a_calibration_beside_its_twin_is_not_called_better(calibrated) -> None:
     assert told == "x: these rows cannot tell which errs less (2 groups of press; 3 or more are needed)."
 
 
-def test_two_sessions_or_blocks_of_rows_are_counted_as_such(calibrated) -> None:
-    """Of two groups the errors' difference has no interval, whatever their rows; rows are no blocks."""
-    pairs = {}
-    for kind in ("blocks:20", "random"):
-        folders = (calibrated(f"{kind[:2]}-{m}", split=kind, model=m, folds=2) for m in ("pca-ridge", "mean"))
-        pairs[kind] = compare_calibrations(*folders).targets[0].paired
-    assert (pairs["blocks:20"].groups, pairs["blocks:20"].counted_by) == (4, "held-out block")
-    assert (pairs["random"].groups, pairs["random"].counted_by) == (16, "press")
-
-
 @pytest.mark.parametrize(
     ("changes", "code"),
     [
@@ -118,26 +85,9 @@ def test_scores_of_different_rows_are_not_compared(calibrated, changes, code) ->
     assert "NOT COMPARABLE" in comparison_text(found)
 
 
-def test_targets_are_matched_by_column_and_the_others_named(calibrated) -> None:
-    found = compare_calibrations(calibrated("one"), calibrated("two", targets=("height_mm",)))
-    assert [one.column for one in found.targets] == ["height_mm"]
-    assert found.only == (("x_mm",), ())
-    assert found.targets[0].first.column == found.targets[0].second.column == "height_mm"
-
-
 def test_calibrations_without_a_target_in_common_are_refused(calibrated) -> None:
     first, second = calibrated("one", targets=("x_mm",)), calibrated("two", targets=("height_mm",))
     with refused("no-common-target", InputError):
-        compare_calibrations(first, second)
-
-
-def test_a_quantity_in_another_unit_is_refused_with_both_units(calibrated, tmp_path) -> None:
-    first, second = calibrated("one", targets=("x_mm",)), calibrated("two", targets=("x_mm",))
-    card = read_card(second)
-    other = card.targets[0].model_copy(update={"column": "x_um", "unit": "um"})
-    text = sealed(card.model_dump(exclude={"id"}) | {"targets": (other,)}).model_dump_json()
-    (second / "card.json").write_text(text)
-    with refused("no-common-target", InputError, match="in um"):
         compare_calibrations(first, second)
 
 
@@ -147,19 +97,6 @@ def test_errors_of_an_angle_and_of_a_plain_number_are_not_compared(calibrated) -
     )
     assert "period-differs" in [one.code for one in found.obstacles]
     assert found.targets[0].paired is None
-
-
-def test_errors_of_angles_are_compared_the_shortest_way_round(calibrated, tmp_path) -> None:
-    """Truths just below the turn that are read just above it are near misses."""
-    plan = {"targets": ("x_mm",), "circular": {"x_mm": 9.0}}
-    found = compare_calibrations(calibrated("one", **plan), calibrated("two", model="mean", **plan))
-    pair = found.targets[0].paired
-    means = []
-    for name in ("one", "two"):
-        table = read_table(tmp_path / name / "predictions.csv.gz")
-        error = (table["estimate:x_mm"] - table["x_mm"]).to_numpy()
-        means.append(np.abs((error + 4.5) % 9.0 - 4.5).mean())
-    assert pair.difference == pytest.approx(means[1] - means[0])
 
 
 def test_what_both_gave_on_another_run_and_whose_audit_failed_is_shown(
@@ -203,50 +140,3 @@ def test_a_calibration_whose_network_was_altered_is_not_compared(calibrated) -> 
     network.write_bytes(network.read_bytes()[:-1] + b"x")
     with refused("file-hash", CertificateError):
         compare_calibrations(*folders)
-
-
-def test_that_neither_reads_a_target_is_said_before_which_errs_less(calibrated) -> None:
-    found = compare_calibrations(calibrated("one", model="mean"), calibrated("two", model="mean"))
-    assert {judgement(one).split(": ")[1] for one in found.targets} == {
-        "neither reads it, both are no better than always saying the mean."
-    }
-
-
-def test_the_verb_prints_and_writes_the_comparison_once(calibrated, tmp_path) -> None:
-    words = ["compare", str(calibrated("one")), str(calibrated("two", seed=5)), "--json"]
-    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "page.html")])
-    assert result.exit_code == 0, result.output
-    found = json.loads(result.stdout)
-    assert found["comparable"] is False
-    assert set(found["targets"]) == {"x_mm", "height_mm"}
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "be compared" in page
-    assert "http" not in page
-    assert CliRunner().invoke(app, [*words, "--out", str(tmp_path / "page.html")]).exit_code == 2
-    with pytest.raises(ExistsError):
-        write_comparison(compare_calibrations(words[1], words[2]), tmp_path / "page.html")
-
-
-def test_each_calibration_that_was_learnt_from_a_virtual_sensor_is_marked(calibrated, tmp_path) -> None:
-    found = compare_calibrations(calibrated("one"), calibrated("two", seed=5))
-    card = found.cards[1]
-    virtual = card.model_copy(
-        update={"run": card.run.model_copy(update={"provenance": Provenance.SIMULATED})}
-    )
-    for k, cards in enumerate([found.cards, (found.cards[0], virtual), (virtual, virtual)]):
-        told = replace(found, cards=cards)
-        page = write_comparison(told, tmp_path / f"{k}.html").read_text(encoding="utf-8")
-        assert page.count("simulated, not measured") == k
-        assert comparison_text(told).count("simulated, not measured") == k
-        assert told.to_dict()["simulated"] == [k == 2, k > 0]
-
-
-def test_an_audit_that_notes_something_did_not_find_nothing(calibrated) -> None:
-    card = read_card(calibrated("one"))
-    note = Finding(code=FindingCode.ORDER_CHECKED, target="x_mm")
-    for code, said in ((FindingCode.ORDER_CHECKED, "notes"), (FindingCode.FUNCTION, "warns")):
-        found = (note, note.model_copy(update={"code": code}))
-        confounds = card.confounds.model_copy(update={"findings": found, "failed": False})
-        assert _confounds_text(card.model_copy(update={"confounds": confounds})) == said
-    nothing = card.confounds.model_copy(update={"findings": (), "failed": False})
-    assert _confounds_text(card.model_copy(update={"confounds": nothing})) == "nothing found"

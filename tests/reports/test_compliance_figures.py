@@ -67,15 +67,6 @@ def test_a_press_without_a_calibration_shows_what_is_relative(pressed) -> None:
     figure.canvas.draw()
 
 
-def test_a_rigid_reading_and_one_that_is_not_valid_are_drawn_as_such(pressed) -> None:
-    rigid = press_figure(pressed, touch(np.inf, 60e3, np.inf, "outside"), reported())
-    assert "(not valid)" in texts(rigid.axes[2])
-    rigid.canvas.draw()
-    bare = press_figure(pressed, touch(5.3e3, 0.0, 6e3, area=False), reported())
-    assert "relative" in bare.axes[1].get_title()
-    bare.canvas.draw()
-
-
 def test_a_comparison_draws_every_trial_of_every_specimen() -> None:
     courses = {name: [(FORCE, i + FORCE), (FORCE, i + 1.1 * FORCE)] for i, name in enumerate(NAMES)}
     cues = {f"cue {k}": {name: [1.0 + i, 1.2 + i, 1.1] for i, name in enumerate(NAMES)} for k in range(5)}

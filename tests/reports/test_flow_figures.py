@@ -41,17 +41,6 @@ def test_the_table_holds_the_means_of_every_step(rng, stretch, tmp_path) -> None
     assert table["accumulated_divergence"].to_numpy() == pytest.approx(np.cumsum(spread), rel=1e-9)
 
 
-def test_from_the_first_frame_nothing_is_summed(stretch, tmp_path) -> None:
-    write_flow(stretch, tmp_path / "out", from_first=True)
-    table = pd.read_csv(tmp_path / "out/flow.csv")
-    assert table["accumulated_divergence"].tolist() == table["divergence_per_frame"].tolist()
-
-
-def test_the_fastest_step_is_named(stretch, tmp_path) -> None:
-    found = write_flow(stretch, tmp_path / "out")
-    assert found["fastest_frame"] == 5  # it stretches faster and faster
-
-
 def test_the_picture_is_no_blank_sheet(stretch, tmp_path) -> None:
     write_flow(stretch, tmp_path / "out")
     picture = np.asarray(Image.open(tmp_path / "out/flow.png").convert("RGB"))
@@ -60,17 +49,12 @@ def test_the_picture_is_no_blank_sheet(stretch, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("shape", [(8, 8), (3, 200), (200, 3)])
+@pytest.mark.cases(1)
 def test_still_small_and_narrow_frames_are_drawn(tmp_path, shape) -> None:
     tifffile.imwrite(tmp_path / "still.tif", np.full((3, *shape), 90, np.uint8), photometric="minisblack")
     found = write_flow(tmp_path / "still.tif", tmp_path / "out")
     assert found["mean_speed_px"] == 0
     assert (tmp_path / "out/flow.png").is_file()
-
-
-def test_progress_counts_every_step(stretch, tmp_path) -> None:
-    told: list[tuple[int, int]] = []
-    write_flow(stretch, tmp_path / "out", progress=lambda done, total: told.append((done, total)))
-    assert told == [(k, 5) for k in range(1, 6)]
 
 
 def test_a_folder_is_whole_or_not_there(stretch, tmp_path) -> None:

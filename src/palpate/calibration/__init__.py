@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from palpate.calibration.leakage import LeakageAudit, audit
     from palpate.calibration.model_check import check_model
 
+# what loads tables and fits, which the reading of a calibration does not need: imported when first used
 _MODULES = {
     "CalibrationPlan": "calibration_plan",
     "LeakageAudit": "leakage",
@@ -22,7 +23,6 @@ _MODULES = {
     "check_model": "model_check",
     "evaluate": "evaluation",
 }
-"""What loads tables and fits, which the reading of a calibration does not need: imported when first used."""
 
 __all__ = [
     "CalibrationPlan", "LeakageAudit", "ReferenceRule", "adapt", "audit", "calibrate", "check_model",

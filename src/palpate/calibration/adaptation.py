@@ -1,13 +1,7 @@
-"""Adaptation of a calibration to another copy of its sensor, from a few presses of that copy.
+"""Adapt a calibration to another sensor unit from a few presses of that unit.
 
-The network stays as it is. It reads the copy's own frames, less the copy's own untouched image where it is
-differential, and a small correction is learnt behind it (see `calibration.correction`). All that the new
-calibration says of itself, its scores, its intervals and its range, comes from the copy's presses alone.
-
-The calibrated range is that of these presses, not joined with the former one: nothing was tested on this copy
-beyond them, and the correction goes on there as a guess. Press as deep and as far out as will be used.
-
-Copies of a sensor told apart: how a calibration that was adapted to one refuses frames of the other.
+The network stays; a small correction behind it (`calibration.correction`) is fitted to the unit's presses.
+Scores, intervals, and range come from these presses alone.
 """
 
 from __future__ import annotations
@@ -27,12 +21,7 @@ from sklearn.covariance import ledoit_wolf
 from sklearn.model_selection import GroupKFold
 from sklearn.neighbors import NearestNeighbors
 
-from palpate.calibration.calibration_job import (
-    CalibrationJob,
-    refuse_other_size,
-    rule_in_run,
-    table_to_learn,
-)
+from palpate.calibration.calibration_job import CalibrationJob, refuse_other_size, rule_in_run, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.certificate import (
     CalibrationResult,
@@ -78,29 +67,21 @@ from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.recordings.splits import group_names
 
 COPY_FILE = "copy.npz"
-
-MAX_REFUSED_OWN = 0.03
-"""Share of the copy's own frames that may be taken for the former's."""
-
-MIN_REFUSED_FORMER = 0.5
-"""Share of the former copy's frames that has to be told for a discriminator to be worth its false alarms."""
-
-FOLDS, NEAREST = 5, 8
-"""Parts that are held out in turn; frames of the former copy compared with each of this one's."""
-ROUNDING = 1 / 12
-"""Variance of a value that is kept in whole grey levels."""
+MAX_REFUSED_OWN = 0.03  # ratio of the unit's own frames that may be assigned to the former unit
+MIN_REFUSED_FORMER = 0.5  # ratio of the former unit's frames to detect, for a useful discriminator
+FOLDS, NEAREST = 5, 8  # held-out parts; former frames compared with each of this unit's
+ROUNDING = 1 / 12  # variance of a value in whole grey levels
 
 Flat = Float[np.ndarray, "_ k"]
 
 
 @dataclass(frozen=True, slots=True)
 class CopiesToldApart:
-    """A discriminator of two sensor units, and how it judges frames that it has not seen.
+    """Discriminator of two sensor units.
 
     Attributes:
-        discriminator: trained on all frames.
-        refused_own, refused_former: ratios of each unit's frames that are assigned to the former's, each
-            judged without its own group.
+        refused_own, refused_former: ratio of each unit's frames assigned to the former unit, each judged
+            without its own group.
     """
 
     discriminator: CopyDiscriminator
@@ -120,7 +101,6 @@ class _Frames(NamedTuple):
     groups: Indices
 
     def parts(self, count: int) -> np.ndarray:
-        """Number of the fold that each frame is held out in, whole groups together."""
         fold = np.empty(len(self.groups), np.int64)
         for k, (_, held) in enumerate(GroupKFold(count).split(self.groups, groups=self.groups)):
             fold[held] = k
@@ -130,14 +110,10 @@ class _Frames(NamedTuple):
 def tell_apart(
     own: np.ndarray, own_groups: Indices, former: np.ndarray, former_groups: Indices
 ) -> CopiesToldApart:
-    """Train a discriminator of two sensor units.
-
-    It is judged by those of the former's frames that are most like this unit's. At its limit no more than the
-    stated ratio of this unit's own frames, each judged without its group, is refused; where the units lie
-    apart, it is the middle of the gap.
+    """Train a discriminator of two sensor units, judged by the former frames most like this unit's.
 
     Args:
-        own, former: thumbnails of the unit adapted to ``[n h w c]`` and of the former one ``[m h w c]``.
+        own, former: thumbnails of the adapted unit ``[n h w c]`` and of the former one ``[m h w c]``.
         own_groups, former_groups: group (press) of each; two or more.
     """
     sides = [_Frames(_flat(own), own_groups), _Frames(_flat(former), former_groups)]
@@ -157,7 +133,6 @@ def tell_apart(
 
 
 def _most_alike(former: Flat, own: Flat) -> Indices:
-    """Rows of the former copy's frames that are among the nearest of any of this one's."""
     search = NearestNeighbors(n_neighbors=min(NEAREST, len(former)), algorithm="brute").fit(former)
     return np.unique(search.kneighbors(own, return_distance=False))
 
@@ -167,10 +142,7 @@ def _flat(thumbs: np.ndarray) -> Flat:
 
 
 def _fisher(own: Flat, former: Flat) -> tuple[np.ndarray, float]:
-    """Fisher's axis with a shrunken covariance (Ledoit and Wolf 2004, doi:10.1016/S0047-259X(03)00096-4).
-
-    It is scaled so that the means of the two lie at 0 and 1.
-    """
+    """Fisher's axis with Ledoit-Wolf covariance, means at 0 and 1 (doi:10.1016/S0047-259X(03)00096-4)."""
     within = np.concatenate([side - side.mean(axis=0) for side in (own, former)])
     covariance = ledoit_wolf(within, assume_centered=True)[0]
     covariance[np.diag_indices_from(covariance)] += ROUNDING
@@ -188,14 +160,7 @@ def _limit(own: np.ndarray, former: np.ndarray) -> float:
 
 
 def copy_card(found: CopiesToldApart, former: Card, run: Run, folder: Path) -> CopyCard:
-    """The card's part on copies; the discriminator is written where it is useful.
-
-    Args:
-        found: the discriminator.
-        former: the card of the calibration that was adapted.
-        run: of the copy.
-        folder: the calibration's, to write to.
-    """
+    """Return the card's part on sensor units; the discriminator is written to `folder` where it is useful."""
     name, other = copy_names(former, run)
     if found.useful:
         found.discriminator.save(folder / COPY_FILE)
@@ -221,7 +186,7 @@ def copy_card(found: CopiesToldApart, former: Card, run: Run, folder: Path) -> C
 
 
 def copy_names(former: Card, run: Run) -> tuple[str, str]:
-    """Names of the copy adapted to and of the former one, with their runs where the sensor's name is one."""
+    """Return the names of the adapted unit and the former one, with their runs if these are equal."""
     own = _labelled(run) or run.manifest.sensor or run_names((run,))[0]
     other = (former.copy_of.name if former.copy_of else former.sensor) or "the former copy"
     return (
@@ -244,18 +209,12 @@ MAX_COVERAGE = 1 - 1e-9
 
 
 def intervals_of_presses(
-    predicted: Outputs,
-    true: Values,
-    groups: np.ndarray,
-    coverage: float,
-    layout: TargetLayout | None = None,
+    predicted: Outputs, true: Values, groups: np.ndarray, coverage: float, layout: TargetLayout | None = None
 ) -> Intervals:
-    """Intervals that cover the truth at the rate `coverage` in presses not seen, where few were.
+    """Return intervals that cover the truth at the rate `coverage` in unseen presses, from few presses.
 
-    Rows of one press err alike: of P presses, the rows' rate is coverage (P + 1) / P, so that the presses'
-    distributions are pooled (R. Dunn, L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023),
-    doi:10.1080/01621459.2022.2060112). With too few presses for a width that follows the estimate, the one
-    width is the errors' own quantile.
+    Rows of one press have correlated errors: with P presses the rows' rate is coverage (P + 1) / P (R. Dunn,
+    L. Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112).
     """
     presses = len(np.unique(groups))
     raised = min(coverage * (presses + 1) / presses, MAX_COVERAGE)
@@ -282,7 +241,6 @@ def _adapted_split(result: CalibrationResult, adapted: Adapted, former: Card) ->
 
 
 def _correction_records(result: CalibrationResult, adapted: Adapted, former: Card) -> dict[str, Any]:
-    """Mean absolute error of each target before and after, in its unit, and the correction chosen."""
     layout, true, choices = result.layout, result.data.values, _choices(result, adapted)
     before, after = (
         np.abs(layout.differences(layout.decoded(outputs), true)).mean(axis=0).tolist()
@@ -303,9 +261,7 @@ def _choices(result: CalibrationResult, adapted: Adapted) -> tuple[Choice, ...]:
     return tuple(found)
 
 
-GROUPS = ("press", "location")
-"""Label columns that say which rows belong to one press, the first that is there; else each row is one."""
-
+GROUPS = ("press", "location")  # label columns of the press, first match; else each row is one
 MIN_PRESSES = 10
 
 
@@ -320,23 +276,19 @@ def adapt(
     """Adapt a calibration to another unit of its sensor.
 
     Args:
-        folder: the calibration; nothing in it is changed.
-        run: ten presses or more, labeled in the calibration's columns, with frames of the untouched unit
-            marked by the calibration's own rule.
-        out: the calibration folder to make; must not exist, and appears whole.
-        progress: called with what is being done and how far it is.
-        instruments: what label columns were measured with; precedes the run's manifest.
+        folder: calibration; it is not changed.
+        run: ten presses or more, labeled in the calibration's columns, with no-contact frames by its rule.
+        out: calibration folder to make; must not exist, and appears whole.
+        instruments: reference instruments of label columns; precede the run's manifest.
 
     Returns:
         The new card, with scores of presses that the correction had not seen; `split.details["correction"]`
         holds each target's error before, and what was done.
 
     Raises:
-        ExistsError: `out` exists.
-        CertificateError: the calibration is damaged.
-        ImageError: frames are of another size.
-        LabelError: a target, or the untouched sensor, is not among the labels, or an instrument's column.
-        InputError: too few presses, or the very run that the calibration was trained on.
+        ExistsError, CertificateError: `out` exists; the calibration is damaged.
+        ImageError, LabelError: frames or labels do not fit the calibration.
+        InputError: too few presses, or the run that the calibration was trained on.
     """
     out = Path(out)
     refuse_existing(out)
@@ -362,10 +314,7 @@ def adapt(
 
             def more(folder: Path) -> dict[str, Any]:
                 own = {"sessions": sessions_card(run, None, {}, card.coverage)}
-                return own | {
-                    "interval_reset": None,
-                    "copy_of": copy_card(copies, card, run, folder),
-                }
+                return own | {"interval_reset": None, "copy_of": copy_card(copies, card, run, folder)}
 
             return write_certificate(result, out, former=card, split=held_out, more=more)
 
@@ -399,7 +348,6 @@ def _grouping(run: Run) -> str:
 
 
 def _check(estimator: Estimator, run: Run, plan: CalibrationPlan) -> None:
-    """Refuse what cannot be learnt from, before anything is written."""
     card = estimator.card
     if run.hash == card.run.hash:
         raise InputError(
@@ -472,7 +420,6 @@ def _split(table: pd.DataFrame, plan: CalibrationPlan) -> Split:
 
 
 def _told_apart(estimator: Estimator, result: CalibrationResult) -> CopiesToldApart:
-    """The copy's frames, untouched ones too, beside those that the former calibration knows."""
     former = former_frames(estimator)
     job, fold = result.job, np.zeros(len(result.job.whole), np.int64)
     for k, rows in enumerate(job.folds_of_whole()):

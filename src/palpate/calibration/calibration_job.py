@@ -22,15 +22,7 @@ Box = tuple[int, int, int, int]
 
 
 def model_regions(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]:
-    """Regions of a frame that a model was made for, in its order.
-
-    Args:
-        manifest: of the run, which names its regions.
-        names: of a model's regions, see `estimators.networks.Kind`.
-
-    Raises:
-        InputError: the run does not name all of them.
-    """
+    """Return the frame regions that a model was made for, in its order."""
     regions = manifest.regions
     if not set(names) <= set(regions):
         named = ", ".join(regions) or "none"
@@ -41,20 +33,18 @@ def model_regions(manifest: Manifest, names: tuple[str, ...]) -> tuple[Box, ...]
     return tuple(regions[name] for name in names)
 
 
-FLAG_COLUMNS = ("reference", "no_contact", "untouched")
-"""Label columns of yes and no that mark frames of the untouched sensor without being asked for."""
-
+FLAG_COLUMNS = ("reference", "no_contact", "untouched")  # flags that mark no-contact frames by default
 BATCH = 256
 
 
 @dataclass(frozen=True)
 class Untouched:
-    """The frames of the untouched sensor.
+    """No-contact frames.
 
     Attributes:
-        rows: which rows they are.
-        groups: ``[n]`` number of the reference that each row of the recording belongs to.
-        images: ``[g c h w]`` mean image of each reference, grey levels.
+        rows: their row numbers.
+        groups: reference that each row of the recording belongs to ``[n]``.
+        images: mean image of each reference ``[g c h w]`` [grey levels].
         rule: how they were found; None where there are none.
     """
 
@@ -65,11 +55,7 @@ class Untouched:
 
 
 def rows_matching(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, " n"]:
-    """Rows that a reference rule names, as a mask.
-
-    Raises:
-        LabelError: the rule's columns are not there, or no row matches.
-    """
+    """Return the mask of rows that a reference rule names."""
     for name in (rule.column, *rule.by):
         if name not in table:
             raise LabelError(f"reference column {name!r} is not among the labels: {', '.join(table.columns)}")
@@ -84,7 +70,7 @@ def rows_matching(table: pd.DataFrame, rule: ReferenceRule) -> Bool[np.ndarray, 
 
 
 def default_rule(table: pd.DataFrame) -> ReferenceRule | None:
-    """The rule of a conventional flag column, where one is there and marks any row."""
+    """Return the rule of a conventional flag column that marks any row."""
     for column in FLAG_COLUMNS:
         if column in table and table[column].astype(str).str.lower().eq("true").any():
             return ReferenceRule(column, "true")
@@ -92,11 +78,6 @@ def default_rule(table: pd.DataFrame) -> ReferenceRule | None:
 
 
 def _rule(table: pd.DataFrame, plan: CalibrationPlan) -> ReferenceRule | None:
-    """The plan's rule, or the conventional one.
-
-    Raises:
-        LabelError: there is none, and the plan is differential.
-    """
     rule = plan.reference or default_rule(table)
     if rule is None and plan.delta:
         raise LabelError(
@@ -107,11 +88,7 @@ def _rule(table: pd.DataFrame, plan: CalibrationPlan) -> ReferenceRule | None:
 
 
 def _rule_by_session(table: pd.DataFrame, rule: ReferenceRule, plan: CalibrationPlan) -> ReferenceRule:
-    """The rule, each session with a reference of its own: a sensor that was mounted again rests otherwise.
-
-    Raises:
-        LabelError: the plan is differential, and a session has no frame of the untouched sensor.
-    """
+    """Give each session a reference of its own: a sensor that was mounted again rests otherwise."""
     if SESSION not in table or SESSION in rule.by:
         return rule
     sessions = table[SESSION].astype(str)
@@ -126,11 +103,7 @@ def _rule_by_session(table: pd.DataFrame, rule: ReferenceRule, plan: Calibration
 
 
 def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
-    """Rows to learn from: all but those of the untouched sensor, where a press has no place or shape.
-
-    Raises:
-        LabelError: the plan's reference names columns or rows that are not there.
-    """
+    """Return the rows to train on: all but no-contact rows, unless the plan includes them."""
     rule = _rule(table, plan)
     if rule is None or plan.learn_untouched:
         return np.arange(len(table))
@@ -138,16 +111,12 @@ def rows_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> Indices:
 
 
 def table_to_learn(table: pd.DataFrame, plan: CalibrationPlan) -> pd.DataFrame:
-    """Labels of these rows, numbered anew."""
+    """Return the labels of the training rows, renumbered."""
     return table.iloc[rows_to_learn(table, plan)].reset_index(drop=True)
 
 
 def find_untouched(packed: PackedSet, plan: CalibrationPlan) -> Untouched:
-    """Find and average the no-contact frames.
-
-    Raises:
-        LabelError: the plan is differential and there are none, or a group has none of its own.
-    """
+    """Find and average the no-contact frames."""
     table = packed.table
     rule = _rule(table, plan)
     nothing = np.zeros(len(table), dtype=np.int64)
@@ -178,14 +147,11 @@ class CalibrationJob:
     """Rows, labels, groups, sessions, and folds of a calibration.
 
     Attributes:
-        run, plan: what was asked.
-        parts: how rows are held out.
-        whole: every frame, packed, those of the untouched sensor too.
+        whole: every frame, packed, including no-contact frames.
         rows: rows of `whole` to train on.
-        packed: these rows, numbered anew.
+        packed: these rows, renumbered.
         untouched: references, for every row of `whole`.
         data: inputs, values ``[n t]``, and groups of `packed`.
-        classes: of `packed`.
     """
 
     run: Run
@@ -207,12 +173,6 @@ class CalibrationJob:
         whole: PackedSet,
         classes: tuple[ClassLabels, ...] = (),
     ) -> CalibrationJob:
-        """Select the rows to train on.
-
-        Raises:
-            LabelError, UnitError: a target column is missing, not a number, constant, or has no unit; or
-                there is no untouched frame and the plan needs one.
-        """
         rows, untouched = rows_to_learn(whole.table, plan), find_untouched(whole, plan)
         packed = whole.only(rows)
         references = untouched.groups[rows]
@@ -272,18 +232,17 @@ class CalibrationJob:
         return [np.append(self.rows[fold], others[k :: len(folds)]) for k, fold in enumerate(folds)]
 
 
-HELD_OUT_WHOLE = (SESSION, "sensor", "copy")
-"""Columns of which a new group is predicted where they are held out whole; the coarsest first."""
+HELD_OUT_WHOLE = (SESSION, "sensor", "copy")  # columns of which a new group is predicted, the coarsest first
 
 
 def has_gaps(table: pd.DataFrame, columns: tuple[str, ...]) -> bool:
-    """True if a cell of these columns is empty."""
+    """Return whether a cell of these columns is empty."""
     cells = table[list(columns)]
     return bool(cells.isna().to_numpy().any() or (cells.astype(str) == "").to_numpy().any())
 
 
 def is_grouped(table: pd.DataFrame) -> bool:
-    """True if a conventional column without gaps groups the rows."""
+    """Return whether a conventional column without gaps groups the rows."""
     return any(
         not has_gaps(table, columns) and 1 < len(np.unique(group_names(table, columns))) < len(table)
         for columns in conventional_groups(table)
@@ -291,14 +250,14 @@ def is_grouped(table: pd.DataFrame) -> bool:
 
 
 def finest_columns(table: pd.DataFrame) -> tuple[str, ...]:
-    """The finest conventional columns without gaps that group rows, such as the press; none if none does."""
+    """Return the finest conventional columns without gaps that group rows, such as the press."""
     finer = [columns for columns in conventional_groups(table) if columns[0] not in HELD_OUT_WHOLE]
     whole = [columns for columns in finer if not has_gaps(table, columns)]
     return within_session(table, whole[-1]) if whole else ()
 
 
 def groups_within(table: pd.DataFrame) -> Indices:
-    """Number of each row's finest conventional group ``[n]``; each row its own where there is none."""
+    """Return each row's finest conventional group ``[n]``; each row its own where there is none."""
     columns = finest_columns(table)
     if not columns:
         return np.arange(len(table))
@@ -306,9 +265,9 @@ def groups_within(table: pd.DataFrame) -> Indices:
 
 
 def presses_of(table: pd.DataFrame, parts: Split) -> Indices | None:
-    """Number of the press that each row is of ``[n]``; None where no column says.
+    """Return the press number of each row ``[n]``; None where no column states it.
 
-    A split's own groups are presses too, unless they are whole sessions, or blocks that only cut the order.
+    A split's own groups are presses too, unless they are whole sessions or blocks of temporal order.
     """
     named = [groups_within(table)] if finest_columns(table) else []
     fine = parts.groups is not None and parts.block_rows is None
@@ -320,17 +279,13 @@ def presses_of(table: pd.DataFrame, parts: Split) -> Indices | None:
 
 
 def recordings_of(table: pd.DataFrame) -> np.ndarray | None:
-    """Name of the session, sensor and copy that each row is of ``[n]``; None where no column says."""
+    """Return the session, sensor, and unit of each row ``[n]``; None where no column states them."""
     columns = tuple(c for c in HELD_OUT_WHOLE if c in table and not has_gaps(table, (c,)))
     return group_names(table, columns) if columns else None
 
 
 def refuse_other_size(run: Run, card: Card, rows: Sequence[int]) -> None:
-    """Refuse frames of another size than a calibration's.
-
-    Raises:
-        ImageError: the message names the first such frame.
-    """
+    """Raise `ImageError` for a frame whose size differs from the calibration's."""
     height, width = card.input.frame_px
     for row in rows:
         shape = run.frame(int(row)).image.shape
@@ -343,11 +298,7 @@ def refuse_other_size(run: Run, card: Card, rows: Sequence[int]) -> None:
 
 
 def rule_in_run(card: Card, run: Run) -> ReferenceRule | None:
-    """A calibration's own rule of the untouched sensor; None where it has none, or the run no such rows.
-
-    Raises:
-        LabelError: the run has no such rows, and the calibration subtracts the untouched sensor.
-    """
+    """Return a calibration's no-contact rule; None where it has none, or the run has no such rows."""
     rule = ReferenceRule.of_card(card)
     if rule is None:
         return None

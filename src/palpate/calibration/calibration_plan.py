@@ -22,11 +22,11 @@ SESSION = "session"  # of `recordings.splits`, which would load tables
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRule:
-    """Rule that names the rows of the untouched sensor.
+    """Rule that names the no-contact rows.
 
     Attributes:
-        column, value: rows where a label column holds this value (compared as a number where both are).
-        by: a reference holds within the groups of these columns; empty for one reference for all.
+        column, value: rows where a label column has this value (compared as a number where both are).
+        by: columns whose groups have a reference each; empty for one reference.
     """
 
     column: str
@@ -35,11 +35,7 @@ class ReferenceRule:
 
     @classmethod
     def parse(cls, text: str, by: tuple[str, ...] = ()) -> ReferenceRule:
-        """Read ``column=value``, e.g. ``mass_g=0``.
-
-        Raises:
-            InputError: it is not of that form.
-        """
+        """Parse ``column=value``, e.g. ``mass_g=0``."""
         column, equals, value = text.partition("=")
         if not (column and equals and value):
             raise InputError(
@@ -62,47 +58,36 @@ class ReferenceRule:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPlan:
-    """One calibration.
+    """Checked plan of one calibration.
 
     Attributes:
         targets: label columns to estimate, named quantity_unit.
-        model: a name from `estimators.networks.MODELS`, ``module:Class`` or an entry point's name; a class or
-            an instance of a user's own is kept as ``module:Class`` and `options`.
-        split: how rows are held out, see `recordings.splits.split`; a function of a user's own is kept as
-            ``module:function``.
-        folds: how many parts, where the split does not fix it; None takes five, or eight where the model is
-            costly to train.
-        scored_folds: how many of them are held out in turn; None takes all, or one where the model is costly
-            to train and one fold gives scores enough. With one, the model that was scored is the one kept.
-        fold_by: label columns by which the one fold that is scored is chosen, as the part most like all rows;
-            empty takes the targets. Models of other targets are then scored on the same rows.
-        seed: of everything random.
+        model: name from `estimators.networks.MODELS`, ``module:Class``, or an entry point's name; a class or
+            an instance is kept as ``module:Class`` and `options`.
+        split: see `recordings.splits.split`; a function is kept as ``module:function``.
+        folds: number of folds; None takes five, or eight where the model is costly to train.
+        scored_folds: number of folds held out in turn; None takes all, or one where the model is costly and
+            one fold gives enough scores. With one, the scored model is the one kept.
+        fold_by: label columns by which a single scored fold is chosen; empty takes the targets.
+        seed: seed of everything random.
         size_px: (height, width) of the network's input [px]; None takes the model's own.
-        channels: 1 for grey, 3 for RGB.
-        crop_px: (x, y, width, height) cut from each frame first [px].
-        beside_px: a second such crop, laid to the right of the first [px].
-        delta: learn from the difference to a no-contact reference.
-        reference: which rows are that reference.
-        learn_untouched: learn from (and score) those rows too, as from any other.
-        coverage: how often intervals shall hold the truth.
-        skin_px: (x, y, width, height) of the skin in the frame, beyond which the audit asks what the outside
-            tells [px]; None where it is found by itself.
-        options: the model's own fields, by name.
-        circular: targets that come round again, and after which period in their unit; None takes a full turn.
-        vectors: name of each vector that is also read as a whole, and its components among the targets, all
-            in one unit.
-        instruments: what label columns were measured with, beside what the run's manifest states; it goes
-            before that.
-        classes: label columns whose values are classes or counts, and what these shall be called, in
-            ascending order; no names for the values themselves.
-        lens: of the camera, whose bending is taken out of each frame first; crops and skin then count in the
-            rectified image. None leaves frames as they are.
+        crop_px, beside_px: (x, y, width, height) cut from each frame first, and a second crop laid to its
+            right [px].
+        delta: train on the difference to a no-contact reference.
+        learn_untouched: train on (and score) no-contact rows too.
+        coverage: rate of the intervals, 0.5 to 1.
+        skin_px: (x, y, width, height) of the skin in the frame [px]; None finds it.
+        options: the model's own fields.
+        circular: periodic targets and their period in their unit; None takes a full turn.
+        vectors: name of each vector that is also read as a whole, and its components among the targets.
+        instruments: reference instruments of label columns; precede the run's manifest.
+        classes: label columns of classes or counts, and their names in ascending order; none for the values.
+        lens: camera lens by which frames are rectified first; crops then count in the rectified image.
 
     Raises:
-        InputError: a field is not of its kind or out of its range; the message says what is allowed.
-        UnitError: a target carries no unit.
-        SplitError: the split is none that is known.
-        PluginError: the model or the split is a plug-in that does not import or breaks a law.
+        InputError: a field is out of its range; the message says what is allowed.
+        UnitError, SplitError, PluginError: a target without a unit, an unknown split, or a plug-in that
+            fails.
 
     Example:
         >>> CalibrationPlan(("depth_mm", "force_N"), split="group:press").model
@@ -172,14 +157,10 @@ class CalibrationPlan:
         split: str = "auto",
         instruments: Mapping[str, ReferenceInstrument] | None = None,
     ) -> CalibrationPlan:
-        """Plan that prepares images and rows as they were for a certificate; the model is not its own.
+        """Return the plan that prepares images and rows as a certificate's did; the model is not its own.
 
         Args:
-            card: the certificate's.
-            reference: rule of the untouched sensor.
-            split: how rows are held out.
-            instruments: what the labels of a new run were measured with; where it states none, the
-                certificate's instrument stands.
+            instruments: reference instruments of a new run; where it states none, the certificate's stands.
         """
         image = card.input
         former = {t.column: t.measured_by for t in card.targets if t.measured_by is not None}
@@ -210,7 +191,6 @@ class CalibrationPlan:
 
     @property
     def layout(self) -> TargetLayout:
-        """The order of the model's outputs."""
         return TargetLayout(tuple(self.circular.get(target) for target in self.targets))
 
     def _check_numbers(self) -> None:
@@ -244,7 +224,6 @@ class CalibrationPlan:
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         plain = asdict(replace(self, lens=None)) | {
             "instruments": {k: v.model_dump() for k, v in self.instruments.items()},
             "lens": None if self.lens is None else self.lens.card(),
@@ -254,7 +233,6 @@ class CalibrationPlan:
 
 
 def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str, float | None]:
-    """The period of each circular target, in its unit."""
     periods: dict[str, float | None] = {}
     for column, period in asked.items():
         if column not in targets:
@@ -280,7 +258,6 @@ def _periods(asked: dict[str, float | None], targets: Sequence[str]) -> dict[str
 def _vectors(
     asked: dict[str, tuple[str, ...]], targets: Sequence[str], circular: dict[str, float | None]
 ) -> dict[str, tuple[str, ...]]:
-    """The components of each vector, by the vector's column."""
     vectors: dict[str, tuple[str, ...]] = {}
     for name, parts in asked.items():
         column = vector_column(name, parts, targets)
@@ -301,17 +278,12 @@ VECTOR_NAME = re.compile(r"[^\W_][\w.-]*")
 
 
 def check_vector_names(vectors: Iterable[str], labels: Iterable[str], source: str) -> None:
-    """Check the columns that vectors get in a new calibration.
-
-    They stand as columns of tables and keys of readings, beside those of the labels.
+    """Check the column names of vectors, which share tables and readings with the labels.
 
     Args:
-        vectors: their columns, with the unit.
+        vectors: vector columns, with the unit.
         labels: label columns of the run.
-        source: the run, for messages.
-
-    Raises:
-        InputError: one has other characters than a name's, or is a label column's.
+        source: name of the run in messages.
     """
     for column in vectors:
         if not VECTOR_NAME.fullmatch(column):
@@ -329,7 +301,6 @@ def check_vector_names(vectors: Iterable[str], labels: Iterable[str], source: st
 
 
 def _check_classes(plan: CalibrationPlan) -> None:
-    """Refuse columns of classes that are something else as well, or are named in a way that reads twice."""
     from palpate.estimators.networks import model_kind
 
     for column, names in plan.classes.items():

@@ -21,7 +21,7 @@ from palpate.calibration.classes import HeldOutClasses
 from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
 from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of, uninformative_width
 from palpate.calibration.coverage.joint_regions import vector_cards
-from palpate.calibration.coverage.range_limits import range_cards
+from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
 from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column
@@ -57,15 +57,11 @@ from palpate.version import __version__
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """Result of a calibration: everything a certificate is written from.
+    """Everything that a certificate is written from.
 
     Attributes:
-        job: what was asked, and the rows and folds.
-        audit: what is on both sides of the split.
         held_out: outputs ``[n o]`` of models that had not seen the row's group; NaN for rows not scored.
-        intervals: made from these.
-        fitted, novelty: trained on all of them.
-        seconds: time it took [s].
+        fitted, novelty: trained on all rows.
         robustness, confounds, classes, pixels: None where not measured.
     """
 
@@ -83,7 +79,6 @@ class CalibrationResult:
 
     @property
     def data(self) -> TrainingData:
-        """Inputs, values and groups of these rows."""
         return self.job.data
 
     @property
@@ -98,7 +93,6 @@ class CalibrationResult:
 
     @property
     def layout(self) -> TargetLayout:
-        """The order of the model's outputs."""
         return self.job.plan.layout
 
     @property
@@ -112,14 +106,12 @@ class CalibrationResult:
         return self.layout.differences(self.estimates, self.data.values)
 
 
-AGREEMENT = 1e-4
-"""Largest allowed difference between the exported and the trained model, as a share of a target's range."""
-
+AGREEMENT = 1e-4  # largest difference of exported and trained model, relative to a target's range
 WORST = 6
 
 
 def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
-    """Rows that are missed most, see `most_missed`; without a target, by their class."""
+    """Return the rows with the largest errors, see `most_missed`; without a target, by their class."""
     span, scored = np.ptp(result.data.values, axis=0), result.scored
     if not len(span) and result.classes is not None:
         return scored[np.argsort(result.classes.shortfalls(scored))[::-1][:WORST]]
@@ -127,12 +119,12 @@ def worst_rows(result: CalibrationResult, read: Sequence[bool]) -> Indices:
 
 
 def most_missed(errors: Values, span: Float[np.ndarray, " t"], read: Sequence[bool]) -> Indices:
-    """Rows whose error is the largest in units of each target's range, the worst first.
+    """Return the rows with the largest error relative to each target's range, the worst first.
 
     Args:
-        errors: signed, or their sizes ``[n t]``.
+        errors: signed or absolute errors ``[n t]``.
         span: lengths of the targets' ranges; 0 counts as 1.
-        read: of each target, whether it is read; where none is, all count.
+        read: whether each target is read; where none is, all count.
     """
     counted = np.array(read, bool) if any(read) else np.ones(len(span), bool)
     shares = np.abs(errors) / np.where(span > 0, span, 1.0)
@@ -157,7 +149,7 @@ def write_picture(path: Path, prepared: np.ndarray) -> None:
 
 
 def agreement(result: CalibrationResult, model: Path) -> float:
-    """Largest difference between exported and trained model, as a share of each target's range."""
+    """Return the largest difference of exported and trained model, relative to each target's range."""
     count = len(result.data.values)
     rows = np.linspace(0, count - 1, min(64, count)).astype(np.int64)
     inputs = result.data.fetch(rows)
@@ -179,13 +171,11 @@ def agreement(result: CalibrationResult, model: Path) -> float:
 def interval_fields(
     intervals: Intervals, j: int, over_range: RangeCard | None = None, untold_width: float | None = None
 ) -> dict[str, Any]:
-    """Fields of a target's card from which `estimators.intervals.intervals_of` makes its interval again.
+    """Return the card fields from which `estimators.intervals.intervals_of` restores a target's interval.
 
     Args:
-        intervals: of all targets.
-        j: which target.
-        over_range: its card over its range.
-        untold_width: width from which its interval carries no information, where it is circular.
+        j: index of the target.
+        untold_width: width from which a circular target's interval carries no information.
     """
     spread, layout = intervals.spread, intervals.layout
     outputs, circular = slice(j, j + 1), None
@@ -206,7 +196,7 @@ def interval_fields(
 
 
 def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
-    """Ranges, intervals and scores."""
+    """Return ranges, intervals, and scores of each target."""
     scored, values, groups = result.scored, result.data.values, result.data.groups
     outputs = result.held_out[scored]
     inside = intervals.hold(outputs, values[scored])
@@ -252,7 +242,7 @@ def _range_of(true: np.ndarray, period: float | None) -> tuple[float, float]:
 
 
 def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> InstrumentCard | None:
-    """What a column's labels were measured with, and its part of intervals of this coverage."""
+    """Return the instrument of a column's labels, with its part of intervals of this coverage."""
     if stated is None:
         return None
     half_width = reference_half_width(stated.standard_uncertainty, coverage)
@@ -260,7 +250,7 @@ def instrument_card(stated: ReferenceInstrument | None, coverage: float) -> Inst
 
 
 def reference_card(result: CalibrationResult) -> ReferenceCard:
-    """Rule by which the untouched sensor was found."""
+    """Return the rule by which no-contact frames were found."""
     rule = result.job.untouched.rule
     return ReferenceCard(
         column=rule.column if rule else None,
@@ -285,12 +275,12 @@ def run_card(run: Run) -> RunCard:
 
 
 def file_card(path: Path) -> FileCard:
-    """A part of the folder, by its bytes."""
+    """Return the hash of a file of the calibration folder."""
     return FileCard(file=path.name, sha256=sha256_of(path))
 
 
 def software() -> dict[str, str]:
-    """Versions of what a calibration is result and read with."""
+    """Return the versions of palpate and the libraries that a calibration depends on."""
     names = ("numpy", "scikit-learn", "onnx", "onnxruntime", "opencv-python-headless")
     return {"palpate": __version__, "python": platform.python_version()} | {n: version(n) for n in names}
 
@@ -298,18 +288,17 @@ def software() -> dict[str, str]:
 PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE = "predictions.csv.gz", "predictions.parquet"
 
 
+# from held-out outputs, labels, groups, coverage, and for circular targets `layout`
 IntervalFit = Callable[..., Intervals]
-"""Makes intervals from held-out outputs, labels, groups and coverage, and where a target is circular from the
-`layout` of the outputs."""
 
 
 def scored_rows(held_out: Outputs) -> Indices:
-    """Rows that were held out once, and predicted."""
+    """Return the rows that were held out once, and predicted."""
     return np.flatnonzero(~np.isnan(held_out).any(axis=1))
 
 
 def intervals_by(fit: IntervalFit, held_out: Outputs, data: TrainingData, plan: CalibrationPlan) -> Intervals:
-    """Intervals that a way of making them gives for the rows that were scored."""
+    """Return the intervals of the scored rows by an interval fit."""
     rows, layout = scored_rows(held_out), plan.layout
     given = (held_out[rows], data.values[rows], data.groups[rows], plan.coverage)
     return fit(*given) if layout.plain else fit(*given, layout=layout)
@@ -323,18 +312,12 @@ def write_certificate(
     split: SplitCard | None = None,
     more: Callable[[Path], Mapping[str, Any]] = lambda folder: {},
 ) -> Card:
-    """Write the folder; `out` appears whole or not at all.
+    """Write the calibration folder; `out` appears whole or not at all.
 
     Args:
-        result: what was calibrated.
-        out: the folder to make.
         former: card of the adapted calibration, whose model and input stay; None for a new one.
-        split: how rows were held out; None takes the result's own.
-        more: further fields of the card, from the folder, to which it may add files.
-
-    Raises:
-        CertificateError: the exported model does not repeat the trained one.
-        ExistsError: `out` exists.
+        split: split to state; None takes the result's own.
+        more: further card fields, by a function of the folder that may add files.
     """
     data, scored, intervals = result.data, result.scored, result.intervals
     with new_folder(out) as folder:
@@ -378,7 +361,7 @@ def write_certificate(
 
 
 def made_fields(folder: Path) -> dict[str, Any]:
-    """Fields of a card that say when, with what software and into which files a calibration was written."""
+    """Return the card fields of date, software, and files."""
     parts = ("model.onnx", "guard.npz")
     others = sorted(path for path in folder.iterdir() if path.is_file() and path.name not in parts)
     return {
@@ -391,7 +374,7 @@ def made_fields(folder: Path) -> dict[str, Any]:
 
 
 def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) -> pd.DataFrame:
-    """One row a scored frame: labels, held-out estimates, and interval ends ``[n t]``."""
+    """Return one row per scored frame: labels, held-out estimates, and interval ends ``[n t]``."""
     rows = result.scored
     names = [result.job.packed.names[row] for row in rows]
     own = {"row": rows, "frame": names, "held_out_in_fold": result.job.fold_of[rows]}
@@ -405,12 +388,7 @@ def predictions_table(result: CalibrationResult, ends: tuple[Values, Values]) ->
 
 
 def read_predictions(folder: Path, card: Card) -> pd.DataFrame:
-    """Held-out predictions of a calibration.
-
-    Raises:
-        CertificateError: they are missing, or not those that the card names.
-        MissingExtraError: they were written as Parquet, and pyarrow is not installed.
-    """
+    """Read the held-out predictions of a calibration."""
     for part in card.files:
         if part.file in (PREDICTIONS_FILE, FORMER_PREDICTIONS_FILE):
             return read_table(checked_file(folder, part))
@@ -440,7 +418,7 @@ def _plan_fields(result: CalibrationResult) -> dict[str, Any]:
 
 
 def choice_card(fitted: Fitted) -> ChoiceCard | None:
-    """Choice that a model made by inner folds; None where it made none."""
+    """Return the choice that a model made by inner folds; None where it made none."""
     if not isinstance(fitted, Chooses):
         return None
     trials = [
@@ -451,12 +429,12 @@ def choice_card(fitted: Fitted) -> ChoiceCard | None:
 
 
 def training_card(fitted: Fitted) -> TrainingCard | None:
-    """How long a network has learnt; None where it does not say."""
+    """Return the training length of a network; None where it is not stated."""
     return TrainingCard(**asdict(fitted.training)) if isinstance(fitted, LearnsInSteps) else None
 
 
 def split_card(result: CalibrationResult) -> SplitCard:
-    """Split of the rows, and the findings of its audit."""
+    """Return the split of the rows, and the findings of its audit."""
     return SplitCard(
         kind=result.job.parts.kind,
         reason=result.job.parts.reason,

@@ -1,12 +1,11 @@
-"""A small correction of a network's estimates to one copy of its sensor, learnt from a few presses.
+"""Correction of a network's estimates u to one sensor unit, fitted to a few presses.
 
-With u the network's estimates, z = (u - centre) / scale, and terms f(z) = (1, each z, each product of two),
+With z = (u - centre) / scale and terms f(z) = (1, each z, each product of two),
 
-    corrected = u + f(z) W,    W = argmin mean |label - u - f(z) W|^2 + strength |W|^2
+    corrected = u + f(z) W,    W = argmin mean |label - u - f(z) W|^2 + strength |W|^2,
 
-which is a ridge regression of the label, shrunk towards the identity (W = 0). How many of the terms are used
-and how strongly they are shrunk is chosen for each target by leaving one press out. That choice is made anew
-within every press that is scored, without it, so that the scores have not seen what they judge.
+a ridge regression shrunk towards the identity. Terms and strength are chosen per target by
+leave-one-press-out, nested for scores.
 """
 
 from __future__ import annotations
@@ -20,9 +19,7 @@ from onnx import helper, numpy_helper
 from palpate.core import Float, Indices, Values
 from palpate.estimators.intervals import design
 
-STRENGTHS = tuple(10.0**power for power in range(-6, 2))
-"""Tried in turn; in units of the mean square of a term, which is about 1."""
-
+STRENGTHS = tuple(10.0**power for power in range(-6, 2))  # in units of the mean square of a term, about 1
 AS_IT_WAS = "as it was"
 NO_PRESS = -1
 
@@ -34,9 +31,8 @@ class Correction:
     """corrected = u + f(z) W.
 
     Attributes:
-        centre, scale: of the estimates ``[t]``, in the targets' units.
-        least, greatest: of the scaled training estimates ``[t]``: beyond them the products stay constant, and
-            the linear terms go on.
+        centre, scale: of the estimates, in the targets' units ``[t]``.
+        least, greatest: of the scaled training estimates ``[t]``; products stay constant beyond them.
         weights: W ``[k t]``; zeros where a target keeps its estimate.
     """
 
@@ -65,11 +61,11 @@ class Correction:
         return estimates + self.terms(estimates) @ self.weights
 
     def appended(self, model: onnx.ModelProto, tag: str) -> onnx.ModelProto:
-        """A network with the correction behind it, in one graph.
+        """Return a network with the correction behind it, in one graph.
 
         Args:
-            model: from `image` to `value`; left as it is.
-            tag: a word that no name in the graph holds yet.
+            model: from `image` to `value`; not changed.
+            tag: word that no name in the graph contains yet.
         """
         whole = onnx.ModelProto()
         whole.CopyFrom(model)
@@ -118,13 +114,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Terms and strength of a target's correction.
-
-    Attributes:
-        terms: "as it was", "offset", "linear" or "quadratic".
-        count: how many of the terms are used.
-        strength: of the shrinking; None where there is no correction.
-    """
+    """Terms ("as it was", "offset", "linear", or "quadratic"), their count, and shrinkage of a correction."""
 
     terms: str
     count: int = 0
@@ -133,13 +123,11 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Adapted:
-    """A correction, and its estimates of each row before it had learnt from that row's press.
+    """Correction with held-out estimates.
 
     Attributes:
-        correction: learnt from all presses.
         estimates: of the network alone ``[n t]``.
-        held_out: corrected estimates ``[n t]``, each by a correction that has not seen its press.
-        choices: of each target.
+        held_out: corrected estimates, each by a correction that has not seen its press ``[n t]``.
     """
 
     correction: Correction
@@ -151,18 +139,14 @@ class Adapted:
 def correct(
     estimates: Values, true: Values, presses: Indices, start: Correction, *, linear: tuple[int, ...] = ()
 ) -> Adapted:
-    """Fit a correction, or keep the estimates where it does not help.
-
-    A target's correction is kept only where leaving one press out shows it better in mean absolute error over
-    presses by more than its standard error.
+    """Fit a correction; keep a target's estimates unless leave-one-press-out shows an improvement of its mean
+    absolute error by more than one standard error.
 
     Args:
-        estimates: of the network ``[n t]``.
-        true: the labels ``[n t]``, in the same units.
-        presses: number of each row's press ``[n]``, 0, 1, 2, and so on.
-        start: the identity, with the scales to work in.
-        linear: targets whose correction is linear at most, as the cosine and sine of one direction, whose
-            squares add up to nearly 1.
+        estimates, true: of the network, and labels, in the same units ``[n t]``.
+        presses: press of each row ``[n]``, 0, 1, 2, and so on.
+        start: identity, with the scales to work in.
+        linear: targets whose correction is at most linear, as the cosine and sine of one direction.
     """
     folds = _LeavePressOut(start.terms(estimates), true - estimates, presses, linear)
     held_out, targets = estimates.copy(), range(true.shape[1])
@@ -180,7 +164,6 @@ def correct(
 
 
 def _helps(after: np.ndarray, before: np.ndarray, presses: Indices) -> bool:
-    """True if errors have become smaller by more than chance makes them between presses."""
     rows = np.bincount(presses)
     gain = np.bincount(presses, weights=np.abs(before) - np.abs(after)) / rows
     return bool(gain.mean() > gain.std(ddof=1) / np.sqrt(len(gain)))
@@ -203,11 +186,7 @@ class _LeavePressOut:
         self._kinds = {name: count for name, count in counts.items() if count <= self.presses}
 
     def chosen(self, without: int = NO_PRESS) -> tuple[Choice, ...]:
-        """Terms and strength for each target that err least where each press is left out in turn.
-
-        Args:
-            without: a press that has no part in the choice.
-        """
+        """Terms and strength for each target by leave-one-press-out, without the press `without`."""
         rows = self.of != without
         choices, errors = [Choice(AS_IT_WAS)], [np.abs(self.errors[rows]).mean(axis=0)]
         for name, count in self._kinds.items():
@@ -219,7 +198,6 @@ class _LeavePressOut:
         return tuple(choices[best] for best in np.argmin(errors, axis=0))
 
     def weights(self, choices: tuple[Choice, ...], without: int = NO_PRESS) -> Float[np.ndarray, "k t"]:
-        """W of the choices, learnt from all presses but one."""
         others = np.arange(self.presses) != without
         n, weights = self.rows[others].sum(), np.zeros(self._moments.shape[1:])
         for j, choice in enumerate(choices):

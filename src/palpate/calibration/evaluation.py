@@ -9,29 +9,14 @@ import pandas as pd
 
 from palpate.calibration.calibration_job import rows_matching
 from palpate.calibration.calibration_plan import SESSION, ReferenceRule
-from palpate.calibration.classes import (
-    SEPARATOR,
-    class_findings,
-    known_codes,
-    score_of_run,
-    target_values,
-)
+from palpate.calibration.classes import SEPARATOR, class_findings, known_codes, score_of_run, target_values
 from palpate.calibration.coverage.circular_scores import dispersion, shortest
 from palpate.calibration.coverage.counted_groups import ROW, counted_groups, press_column, press_groups
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.joint_regions import joint_score
 from palpate.calibration.coverage.range_scores import range_scores, target_findings
 from palpate.calibration.learnt_frames import LearntFrames, find_learnt_frames
-from palpate.core import (
-    Bool,
-    CertificateError,
-    LabelError,
-    Progress,
-    Shaped,
-    Values,
-    half_width_text,
-    silent,
-)
+from palpate.core import Bool, CertificateError, LabelError, Progress, Shaped, Values, half_width_text, silent
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.intervals import intervals_of, layout_of, within
@@ -58,11 +43,10 @@ def score(
 
     Args:
         unit_: unit of everything given.
-        true, predicted, half: labels, estimates and half-widths of their intervals ``[n]``.
-        mean: the training mean, as an estimate of every row.
-        groups: label of each row's group ``[n]``.
+        true, predicted, half: labels, estimates, and half-widths of their intervals ``[n]``.
+        mean: training mean, as an estimate of every row.
         inside: whether each interval covered the truth; None where estimates lie in their middles.
-        period: after which the target is periodic: errors are the shortest way round.
+        period: of a circular target; errors are the shortest way round.
     """
     error, away = shortest(predicted - true, period), shortest(true - mean, period)
     inside = np.abs(error) <= half if inside is None else inside
@@ -92,9 +76,8 @@ def valid_score(
     """Score the valid readings of one target alone.
 
     Args:
-        error: sizes of the errors ``[n]``.
+        error: absolute errors ``[n]``.
         inside, valid: whether each interval covered the truth, and each reading is valid ``[n]``.
-        groups: label of each row's group ``[n]``.
     """
     if not valid.any():
         return ValidScoreCard(n=0)
@@ -109,7 +92,7 @@ def valid_score(
 
 
 def zeros_of(estimator: Estimator, run: Run) -> dict[int, Zero]:
-    """No-contact references found in a run by the calibration's own rule: row -> reference; may be empty."""
+    """Return the no-contact references in a run by the calibration's rule: row -> reference."""
     table = run.labels
     rule = ReferenceRule.of_card(estimator.card)
     by = [] if rule is None else list(rule.for_columns(table.columns).by)
@@ -130,23 +113,19 @@ def evaluate(
     """Score a calibration on a run, one frame in memory at a time.
 
     Args:
-        estimator: the calibration.
         run: frames with labels in the calibration's target columns.
         zero: one reference for the whole run; None finds the run's own by the calibration's rule.
-        progress: called with how far it is.
 
     Returns:
-        By target column ``targets`` (unit, n, mae, rmse, bias, r2, coverage_90, ...), ``valid_readings``
-        (scores of valid readings alone), ``tenths`` of its range, ``findings_of`` (sentences),
-        ``frames_untold`` (frames whose interval is as wide as the range), ``coverage_with_instrument`` and
-        ``instruments`` where the labels are by another instrument than the card's; ``vectors`` and
-        ``classes`` with their scores; ``findings`` (all sentences); counts ``frames_scored``,
-        ``frames_read``, ``frames_valid`` (something is identifiable, and no reading refused),
-        ``frames_all_valid``, ``frames_drifted``; ``learnt_frames`` (train/test overlap); ``same_session``
-        (why it tests no other day); ``simulated``; ``counted_groups`` and ``counted_by``.
+        By target column ``targets`` (unit, n, mae, rmse, bias, r2, coverage_90, ...), ``valid_readings``,
+        ``tenths`` of its range, ``findings_of`` (sentences), ``frames_untold`` (intervals as wide as the
+        range), ``coverage_with_instrument`` and ``instruments`` (labels by another instrument); ``vectors``
+        and ``classes`` with scores; ``findings``; counts ``frames_scored``, ``frames_read``,
+        ``frames_valid``, ``frames_all_valid``, ``frames_drifted``; ``learnt_frames`` (train/test overlap);
+        ``same_session``; ``simulated``; ``counted_groups`` and ``counted_by``.
 
     Raises:
-        LabelError: a target column is missing or unfit, or a row is of a class that was not calibrated.
+        LabelError: a target column is missing or unfit, or a row is of an unknown class.
         ImageError: the calibration is differential and the run has no reference.
         CertificateError: the network gives no finite number for a frame of its own size.
     """
@@ -180,19 +159,13 @@ def evaluate(
 def predictions(
     estimator: Estimator, run: Run, *, zero: Zero | None = None, progress: Progress = silent
 ) -> pd.DataFrame:
-    """Estimates of a calibration for each frame of a run, one frame in memory at a time.
-
-    Args: as of `evaluate`.
+    """Return the estimates of a calibration for each frame of a run, one frame in memory at a time.
 
     Returns:
-        Labels of the frames that would be scored; of each target ``estimate:COLUMN``, ``half_width:COLUMN``,
-        ``low:COLUMN`` and ``high:COLUMN`` in its unit, NaN where a frame could not be read; of each component
-        of a vector ``joint_half_width:COLUMN``; of each column of classes ``estimate:COLUMN`` and
-        ``set:COLUMN``, names joined by ``|``; ``own:valid`` of what the frame tells, ``own:all_valid``,
-        ``own:drifted``, ``own:why``.
-
-    Raises:
-        ImageError: the calibration is differential and the run has no reference.
+        Labels of the frames to score; per target ``estimate:``, ``half_width:``, ``low:``, and
+        ``high:COLUMN`` in its unit, NaN where a frame could not be read; per vector component
+        ``joint_half_width:COLUMN``; per class column ``estimate:`` and ``set:COLUMN``, names joined by ``|``;
+        ``own:valid``, ``own:all_valid``, ``own:drifted``, ``own:why``.
     """
     return _read_run(estimator, run, zero, progress)[0]
 
@@ -200,9 +173,7 @@ def predictions(
 def _read_run(
     estimator: Estimator, run: Run, zero: Zero | None, progress: Progress
 ) -> tuple[pd.DataFrame, Values, Bool[np.ndarray, "n t"]]:
-    """The table of `predictions`, the expected size of each target's error ``[n t]`` in its unit, and whether
-    its reading is valid ``[n t]``.
-    """
+    """Table of `predictions`, with expected error size and validity of each target's reading ``[n t]``."""
     card = estimator.card
     rows = rows_to_score(card, run.labels)
     error_spread, count = intervals_of(card).spread, layout_of(card).outputs
@@ -269,7 +240,7 @@ def _read_rows(card: Card, table: pd.DataFrame) -> np.ndarray:
 
 
 def rows_to_score(card: Card, table: pd.DataFrame) -> np.ndarray:
-    """All rows but those of the untouched sensor, where the calibration did not learn from such."""
+    """Return all rows but no-contact rows that the calibration was not trained on."""
     untouched = _untouched_rows(card, table)
     return np.arange(len(table)) if card.reference.learnt else np.setdiff1d(np.arange(len(table)), untouched)
 
@@ -415,9 +386,8 @@ def _findings(
 
 
 def _stated_by_others(card: Card, target: TargetCard, run: Run) -> str | None:
-    """Instrument of a run's labels, empty where it states none; None where the card's own measured them.
-
-    Or where the card's adds nothing to intervals, so that they are the same with and without it.
+    """Instrument of a run's labels, empty where it states none; None where the card's own applies or adds
+    nothing.
     """
     own, stated = target.measured_by, run.manifest.instruments.get(target.column)
     if own is None or own.half_width == 0 or learnt_from(card, run):
@@ -429,7 +399,6 @@ def _stated_by_others(card: Card, target: TargetCard, run: Run) -> str | None:
 
 
 def _instrument_sentence(card: Card, target: TargetCard, run: Run, share: float) -> str:
-    """How a target was scored on labels of another instrument, whose difference is in no held-out error."""
     own, other = target.measured_by, _stated_by_others(card, target, run)
     assert own is not None
     half = f"±{half_width_text(own.half_width)} {target.unit}"
@@ -441,24 +410,18 @@ def _instrument_sentence(card: Card, target: TargetCard, run: Run, share: float)
 
 
 def learnt_from(card: Card, run: Run) -> bool:
-    """True if a calibration has learnt from this run, or has set its intervals by it."""
+    """Return whether a calibration was trained on this run, or has set its intervals by it."""
     return run.hash in _recordings(card)
 
 
 def _recordings(card: Card) -> dict[str, str]:
-    """Hash and id of every recording that a calibration had part of its content from."""
     return {one.hash: one.run_id for one in card.runs}
 
 
 def same_session(estimator: Estimator, run: Run, found: LearntFrames | None = None) -> str:
-    """Why a run tests no other day than those trained on; empty where it is another session.
+    """Return why a run tests no day other than those trained on; empty where it is another session.
 
-    Sessions are compared by name where the run labels them, and its frames with those that the guard keeps.
-
-    Args:
-        estimator: the calibration.
-        run: the recording.
-        found: its `learnt_frames`, where these are known.
+    Sessions are compared by name where the run labels them, and frames with those that the guard keeps.
     """
     card = estimator.card
     if learnt_from(card, run):
@@ -478,17 +441,16 @@ def same_session(estimator: Estimator, run: Run, found: LearntFrames | None = No
 
 
 def learnt_frames(estimator: Estimator, run: Run) -> LearntFrames:
-    """What of a run's frames that show a touch a calibration has learnt from."""
+    """Return the overlap of a run's touch frames with the training data."""
     touched = np.setdiff1d(np.arange(len(run)), _untouched_rows(estimator.card, run.labels))
     return find_learnt_frames(estimator, run, touched)
 
 
-MAX_INSIDE = 0.05
-"""Share of a target's labels within the calibrated range up to which the run shows nothing of that range."""
+MAX_INSIDE = 0.05  # ratio of labels in the calibrated range up to which a run does not test it
 
 
 def labels_outside(card: Card, true: Values) -> dict[str, str]:
-    """Sentences on targets of which hardly any label ``[n t]`` lies in the calibrated range, by column."""
+    """Return sentences on targets whose labels ``[n t]`` lie outside the calibrated range, by column."""
     found = {}
     for target, labels in zip(card.targets, true.T, strict=True):
         room = 0.05 * (target.greatest - target.least)
@@ -502,13 +464,11 @@ def labels_outside(card: Card, true: Values) -> dict[str, str]:
     return found
 
 
-MAX_LAG, SHIFT_GAIN, MIN_SHIFTED_ROWS = 5, 0.5, 60
-"""Rows by which labels are tried against estimates; squared error over that of their own rows, below which
-they are shifted; and how many rows are asked at least."""
+MAX_LAG, SHIFT_GAIN, MIN_SHIFTED_ROWS = 5, 0.5, 60  # lags tried; squared-error ratio of a shift; least rows
 
 
 def shifted_labels(card: Card, true: Values, table: pd.DataFrame) -> list[str]:
-    """A sentence where estimates fit the labels ``[n t]`` of other rows much better; else none."""
+    """Return a sentence if estimates fit the labels ``[n t]`` of other rows much better."""
     for j, target in enumerate(card.targets):
         estimate, label = table[f"estimate:{target.column}"].to_numpy(float), true[:, j]
         if target.circular is not None or len(label) < MIN_SHIFTED_ROWS or not np.ptp(label) > 0:

@@ -1,10 +1,8 @@
-"""Calibration of a model on a run: pack, split, audit, fit, hold out, certify.
+"""Calibrate a model on a run: pack, split, audit, fit, hold out, certify.
 
-Work is kept in a folder beside the result (`.NAME.work`) until it is whole. Interrupted, the same command
-goes on from there: the packed set, every finished fold and a network's last epoch are kept. Where the model's
-code, the folds or palpate's version have changed since, it begins anew.
-
-Where torchrun began several processes, the first does all this, and the others help it to train.
+Work is kept in a folder next to the result (`.NAME.work`), from which the same command resumes unless the
+model's code, the folds, or the version have changed. Under torchrun the first process does all this; the
+others help to train.
 """
 
 from __future__ import annotations
@@ -25,12 +23,7 @@ import pandas as pd
 
 from palpate.calibration.calibration_job import CalibrationJob, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan, check_vector_names
-from palpate.calibration.certificate import (
-    CalibrationResult,
-    intervals_by,
-    scored_rows,
-    write_certificate,
-)
+from palpate.calibration.certificate import CalibrationResult, intervals_by, scored_rows, write_certificate
 from palpate.calibration.classes import ClassLabels, class_labels, target_values, with_classes
 from palpate.calibration.classes.prediction_sets import check_learnable, held_out_classes
 from palpate.calibration.confounds.confound_audit import audit_confounds
@@ -77,32 +70,25 @@ from palpate.recordings.label_tables import refuse_reserved
 from palpate.recordings.preparation import Preparation
 from palpate.version import __version__
 
-MIN_LEARNT = 5
-"""Rows that each fold has to learn from, at least."""
+MIN_LEARNT = 5  # least rows to train on in each fold
 
 
 def calibrate(
     run: Run | Sequence[Run], plan: CalibrationPlan, out: PathText, progress: Progress = silent
 ) -> Path:
-    """Calibrate an estimator and write its certificate.
+    """Calibrate an estimator, write its certificate, and return `out`.
 
-    Rows are predicted by a model that has not seen their group; the scores, the intervals and the report
-    come from those predictions. The model that is kept has learnt from every row, or, where it is costly
-    and one fold gives scores enough, from all but that fold.
+    Scores and intervals come from models that had not seen the row's group. The kept model is trained on
+    every row or, where it is costly and one fold gives enough scores, on all but that fold.
 
     Args:
-        run: frames and their labels; several runs are joined, see `recordings.joined_runs.JoinedRun`.
-        plan: what to estimate and how.
-        out: the calibration folder to make; must not exist.
-        progress: called with what is being done and how far it is.
-
-    Returns:
-        `out`.
+        run: frames and their labels; several runs are joined.
+        out: calibration folder to make; must not exist.
 
     Raises:
-        ExistsError: `out` exists, or work towards another plan, or a file of others, lies in its work folder.
+        ExistsError: `out` exists, or its work folder holds another plan or other files.
         LabelError, UnitError, SplitError, InputError: the plan does not fit the run, runs do not fit each
-            other, or the model predicts what is no finite number.
+            other, or predictions are not finite.
     """
     run, out = joined(run), Path(out)
     refuse_existing(out)
@@ -147,11 +133,6 @@ def calibrate(
 
 
 def _process_group(plan: CalibrationPlan) -> ProcessGroup:
-    """The processes that shall train together.
-
-    Raises:
-        InputError: there are several, and the model is none that they can share.
-    """
     processes = ProcessGroup.of_environment()
     if processes.size > 1 and not hasattr(make_model(plan.model, plan.options), "descent"):
         raise InputError(
@@ -163,7 +144,6 @@ def _process_group(plan: CalibrationPlan) -> ProcessGroup:
 
 
 def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
-    """Split the rows to learn from, and refuse at once what would fail after an hour."""
     if len(run) < 10:
         raise InputError(
             f"{run.path} holds {len(run)} frames; a calibration needs 10 or more", code="few-frames"
@@ -191,7 +171,6 @@ def _split_rows(run: Run, plan: CalibrationPlan) -> Split:
 
 
 def _classes(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[ClassLabels, ...]:
-    """The classes of the rows to learn from."""
     hint = (
         ""
         if len(table) == len(run)
@@ -225,10 +204,10 @@ def _refuse_few_to_learn(parts: Split, rows: int) -> None:
 
 
 def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
-    """The preparation a plan asks for.
+    """Return the preparation a plan asks for.
 
-    Where it names no size, the input has as many pixels as the model's own square one, in the frame's
-    (or the crop's) proportions; with two crops, each has as many, and is square.
+    Without a size, the input has as many pixels as the model's own square one, in the proportions of frame or
+    crop.
     """
     if plan.size_px is not None:
         return Preparation(plan.crop_px, plan.size_px, plan.channels, plan.beside_px, plan.lens)
@@ -245,7 +224,6 @@ WORK_FILE = re.compile(r"plan\.json|packed|(kept|fold-\d+)[.-].+|tmp\w+\.npz|\..
 
 
 def _work_folder(run: Run, plan: CalibrationPlan, parts: Split, out: Path) -> Path:
-    """The folder of unfinished work towards this very plan, new or from an interrupted run."""
     work, request = _work_path(out), _request(run, plan, parts)
     note = work / "plan.json"
     try:
@@ -311,7 +289,6 @@ def _scored(fits: FoldFits) -> ScoredModel:
 
 
 def _novelty_detector(job: CalibrationJob, fitted: Fitted, progress: Progress) -> NoveltyDetector:
-    """A detector that knows every frame, untouched ones too, and rendered ones that the model has seen."""
     progress("learning what frames look like", 0, 1)
     thumbs = job.thumbnails()
     also = fitted.rendered_images if isinstance(fitted, LearnsFromRendered) else None

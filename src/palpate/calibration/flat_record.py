@@ -1,6 +1,5 @@
-"""A calibration as one file: nested dataclasses as one flat set of plain arrays, without pickles.
-
-The id of a calibration is that of its contents.
+"""Calibrations as one file: nested dataclasses as flat plain arrays, without pickles; the id is that of the
+contents.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Kept = TypeVar("Kept")
 
 
 def contents_id(record: Any, kind: str) -> str:
-    """Name by the contents: the kind, and 12 hexadecimal digits of their SHA-256."""
+    """Return the name by the contents: the kind, and 12 hexadecimal digits of their SHA-256."""
     digest = hashlib.sha256()
     for name, value in sorted(flat_arrays(record).items()):
         digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
@@ -33,29 +32,17 @@ def contents_id(record: Any, kind: str) -> str:
 
 
 def save_record(record: Any, path: Path) -> None:
-    """Write one ``.npz``, whole or not at all.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write one ``.npz``, whole or not at all."""
     with new_file(path) as building, building.open("wb") as file:
         np.savez_compressed(file, **flat_arrays(record), format=np.array(FORMAT))  # type: ignore[arg-type]
 
 
 @parser("calibration record", CertificateError, max_bytes=MAX_ARRAY_BYTES)
 def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
-    """Read what `save_record` wrote; nothing in it is run.
+    """Read what `save_record` wrote; no code in it is run.
 
     Args:
-        kind: dataclass that was saved.
-        path: of the file.
-        what: of which it is a calibration, for the message.
-        maker: command that makes such a file.
-
-    Raises:
-        CertificateError: it is no such file, or a damaged one.
-        StorageError: it cannot be read.
+        what, maker: kind of calibration, and the command that makes one, for the message.
     """
     try:
         with storage_errors(path):
@@ -75,7 +62,7 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
 
 
 def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
-    """Fields of nested dataclasses under their dotted names; what is None is left out."""
+    """Return fields of nested dataclasses under their dotted names, without None."""
     arrays: dict[str, ndarray] = {}
     for field in fields(record):
         value, name = getattr(record, field.name), prefix + field.name
@@ -87,11 +74,7 @@ def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
 
 
 def from_flat_arrays(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
-    """Dataclass that `flat_arrays` took apart.
-
-    Raises:
-        KeyError: a field is missing that may not be None.
-    """
+    """Restore the dataclass that `flat_arrays` took apart."""
     values: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
         full, (inner, optional) = prefix + name, _plain(hint)

@@ -25,25 +25,18 @@ from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.networks import MODELS, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import (
-    Fitted,
-    Model,
-    TimeBoxed,
-    predict_rows,
-    refuse_unfit,
-)
+from palpate.estimators.networks.model_interface import Fitted, Model, TimeBoxed, predict_rows, refuse_unfit
 from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Split
 
 
 class ScoredModel(NamedTuple):
-    """The model that is kept, and what models that had not seen a row gave for it.
+    """Model that is kept, with held-out outputs.
 
     Attributes:
         held_out: outputs ``[n o]``; NaN where a row was in no scored fold.
-        fitted: where every fold is held out in turn it has learnt from all rows; where one is, it is the very
-            model that was scored.
-        pixels: which pixels decide; None where another process has asked.
+        fitted: trained on all rows or, with one scored fold, the scored model itself.
+        pixels: deciding pixels; None in other processes.
     """
 
     held_out: Outputs
@@ -56,10 +49,7 @@ class FoldFits:
     """Fits of a plan's model on the folds of a split.
 
     Attributes:
-        job: rows, folds, and plan.
-        model: what is fitted.
-        work: folder that finished folds are kept in.
-        progress: told what is being done.
+        work: folder of finished folds.
         processes: those that train together; the first writes.
     """
 
@@ -97,11 +87,10 @@ class FoldFits:
         return found
 
     def held_out(self, k: int, mapped: int = 0) -> Outputs:
-        """Outputs for fold `k`'s rows by a model that had not seen them, kept before or new.
+        """Return outputs for fold `k`'s rows by a model that had not seen them, kept or new.
 
         Args:
-            k: which fold.
-            mapped: over how many folds the map of deciding pixels is made; 0 makes none.
+            mapped: number of folds in the map of deciding pixels; 0 makes none.
         """
         # All processes see the same here: the first writes it after they have trained this fold together.
         file_path = self.work / f"fold-{k}.npy"
@@ -160,7 +149,7 @@ class FoldFits:
 
 
 def passed_errors(plan: CalibrationPlan) -> type[Exception]:
-    """Errors that are not a plug-in's: a fault of palpate's own models is no plug-in's."""
+    """Return the errors that are not a plug-in's fault."""
     return Exception if plan.model in MODELS else PalpateError
 
 
@@ -176,24 +165,21 @@ def _read_fold(path: Path, shape: tuple[int, int]) -> Values | None:
 
 
 def representative_fold(parts: Split, values: Values) -> int:
-    """The fold whose targets are distributed most like all rows', since it stands for all.
-
-    It is chosen by the labels alone, before anything is learnt: by the largest gap between the fold's and all
-    rows' cumulative distributions (the Kolmogorov-Smirnov distance), summed over the targets.
+    """Return the fold whose labels are distributed most like all rows', by the Kolmogorov-Smirnov distance
+    summed over the targets.
     """
     gaps = [sum(ks_2samp(v[rows], v).statistic for v in values.T) for rows in parts.folds]
     return int(np.argmin(gaps))
 
 
 def fold_count(plan: CalibrationPlan) -> int:
-    """Number of parts: five, or eight where a costly model shall learn from as many rows as it can."""
+    """Return the number of folds: five, or eight for a costly model."""
     return plan.folds or (8 if model_kind(plan.model).costly else 5)
 
 
 def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:
-    """Number of folds held out: all, unless the model is costly and the first gives scores enough.
-
-    With 200 scores of 20 groups the rate that 90 % intervals really keep scatters by 2 %.
+    """Return the number of folds held out: all, unless the model is costly and the first gives enough scores
+    (with 200 scores of 20 groups the kept rate of 90 % intervals scatters by 2 %).
     """
     if plan.scored_folds is not None:
         return min(plan.scored_folds, len(parts.folds))

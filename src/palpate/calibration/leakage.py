@@ -58,16 +58,14 @@ class LeakageAudit:
     """Frames and groups that are on both sides of a split.
 
     Attributes:
-        shared_groups: number of groups with frames on both sides, by the columns that group frames.
-        shared_names: a few of these groups by name.
+        shared_groups, shared_names: number of groups with frames on both sides, and a few names.
         near_duplicates: held-out frames that equal a trained one within camera noise, or are an altered copy.
-        altered_copies: those of them that only the comparison after gain and shift found.
-        examples: names of a few such pairs, held-out frame first.
-        checked_pairs: how many pairs were compared.
-        limit: largest rms difference between thumbnails that still counts as the same [grey levels].
-        at_rest: frames of the untouched skin, which were left out.
+        altered_copies: those found only by comparison after gain and shift.
+        examples: names of a few pairs, held-out frame first.
+        checked_pairs: number of pairs compared.
+        limit: largest RMS difference of thumbnails that counts as equal [grey levels].
+        at_rest: number of no-contact frames, which were left out.
         clean: no near-duplicates, and no group shared under a random split.
-        findings: what this amounts to.
     """
 
     shared_groups: dict[str, int]
@@ -96,17 +94,12 @@ def audit(
 ) -> LeakageAudit:
     """Find groups and frames that are on both sides of a split.
 
-    Two frames count as near-duplicates when their 16 × 16 thumbnails of area means differ by no more than
-    camera noise would make them. The noise is estimated from frames that look most alike, where their
-    differences are spread as evenly as noise is. A change much smaller than one cell may be missed.
+    Near-duplicates have 16 × 16 thumbnails that differ by at most the camera noise, which is estimated from
+    the most similar frames.
 
     Args:
-        packed: the frames and their labels.
-        split: how they are parted.
-        group_columns: columns that group frames; by default the conventional ones and every text column in
-            which a text recurs.
-        at_rest: which rows show the untouched skin ``[n]``; by default those whose labels say so by a flag
-            ``contact`` or by a depth and force of 0.
+        group_columns: by default the conventional ones and every text column in which a text recurs.
+        at_rest: no-contact rows ``[n]``; by default by a flag ``contact`` or a depth and force of 0.
         classes: columns that the model predicts, which are on both sides as any target is.
     """
     table = packed.table
@@ -211,7 +204,6 @@ def _shrunk(frames: np.ndarray, most_px: int) -> np.ndarray:
 def _nearest_across(
     thumbs: np.ndarray, split: Split, resting: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Held-out rows, the trained-on row that looks most like each, and how many pairs were compared."""
     # Beyond this many pairs every so many held-out frames stand for all.
     step = 1 + len(thumbs) ** 2 // _MAX_PAIRS
     held, twin, pairs = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], 0
@@ -227,7 +219,6 @@ def _nearest_across(
 
 
 def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[int, int]:
-    """Held-out rows whose frame is, to the last byte, that of a row trained on, whatever the labels say."""
     batches = packed.batches(np.arange(len(packed)), _BATCH)
     digests = [sha256(frame.tobytes()).digest() for batch in batches for frame in batch]
     rows_of: dict[bytes, list[int]] = {}
@@ -244,7 +235,6 @@ def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[i
 
 
 def _near_copies(packed: PackedSet, split: Split, resting: np.ndarray) -> NearCopies:
-    """Held-out rows and the row trained on that each is an altered copy of."""
     step = 1 + len(packed) // _MAX_COMPARED
     sides = []
     for k, fold in enumerate(split.folds):
@@ -264,10 +254,7 @@ def _small(packed: PackedSet) -> np.ndarray:
 
 
 def _noise(packed: PackedSet, thumbs: np.ndarray) -> float:
-    """Standard deviation of a thumbnail's cell by camera noise alone [grey levels]; 0 where that is unknown.
-
-    It is estimated from frames and those most like them: only if most pairs differ evenly is it noise.
-    """
+    """Standard deviation of a thumbnail's cell by camera noise [grey levels]; 0 where unknown."""
     rows, others = _most_alike(thumbs)
     roughness = [_roughness(*packed.read(pair)) for pair in np.column_stack([rows, others])]
     levels = [level for level, evenness in roughness if evenness > _EVEN]
@@ -283,10 +270,8 @@ def _most_alike(thumbs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _roughness(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Difference of two frames by location [grey levels in a cell], and its evenness [0, 1].
-
-    Second differences at half a cell: noise of neighboring pixels is often correlated (interpolation,
-    compression).
+    """Difference of two frames by location [grey levels in a cell] and its evenness, by second differences at
+    half a cell, since noise of neighboring pixels is often correlated.
     """
     fine = 2 * _THUMB_PX
     apart = _shrunk(a[None], fine)[0] - _shrunk(b[None], fine)[0]
@@ -335,7 +320,6 @@ def _changing_labels(table: pd.DataFrame) -> np.ndarray:
 
 
 def _looks_like(thumbs: np.ndarray, resting: np.ndarray, limit: float) -> np.ndarray:
-    """Mask of frames that cannot be told from the skin at rest, touched or not."""
     untouched = np.median(thumbs[resting], axis=0)
     unseen: np.ndarray = resting | _alike(thumbs, np.broadcast_to(untouched, thumbs.shape), limit)
     return unseen

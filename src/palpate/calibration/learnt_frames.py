@@ -1,9 +1,7 @@
 """Train/test overlap of a run with a calibration, by the thumbnails that its guard keeps.
 
-A trained frame lies on its own thumbnail. How near another day's frame may come by chance, the kept frames
-show by their distance to the next: copies compressed anew lie within 0.6 of it. A simulation that is run
-again by the same seed gives the same presses with other noise: near kept frames, and far from its own other
-presses. That is tested of simulated runs alone.
+Recompressed copies lie within 0.6 of a kept frame's distance to the next. A simulation repeated with the same
+seed gives the same presses with other noise, which is tested for simulated runs alone.
 """
 
 from __future__ import annotations
@@ -18,41 +16,24 @@ from palpate.estimators.certified import Estimator, checked_file
 from palpate.estimators.guard import NoveltyDetector, thumbnail
 from palpate.recordings import Run
 
-MAX_ASKED = 400
-"""Frames of a run that are compared; of more, so many evenly spaced in their order."""
-
-MIN_EQUAL, MAX_EQUAL = 2, 0.05
-"""Number of frames, and share of them whose thumbnails are kept ones to the last digit, above which the run
-was learnt from."""
-
-MIN_NEAR, MAX_NEAR = 30, 0.75
-"""Number of frames, and share of them nearer to a kept one than that is to the next, above which they are
-altered copies."""
-
-NEAR = 0.6
-"""How near, over the kept one's distance to the next kept one."""
-
-MIN_REPEATED, MAX_REPEATED = 10, 0.75
-"""Number of a simulated run's presses, and share of them that are learnt ones, above which it is those
-again."""
-
-REPEATED = 0.3
-"""How near a frame of such a press is to a kept one, over its distance to the run's other presses."""
-
-REPEATED_NOISE = 2.0
-"""How near it is, over the median distance of a frame to the next one of its own press."""
-
+MAX_ASKED = 400  # compared frames of a run, evenly spaced
+MIN_EQUAL, MAX_EQUAL = 2, 0.05  # number and ratio of frames with kept thumbnails, above which it overlaps
+MIN_NEAR, MAX_NEAR = 30, 0.75  # number and ratio of frames near a kept one, above which they are copies
+NEAR = 0.6  # distance over the kept one's distance to the next kept one
+MIN_REPEATED, MAX_REPEATED = 10, 0.75  # simulated presses, and ratio of repeated ones
+REPEATED = 0.3  # distance to a kept frame over that to the run's other presses
+REPEATED_NOISE = 2.0  # distance over the median distance within a press
 SAY_NOTHING = "these scores say nothing about new presses"
 
 
 @dataclass(frozen=True)
 class LearntFrames:
-    """Overlap of a run with what a calibration was trained on.
+    """Overlap of a run with the training data of a calibration.
 
     Attributes:
-        compared: frames of touches that were compared.
-        equal: those whose thumbnails are kept ones to the last digit.
-        presses, repeated: a simulated run's presses, and those that were trained on with other noise.
+        compared: number of touch frames compared.
+        equal: frames whose thumbnails are kept ones to the last digit.
+        presses, repeated: a simulated run's presses, and those trained on with other noise.
         why: why the run tests nothing new; empty where it does.
     """
 
@@ -64,13 +45,7 @@ class LearntFrames:
 
 
 def find_learnt_frames(estimator: Estimator, run: Run, rows: Indices) -> LearntFrames:
-    """Compare a run's frames with those that a calibration's guard keeps.
-
-    Args:
-        estimator: the calibration.
-        run: the recording.
-        rows: of it that show a touch; the untouched sensor looks the same on any day.
-    """
+    """Compare a run's touch frames `rows` with those that a calibration's guard keeps."""
     card = estimator.card
     kept = NoveltyDetector.load(checked_file(estimator.folder, card.guard)).neighbours.thumbs
     asked = np.asarray(rows)[np.unique(np.linspace(0, len(rows) - 1, min(MAX_ASKED, len(rows))).astype(int))]
@@ -110,11 +85,10 @@ def find_learnt_frames(estimator: Estimator, run: Run, rows: Indices) -> LearntF
 
 
 def shares_of_copies(thumbs: Float[np.ndarray, "n k"], kept: Float[np.ndarray, "m k"]) -> tuple[float, float]:
-    """Ratios of frames that are kept ones, and that are much nearer to one than it is to the next.
+    """Return the ratios of frames that are kept ones, and that are much nearer to one than it is to the next.
 
     Args:
-        thumbs: flat, in whole grey levels.
-        kept: those that the calibration knows, two or more.
+        thumbs, kept: flat, in whole grey levels.
     """
     nearest = _squares(thumbs, kept).argmin(axis=1)
     apart = np.sqrt(np.mean((thumbs - kept[nearest]) ** 2, axis=1))
@@ -131,13 +105,12 @@ def repeated_presses(
     kept: Float[np.ndarray, "m k"],
     share: float,
 ) -> tuple[int, int]:
-    """Number of presses, and of those whose frames are kept ones but for noise.
+    """Return the number of presses, and of those whose frames are kept ones but for noise.
 
     Args:
-        thumbs: flat, in whole grey levels.
-        groups: label of each one's press.
-        kept: those that the calibration knows.
-        share: frames of the run over those trained on: among more kept ones the nearest is nearer by chance.
+        thumbs, kept: flat, in whole grey levels.
+        groups: press of each.
+        share: frames of the run over those trained on: the nearest of more kept ones is nearer by chance.
     """
     presses = np.unique(groups)
     same, among = groups[:, None] == groups, np.maximum(_squares(thumbs, thumbs), 0.0)

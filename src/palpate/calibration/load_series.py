@@ -47,15 +47,13 @@ class Series:
 
     Attributes:
         images: names of the photographs, in the table's order.
-        paths: where they are; the one between parallel polarisers comes last.
-        load_column: where the loads came from.
-        load_n: loads [N].
-        light: median linear light of each photograph, patch and channel, over the exposure.
-        clipped: where more than a tenth of a patch was saturated.
-        open_light: of the photograph between parallel polarisers, or None.
-        grey: the photographs have one channel (given three times in `light`).
-        centre_px: x and y of each patch's centre in the photograph [px].
-        remarks: what was assumed of the exposure, in sentences.
+        paths: their files; the one between parallel polarizers comes last.
+        light: median linear light over exposure ``[photograph patch channel]``.
+        clipped: more than a tenth of a patch was saturated.
+        open_light: photograph between parallel polarizers, or None.
+        grey: photographs have one channel (repeated three times in `light`).
+        centre_px: (x, y) of each patch's centre [px].
+        remarks: assumptions on the exposure, in sentences.
     """
 
     images: tuple[str, ...]
@@ -82,16 +80,7 @@ def read_series(
     progress: Progress,
     patches: int = PATCHES,
 ) -> Series:
-    """Read the photographs that a table names; see `fit_stress_optic` for the arguments.
-
-    The region is cut into about `patches` near-square ones, row by row.
-
-    Raises:
-        LabelError: the table does not fit, or a load is no number.
-        UnitError: the load's unit is not a force's or a mass's.
-        ImageError: a photograph cannot be read; the message names its row.
-        InputError: too few photographs or loads, or a region outside a photograph.
-    """
+    """Read the photographs that a table names; see `fit_stress_optic` for the arguments."""
     source = labels if labels.is_file() else folder / labels
     table = read_labels(source, kinds={image_column: "text"})
     column = load_column or _load_column(table, source)

@@ -30,12 +30,12 @@ def check_model(
     shape: tuple[int, int, int] | None = None,
     targets: tuple[str, ...] = ("depth_mm", "force_N"),
 ) -> None:
-    """Check that a model keeps the laws of one, by letting it learn twice from 30 made-up images.
+    """Check that a model keeps the laws of models, by training it twice on 30 synthetic images.
 
     Args:
-        model: a class, an instance, ``module:Class``, or a name.
+        model: class, instance, ``module:Class``, or name.
         options: its settings.
-        shape: (channels, height, width) of its input; None takes what it asks for.
+        shape: (channels, height, width) of its input; None takes its default.
         targets: columns to estimate, where it does not fix them itself.
 
     Raises:
@@ -58,12 +58,7 @@ def check_model(
 
 
 def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None:
-    """Check that a card can tell a model's fields, and all laws where palpate does not bring it along.
-
-    Raises:
-        InputError: a field is nothing that JSON can tell.
-        PluginError: see `check_model`.
-    """
+    """Check that a card can state a model's fields, and all laws of a plug-in."""
     for name, value in settings_of(plan.model, plan.options).items():
         try:
             json.dumps(value, allow_nan=False)
@@ -87,13 +82,11 @@ def check_plugged_in(plan: CalibrationPlan, shape: tuple[int, int, int]) -> None
 
 @dataclass
 class _MadeUp:
-    """A spot whose brightness tells the targets, in twelve groups of three rows, of which two are held out.
+    """Spots whose brightness encodes the targets, in twelve groups of three rows, two groups held out.
 
     Attributes:
-        images: ``[n c h w]``.
-        values: ``[n t]``; NaN where held out, so that whoever learns from them shows it.
-        learnt: rows that may be learnt from.
-        trespass: rows fetched while learning that may not be.
+        values: NaN where held out, so that training on them shows.
+        trespass: held-out rows fetched while training.
     """
 
     images: Tensor

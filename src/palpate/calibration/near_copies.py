@@ -1,10 +1,8 @@
-"""Altered copies of frames: noisier, brighter, or shifted by a pixel, in any order of rows.
+"""Near-duplicate frames after gain, noise, or a small shift, in any temporal order.
 
-Two frames are compared after the best gain and small shift. How near two frames may lie by chance follows
-from the recording: in a cloud of D dimensions the distances r₁ < r₂ < … to a point's neighbors have ratios
-with P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y),
-and D is taken from the fifth to eighth neighbors, which copies leave alone. Equal labels add evidence, as far
-as other neighbors show that they are rare.
+In a cloud of D dimensions the neighbor distances r₁ < r₂ < … have P(r₍ₖ₊₁₎/rₖ > x) = x^(−kD) (E. Facco et
+al., Sci. Rep. 7, 12140 (2017), doi:10.1038/s41598-017-11873-y); D is taken from the fifth to eighth
+neighbors. Equal labels add evidence as far as they are rare.
 """
 
 from __future__ import annotations
@@ -17,40 +15,29 @@ from sklearn.neighbors import NearestNeighbors
 
 from palpate.core import Float, Float32, Indices, Int, Values
 
-NEIGHBOURS = 8
-"""Frames most like a held-out one that are compared with it in detail."""
-CLOSE = 3
-"""Nearest neighbours that may be copies; the others say what is usual."""
+NEIGHBOURS = 8  # frames compared in detail with a held-out one
+CLOSE = 3  # nearest neighbors that may be copies; the others state what is usual
 LONE_RATIO, LONE_CHANCE = 6.0, 0.05
-MIN_RATIO = 3.0
-"""Ratio of distances, a copy's and the next frame's, below which nothing is called a copy."""
-MIN_RATIO_OF_EQUALS = 1.5
-"""The same where all labels are equal, and other neighbours' are not."""
-MAX_EQUAL = 0.01
-"""Share of other neighbours with equal labels, above which equal labels tell no copy."""
-RATE = 0.005
-"""Expected share of false ones among the frames named (Benjamini and Hochberg)."""
+MIN_RATIO = 3.0  # least ratio of the next frame's distance to a copy's
+MIN_RATIO_OF_EQUALS = 1.5  # the same with equal labels that are rare
+MAX_EQUAL = 0.01  # ratio of other neighbors with equal labels, above which these are no evidence
+RATE = 0.005  # expected false discovery rate (Benjamini and Hochberg)
 GAINS = (0.6, 1.6)
-MAX_OFFSET = 2.0
-"""Offset that noise leaves where black and white are clipped; more may be a deeper touch [grey levels]."""
-FLOOR = 0.05
-"""Distance below which small pictures of 8-bit frames are not told apart [grey levels]."""
-MARGIN = 0.06
-"""Share of the longer side along the border that is left out: a shift brings in what was not there."""
+MAX_OFFSET = 2.0  # offset by clipped noise; more may be a deeper touch [grey levels]
+FLOOR = 0.05  # distance below which small 8-bit pictures are equal [grey levels]
+MARGIN = 0.06  # ratio of the longer side left out at the border, for shifts
 MIN_FRAMES = 40
-MAX_DIMENSIONS = 4.0
-"""D taken at most: presses that touch different places differ by as much however far apart they are, which
-looks like many dimensions, and so like few close pairs."""
+MAX_DIMENSIONS = 4.0  # presses at different positions are equally far apart, as in many dimensions
 
 
 @dataclass(frozen=True)
 class NearCopies:
-    """Held-out rows with an altered copy among the rows trained on.
+    """Held-out rows with an altered copy among the trained rows.
 
     Attributes:
         held, twin: the rows, and the copy of each.
-        dimensions: D, of the cloud of frames.
-        lone: held-out rows with a neighbour at least six times nearer than the next, beyond chance.
+        dimensions: D of the cloud of frames.
+        lone: held-out rows with a neighbor at least six times nearer than the next, beyond chance.
     """
 
     held: Int[np.ndarray, " m"]
@@ -65,13 +52,13 @@ def find_near_copies(
     most_shift: float,
     labels: Values | None = None,
 ) -> NearCopies:
-    """Held-out frames that are altered copies of trained ones.
+    """Find held-out frames that are altered copies of trained ones.
 
     Args:
         small: area means of every frame [grey levels].
-        sides: for each fold, rows held out and rows trained on, without those at rest.
-        most_shift: largest shift looked for [px of the small images].
-        labels: ``[n k]`` of every frame, where copies may be known by equal ones.
+        sides: for each fold, rows held out and rows trained on, without no-contact rows.
+        most_shift: largest shift [px of the small images].
+        labels: of every frame ``[n k]``.
     """
     nothing = np.empty(0, np.int64)
     held, others, apart = [], [], []
@@ -110,7 +97,6 @@ def _neighbours(
     most_shift: float,
     labels: Values | None,
 ) -> tuple[Int[np.ndarray, "q k"], Float[np.ndarray, "q k"]]:
-    """The frames trained on that are most like each query once aligned, nearest first."""
     flat = small.reshape(len(small), -1)
     even = flat - flat.mean(axis=1, keepdims=True)
     even = even / np.maximum(np.linalg.norm(even, axis=1, keepdims=True), 1e-6)
@@ -143,10 +129,7 @@ def _with_equals(
 def _aligned_distance(
     frames: Float32[np.ndarray, "q h w"], others: Float32[np.ndarray, "q k h w"], most_shift: float
 ) -> Float[np.ndarray, "q k"]:
-    """Root mean square of what is left between frames after gain, small offset and shift of the other.
-
-    A shifted picture is its Taylor series to second order in the shift.
-    """
+    """RMS difference of frames after gain, offset, and shift of the other (Taylor series to second order)."""
     down, across = np.gradient(others, axis=(2, 3))
     (down_down, down_across), across_across = np.gradient(down, axis=(2, 3)), np.gradient(across, axis=3)
     terms = (others, np.ones_like(others), across, down, across_across, down_across, down_down)
@@ -192,7 +175,6 @@ def _dimensions(steps: Float[np.ndarray, "q s"], distances: Float[np.ndarray, "q
 
 
 def _significant(chances: Float[np.ndarray, " q"]) -> Int[np.ndarray, " m"]:
-    """Places of chances that stand out at the expected share of false ones."""
     order = np.argsort(chances, kind="stable")
     passed = chances[order] <= RATE * np.arange(1, len(chances) + 1) / len(chances)
     count = int(np.flatnonzero(passed).max(initial=-1)) + 1

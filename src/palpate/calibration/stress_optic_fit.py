@@ -1,13 +1,10 @@
 """Stress-optic coefficient C from photographs of a specimen of known section under known loads.
 
-The line N = k P + N0 is fitted to the light of a region of the photographs (`fringe_order`). With the
-specimen's breadth b and the wavelength l0 at which orders are counted, C = k l0 b.
+The line N = k P + N0 is fitted to the light of a region (`fringe_order`); C = k l0 b, with the wavelength l0
+at which orders are counted. A strip of width w in tension has b = w; the centre of a disc of diameter D has
+s1 - s2 = 8 P / (pi D t), so b = pi D / 8. The thickness cancels in both.
 
-A strip of width w in tension carries s = P / (w t) through the thickness t, so N = C s t / l0 = C P / (w l0).
-At the centre of a disc of diameter D pressed across it s1 - s2 = 8 P / (pi D t), so N = 8 C P / (pi D l0).
-The thickness cancels in both: N = C P / (b l0), with b = w, or pi D / 8.
-
-Reference for the disc: S. Timoshenko and J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), art. 41.
+Disc: S. Timoshenko and J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), art. 41.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ from palpate.version import __version__
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A strip in tension; the region lies where the stress is uniform, or across the whole width.
+    """Strip in tension; the region lies where the stress is uniform, or across the whole width.
 
     Attributes:
         width_m: across the load and across the light, w [m].
@@ -60,14 +57,12 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """A disc pressed across its diameter between flat plates.
-
-    With `seen_px` its whole face is fitted by the closed form of its stress, the load running down the
-    photograph; without, the region is a small box at its centre.
+    """Disc pressed across its diameter between flat plates, the load running down the photograph.
 
     Attributes:
         diameter_m: D [m].
-        seen_px: x and y of its centre and its diameter in the photographs [px].
+        seen_px: (x, y, diameter) in the photographs, to fit the whole face [px]; None for a small central
+            box.
         polariser_rad: of a plane polariscope, from the photograph's x [rad]; None for a circular one.
     """
 
@@ -102,7 +97,6 @@ class Disc:
 
     @property
     def _seen_px(self) -> tuple[float, float, float]:
-        """Where the disc is seen, which its whole face needs."""
         if self.seen_px is None:
             raise InputError(
                 "say where the disc is seen: --disc-px, or seen_px in Python, its centre and diameter [px]"
@@ -127,10 +121,10 @@ def _positive(name: str, value: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class StatedErrors:
-    """Standard uncertainties that all photographs share, and that their scatter cannot show.
+    """Standard uncertainties that all photographs share.
 
     Attributes:
-        load: of all loads together, as a share of the load; 0.01 is a shop scale's or a lever's.
+        load: relative, of all loads together; 0.01 is a shop scale's or a lever's.
         breadth_m: of the strip's width or the disc's diameter [m]; 0.05 mm is a caliper's on a soft edge.
         wavelength_m: of l0 [m]; by default 1 nm for a line, and 10 nm for an assumed white lamp.
     """
@@ -169,9 +163,8 @@ UNEVEN = 0.05  # spread of k between patches from which it is remarked
 
 @dataclass(frozen=True, slots=True)
 class CoefficientCandidate:
-    """Another C that the photographs allow [1/Pa], and its likelihood over that of the one given.
-
-    `deciding_load_n` is the load at which the two look most unlike [N]; `why` says what makes them alike.
+    """Alternative C [1/Pa] with its likelihood ratio, the load at which the two differ most [N], and what
+    makes them alike.
     """
 
     coefficient_per_pa: float
@@ -182,38 +175,26 @@ class CoefficientCandidate:
 
 @dataclass(frozen=True, slots=True)
 class FringeFit:
-    """A stress-optic coefficient, what it was found from, and how far to trust it.
+    """Stress-optic coefficient, its sources, and its reliability.
 
     Attributes:
-        coefficient_per_pa: C [1/Pa].
-        low_per_pa, high_per_pa: its 95 % interval [1/Pa].
-        half_widths: what makes up the interval, each a half-width of 95 % [1/Pa]: photographs, load, section
-            and wavelength; added in squares.
-        ambiguous: another C fits nearly as well; see `rivals`.
-        code: "ambiguous_order" where it does, else empty.
-        rivals: the other slopes' C, likeliest first; a likelihood above 0.05 makes the fit ambiguous.
-        wavelength_m: at which C holds and orders are counted [m].
-        lamp: what was assumed of the light.
-        specimen: its section, in words.
-        images: names of the photographs.
-        load_n: load of each [N].
+        coefficient_per_pa, low_per_pa, high_per_pa: C and its 95 % interval [1/Pa].
+        half_widths: 95 % half-widths of photographs, load, section, and wavelength, added in squares [1/Pa].
+        ambiguous, code: another C fits nearly as well (likelihood above 0.05); code "ambiguous_order".
+        rivals: other candidates, likeliest first.
         order: of the fitted line at each load.
-        seen: order that each photograph shows by itself, near the line.
-        seen_low, seen_high: its 95 % interval.
+        seen, seen_low, seen_high: order that each photograph shows by itself near the line, and 95 %
+            interval.
         residual_order: N0, of the line without load.
-        r_squared: of `seen` about the line; seen orders are looked for near the line, so this flatters it.
+        r_squared: of `seen` about the line, optimistic since orders are searched near it.
         monotone: `seen` never falls with rising load.
-        rms: of the residual brightness, as a share of its range.
-        spread: standard deviation of C between patches of the region, as a share of C.
-        channels: colour channels used, 0 red to 2 blue.
-        observed: light of each photograph and channel, mean over the region, exposure divided out.
-        scale_order: orders from none to the greatest.
-        scale_light: the light that the fit expects at each, on the scale of `observed`.
-        region_px: x, y, width, height of the region [px].
-        settings: everything else that was chosen.
+        rms: residual brightness, relative to its range.
+        spread: relative standard deviation of C between patches.
+        channels: color channels used, 0 red to 2 blue.
+        observed: mean light of each photograph and channel over exposure.
+        scale_order, scale_light: orders from none to the greatest, and the expected light.
+        region_px: x, y, width, height [px].
         sha256: of the photographs, names and bytes.
-        version: of palpate.
-        remarks: what the reader should know, in sentences.
     """
 
     coefficient_per_pa: float
@@ -278,36 +259,23 @@ def fit_stress_optic(
     errors: StatedErrors = DEFAULT_ERRORS,
     progress: Progress = silent,
 ) -> FringeFit:
-    """C of a specimen from photographs at known loads.
+    """Fit C of a specimen to photographs at known loads.
 
     Args:
-        folder: of the photographs.
-        labels: table with one row a photograph; where it stands, or in the folder.
-        specimen: its section.
-        polariscope: the light.
-        region_px: x, y, width and height of the region, the same in every photograph [px]. None takes the
-            whole face of a disc that says where it is seen.
-        image_column: label column that names the photograph.
-        load_column: label column of the load, with its unit (N, mN, kgf, or g and kg of dead weight); by
-            default the one named load, force, mass or weight.
-        parallel: photograph of the unloaded specimen between parallel polarisers, exposed alike.
-        tone: "srgb" undoes the curve of 8-bit colour, "linear" takes the numbers as light.
-        greatest_order: at the greatest load, if the orders were counted; the search ends there. None
-            searches to 24 orders, or to 6 on a whole face, so that every C that fits as well is reported.
-        residual_order: one standard deviation of the order that may be there without load.
-        errors: standard uncertainties of loads, section and wavelength.
-        progress: called with what is done, how much of it, of how many.
-
-    Returns:
-        C with its 95 % interval. The interval holds the scatter of the photographs, the residual order, the
-        unevenness of the region, and the stated errors of loads, section and wavelength.
+        labels: table with one row per photograph, a path or a name in the folder.
+        region_px: x, y, width, and height, the same in every photograph [px]; None takes a disc's whole face.
+        load_column: label column of the load with its unit; by default load, force, mass, or weight.
+        parallel: photograph of the unloaded specimen between parallel polarizers, exposed alike.
+        tone: "srgb" undoes the curve of 8-bit color, "linear" takes the numbers as light.
+        greatest_order: at the greatest load, if counted; None searches to 24 orders, or 6 on a whole face.
+        residual_order: standard deviation of the order without load.
+        errors: standard uncertainties of loads, section, and wavelength.
 
     Raises:
-        LabelError: the table does not fit, or a load is no number.
-        UnitError: the load's unit is not a force's or a mass's.
+        LabelError, UnitError: the table does not fit, or a load has no number or unit.
         ImageError: a photograph cannot be read; the message names its row.
         InputError: too few photographs or loads, or a region outside a photograph.
-        RangeError: the photographs do not tell C.
+        RangeError: the photographs do not determine C.
     """
     face = isinstance(specimen, Disc) and specimen.seen_px is not None
     if region_px is None:

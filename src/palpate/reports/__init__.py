@@ -1,7 +1,4 @@
-"""Results shown: a calibration's page, and tables for a terminal.
-
-The names here load when they are first used, so that printing a table loads no page.
-"""
+"""Results shown: a calibration's page, and tables for a terminal. Names load when first used."""
 
 from typing import TYPE_CHECKING
 
@@ -21,14 +18,7 @@ _MODULES = {
     "write_report": "certificate_page",
 }
 
-__all__ = [
-    "check_text",
-    "latency_line",
-    "render_report",
-    "scores_table",
-    "verdict",
-    "write_report",
-]
+__all__ = ["check_text", "latency_line", "render_report", "scores_table", "verdict", "write_report"]
 
 if not TYPE_CHECKING:  # mypy accepts only the names imported above
     __getattr__, __dir__ = names_at_first_use(__name__, _MODULES, __all__)

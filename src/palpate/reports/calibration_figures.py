@@ -29,8 +29,8 @@ from palpate.estimators.model_card import TargetCard
 
 INK, ACCENT, BAND, BAD = "#1b2a33", "#0b7a75", "#cfe8e6", "#c0392b"
 DECIDES = "#b2381f"
+# in drawing order
 COLOURS = ("#5b6b75", "#c77d0a", "#8e44ad", "#2e6fb7", ACCENT, "#b03060", "#1b2a33")
-"""Colors of the series of a figure, in the order in which they are drawn."""
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -46,23 +46,18 @@ STYLE: dict[Any, Any] = {
     "figure.dpi": 130,
 }
 
+# label columns of the position on the skin or dome
 SURFACES = (("x_mm", "y_mm"), ("contact_x_mm", "contact_y_mm"), ("tilt_x_deg", "tilt_y_deg"))
-"""Pairs of label columns that say where on the skin a press was; a tilt says where on a dome."""
 
 
 def picture(path: pathlib.Path) -> str:
-    """A PNG file as a data address."""
+    """Return a PNG file as a data address."""
     return _address(path.read_bytes())
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One drawing of a page.
-
-    Attributes:
-        title: what it shows, in words.
-        drawing: SVG to stand in the page.
-    """
+    """Titled SVG drawing of a page."""
 
     title: str
     drawing: Markup
@@ -72,7 +67,7 @@ PANEL_INCH = (3.4, 2.9)
 
 
 def target_panels(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[Panel, ...]:
-    """Predicted against true, error against the truth, coverage along the truth, groups counted as groups."""
+    """Draw predicted against true, error against truth, and coverage along the truth."""
     true, guess, _ = target_columns(target, table)
     error, inside = errors_of(target, true, guess), held_rows(target, table)
     sides = _sides(target, table)
@@ -91,7 +86,7 @@ def _panel(title: str, draw: Callable[..., None], *arguments: Any) -> Panel:
 
 
 def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
-    """The pair of columns that says where on the skin each frame was pressed."""
+    """Return the pair of columns of the position on the skin."""
     for x, y in SURFACES:
         if x in table and y in table and table[x].nunique() > 2 and table[y].nunique() > 2:
             return x, y
@@ -101,7 +96,7 @@ def surface_columns(table: pd.DataFrame) -> tuple[str, str] | None:
 def surface_figure(
     targets: tuple[TargetCard, ...], table: pd.DataFrame, where: tuple[str, str]
 ) -> tuple[Panel, ...]:
-    """Mean absolute error over the skin, a map for each target."""
+    """Draw the mean absolute error over the skin, a map for each target."""
     x, y = (table[c].to_numpy(float) for c in where)
     panels = []
     for target in targets:
@@ -118,12 +113,11 @@ def deciding_panel(
     growth: Float[np.ndarray, "y x"],
     edges: tuple[np.ndarray, np.ndarray],
 ) -> Panel:
-    """The prepared picture, and over it how much the error grows where a block of it shows nothing.
+    """Draw the prepared picture under the growth of the error by occluded block.
 
     Args:
-        title: of the panel.
         unit: of the growth.
-        image: the prepared picture, grey from 0 to 1 ``[h w]``.
+        image: grey from 0 to 1 ``[h w]``.
         growth: of the mean absolute error.
         edges: limits of the blocks down and across [px].
     """
@@ -154,7 +148,7 @@ def _deciding(
 
 
 def deciding_blocks(growth: Float[np.ndarray, "y x"]) -> Bool[np.ndarray, "y x"]:
-    """The fewest blocks that hold half of all growth; none where nothing grows."""
+    """Return the fewest blocks that hold half of all growth."""
     gains = np.clip(growth, 0, None)
     order = np.argsort(gains, axis=None)[::-1]
     before = np.concatenate([[0.0], np.cumsum(gains.ravel()[order])[:-1]])
@@ -164,19 +158,19 @@ def deciding_blocks(growth: Float[np.ndarray, "y x"]) -> Bool[np.ndarray, "y x"]
 
 
 def target_columns(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Truth, estimate and half-width of a target's held-out rows."""
+    """Return truth, estimate, and half-width of a target's held-out rows."""
     names = (target.column, f"estimate:{target.column}", f"half_width:{target.column}")
     true, guess, half = (table[name].to_numpy(float) for name in names)
     return true, guess, half
 
 
 def errors_of(target: TargetCard, true: np.ndarray, guess: np.ndarray) -> np.ndarray:
-    """Estimates less truths, the shortest way round where the target is circular."""
+    """Return estimates less truths, the shortest way round for a circular target."""
     return shortest(guess - true, target.period)
 
 
 def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
-    """Tell which rows' intervals held the truth; by half-widths in tables of before."""
+    """Return which rows' intervals covered the truth; by half-widths in earlier tables."""
     true, guess, half = target_columns(target, table)
     if target.over_range is None or f"low:{target.column}" not in table:
         return np.abs(errors_of(target, true, guess)) <= half
@@ -184,7 +178,7 @@ def held_rows(target: TargetCard, table: pd.DataFrame) -> np.ndarray:
 
 
 def interval_ends(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of each row's interval; by half-widths in tables of before."""
+    """Return the ends of each row's interval; by half-widths in earlier tables."""
     _, guess, half = target_columns(target, table)
     if f"low:{target.column}" not in table:
         return guess - half, guess + half
@@ -192,7 +186,6 @@ def interval_ends(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, 
 
 
 def _sides(target: TargetCard, table: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest error, estimate less truth, that each row's interval allows for."""
     (low, high), guess = interval_ends(target, table), target_columns(target, table)[1]
     return guess - high, guess - low
 
@@ -226,10 +219,7 @@ def _errors(
 
 
 def _marks(axes: Axes, x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> None:
-    """Dots where the interval held the truth, crosses where it did not: by shape, for who sees no colour.
-
-    All dots are one path of strokes without length and with round ends, a tenth of the text of single marks.
-    """
+    """Dots where the interval covered the truth, crosses elsewhere; all dots are one path, for its size."""
     ends = np.repeat(np.column_stack([x, y])[inside], 2, axis=0)
     dots = Path(ends, np.tile([Path.MOVETO, Path.LINETO], len(ends) // 2), closed=False)
     dots.should_simplify = False
@@ -275,7 +265,6 @@ def _map(
 
 
 def _binned(true: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Means of equal parts of the rows, ordered by the truth."""
     parts = _bins(true)
     centres = np.array([true[rows].mean() for rows in parts])
     return centres, tuple(np.array([value[rows].mean() for rows in parts]) for value in values)
@@ -298,14 +287,14 @@ def _axis(column: str) -> str:
 def styled_panels(
     width: float, height: float, rows: int = 1, columns: int = 1, **grid: Any
 ) -> Iterator[tuple[Figure, np.ndarray]]:
-    """A figure of a size [inch] and its panels, row by row, while the pages' style holds."""
+    """Make a figure of a size [inch] and its panels in the pages' style."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, figure.subplots(rows, columns, squeeze=False, **grid).ravel()
 
 
 def drawn(figure: Figure) -> str:
-    """A figure as a PNG in a data address."""
+    """Return a figure as a PNG in a data address."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return _address(buffer.getvalue())
@@ -316,7 +305,7 @@ _NOT_IN_PAGE = re.compile(r"<metadata>.*?</metadata>|\sxmlns(:\w+)?=\"[^\"]*\"",
 
 
 def sketched(figure: Figure) -> Markup:
-    """A figure as SVG to stand in a page: its colours are the page's, and so light or dark as the page is."""
+    """Return a figure as SVG in the page's own colors."""
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "palpate"}):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})

@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 from palpate.core import PathText, half_width_text, new_file, rounded
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card
-from palpate.reports.class_text import class_covered, classes_told
+from palpate.reports.evaluation_text import class_covered, classes_told
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
@@ -24,17 +24,11 @@ from palpate.reports.sections import SECTIONS, ReportedCalibration
 
 
 def write_report(calibration: PathText, out: PathText) -> Path:
-    """Write a calibration's report.
+    """Write a calibration's report as one HTML file.
 
     Args:
-        calibration: the calibration folder.
-        out: the HTML file to make; must not exist.
-
-    Raises:
-        CertificateError: the folder is damaged, or its network or another file is not the one that the card
-            was made with.
-        ExistsError: `out` exists.
-        MissingExtraError: its predictions were written as Parquet, and pyarrow is not installed.
+        calibration: calibration folder.
+        out: HTML file to make; must not exist.
     """
     calibration, out = Path(calibration), Path(out)
     card = read_card(calibration)
@@ -46,7 +40,7 @@ def write_report(calibration: PathText, out: PathText) -> Path:
 
 
 def render_report(calibration: Path, card: Card) -> str:
-    """The report's HTML: the sections that there is anything to say in."""
+    """Render the report's HTML: the sections that have content."""
     report = ReportedCalibration(calibration, card)
     found = {section.__name__: section(report) for section in SECTIONS}
     shown = {name: values for name, values in found.items() if values is not None}
@@ -54,13 +48,7 @@ def render_report(calibration: Path, card: Card) -> str:
 
 
 def filled_template(name: str, package: str = "palpate.reports", /, **values: Any) -> str:
-    """A page of the folder `templates` of a package, which may include those of `palpate.reports`.
-
-    Its filters ``g`` and ``four`` write three and four significant digits and ``pc`` a share in percent;
-    ``to`` rounds to a half-width, and ``mae``, ``r2`` and ``covered`` write parts of a score as far as its
-    groups bear out;
-    ``setting`` writes a model's.
-    """
+    """Fill a page of a package's folder `templates`, which may include those of `palpate.reports`."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("palpate.reports")]),
         autoescape=True,
@@ -94,7 +82,6 @@ def filled_template(name: str, package: str = "palpate.reports", /, **values: An
 
 
 def _with_code(text: str) -> Markup:
-    """Text with what stands between backticks as code."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))  # noqa: S704 -- escaped before
 
 

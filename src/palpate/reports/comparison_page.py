@@ -14,13 +14,7 @@ from palpate.calibration.certificate import read_predictions
 from palpate.calibration.coverage.counted_groups import counted_text, held_out_groups
 from palpate.calibration.coverage.grouped_rates import MIN_GROUPS_OF_MEAN, grouped_mean_interval
 from palpate.calibration.sessions import EvaluationRecord
-from palpate.core import (
-    CertificateError,
-    InputError,
-    PathText,
-    new_file,
-    rounded,
-)
+from palpate.core import CertificateError, InputError, PathText, new_file, rounded
 from palpate.core.refusal import Refusal
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card, TargetCard
@@ -34,13 +28,12 @@ from palpate.reports.sections import ReportedCalibration, found_elsewhere, not_r
 
 @dataclass(frozen=True, slots=True)
 class ErrorDifference:
-    """Difference of two mean absolute errors on the same held-out rows, the second's less the first's.
+    """Second less first mean absolute error on the same held-out rows.
 
     Attributes:
-        rows, groups: on which.
-        counted_by: what such a group is, see `calibration.coverage.counted_groups.held_out_groups`.
-        difference: of the means [the target's unit]; negative where the second is better.
-        low, high: its 95 % interval, groups counted as groups; None where these are too few to tell.
+        counted_by: kind of group, see `calibration.coverage.counted_groups.held_out_groups`.
+        difference: [the target's unit].
+        low, high: its 95 % interval over groups; None for too few.
     """
 
     rows: int
@@ -56,8 +49,7 @@ class ComparedTarget:
     """One target of two calibrations.
 
     Attributes:
-        column: its label column.
-        first, second: what each card says of it.
+        first, second: their cards.
         paired: their errors on the rows that both held out; None where these differ.
     """
 
@@ -72,12 +64,10 @@ class CalibrationComparison:
     """Two calibrations, target by target.
 
     Attributes:
-        cards: of both.
-        targets: those that both have.
-        only: columns that one has and the other has not, of each.
-        obstacles: why the scores of the two cannot be compared; empty where they can.
-        evaluations: kept beside each card, the earliest first.
-        left_out: what is wrong with each file beside the cards that is no evaluation of theirs.
+        only: columns that only one has, of each.
+        obstacles: why their scores cannot be compared; empty where they can.
+        evaluations: kept next to each card, the earliest first.
+        left_out: faults of files next to the cards that are no evaluation of theirs.
     """
 
     cards: tuple[Card, Card]
@@ -114,7 +104,6 @@ class CalibrationComparison:
         return first, second
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as JSON can hold it."""
         return {
             "calibrations": [card.id for card in self.cards],
             "simulated": [card.is_simulated for card in self.cards],
@@ -151,13 +140,7 @@ class CalibrationComparison:
 
 
 def compare_calibrations(first: PathText, second: PathText) -> CalibrationComparison:
-    """Set two calibrations side by side.
-
-    Raises:
-        CertificateError: a folder is no calibration, or damaged.
-        InputError: the two have no target in common, or have it in other units.
-        MissingExtraError: a table of predictions is Parquet, and pyarrow is not installed.
-    """
+    """Compare two calibrations."""
     folders = Path(first), Path(second)
     cards = read_card(folders[0]), read_card(folders[1])
     for folder, card in zip(folders, cards, strict=True):
@@ -187,7 +170,6 @@ def _other_units(cards: tuple[Card, Card]) -> str:
 
 
 def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
-    """Held-out predictions by the row of the run that they are of."""
     table = read_predictions(folder, card)
     row = own_column(table, "row")
     if row.duplicated().any():
@@ -198,7 +180,6 @@ def _by_frame(folder: Path, card: Card) -> pd.DataFrame:
 def _obstacles(
     cards: tuple[Card, Card], tables: tuple[pd.DataFrame, ...], columns: list[str]
 ) -> tuple[Refusal, ...]:
-    """Reasons why two sets of scores say nothing about which calibration is the better one."""
     a, b = cards
     if a.run.hash != b.run.hash:
         elsewhere = Refusal(
@@ -246,16 +227,11 @@ def _same_folds(tables: tuple[pd.DataFrame, ...]) -> bool:
 
 
 def _alike(two: Sequence[pd.DataFrame | pd.Series[Any]]) -> bool:
-    """True where two tables or columns hold the same of the same rows."""
     return bool(np.array_equal(two[0].sort_index().to_numpy(), two[1].sort_index().to_numpy()))
 
 
 def _compared(
-    column: str,
-    reports: tuple[ReportedCalibration, ...],
-    tables: tuple[pd.DataFrame, ...],
-    *,
-    paired: bool,
+    column: str, reports: tuple[ReportedCalibration, ...], tables: tuple[pd.DataFrame, ...], *, paired: bool
 ) -> ComparedTarget:
     first, second = (next(t for t in report.targets if t.column == column) for report in reports)
     difference = _difference(first, reports[0].card, tables) if paired else None
@@ -272,7 +248,7 @@ def _difference(target: TargetCard, card: Card, tables: tuple[pd.DataFrame, ...]
 
 
 def judgement(one: ComparedTarget) -> str:
-    """Which calibration reads a target better, in a sentence, or that these rows do not tell."""
+    """Return which calibration reads a target better, in a sentence."""
     name, pair = one.first.quantity.replace("_", " "), one.paired
     if pair is None:
         return f"{name}: not comparable, see above."
@@ -297,7 +273,7 @@ def judgement(one: ComparedTarget) -> str:
 
 
 def headline(comparison: CalibrationComparison, one: ComparedTarget) -> str:
-    """What decides between the two: held-out errors, unless an audit failed: a confound makes them small."""
+    """Return what decides between the two: held-out errors, unless an audit failed."""
     pairs = zip(comparison.cards, (one.first, one.second), strict=True)
     failed = [card.id for card, target in pairs if not_relied_on(card, target)]
     if not failed:
@@ -312,7 +288,7 @@ def headline(comparison: CalibrationComparison, one: ComparedTarget) -> str:
 
 
 def comparison_text(comparison: CalibrationComparison) -> str:
-    """The comparison for a terminal."""
+    """Return the comparison for a terminal."""
     cards = comparison.cards
     only = zip(cards, comparison.only, strict=True)
     lines = [
@@ -332,7 +308,6 @@ def _told(card: Card) -> str:
 
 
 def _days(comparison: CalibrationComparison) -> list[str]:
-    """On which other day each was tested, said once where all targets say the same."""
     lines = []
     for k, card in enumerate(comparison.cards):
         said = {one.column: comparison.tested(one.column)[k] for one in comparison.targets}
@@ -367,11 +342,7 @@ def _table(rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def write_comparison(comparison: CalibrationComparison, out: PathText) -> Path:
-    """Write a comparison as one HTML page.
-
-    Raises:
-        ExistsError: `out` exists.
-    """
+    """Write a comparison as one HTML page."""
     text = filled_template(
         "comparison.html",
         comparison=comparison,

@@ -20,9 +20,8 @@ from palpate.core import Float, ndarray, new_folder, storage_errors
 from palpate.estimators.compliance.literature_method import AsReported
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK, styled_panels
 
+# specimens in order, as in the report
 COLOURS = ("#31688e", "#c0392b", "#35a36a", "#d8a013", "#7b4fa3", "#5b6b75")
-"""For specimens in their order; the report's own are blue, (new: red,) green and yellow."""
-
 UNBOUNDED = 30.0  # upper end that is drawn of a range without one, over its lower end
 
 Course = tuple[Float[ndarray, " _"], Float[ndarray, " _"]]
@@ -33,24 +32,15 @@ Colours = Mapping[str, str]
 def write_press_readings(
     out: Path, record: dict[str, Any], cues: PressCues, touch: PressReading | None
 ) -> None:
-    """Write a press as a folder of ``readings.json`` and ``press.png``.
-
-    Raises:
-        ExistsError: `out` exists.
-    """
+    """Write a press as a folder of ``readings.json`` and ``press.png``."""
     with new_folder(out) as building:
         (building / "readings.json").write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
         press_figure(cues.trial, touch, cues.reported).savefig(building / "press.png")
 
 
 def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
-    """Write a comparison as a folder of ``trials.csv``, ``comparison.json`` and ``comparison.png``.
-
-    Where trials were grouped there is ``differences.csv`` as well, the mixed models' row a cue and pair.
-
-    Raises:
-        ExistsError: `out` exists.
-        StorageError: the disk refused.
+    """Write a folder of ``trials.csv``, ``comparison.json``, ``comparison.png``, and with groups
+    ``differences.csv``.
     """
     text = json.dumps(comparison.record, indent=1, allow_nan=False) + "\n"
     with new_folder(out) as building, storage_errors(out):
@@ -62,7 +52,7 @@ def write_comparison(out: Path, comparison: SpecimenComparison) -> None:
 
 
 def comparison_figure(comparison: SpecimenComparison) -> Figure:
-    """Area over force of all trials, relative without a calibration, and a panel of boxes for every cue."""
+    """Draw area over force of all trials, and a panel of boxes for every cue."""
     groups, table, calibration = comparison.groups, comparison.table, comparison.calibration
     cues = {
         label: {str(name): list(rows[cue].dropna()) for name, rows in table.groupby("specimen", sort=False)}
@@ -85,7 +75,7 @@ def comparison_figure(comparison: SpecimenComparison) -> Figure:
 
 
 def press_figure(trial: ReferenceTrial, touch: PressReading | None, reported: AsReported) -> Figure:
-    """The pins at the greatest force, contact area over force, and the stiffness with its interval."""
+    """Draw the pins at the greatest force, contact area over force, and the stiffness."""
     with styled_panels(11.5, 3.7, columns=3, width_ratios=[1, 1.25, 1.25]) as (figure, panels):
         left, middle, right = panels
         _pins(left, trial)
@@ -129,7 +119,6 @@ def _area(axes: Axes, trial: ReferenceTrial, touch: PressReading) -> None:
 
 
 def _stiffness(axes: Axes, touch: PressReading) -> None:
-    """Each estimate with its interval, over the calibrated range."""
     rows = {"touch": touch.stiffness}
     if touch.stiffness_both is not None:
         rows["touch and\nposition"] = touch.stiffness_both
@@ -180,7 +169,7 @@ def _approach(axes: Axes, trial: ReferenceTrial) -> None:
 def boxes(
     groups: Mapping[str, Sequence[float]], label: str, axes: Axes, colours: Colours | None = None
 ) -> None:
-    """A box a specimen with every trial as a point on it; colours by name, or in order."""
+    """Draw a box per specimen with every trial as a point."""
     names = list(groups)
     drawn = axes.boxplot(
         [list(groups[name]) for name in names], widths=0.5, patch_artist=True, showfliers=False
@@ -198,7 +187,7 @@ def boxes(
 def trial_lines(
     courses: Courses, across: str, label: str, axes: Axes, colours: Colours | None = None, **style: Any
 ) -> None:
-    """A line a trial, a colour a specimen; colours by name, or in order."""
+    """Draw a line per trial, a color per specimen."""
     for i, (name, lines) in enumerate(courses.items()):
         colour = COLOURS[i % len(COLOURS)] if colours is None else colours[name]
         for k, (x, y) in enumerate(lines):
@@ -210,7 +199,7 @@ def trial_lines(
 def compare_figure(
     courses: Courses, course_label: str, cues: Mapping[str, Mapping[str, Sequence[float]]]
 ) -> Figure:
-    """Area over force of all trials, and a panel of boxes for every cue."""
+    """Draw area over force of all trials, and a panel of boxes for every cue."""
     count = 1 + len(cues)
     wide = min(count, 4)
     high = -(-count // wide)

@@ -1,11 +1,14 @@
-"""Frames of an evaluation in words: how many were refused, and which target how many of them do not tell."""
+"""Evaluations and classes in words: refused frames, untold targets, valid readings, confusion tables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+import pandas as pd
+
 from palpate.calibration.sessions import EvaluationRecord
+from palpate.estimators.class_sets import ClassCard, ClassCoverageCard, ClassScoreCard
 from palpate.estimators.finding_cards import ValidScoreCard
 from palpate.estimators.model_card import Card
 from palpate.recordings import Manifest
@@ -13,15 +16,7 @@ from palpate.reports.score_intervals import percent
 
 
 def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], all_valid: int) -> str:
-    """Sentence on the frames of an evaluation.
-
-    Args:
-        card: of the calibration.
-        scored: frames scored.
-        valid: those that tell some target and are refused neither by the guard nor by the range's rule.
-        untold: frames that do not tell a target, by its column.
-        all_valid: frames of which every reading is valid of what the calibration reads.
-    """
+    """Return the sentence on the frames of an evaluation; arguments as of `EvaluationRecord`."""
     judged = f"{valid} of {scored} frames tell something and are refused by neither guard nor range rule"
     unread = [_name(t.quantity) for t in card.targets if t.is_never_valid]
     seldom = [
@@ -38,21 +33,14 @@ def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], 
 
 
 def frames_of(card: Card, found: EvaluationRecord) -> str:
-    """Sentence on the frames of an evaluation that was kept."""
+    """Return the sentence on the frames of a kept evaluation."""
     return frames_text(
         card, found.frames_scored, found.frames_valid, found.frames_untold, found.frames_all_valid
     )
 
 
 def valid_readings_text(card: Card, found: Mapping[str, ValidScoreCard]) -> list[str]:
-    """Sentence on the valid readings alone: how many there were of each target, and how often they were held.
-
-    They are what a user is told to use, and need not be held more often than all.
-
-    Args:
-        card: of the calibration.
-        found: their scores, by column.
-    """
+    """Return the sentence on valid readings alone: their number and coverage by target."""
     told = [f"{_name(t.quantity)} {_covered(found[t.column])}" for t in card.targets if not t.is_never_valid]
     return [f"covered, valid readings only: {', '.join(told)}"] if told else []
 
@@ -69,11 +57,8 @@ def _name(quantity: str) -> str:
 
 
 def simulated_text(card: Card, run: Manifest | None) -> str:
-    """That a calibration's or a run's frames were simulated, in words; empty where both were measured.
-
-    Args:
-        card: of the calibration.
-        run: of what it reads; None where that is not a run, and does not tell.
+    """Return whether a calibration's or a run's frames were simulated, in words; empty where both were
+    measured.
     """
     virtual = {"the calibration": card.is_simulated, "the run": run is not None and run.is_simulated}
     named = [name for name, simulated in virtual.items() if simulated]
@@ -84,13 +69,56 @@ def simulated_text(card: Card, run: Manifest | None) -> str:
 
 
 def day_text(scores: Mapping[str, Any]) -> str:
-    """Whether scores are of another day than was learnt from, in words.
-
-    Args:
-        scores: of a calibration on a run, as `palpate.evaluate` gives them.
-    """
+    """Return whether scores are of another day than the training data, in words."""
     if scores["learnt_from_this_run"]:
         return "this is the run it learnt from: these scores say nothing about new presses"
     if scores["same_session"]:
         return f"no other day: {scores['same_session']}"
     return f"another session than was learnt from, by its name: {', '.join(scores['session'])}"
+
+
+def class_lines(card: ClassCard, score: ClassScoreCard, coverage: float) -> list[str]:
+    """Return a sentence and a table on one column of classes.
+
+    Args:
+        score: its own, or that of another run.
+    """
+    widths = [max(len(name), 5) for name in card.names]
+    head = max(len("true class"), *map(len, card.names))
+    columns = "  ".join(name.rjust(width) for name, width in zip(card.names, widths, strict=True))
+    lines = [
+        f"{card.column}: {classes_told(card, score)}",
+        f"{'true class':{head}}  {columns}  in its set ({100 * coverage:g} % asked)",
+    ]
+    for name, counts, covered in zip(card.names, score.confusion, score.coverage, strict=True):
+        cells = "  ".join(f"{count:{width}d}" for count, width in zip(counts, widths, strict=True))
+        lines.append(f"{name:{head}}  {cells}  {class_covered(covered)}")
+    return lines
+
+
+def classes_told(card: ClassCard, score: ClassScoreCard) -> str:
+    """Return accuracy, baseline, and size of the sets, in a sentence."""
+    return (
+        f"{100 * score.accuracy:.1f} % of {score.n} rows right (95 % interval "
+        f"{100 * score.accuracy_low:.1f} to {100 * score.accuracy_high:.1f} %), where always saying "
+        f"{card.most_frequent} gives {100 * score.baseline:.1f} %; sets hold {score.set_size:.2f} of "
+        f"{len(card.names)} classes on average, all in {100 * score.whole:.1f} % and "
+        f"none in {100 * score.empty:.1f} % of rows"
+    )
+
+
+def class_covered(one: ClassCoverageCard) -> str:
+    """Return the ratio of a class's rows whose set contained it, with its interval."""
+    if not one.rows:
+        return "no rows"
+    return (
+        f"{100 * one.covered / one.rows:.1f} % ({100 * one.low:.1f} to {100 * one.high:.1f} %; "
+        f"{one.groups} groups)"
+    )
+
+
+def class_answer(row: pd.Series, card: Card) -> str:
+    """Return the predicted and true classes of a row."""
+    return "; ".join(
+        f"{one.column} {row[f'estimate:{one.column}']}, truth {row[one.column]}" for one in card.classes or ()
+    )

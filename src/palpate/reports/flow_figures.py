@@ -38,24 +38,17 @@ def write_flow(
     region_px: tuple[int, int, int, int] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Compute flow along a sequence and write ``flow.csv``, ``flow.png`` and perhaps ``fields.npy``.
-
-    Memory does not grow with the sequence.
+    """Compute flow along a sequence; write ``flow.csv``, ``flow.png``, and with `fields` ``fields.npy``.
 
     Args:
-        frames: a multi-page TIFF, a video, a folder of images or a run.
-        out: folder to make; must not exist. It appears when all is done.
+        frames: multi-page TIFF, video, folder of images, or run.
+        out: folder to make; must not exist.
         method, from_first: see `course`.
         fields: also write every flow ``[steps 2 h w]``, float32.
-        region_px: x, y, width, and height of the region of the divergence; None for `contact_region` [px].
-        progress: called with how many steps are done of how many.
+        region_px: (x, y, width, height) of the divergence; None for `contact_region` [px].
 
     Returns:
-        The summary that the verb prints.
-
-    Raises:
-        ExistsError: `out` exists.
-        InputError, ImageError, RecordingError: nothing that flows, or a region outside the images.
+        The summary that the command prints.
     """
     with open_sequence(frames) as sequence, new_folder(out) as building:
         rows: list[tuple[int, float, float, float]] = []
@@ -155,7 +148,6 @@ def _draw(table: pd.DataFrame, fastest: Step, how: str) -> Figure:
 
 
 def _field(axes: Axes, field: FlowField, title: str) -> None:
-    """Speed of every pixel as a colour, and the mean flow of squares as arrows with a key."""
     h, w = field.shape[1:]
     speed = np.hypot(*field)
     most = float(np.quantile(speed, 0.999)) or 1.0  # a few pixels at edges claim far more

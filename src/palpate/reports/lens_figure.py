@@ -19,16 +19,7 @@ MAX_NAME = 18  # characters of a file's name under a bar
 
 
 def write_lens_figure(fit: LensFit, path: Path) -> None:
-    """Draw the region that each board covered, rings of angle from the axis, and errors view by view.
-
-    Args:
-        fit: what to draw.
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw the region that each board covered, rings of angle from the axis, and errors by view."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.4), layout="constrained")
         frame, bars = figure.subplots(1, 2, width_ratios=(1.25, 1))

@@ -15,12 +15,7 @@ MARGIN_MM = 3.0
 
 
 def draw_places(plan: RecordingPlan, path: Path) -> None:
-    """Write a PNG of where the probe will press.
-
-    Raises:
-        ExistsError: `path` exists.
-        InputError: the plan has no valid place.
-    """
+    """Write a PNG of the positions to press."""
     places = plan.places.places()
     layer, probe = (diameter / 2 for diameter in plan.places.sizes_mm())
     figure = Figure(figsize=(6, 6.4), layout="constrained")

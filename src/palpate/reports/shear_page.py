@@ -49,12 +49,10 @@ class Shown:
 
 
 class ShearPage:
-    """Collects touches as they are read, and writes the page; images of two frames alone are kept.
+    """Page of touches, collected as they are read; images of two frames alone are kept.
 
     Args:
-        source: what the frames are of, for the title.
-        reader: that reads them.
-        reference: its untouched frame.
+        source: source of the frames, for the title.
     """
 
     def __init__(self, source: str, reader: ShearReader, reference: Frame) -> None:
@@ -69,7 +67,6 @@ class ShearPage:
         self._flagged = dict.fromkeys(FLAGS, 0)
 
     def take(self, name: str, frame: Frame | None, touch: ShearTouch | None, reason: str) -> None:
-        """Take the next frame."""
         if touch is None or frame is None or touch.reason:
             self._unread += 1
             why = reason if touch is None else touch.reason
@@ -130,7 +127,6 @@ class ShearPage:
         return f"{value:.2f} ± {(shown.high - shown.low) / 2:.2f}"
 
     def _pattern(self) -> str:
-        """The reference frame with its control points."""
         marks = self._reader.marks
         places = marks.in_image(marks.reference.places)
         with styled_panels(6.4, 4.6) as (figure, (axes,)):
@@ -158,13 +154,7 @@ class ShearPage:
 
 
 def touch_pictures(reader: ShearReader, frame: Frame, touch: ShearTouch) -> str:
-    """Marks' motion in the image, and the shear field with contacts, as a data address.
-
-    Args:
-        reader: that read the touch; its reference is what strain is against.
-        frame: of the touch.
-        touch: a frame that could be read.
-    """
+    """Draw the marks' motion and the shear field with contacts, as a data address."""
     marks = reader.marks
     fields = StrainMeter(marks.reference, DEGREE).fields(touch.points)
     with styled_panels(11.5, 4.6, 1, 2) as (figure, (left, right)):
@@ -221,7 +211,6 @@ def _stronger(one: Shown | None, other: Shown) -> Shown:
 
 
 def _image(axes: Axes, frame: Frame, places: np.ndarray) -> None:
-    """A frame, cut to where its marks are."""
     axes.imshow(frame.image, cmap="gray")
     (left, top), (right, bottom) = places.min(axis=0) - 30, places.max(axis=0) + 30
     height, width = frame.image.shape[:2]

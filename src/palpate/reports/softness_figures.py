@@ -26,26 +26,20 @@ def write_pair_figure(objects: Mapping[str, Body], finger: Body, greatest_n: flo
     """Draw force over displacement and force over area of objects under one finger.
 
     Args:
-        objects: by the names that the legend shows.
-        finger: under which.
+        objects: by their names in the legend.
         greatest_n: end of the curves [N].
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     _save(lambda: _pair(objects, finger, greatest_n), path)
 
 
 def pair_panels(objects: Mapping[str, Body], finger: Body, greatest_n: float) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_pair_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_pair(objects, finger, greatest_n))
 
 
 def specimen_panels(objects: Sequence[SoftObject]) -> str:
-    """Force over displacement and over area of objects, as a PNG in a data address."""
+    """Draw force over displacement and over area of objects, as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         figure, arm, skin = _two_cues()
         for one, color in zip(objects, COLOURS, strict=False):
@@ -87,13 +81,7 @@ def write_specimen_figure(classes: Mapping[str, Sequence[SoftObject]], greatest_
     """Draw force over displacement and force over area of specimens, a row for each class.
 
     Args:
-        classes: the specimens by their class, from the least softener above to the most.
         greatest_n: end of the curves [N].
-        path: of the PNG; must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     force = greatest_n * np.linspace(0.0, 1.0, 200) ** 2
     shades = mpl.colormaps["viridis"](np.linspace(0.0, 0.88, max(len(each) for each in classes.values())))
@@ -116,12 +104,7 @@ def write_specimen_figure(classes: Mapping[str, Sequence[SoftObject]], greatest_
 
 
 def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
-    """Draw an object's two cues, what the devices render of them, and the pressure and way that it takes.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw an object's two cues, the devices' rendering of them, and the required pressure and travel."""
     state, soft = law.envelope(), law.object
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 6.4), layout="constrained")
@@ -163,7 +146,6 @@ def write_envelope_figure(law: RenderingLaw, path: Path) -> None:
 
 
 def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
-    """Bands of area where the object is not rendered, darker the graver."""
     for k, (limit, words) in enumerate(LIMIT_WORDS.items()):
         for low, high in spans(state.limit == limit):
             label = words if labelled else None
@@ -175,7 +157,7 @@ def _shade(axes: Axes, state: Rendered, *, labelled: bool) -> None:
 
 
 def spans(where: np.ndarray) -> list[tuple[int, int]]:
-    """First and last of each stretch of true values."""
+    """Return first and last of each stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], where, [False])).astype(int)))
     return [(int(low), int(high) - 1) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -186,17 +168,12 @@ def _axes(axes: Axes, x: str, y: str, title: str) -> None:
 
 
 def write_tracking_figure(felt: Rendering, path: Path) -> None:
-    """Draw what a finger felt beside the object: both cues, force over time, pressure and ways.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw rendered and object cues, force over time, pressure, and travel."""
     _save(lambda: _tracking(felt), path)
 
 
 def tracking_panels(felt: Rendering) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_tracking_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_tracking(felt))
 
@@ -232,17 +209,12 @@ def _tracking(felt: Rendering) -> Figure:
 
 
 def write_bench_test_figure(test: BenchTest, path: Path) -> None:
-    """Draw a bench test: force over indentation at each pressure, the law as lines, and what it misses.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Draw a bench test: force over indentation at each pressure, the law as lines, and residuals."""
     _save(lambda: _bench_test(test), path)
 
 
 def bench_test_panels(test: BenchTest) -> str:
-    """The same as a PNG in a data address."""
+    """Draw `write_bench_test_figure` as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_bench_test(test))
 
@@ -275,7 +247,7 @@ def _bench_test(test: BenchTest) -> Figure:
 
 
 def bandwidth_panels(answers: Mapping[str, PressureResponse]) -> str:
-    """Gain and phase of pressures over frequency, as a PNG in a data address."""
+    """Draw gain and phase of pressures over frequency, as a PNG in a data address."""
     with mpl.rc_context(STYLE):
         return drawn(_bandwidths(answers))
 

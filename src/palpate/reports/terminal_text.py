@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from palpate.core import half_width_text, rounded
+from palpate.estimators.findings import ORDER_CODES, Finding
+from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
-from palpate.reports.audit_head import audit_head, remaining_remedy
 from palpate.reports.score_intervals import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
@@ -22,6 +23,45 @@ from palpate.reports.score_intervals import (
 if TYPE_CHECKING:
     from palpate.recordings.integrity import CheckReport
 
+
+def audit_head(card: Card) -> str:
+    """Return the summary of a card's findings, with the targets concerned."""
+    if card.split.clean and not (card.confounds and card.confounds.failed):
+        return "The audit warns"
+    named = [t.quantity.replace("_", " ") for t in card.targets if not_relied_on(card, t)]
+    if len(named) in (0, len(card.targets)):
+        return "The audit failed: do not rely on these scores"
+    return f"The audit failed: do not rely on the scores of {', '.join(named)}"
+
+
+def not_relied_on(card: Card, target: TargetCard) -> bool:
+    """Return whether an audit failed over a target, or over all."""
+    j, layout = card.columns.index(target.column), layout_of(card)
+    own = {target.column, *layout.names(card.columns)[layout.outputs_of(j)], ""}
+    found = card.confounds.findings if card.confounds else ()
+    return not card.split.clean or any(f.severity == "fails" and f.target in own for f in found)
+
+
+def remaining_remedy(card: Card, finding: Finding, elsewhere: bool = False) -> str:
+    """Return the remedy of a finding; for temporal order also what has not been done yet.
+
+    Args:
+        elsewhere: the calibration was evaluated on another session.
+    """
+    if finding.code not in ORDER_CODES:
+        return finding.remedy
+    if elsewhere or _tested_on_sessions(card):
+        return f"{finding.remedy}; until then, rely only on what was found on other sessions"
+    evaluated = "`palpate evaluate` on another session tests it"
+    if card.split.block_rows is not None:
+        return f"{finding.remedy}; until then, {evaluated}"
+    return f"{finding.remedy}; until then, `--split blocks` holds out stretches of time, and {evaluated}"
+
+
+def _tested_on_sessions(card: Card) -> bool:
+    return card.sessions is not None and card.sessions.held_out > 1 and card.sessions.column == "session"
+
+
 COLUMNS = 80  # of a terminal
 HEAD = ("target", "unit", "MAE", "of mean", "RMSE", "R2", "90 %", "covered (95 %)")
 
@@ -31,15 +71,15 @@ def scores_table(
     periods: Mapping[str, float | None] | None = None,
     outside: Collection[str] = (),
 ) -> str:
-    """One line a target, and a sentence for those that the model does not read; 80 columns at most.
+    """Return one line per target, and a sentence for those that the model does not read; 80 columns at most.
 
-    After the mean absolute error stands that of always saying the mean; after the half-width of the 90 %
-    intervals the share of the truths they covered, and the 95 % interval of that share.
+    Mean absolute error is followed by that of predicting the mean; the 90 % half-width by the covered ratio
+    and its 95 % interval.
 
     Args:
-        scores: of each target's column.
-        periods: after which some of them come round again.
-        outside: columns whose labels lie outside what was calibrated, of which scores say nothing.
+        scores: by target column.
+        periods: of circular targets.
+        outside: columns whose labels lie outside the calibrated range.
     """
     lines = [HEAD, *(_cells(name, score, (periods or {}).get(name)) for name, score in scores.items())]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
@@ -76,7 +116,7 @@ def _cells(name: str, s: ScoreCard, period: float | None) -> tuple[str, ...]:
 
 
 def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
-    """One line a target whose labels' instrument is in its readings' intervals, beside the model's errors."""
+    """Return one line per target whose readings' intervals contain its labels' instrument."""
     return [
         f"{t.column}: ±{half_width_text(t.measured_by.half_width)} {t.unit} of its labels' instrument "
         f"({t.measured_by.instrument}) joins each reading's interval, as a root of squares"
@@ -86,7 +126,7 @@ def instrument_lines(targets: Sequence[TargetCard]) -> list[str]:
 
 
 def confounds_text(card: Card) -> list[str]:
-    """Findings that stand before the numbers, each remedy once; none where nothing was found."""
+    """Return the findings that precede the numbers, each remedy once."""
     audit = card.confounds
     found = [f for f in audit.findings if f.severity != "notes"] if audit is not None else []
     if audit is None or not found:
@@ -100,14 +140,14 @@ def confounds_text(card: Card) -> list[str]:
 
 
 def latency_line(seconds: Sequence[float]) -> str:
-    """Median and 95th percentile of the time a frame took, the first frame aside."""
+    """Return the median and 95th percentile of the time per frame, without the first frame."""
     ms = 1e3 * np.asarray(seconds[1:] or seconds)
     p50, p95 = np.percentile(ms, [50, 95])
     return f"latency: median {p50:.2f} ms, 95th percentile {p95:.2f} ms over {len(ms)} frames"
 
 
 def check_text(report: CheckReport) -> str:
-    """Contents of a run, and whether it can be relied on."""
+    """Return the contents of a run, and whether it is reliable."""
     span = "times not measured" if report.duration_s is None else f"{report.duration_s:.3g} s"
     sensor = report.sensor or "sensor not named"
     lines = [f"{report.path}: {report.frames} frames, {span}, {report.segments} segments, {sensor}"]

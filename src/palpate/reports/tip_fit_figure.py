@@ -19,15 +19,14 @@ RINGS = 8
 
 @dataclass(frozen=True)
 class TipPicture:
-    """What is drawn of a fitted tip.
+    """Drawn data of a fitted tip.
 
     Attributes:
         rest_px: pins at rest ``[p 2]`` [px].
-        depths_mm: of upright taps.
+        depths_mm: depths of upright taps [mm].
         taps_px, twin_px: pins at these depths, by taps and by the twin ``[d p 2]`` [px].
-        residual_px: of each pin, in taps that the twin was not fitted to ``[p]`` [px rms].
-        left_px: root mean squares by name, of such taps: motion, twin, smooth regression, and twin with its
-            learnt error [px].
+        residual_px: RMS of each pin in held-out taps ``[p]`` [px].
+        left_px: RMS by name in held-out taps: motion, twin, smooth regression, twin with learned error [px].
     """
 
     rest_px: Float[ndarray, "p 2"]
@@ -39,12 +38,7 @@ class TipPicture:
 
 
 def write_tip_files(out: Path, record: dict[str, Any], reader: dict[str, Any], picture: TipPicture) -> None:
-    """Write a fitted tip as a folder of ``tip.json``, ``reader.json`` and ``tip.png``.
-
-    Raises:
-        ExistsError: `out` exists.
-        StorageError: the disk refused.
-    """
+    """Write a fitted tip as a folder of ``tip.json``, ``reader.json``, and ``tip.png``."""
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     with new_folder(out) as building, storage_errors(out):
         (building / "tip.json").write_text(text)
@@ -53,7 +47,7 @@ def write_tip_files(out: Path, record: dict[str, Any], reader: dict[str, Any], p
 
 
 def tip_figure(picture: TipPicture) -> Figure:
-    """Outward motion in upright taps over distance from the middle, the residual's map, and what is left."""
+    """Draw outward motion in upright taps over distance from the middle, the residual's map, and RMS."""
     with styled_panels(12.0, 3.8, columns=3, width_ratios=[1.3, 1.1, 0.8]) as (figure, panels):
         course, plan, bars = panels
         _course(course, picture)

@@ -28,18 +28,13 @@ def write_transmission_page(
     path: Path, transmissions: Sequence[Transmission], judgements: Mapping[str, StageJudgement],
     record: Mapping[str, Any], finger: Fingertip,
 ) -> None:  # fmt: skip
-    """Write the page.
+    """Write the page of a transmission study.
 
     Args:
-        path: of the HTML; must not exist.
-        transmissions: one an object.
+        transmissions: one per object.
         judgements: by stage; empty for a single object.
         record: what `--json` prints.
         finger: on a rigid flat.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     text = filled_template(
         "transmission.html", version=__version__, record=record, stages=STAGES, marks=MARKS,

@@ -1,6 +1,5 @@
-"""The page of an experiment's analysis: what was found first, then its figures, tables and caveats.
-
-Figures of judgements: confusion matrices, shares with intervals, psychometric functions.
+"""Page of an experiment's analysis: results first, then figures (confusion matrices, ratios with intervals,
+psychometric functions), tables, and caveats.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ PANELS_A_ROW = 3
 
 
 def confusion_figure(matrices: Mapping[str, RankConfusion]) -> str:
-    """Confusion matrices of rankings with their counts, by title, as a PNG in a data address."""
+    """Draw confusion matrices of rankings, by title, as a PNG in a data address."""
     rows = -(-len(matrices) // PANELS_A_ROW)
     columns = min(len(matrices), PANELS_A_ROW)
     with styled_panels(2.9 * columns, 2.9 * rows, rows, columns) as (figure, panels):
@@ -66,7 +65,7 @@ class ShareRow:
 
 
 def share_figure(rows: Sequence[ShareRow], label: str, line: float | None = None) -> str:
-    """Shares with intervals, one below the other; diamonds stand beside, a dotted line is one for all."""
+    """Draw ratios with intervals, one below the other."""
     with styled_panels(8.4, 0.34 * len(rows) + 0.9) as (figure, (axes,)):
         for i, one in enumerate(rows):
             axes.plot([100 * one.low, 100 * one.high], [i, i], color=INK, lw=1.4)
@@ -81,20 +80,12 @@ def share_figure(rows: Sequence[ShareRow], label: str, line: float | None = None
         return drawn(figure)
 
 
+# levels, how often the answer was given at each, of how many, and the fitted function
 PanelOfAnswers = tuple[Float[ndarray, " _"], Int[ndarray, " _"], Int[ndarray, " _"], PsychometricFit]
-"""Levels, how often the answer was given at each, of how many, and the fitted function."""
 
 
-def psychometric_figure(
-    panels: Mapping[str, PanelOfAnswers],
-    label: str,
-) -> str:
-    """Shares of an answer over levels, with the fitted function and its threshold's interval, by title.
-
-    Args:
-        panels: by title.
-        label: of the levels, with their unit.
-    """
+def psychometric_figure(panels: Mapping[str, PanelOfAnswers], label: str) -> str:
+    """Draw ratios of an answer over levels, with the fitted function and its threshold's interval."""
     columns = min(len(panels), PANELS_A_ROW)
     rows = -(-len(panels) // PANELS_A_ROW)
     with styled_panels(3.0 * columns, 2.6 * rows, rows, columns) as (figure, every):
@@ -116,13 +107,13 @@ SAID = {Task.PAIR: "pairs", Task.RANK: "rankings"}
 
 
 def setting_said(setting: str) -> str:
-    """A setting, such as "direct I", with its condition in words: "direct with both cues"."""
+    """Return a setting, such as "direct I", with its condition in words: "direct with both cues"."""
     presentation, condition = setting.rsplit(" ", 1)
     return f"{presentation} with {CUES[Condition(condition)]}"
 
 
 def analysis_answers(found: ExperimentAnalysis) -> tuple[str, ...]:
-    """What was found, a sentence each: differences, accuracies, thresholds."""
+    """Return the results, a sentence each: differences, accuracies, thresholds."""
     return (
         *(_difference_said(one) for one in found.comparisons if one.shares),
         *(_accuracy_said(one) for one in found.accuracies),
@@ -134,13 +125,7 @@ def write_trial_page(found: ExperimentAnalysis, path: Path, source: str) -> None
     """Write the page of an analysis.
 
     Args:
-        found: what it shows.
-        path: of the HTML file; must not exist.
-        source: what was analysed, as the page says it.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
+        source: what was analyzed, in words.
     """
     page = filled_template(
         "trial.html",

@@ -1,7 +1,7 @@
-"""What a certificate of hand presses promises, in one sentence: how far it errs on presses it had not seen.
+"""One sentence on what a certificate of hand presses promises: its errors on unseen presses.
 
-Its rate is that of intervals by the errors of other presses. Where estimates do not surely err less than the
-mean does, the sentence calls them useless. Frames that were not learnt from have a sentence of their own.
+The rate is that of intervals by the errors of other presses. Estimates that are not significantly better than
+the mean are called useless.
 """
 
 from __future__ import annotations
@@ -18,14 +18,12 @@ if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
 
 TARGET = "force_N"
-FOLDS = 20
-"""Parts of the presses at most, each held out in turn. Forty presses are few: models that have seen 32 of
-them err half as much again as the one that has seen all, and intervals by their errors are too wide."""
+FOLDS = 20  # greatest number; models of fewer presses err much more than the kept one
 RATE = 0.9  # of intervals
 
 
 def left_out_text(frames: int) -> str:
-    """What is said of frames whose labels a kill has lost; empty where there are none."""
+    """Return the sentence on frames whose labels a kill has lost; empty for none."""
     if not frames:
         return ""
     lost = "1 frame has" if frames == 1 else f"{frames} frames have"
@@ -33,12 +31,11 @@ def left_out_text(frames: int) -> str:
 
 
 def honest_sentence(card: Card, predictions: pd.DataFrame, presses: int) -> str:
-    """What a certificate of hand presses promises, and what it does not.
+    """Return what a certificate of hand presses promises, and what it does not.
 
     Args:
-        card: the certificate.
         predictions: its held-out ones.
-        presses: that were learnt from.
+        presses: number of training presses.
     """
     score = card.targets[0].score
     if is_useless(card, predictions):
@@ -68,15 +65,13 @@ def _what_to_do(presses: int) -> str:
 
 
 def is_useless(card: Card, predictions: pd.DataFrame) -> bool:
-    """Whether estimates of presses that it had not seen are not surely better than always saying the mean."""
+    """Return whether held-out estimates are not significantly better than the mean."""
     return card.targets[0].score.says_nothing or not beats_the_mean(predictions)
 
 
 def rate_beyond(predictions: pd.DataFrame) -> tuple[float, float, float]:
-    """Share of frames that 90 % intervals hold which their own press had no part in, and its 95 % interval.
-
-    The certificate's own intervals are made of all held-out errors, and so hold them at their rate by
-    construction: of forty presses 94 % where of new ones they hold 90 %.
+    """Return the coverage of 90 % intervals in whose fit the row's own press had no part, and its 95 %
+    interval.
     """
     from palpate.calibration.coverage.conformal import fit_intervals
     from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
@@ -93,7 +88,7 @@ def rate_beyond(predictions: pd.DataFrame) -> tuple[float, float, float]:
 
 
 def beats_the_mean(predictions: pd.DataFrame) -> bool:
-    """Whether held-out estimates surely err less than the other presses' mean: by 95 %, over presses."""
+    """Return whether held-out estimates err less than the other presses' mean, at 95 % over presses."""
     from palpate.calibration.coverage.grouped_rates import grouped_mean_interval
 
     predictions = predictions[predictions["press"] != REST]

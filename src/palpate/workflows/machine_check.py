@@ -39,13 +39,11 @@ EXTRAS_FOR = {
 
 @dataclass(frozen=True, slots=True)
 class MachinePart:
-    """One thing that was looked at.
+    """One inspected part of the installation.
 
     Attributes:
-        name: of it.
-        state: "missing" is what one can do without, "broken" what palpate needs.
-        detail: what was found.
-        mend: how it is mended; "" where nothing has to be.
+        state: "missing" is optional, "broken" is required.
+        mend: remedy; empty for none.
     """
 
     name: str
@@ -54,15 +52,14 @@ class MachinePart:
     mend: str = ""
 
     def to_dict(self) -> dict[str, str]:
-        """Plain values for JSON."""
         return asdict(self)
 
 
 def check_machine(folder: Path | None = None) -> tuple[MachinePart, ...]:
-    """Look at all that palpate needs or may use.
+    """Inspect all that palpate needs or may use.
 
     Args:
-        folder: in which one works, for the room on its disk; the current one where left out.
+        folder: working folder, for its free disk space; the current one by default.
     """
     return (
         _python(),
@@ -144,7 +141,7 @@ def _memory() -> MachinePart:
 
 
 def memory_gb() -> tuple[float | None, float | None]:
-    """Memory of the machine and how much of it is free [GB]; None for what the system does not tell."""
+    """Return total and free memory of the machine [GB]; None where the system does not report it."""
     with suppress(OSError, ValueError):
         text = Path("/proc/meminfo").read_text()
         kb = {key: int(value) for key, value in re.findall(r"^(\w+):\s+(\d+) kB", text, re.MULTILINE)}
@@ -239,7 +236,7 @@ def _extra(name: str, sentence: str) -> MachinePart:
 
 
 def machine_text(parts: tuple[MachinePart, ...]) -> str:
-    """The parts as lines, each with how it is mended beneath."""
+    """Return the parts as lines, each with its remedy."""
     width = max(len(part.name) for part in parts)
     lines: list[Any] = []
     for part in parts:

@@ -1,9 +1,8 @@
 """The whole loop on the virtual photoelastic palm: record, calibrate, certify, evaluate, sense.
 
-The recording is rendered (`sensors.palm`): a ball pressed at many places and depths into a clear disc between
-crossed polarisers, seen edge-on and, through a mirror, from below by a noisy colour camera. Presses vary as
-they would on a rig: seating, lamp, force noise. From the edge-on view alone the place along the line of sight
-cannot be told; it is asked for all the same, and that certificate has to say so.
+A ball is pressed at many positions and depths into a clear disc between crossed polarizers, seen edge-on and,
+through a mirror, from below. The edge-on view alone does not show the position along the line of sight, and
+its certificate must state that.
 """
 
 from __future__ import annotations
@@ -37,45 +36,37 @@ TARGETS = ("x_mm", "y_mm", "depth_mm", "force_N")
 
 @dataclass(frozen=True, slots=True)
 class DemoRun:
-    """One way to calibrate: a model, and what it sees.
-
-    Attributes:
-        model: its name.
-        size_px: (height, width) of its input.
-        edge_on: it sees the fringe region alone.
-    """
+    """Model with its input: its size (height, width) [px], and whether it sees the fringe region alone."""
 
     model: str
     size_px: tuple[int, int]
     edge_on: bool = False
 
 
+# a linear and a nonlinear model of both views, and one of the edge-on view alone. Inputs are as small as
+# the model can bear: a third of the frame's side and less. More pixels made both worse
 WAYS = {
     "pca-ridge": DemoRun("pca-ridge", (60, 107)),
     "pixel-mlp": DemoRun("pixel-mlp", (20, 36)),
     "edge-on": DemoRun("pca-ridge", (35, 118), edge_on=True),
 }
-"""A linear and a nonlinear model of both views, and one of the edge-on view alone. Inputs are as small as the
-model can bear: a third of the frame's side and less. More pixels made both worse."""
 
-STEP_MM = 0.04
-"""Seating goes in the steps in which a rig seeks contact, so that depths repeat and are rendered once."""
+STEP_MM = 0.04  # contact-seeking step, so that depths repeat and are rendered once
 
 LABELS: dict[str, LabelKind] = {"location": "text", **dict.fromkeys(TARGETS, "number"), "reference": "flag"}
 
 
 @dataclass(frozen=True, slots=True)
 class DemoProtocol:
-    """Places and depths of the ball's presses, and how they vary.
+    """Positions and depths of the ball's presses, and their variation.
 
     Attributes:
-        reach_mm: locations lie within this of the membrane's axis [mm].
+        reach_mm: greatest distance from the membrane's axis [mm].
         depths_mm: least and greatest depth [mm].
-        presses: depths at each location.
-        seating_mm: standard deviation of a press's depth around what the stage says [mm].
-        lamp: relative standard deviation of the lamp from one location to the next.
+        presses: number of depths at each location.
+        seating_mm: standard deviation of a press's depth around the stage's [mm].
+        lamp: relative standard deviation of the lamp between locations.
         force_noise_n: standard deviation of the force sensor [N].
-        rate_hz: frames a second.
     """
 
     reach_mm: float = 12.0
@@ -92,9 +83,7 @@ class DemoResult:
     """Results of the demo.
 
     Attributes:
-        folder: where everything lies.
-        scores: way -> target -> score, on locations that no model has seen.
-        reports: way -> the certificate's page.
+        scores, reports: by model; scores by target on locations that no model has seen.
         sensed: a few readings, as text.
     """
 
@@ -104,7 +93,6 @@ class DemoResult:
     sensed: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
         return {
             "folder": str(self.folder),
             "scores": {m: {t: s.model_dump() for t, s in by.items()} for m, by in self.scores.items()},
@@ -124,13 +112,10 @@ class DemoResult:
 def run_demo(
     out: PathText, *, locations: tuple[int, int] = (80, 20), seed: int = 0, progress: Progress = silent
 ) -> DemoResult:
-    """Run the whole loop into a new folder.
+    """Run the whole loop into a new folder, which appears when everything is done.
 
     Args:
-        out: folder to make; must not exist. It appears when everything is done.
-        locations: places to calibrate on, and new ones to test on.
-        seed: of everything random.
-        progress: called with what is being done.
+        locations: number of positions to calibrate on, and of new ones to test on.
     """
     out = Path(out)
     with new_folder(out) as folder:
@@ -147,15 +132,7 @@ def run_demo(
 def record_demo(
     path: PathText, protocol: DemoProtocol, locations: int, *, seed: int, progress: Progress = silent
 ) -> Run:
-    """Record presses at random locations as a run.
-
-    Args:
-        path: run to make; must not exist.
-        protocol: how the ball is pressed.
-        locations: how many places.
-        seed: of everything random.
-        progress: called with how far it is.
-    """
+    """Record presses at random locations as a run."""
     spec = palm.demo()
     manifest = Manifest.new(
         sensor=f"virtual {spec.name}",
@@ -201,7 +178,6 @@ def _presses(
 
 
 def _calibrated(folder: Path, name: str, seed: int, progress: Progress) -> dict[str, ScoreCard]:
-    """Calibrate and certify one way, then score it on the places of the second run."""
     way = WAYS[name]
     plan = CalibrationPlan(
         targets=TARGETS,
@@ -225,7 +201,6 @@ def _said(name: str) -> str:
 
 
 def _some_readings(folder: Path) -> tuple[str, ...]:
-    """Readings of the first model on a few new frames, and of one that is dark."""
     estimator = Estimator.open(folder / f"cal-{next(iter(WAYS))}")
     run = Run.open(folder / "run-new-places")
     lines = []

@@ -24,27 +24,20 @@ def sweep(
     scheduler: str | None = None,
     progress: ProgressCount = lambda done, total: None,
 ) -> list[R]:
-    """Call a function for every item, with a source of chance that belongs to the item's place.
-
-    Results depend on the items and the seed, not on how many processes worked; the first items of a longer
-    sweep get the same chance as those of a shorter one.
+    """Call a function for every item, with a generator that depends on the seed and the item's index alone.
 
     Args:
-        function: of an item and a generator, from which all of its chance comes.
-        items: settings, one a call.
-        seed: 0 or more.
-        processes: how many work on this machine; 1 works in this process.
-        scheduler: address of a Dask scheduler whose workers shall do it instead.
-        progress: called with how many items are done of how many.
+        function: of an item and a generator.
+        items: settings, one per call.
+        processes: number on this machine; 1 works in this process.
+        scheduler: address of a Dask scheduler instead.
 
     Returns:
-        What the function returned, in the order of the items.
+        Results in the order of the items.
 
     Raises:
-        InputError: a negative seed, no process, processes as well as a scheduler, or none answers there.
-        MissingExtraError: a scheduler is given and Dask is not installed.
-        PalpateError: the function refused an item; of its own kind, and the message names the item.
-        RuntimeError: the function failed otherwise; the message names the item.
+        InputError, MissingExtraError: invalid arguments, no scheduler there, or Dask is not installed.
+        PalpateError, RuntimeError: the function failed; the message names the item.
 
     Example:
         >>> from palpate.workflows.parameter_sweep import sweep

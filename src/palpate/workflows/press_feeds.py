@@ -59,11 +59,7 @@ class PressFeed(Protocol):
     provenance: Provenance
 
     def grab(self) -> FedFrame:
-        """The next frame.
-
-        Raises:
-            DeviceError: the camera is gone.
-        """
+        """Return the next frame."""
 
     def press(self, go_on: bool) -> None:
         """Let a virtual hand press, or rest; a person is asked instead."""
@@ -73,13 +69,12 @@ class PressFeed(Protocol):
 
 
 class VirtualFeed(Closing):
-    """A virtual hand on a virtual sensor, with a scale beneath.
+    """Virtual hand on a virtual sensor, on a scale.
 
     Args:
-        name: of the sensor.
-        seed: of the hand; None lets another one press.
-        real_time: whether a second takes one.
-        scale: serial port of a scale that stands in for the virtual one; time is real then.
+        seed: of the hand; None for a random one.
+        real_time: a virtual second takes one.
+        scale: serial port of a real scale instead; time is then real.
         unit, lag_s: of the scale; see `serial_scale`.
     """
 
@@ -125,11 +120,7 @@ class VirtualFeed(Closing):
         return FedFrame(frame, at_ns)
 
     def lay(self, force_n: float) -> None:
-        """Let the hand lay one weight on, hold it still, and take it off [N].
-
-        Raises:
-            RangeError: more than the skin is known to.
-        """
+        """Let the hand place one weight, hold it still, and take it off [N]."""
         most = float(self.hand.world.known_n)
         if not 0 < force_n <= most:
             raise RangeError(
@@ -152,14 +143,13 @@ class VirtualFeed(Closing):
         (self.hand.press if go_on else self.hand.rest)()
 
     def close(self) -> None:
-        """Let go."""
         self.hand.close()
         if self.force is not None:
             self.force.close()
 
 
 class CameraFeed(Closing):
-    """A camera beside a scale on a serial port, or beside weights that are typed.
+    """Camera with a scale on a serial port, or with typed weights.
 
     Args:
         camera: address, see `palpate.sensing.live_sources.open_live_source`.
@@ -190,7 +180,6 @@ class CameraFeed(Closing):
             raise
 
     def grab(self) -> FedFrame:
-        """The next frame."""
         try:
             got = self._source.grab(WAIT_S)
         except NoFrameYetError as e:
@@ -206,7 +195,6 @@ class CameraFeed(Closing):
         """Do nothing: a person presses."""
 
     def close(self) -> None:
-        """Let go of both."""
         if self.force is not None:
             self.force.close()
         source = getattr(self, "_source", None)
@@ -217,16 +205,12 @@ class CameraFeed(Closing):
 def serial_scale(
     port: str, clock: Clock, unit: str = "", lag_s: float | None = None
 ) -> tuple[ForceSensor, Weighing]:
-    """Open a scale on a serial port: by default as a kitchen scale, 10 lines a second and 0.4 s late.
+    """Open a scale on a serial port: by default as a kitchen scale, 10 lines per second and 0.4 s late.
 
     Args:
-        port: a path, or the USB serial number of its adapter.
-        clock: stamps its samples.
-        unit: of lines that carry none, such as "g"; "" refuses them. A unit in a line wins.
-        lag_s: time constant of its filter; None where presses shall tell it [s].
-
-    Raises:
-        DeviceError: no line came that can be read, or lines without a unit where none was stated.
+        port: path, or USB serial number of its adapter.
+        unit: of lines that carry none, such as "g"; "" refuses them. A unit in a line takes precedence.
+        lag_s: time constant of its filter; None to fit it to presses [s].
     """
     from palpate.rig.real.scale import ScaleSpec, SerialScale
 
@@ -243,19 +227,17 @@ def open_feed(
     unit: str = "",
     lag_s: float | None = None,
 ) -> PressFeed:
-    """Open a camera and what labels its presses.
+    """Open a camera and the source of its labels.
 
     Args:
         camera: address, such as 0, a USB serial number, or ``virtual:palm``.
-        scale: serial port of a scale, ``typed`` for known weights, ``virtual`` beneath a virtual sensor.
-        seed: of a virtual hand; None lets another one press.
-        real_time: whether a virtual second takes one.
-        unit: of the scale's lines that carry none; "" refuses those.
-        lag_s: time constant of the scale's filter; None where presses shall tell it [s].
+        scale: serial port, ``typed`` for known weights, ``virtual`` beneath a virtual sensor.
+        seed: of a virtual hand; None for a random one.
+        real_time: a virtual second takes one.
+        unit, lag_s: of the scale; see `serial_scale`.
 
     Raises:
-        InputError: a real camera on a virtual scale.
-        DeviceError: a device is not there.
+        InputError, DeviceError: a real camera on a virtual scale; a device is not there.
     """
     kind, _, name = camera.partition(":")
     if kind != VIRTUAL and scale == VIRTUAL:

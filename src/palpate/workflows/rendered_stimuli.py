@@ -24,17 +24,12 @@ LOOK_S = 0.02
 
 
 class RenderedStimuli(Closing):
-    """A display that shows one stimulus after the other; see `StimulusPresenter`.
+    """Display that shows one stimulus after the other; see `StimulusPresenter`.
 
-    All objects are read before anything is shown. A rendering that has ended by itself is begun anew by the
-    next `show`.
+    All objects are read before anything is shown. A rendering that has ended is restarted by the next `show`.
 
     Args:
-        design: of the experiment.
         bench: display and arm; see `read_bench`.
-
-    Raises:
-        InputError: an object's file is missing or says nothing that can be rendered.
     """
 
     def __init__(self, design: ExperimentDesign, bench: BenchFile) -> None:
@@ -63,12 +58,6 @@ class RenderedStimuli(Closing):
         return "Put the softness display on the arm. No finger there meanwhile."
 
     def show(self, condition: Condition, name: str, code: str) -> None:
-        """Show a stimulus under a code.
-
-        Raises:
-            InputError: there is none of that name, or it cannot be rendered.
-            PalpateError: a device refuses, or is gone.
-        """
         if (condition, name) not in self._objects:
             raise InputError(
                 f"nothing is rendered as {code} in condition {condition.value}", code="stimulus-not-rendered"
@@ -88,11 +77,7 @@ class RenderedStimuli(Closing):
             raise
 
     def check(self) -> None:
-        """Tell that the rendering goes on.
-
-        Raises:
-            DeviceError: it has ended, and why.
-        """
+        """Raise `DeviceError` if the rendering has ended."""
         if self._session is None:
             raise DeviceError("nothing is rendered", code="nothing-rendered")
         status = self._session.status()

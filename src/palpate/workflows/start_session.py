@@ -1,8 +1,7 @@
-"""Session from a camera that was just plugged in to live newtons: steps that can be left and gone on with.
+"""Session from a newly connected camera to live newtons: resumable steps.
 
-Camera, settings, untouched sensor, presses, training, live reading: each step leaves what it found in the
-session's file (`start_state`), and its frames in an ordinary run. Whatever was done can be done by commands,
-which the session lists (`stored_session`).
+Each step (camera, settings, no-contact frames, presses, training, live reading) keeps its result in the
+session's file (`stored_session`) and its frames in a run; `StoredSession.commands` lists the commands.
 """
 
 from __future__ import annotations
@@ -20,23 +19,23 @@ from palpate.core import InputError, Progress, lock, new_file, silent, storage_e
 from palpate.sensing.collection.press_collector import PressCollector
 from palpate.workflows.certificate_sentence import honest_sentence, left_out_text
 from palpate.workflows.press_feeds import PressFeed, open_feed
-from palpate.workflows.start_state import (
+from palpate.workflows.stored_session import (
     CALIBRATION,
+    MANIFEST,
     PRESSES,
     STATE,
     STEPS,
     StartState,
+    StoredSession,
     read_state,
     write_state,
 )
-from palpate.workflows.stored_session import MANIFEST, StoredSession
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card
 
 LOCK = ".start.lock"
-MIN_TO_LEARN = 10
-"""Presses that a calibration takes at least: fewer promise no interval of 90 % for the next one."""
+MIN_TO_LEARN = 10  # fewer presses promise no 90 % interval for the next one
 STILL_FRAMES = 16  # of the untouched sensor
 GIVE_UP_S = 60.0  # without a press of any kind
 
@@ -44,14 +43,10 @@ Watch = Callable[[dict[str, Any]], None]
 
 
 class StartSession(StoredSession):
-    r"""Session of one sensor, in a folder.
-
-    Args:
-        folder: of it; made where it is not there, gone on with where it is.
+    r"""Session of one sensor, in a folder that is made or resumed.
 
     Raises:
-        RecordingError: its file is not a session's.
-        InputError: a file has the folder's name.
+        RecordingError, InputError: its file is not a session's; a file has the folder's name.
 
     Example:
         session = StartSession("my-sensor")
@@ -66,17 +61,10 @@ class StartSession(StoredSession):
 
     @contextmanager
     def held(self, *, keep_choice: bool = True) -> Iterator[None]:
-        """Keep other processes from going through the steps of this session meanwhile.
-
-        Folders that are made for it do not stay where nothing was kept in them, as after a refusal.
+        """Lock the session against other processes; folders made for it are removed if nothing was kept.
 
         Args:
-            keep_choice: keep what was chosen in a folder that is made here, though it is refused before its
-                camera gave a frame.
-
-        Raises:
-            RecordingError: another goes through them.
-            StorageError: the folder cannot be written.
+            keep_choice: keep the choice in a folder that is made here, even if its camera gives no frame.
         """
         path, refused = self.folder / LOCK, True
         with storage_errors(path):
@@ -93,7 +81,6 @@ class StartSession(StoredSession):
                     self._remove_empty(made, {LOCK, STATE} if forgets else {LOCK})
 
     def _remove_empty(self, made: list[Path], names: set[str]) -> None:
-        """Remove folders that were made, unless there is more in them than files of these names."""
         with suppress(OSError):  # as where an open file cannot be removed, or somebody removed it
             if {path.name for path in self.folder.iterdir()} <= names:
                 for name in names:
@@ -112,20 +99,18 @@ class StartSession(StoredSession):
         unit: str | None = None,
         scale_lag_s: float | None = None,
     ) -> None:
-        """Choose camera and scale. Others than before leave all later steps to be done anew, once `feed` has
-        opened them; until then the session's file is as it was.
+        """Choose camera and scale. A change resets all later steps, once `feed` has opened them.
 
         Args:
-            camera, scale: as `open_feed` takes them.
-            sensor: what it is called; by default by its camera.
-            asked: presses that shall be collected.
-            seed: of a virtual hand, and of all that is random in training.
-            unit: of the scale's lines that carry none, "" for none; None leaves that of the same scale.
-            scale_lag_s: time constant of the scale's filter; None leaves that of the same scale [s].
+            camera, scale: see `open_feed`.
+            sensor: its name; by default by its camera.
+            asked: number of presses to collect.
+            seed: of a virtual hand, and of training.
+            unit: of the scale's lines that carry none, "" for none; None keeps that of the same scale.
+            scale_lag_s: time constant of the scale's filter; None keeps that of the same scale [s].
 
         Raises:
-            InputError: presses of another sensor were collected here, or weighed in another unit, or fewer
-                presses than can be learnt from.
+            InputError: presses of another sensor or unit were collected here, or `asked` is too small.
         """
         _refuse_few(asked)
         if camera != self.state.camera and (self.run / MANIFEST).is_file():
@@ -166,16 +151,11 @@ class StartSession(StoredSession):
         unit: str | None = None,
         scale_lag_s: float | None = None,
     ) -> None:
-        """Choose as `choose` does, but keep the presses asked for where camera and scale are chosen already.
+        """Choose as `choose` does, but keep the requested presses for the same camera and scale.
 
         Args:
-            camera, scale, seed, unit, scale_lag_s: as `choose` takes them.
-            asked: presses that shall be collected, with those there are; None leaves what the session was
-                begun for, whichever scale weighs the others. Once the camera has given a frame, other presses
-                by the same scale are asked for by `ask_more` or `ask_for` alone.
-
-        Raises:
-            InputError: as `choose`.
+            asked: number of presses, including those there are; None keeps it. After the camera's first
+                frame, use `ask_more` or `ask_for` for the same scale.
         """
         s = self.state
         if asked is None:
@@ -189,13 +169,7 @@ class StartSession(StoredSession):
         self.choose(camera, scale, sensor=sensor, asked=asked, seed=seed, unit=unit, scale_lag_s=scale_lag_s)
 
     def ask_more(self, more: int) -> None:
-        """Ask for more presses beside those that are there, which stay; a calibration of all follows.
-
-        The session's file is as it was until `feed` has opened camera and scale.
-
-        Raises:
-            InputError: fewer than one, or nothing was chosen yet.
-        """
+        """Request more presses; the file changes once `feed` has opened."""
         self._needs("camera")
         if more < 1:
             raise InputError(f"{more} more presses; ask for 1 or more", code="press-count")
@@ -204,13 +178,7 @@ class StartSession(StoredSession):
         self.state.done = [one for one in self.state.done if one not in ("collect", "train")]
 
     def ask_for(self, asked: int) -> str:
-        """Ask for so many presses in all, with those that are there; what is said where that changes nothing.
-
-        The session's file is as it was until `feed` has opened camera and scale.
-
-        Raises:
-            InputError: fewer than can be learnt from, or nothing was chosen yet.
-        """
+        """Request so many presses in all, and return a note where that changes nothing."""
         self._needs("camera")
         _refuse_few(asked)
         have = self.presses_held
@@ -230,12 +198,7 @@ class StartSession(StoredSession):
         self._needs("camera")
         s = self.state
         opened = open_feed(
-            s.camera,
-            s.scale,
-            seed=self._hand_seed(),
-            real_time=real_time,
-            unit=s.unit,
-            lag_s=s.scale_lag_s,
+            s.camera, s.scale, seed=self._hand_seed(), real_time=real_time, unit=s.unit, lag_s=s.scale_lag_s
         )
         self._write()
         return opened
@@ -295,17 +258,15 @@ class StartSession(StoredSession):
         watch: Watch = lambda _: None,
         beside: Callable[[PressCollector], None] = lambda _: None,
     ) -> dict[str, Any]:
-        """Collect presses until there are as many as were asked for.
+        """Collect presses until there are as many as requested.
 
         Args:
-            feed: camera and scale.
-            progress: called with how far it is.
-            watch: called with the collector's status whenever a press counts, or is refused.
-            beside: called with the collector after each frame, such as to state a weight that was typed.
+            watch: called with the collector's status whenever a press counts, or is rejected.
+            beside: called with the collector after each frame, e.g. to state a typed weight.
 
         Raises:
             DeviceError: camera or scale is gone; what was collected stays, and the same call goes on.
-            InputError: nobody presses.
+            InputError: no presses come.
         """
         self._needs("untouched")
         with self.collector(feed) as collector:
@@ -343,11 +304,7 @@ class StartSession(StoredSession):
         """Calibrate on the presses, and certify.
 
         Args:
-            progress: called with how far it is.
-            curve: whether to say what ten more presses would bring.
-
-        Raises:
-            InputError: fewer presses than can be learnt from.
+            curve: estimate the gain of ten more presses.
         """
         from palpate.calibration.certificate import read_predictions
         from palpate.sensing.collection.learning_curve import MIN_PRESSES, learning_curve
@@ -379,7 +336,6 @@ class StartSession(StoredSession):
         return card
 
     def _refuse_other_unit(self, unit: str) -> None:
-        """Refuse to call bare numbers by another unit than those that presses were weighed in."""
         if self.state.unit not in ("", unit) and self._frames():
             raise InputError(
                 f"{self.folder} holds presses whose scale was read in {self.state.unit}; in "
@@ -401,12 +357,10 @@ class StartSession(StoredSession):
             raise InputError(f"the step {step!r} of {self.folder} is not done yet; it is at {self.step!r}")
 
     def _done(self, step: str) -> None:
-        """Note that a step is done, and keep it."""
         self._mark(step)
         self._write()
 
     def _mark(self, step: str) -> None:
-        """Note that a step is done, and that the later ones that follow from it are not."""
         before = STEPS[: STEPS.index(step)]
         if step == "collect":  # more presses: the calibration that is there is of fewer
             self.state.done = [one for one in self.state.done if one != "train"]
@@ -439,7 +393,6 @@ def _folders_made(folder: Path) -> list[Path]:
 
 
 def _refuse_few(asked: int) -> None:
-    """Refuse to ask for fewer presses than can be learnt from."""
     if asked < MIN_TO_LEARN:
         raise InputError(
             f"{asked} presses; {MIN_TO_LEARN} or more make a calibration, {PRESSES} a good one",

@@ -12,15 +12,14 @@ from palpate.sensors.tactip.tactip_press import modulus_pa
 
 
 def stiffness_of(words: str) -> float:
-    """Stiffness of what words name, inf for a rigid plate, NaN for what has none of its whole top [N/m]."""
+    """Return the stiffness named by words: inf for a rigid plate, NaN for none of the whole top [N/m]."""
     stiffness_n_m = Specimen.parse(bare(words)).stiffness_n_m
     return math.nan if stiffness_n_m is None else stiffness_n_m
 
 
 def shape_of(spec: TacTipSpec, words: str) -> KnownBody:
-    """Reduced modulus E / (1 - nu^2), inf for a rigid body, and radius of curvature of what words name.
-
-    Both are NaN for layers and viscous bodies, which no one modulus describes.
+    """Return E / (1 - nu^2) and radius of curvature named by words: inf for rigid, NaN for layers and viscous
+    bodies.
     """
     specimen = Specimen.parse(bare(words))
     if specimen.thickness_m is not None or specimen.branches:
@@ -33,12 +32,12 @@ def shape_of(spec: TacTipSpec, words: str) -> KnownBody:
 
 
 def bare(words: str) -> str:
-    """A specimen's words without its tilt."""
+    """Return a specimen's words without its tilt."""
     return words.partition("@")[0]
 
 
 def body_shown(spec: TacTipSpec, words: str) -> dict[str, Any]:
-    """What a specimen is, for JSON."""
+    """Return the description of a specimen for JSON."""
     specimen, known = Specimen.parse(bare(words)), shape_of(spec, words)
     shown: dict[str, Any] = {"stiffness_N_per_mm": stiffness_shown(stiffness_of(words))}
     if specimen.youngs_modulus_pa is None:
@@ -58,12 +57,12 @@ def body_shown(spec: TacTipSpec, words: str) -> dict[str, Any]:
 
 
 def stiffness_shown(stiffness_n_m: float) -> float | str | None:
-    """A stiffness in N/mm for JSON."""
+    """Return a stiffness in N/mm for JSON."""
     return shown_in("N_per_mm", stiffness_n_m)
 
 
 def shown_in(unit: str, value: float) -> float | str | None:
-    """A value in a unit for JSON, which has no infinity and no NaN."""
+    """Return a value in a unit for JSON, which has no infinity and no NaN."""
     if math.isnan(value):
         return None
     return "inf" if math.isinf(value) else UNITS[unit].from_si(value)

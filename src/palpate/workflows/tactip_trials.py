@@ -1,12 +1,9 @@
-"""Presses of the virtual TacTip by the virtual rig's devices, with their truth, and written as a rig's files.
+"""Presses of the virtual TacTip by the virtual rig's devices, with ground truth, written as a rig's files.
 
-A press goes down at a steady speed onto the tables' cylinder, of a stiffness kappa = E pi r^2 / h (slow
-loading over its whole top), flat or with a sphere's cap on top, onto a bonded layer, a viscous cylinder, or a
-rigid plate or sphere; where it is asked for, it stands still, or comes back up, by a camera that is late.
-Stage, force sensor, seating and their noise are those of `rig.virtual`; the frames are of the force
-samples nearest to the middle of the camera's exposures. On an ideal rig the tip is where it is asked to be. A
-linear rig lags and droops under the load, and frames, forces and the encoder's positions are of where it
-really is, see `rig.virtual.linear_rig`.
+A press goes down at a steady speed onto a cylinder of stiffness kappa = E pi r^2 / h, flat or with a
+spherical cap, a bonded layer, a viscous cylinder, or a rigid body; optionally it holds, or returns, with a
+late camera. On an ideal rig the tip is where it is requested; a linear rig lags and yields
+(`rig.virtual.linear_rig`).
 """
 
 from __future__ import annotations
@@ -66,12 +63,9 @@ from palpate.sensors.tactip.viscous_press import ViscousPress
 from palpate.version import __version__
 from palpate.workflows.tactip_specimens import bare, body_shown, shape_of, stiffness_of
 
+# specimens of the compliance report
 REPORT_N_M = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
-"""The compliance report's specimens (source "R" of `sensors.tactip.tactip_spec`) [N/m]."""
-
-UNKNOWN = ("new",)
-"""The specimen of these whose stiffness a calibration shall not know."""
-
+UNKNOWN = ("new",)  # specimen of unknown stiffness
 LEAD_M = 1e-3  # above the specimen, where a press is at its speed
 MAX_N = 5.2  # at whose first sample a press ends
 TARE_S = 0.5
@@ -84,19 +78,17 @@ ORIGIN = "rendered by palpate"
 
 @dataclass(frozen=True)
 class VirtualPress:
-    """One press as the virtual rig's devices record it, and the truth behind it.
+    """One press as the virtual rig's devices record it, with ground truth.
 
     Attributes:
-        sensor, words: the TacTip, and what it is pressed onto, such as "S1=7.6@30".
-        seed: of everything random.
-        time_s: of the force sensor's samples, from the first [s].
-        raw_n: force by the sensor, less its reading in the air before [N].
-        position_m: of the stage, as its encoder has it, from the first sample [m].
-        touches: state of the contact at every sample.
-        frame_sample: index of the sample of every frame.
-        desired_m: position asked for, from the first sample; on an ideal rig the stage's own [m].
-        shown_sample: index of the sample that every frame shows, another one where the camera is late; None
-            for the same.
+        sensor, words: TacTip and specimen, such as "S1=7.6@30".
+        time_s: of the force samples, from the first [s].
+        raw_n: measured force less its reading in the air [N].
+        position_m: encoder position of the stage, from the first sample [m].
+        touches: contact state at every sample.
+        frame_sample: sample index of every frame.
+        desired_m: requested position, from the first sample [m].
+        shown_sample: sample that every frame shows, if the camera is late; None for the same.
     """
 
     sensor: TacTip
@@ -129,23 +121,19 @@ class VirtualPress:
 
     @property
     def viscous(self) -> bool:
-        """Whether what is pressed relaxes."""
         specimen = self.sensor.specimen(self.words)
         return specimen is not None and bool(specimen.branches)
 
     @property
     def pose(self) -> Pose:
-        """The deepest."""
         return self._contact(self.deepest).pose
 
     @property
     def deepest(self) -> int:
-        """Sample at which the tip is deepest."""
         return int(np.argmax(self.true_approach_m))
 
     @property
     def seating(self) -> Seating:
-        """Lamp and shift of the image."""
         approach = self.touches[self.deepest].approach
         return Seating(approach.lamp_gain, approach.shift_px)
 
@@ -154,12 +142,10 @@ class VirtualPress:
         return self.sensor.markers_px(self._contact(self._shown(frame)), self.seating)
 
     def frame(self, frame: int) -> UInt8[ndarray, "h w"]:
-        """One image, the same at every call."""
         rng = np.random.default_rng([self.seed, frame])
         return self.sensor.render(self._contact(self._shown(frame)), rng, self.seating).image
 
     def frames(self) -> Iterator[UInt8[ndarray, "h w"]]:
-        """All images, in order."""
         return (self.frame(i) for i in range(len(self.frame_sample)))
 
     def _shown(self, frame: int) -> int:
@@ -182,24 +168,19 @@ def record_press(
     late_s: float = 0.0,
     hold_s: float = 0.0,
 ) -> VirtualPress:
-    """Press once, with random seating, by the devices of the virtual rig on a clock of their own.
+    """Press once, with random mounting misalignment, by the devices of the virtual rig on their own clock.
 
     Args:
-        spec: the sensor and its rig, or a sensor made of one.
-        words: what is pressed, see `TacTip.probe`.
-        seed: of everything random, 0 or more.
-        rig: that drives the tip; None for an ideal one.
-        back: go to the depth of the greatest force, and record the way back up as well, at the same speed,
-            until the tip stands in the air; on an ideal rig alone.
-        late_s: by which frames show an earlier moment than their times say, to a whole sample [s].
-        hold_s: for which to stand still at the depth of the greatest force, on an ideal rig alone [s].
+        words: specimen, see `TacTip.probe`.
+        rig: drives the tip; None for an ideal one.
+        back: go to the depth of the greatest force and record the way back too; ideal rig only.
+        late_s: by which frames show an earlier moment than their times state [s].
+        hold_s: rest at the depth of the greatest force; ideal rig only [s].
 
     Raises:
-        InputError: the words name no specimen, the force's rate does not fit the rig's control, a press
-            on a linear rig is to come back or to hold, or one on a viscous specimen is to come back or on
-            such a rig.
-        RangeError: the specimen's table ends before the greatest force, the rig does not come to it, or
-            `late_s` or `hold_s` is out of range.
+        InputError: unknown specimen, a force rate that does not fit the rig's control, or a press that the
+            rig or specimen excludes.
+        RangeError: the greatest force is not reached, or `late_s` or `hold_s` is out of range.
     """
     sensor = spec if isinstance(spec, TacTip) else TacTip(spec)
     viscous = sensor.viscous(sensor.probe(words), sensor.specimen(words))
@@ -297,7 +278,6 @@ def _ramp_depth_m(viscous: ViscousPress, force_n: float, speed_m_s: float, rate_
 
 
 def _world(sensor: TacTip, rig: LinearRig | None, seed: int) -> World:
-    """The tip on the rig's stage."""
     vary, rate_hz, clock = (
         replace(Variation(), **sensor.variation()),
         sensor.spec.force.rate_hz,
@@ -317,7 +297,6 @@ def _range_n(rig: LinearRig | None) -> tuple[float, float, float]:
 
 
 def _follow(world: World, touches: list[Touch], until_s: float) -> None:
-    """Let time pass, and keep what happens."""
     while world.now_s < until_s:
         world.clock.sleep(min(1.0, until_s - world.now_s + 1e-9))
         world.advance()
@@ -326,7 +305,6 @@ def _follow(world: World, touches: list[Touch], until_s: float) -> None:
 
 
 def _nearest(sensor: TacTip, time_s: Float[ndarray, " s"]) -> Int[ndarray, " f"]:
-    """Samples at the middle of the camera's exposures, or just before where it lies between two."""
     ends_s = np.arange(1, math.floor(time_s[-1] * sensor.rate_hz) + 1) / sensor.rate_hz
     return np.searchsorted(time_s, ends_s - sensor.exposure_s / 2 + 1e-9, side="right") - 1
 
@@ -338,27 +316,21 @@ def specimens_at(
     *,
     progress: Progress = silent,
 ) -> dict[str, str]:
-    """Solve the contacts with specimens: from tables at finite strain where there are, else by linear bodies.
+    """Solve the contacts with specimens: from finite-strain tables where there are, else by linear bodies.
 
-    Tables are of head-on presses and, without friction, of some inclined ones; see `at_finite_strain`. The
-    two laws are not the same. At 0 degrees and 5.2 N, on specimens from 1.1 N/mm to rigid, the area by linear
-    bodies is 20 to 25 % smaller than by the tables of the tip "base", the approach 5 % smaller to 2 % larger.
-    To compare tilts by linear bodies, take a tiny tilt such as 0.001 degrees for the upright one.
+    Tables are of upright presses and, without friction, of some inclined ones; see `at_finite_strain`. At 0
+    degrees and 5.2 N, from 1.1 N/mm to rigid, linear bodies have 20 to 25 % less area than the tables of the
+    tip "base", and -5 to 2 % of approach. To compare tilts by linear bodies, use a tilt such as 0.001 degrees
+    for upright.
 
     Args:
-        spec: the sensor.
-        pressed: name -> stiffness, inf for a rigid plate [N/m], or kind and numbers of another body, such as
-            "sphere:R_mm=20,E_MPa=0.3", see `Specimen.parse`.
+        pressed: stiffness by name, inf for a rigid plate [N/m], or words such as "sphere:R_mm=20,E_MPa=0.3",
+            see `Specimen.parse`.
         tilt_rad: of the specimens' tops, 0 to 50 degrees [rad].
-        progress: called with how many are solved; linear bodies take some ten seconds each, the first more.
+        progress: called with how many are solved; linear bodies take some ten seconds each.
 
     Returns:
-        Of every name the words by which the TacTip knows the specimen.
-
-    Raises:
-        RangeError: a stiffness or size outside of what is modelled, or specimens of which only some have a
-            table.
-        InputError: a tilt outside of it, or words of no body.
+        The words by which the TacTip knows each specimen.
     """
     least, sensor = float(spec.table.specimen_pa[0]) / modulus_pa(spec.table, 1.0), TacTip(spec)
     for name, stiffness in pressed.items():
@@ -389,11 +361,10 @@ def _face(stiffness_n_m: float) -> str:
 
 
 def at_finite_strain(spec: TacTipSpec, pressed: Iterable[float | str], tilt_rad: float) -> TacTipSpec:
-    """The sensor without friction, if then tables hold all of its inclined presses; else as it is.
+    """Return the sensor without friction, if then tables hold all of its inclined presses; else as it is.
 
     Args:
-        spec: the sensor.
-        pressed: stiffness of what it is pressed on, inf for a rigid plate [N/m], or words of another body.
+        pressed: stiffness, inf for a rigid plate [N/m], or words of another body.
         tilt_rad: of the tops [rad].
     """
     smooth = replace(spec, friction=0.0)
@@ -401,7 +372,6 @@ def at_finite_strain(spec: TacTipSpec, pressed: Iterable[float | str], tilt_rad:
 
 
 def _tabulated(spec: TacTipSpec, body: float | str, tilt_rad: float) -> bool:
-    """Whether a table holds a press on an inclined top."""
     return not isinstance(body, str) and has_table(spec, modulus_pa(spec.table, body), tilt_rad)
 
 
@@ -420,28 +390,18 @@ def record_trials(
     hold_s: float = 0.0,
     progress: Progress = silent,
 ) -> PressFolder:
-    """Press every specimen several times and write what a rig would, see `press_folder`; whole or not at all.
+    """Press every specimen several times and write a rig's files, see `press_folder`; whole or not at all.
 
-    `virtual.json` beside it says that it is virtual, and the truth that the files of a rig do not hold. A
-    specimen's presses depend on the seed, its name and their numbers alone: who else is pressed, and at what
-    tilt, changes nothing in their seating and noise.
+    `virtual.json` holds the ground truth. A specimen's presses depend on the seed, its name, and their
+    numbers alone.
 
     Args:
         out: folder to make; must not exist.
-        spec: the sensor and its rig.
-        specimens: name -> the words of what is pressed, see `specimens_at`.
+        specimens: words of each, see `specimens_at`.
         trials: presses of each.
-        seed: of everything random, 0 or more.
-        unknown: names of which `specimens.csv` tells nothing; `virtual.json` does.
+        unknown: names that `specimens.csv` does not describe.
         runs: also write each press as a run, in a folder of the press's name.
         rig, back, late_s, hold_s: see `record_press`.
-        progress: called with how many presses are done.
-
-    Raises:
-        InputError: no specimens or trials, or a name that cannot be a folder's.
-        ExistsError: `out` exists.
-        RangeError: a specimen's table ends before the greatest force of a press.
-        StorageError: the disk is full, or refused.
     """
     if not (specimens and trials >= 1 and seed >= 0):
         raise InputError(
@@ -494,7 +454,6 @@ def _write(folder: Path, number: str, press: VirtualPress, runs: bool) -> None:
 
 
 def _truth(press: VirtualPress) -> dict[str, Any]:
-    """Seed and seating of a press."""
     down = press.deepest + 1
     return {
         "seed": press.seed,

@@ -1,10 +1,8 @@
-"""The loop from touch to finger on virtual devices, many times over: what a TacTip reads is felt.
+"""The loop from touch to finger on virtual devices, many times over.
 
-Every seed is a rig of its own: a virtual TacTip is calibrated on a rigid plate and four references, then
-presses four specimens that were no references. Nuisances (a force's zero and scale, late frames, lever,
-frame) are drawn from the law of their standard sizes: once for all four where they are pressed in one
-session, anew for each where every press is of a day of its own. All goes through rendered frames. Each
-reading is then rendered to a finger.
+Every seed is a rig: a virtual TacTip is calibrated on a rigid plate and four references, presses four other
+specimens through rendered frames, and each reading is rendered to a finger. Nuisances are drawn from their
+standard sizes, once per session or for each specimen.
 """
 
 from __future__ import annotations
@@ -41,10 +39,9 @@ from palpate.softness.transmission.transmitted_cues import (
 )
 from palpate.workflows.tactip_trials import VirtualPress, record_press, specimens_at
 
-SPECIMENS_N_M = {"S1": 7.6e3, "Snew": 5.3e3, "S2": 3.1e3, "S3": 1.1e3}
-"""The compliance report's four, from the least soft on [N/m]."""
+SPECIMENS_N_M = {"S1": 7.6e3, "Snew": 5.3e3, "S2": 3.1e3, "S3": 1.1e3}  # specimens of the compliance report
+# none of them is a specimen
 REFERENCES_N_M = {"rigid": math.inf, "R1": 9.5e3, "R2": 4.2e3, "R3": 2.0e3, "R4": 0.95e3}
-"""None of them is a specimen [N/m]."""
 TRIALS = 3  # of a reference
 MAX_DAYS = 8  # days
 
@@ -54,10 +51,9 @@ class StudySeed:
     """One rig's four specimens, along the stages.
 
     Attributes:
-        seed: of everything random.
-        readings: of stiffness by both cues, by specimen.
-        transmissions: by specimen, from the least soft on.
-        refused: days of which a reading was not valid, so that they were not used.
+        readings: stiffness by both cues, by specimen.
+        transmissions: by specimen, the stiffest first.
+        refused: number of days with an invalid reading, which were not used.
     """
 
     seed: int
@@ -78,7 +74,7 @@ class StudySeed:
 
 
 def cylinder_of(spec: TacTipSpec) -> Cylinder:
-    """The virtual specimens' cylinder, whose ends slide between the plates of a slow test."""
+    """Return the virtual specimens' cylinder, whose ends slide between the plates of a slow test."""
     table = spec.table
     return Cylinder(table.specimen_radius_m, table.specimen_height_m, table.poisson_ratio, "free")
 
@@ -88,21 +84,15 @@ def transmission_study(
     spec: TacTipSpec | None = None, peak_n: float | None = None, frequency_hz: float = 1.0,
     nuisances: Nuisances | None = None, progress: Progress = silent,
 ) -> list[StudySeed]:  # fmt: skip
-    """Touch and render the four specimens once a seed.
+    """Touch and render the four specimens once per seed.
 
     Args:
-        finger: that feels them, on a rigid flat.
-        seeds: one a rig.
-        one_session: nuisances are drawn once for the four specimens of a seed, not for each.
-        spec: of the TacTip; the base tip without.
-        peak_n: force at the end of a finger's press; without, the greatest that all can be pressed to [N].
+        finger: on a rigid flat.
+        one_session: draw nuisances once for the four specimens of a seed.
+        spec: TacTip; the base tip by default.
+        peak_n: force at the end of a finger's press; by default the greatest possible for all [N].
         frequency_hz: see `transmit`.
-        nuisances: whose standard sizes presses are drawn with, and intervals contain; the standard ones.
-        progress: called with how many specimens are done.
-
-    Raises:
-        RangeError: as of `transmit`.
-        InputError: no valid readings on eight days.
+        nuisances: standard sizes drawn and contained in intervals.
     """
     spec, sizes = spec or TacTipSpec(), nuisances or Nuisances()
     words = specimens_at(spec, REFERENCES_N_M | SPECIMENS_N_M)
@@ -136,11 +126,7 @@ def transmission_study(
 
 
 def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any]:
-    """What all rigs say together.
-
-    Errors are medians over rigs, signed, by specimen, since those of one session are nearly one error and
-    stages cancel; also as the object's own modulus, which a soft finger hardly tells.
-    """
+    """Summarize all rigs: medians of signed errors by specimen, also as the object's own modulus."""
     names = list(found[0].transmissions)
 
     def each(name: str) -> list[Transmission]:
@@ -196,7 +182,6 @@ def study_record(found: Sequence[StudySeed], finger: Fingertip) -> dict[str, Any
 
 
 def _number(seed: int, part: int) -> int:
-    """A seed for one part of a rig's work, no two alike."""
     return 1000 * (seed + 1) + part
 
 
@@ -222,9 +207,8 @@ def _read(
     spec: TacTipSpec, calibration: ComplianceCalibration, words: Mapping[str, str], sizes: Nuisances,
     day: int, number: int,
 ) -> tuple[dict[str, Reading], int]:  # fmt: skip
-    """Valid readings by both cues of specimens under the nuisances of one day, and how many days failed.
-
-    A day whose nuisances make one of its presses invalid is not used: nuisances are drawn anew for all.
+    """Valid readings by both cues under one day's nuisances, and the number of failed days, for which
+    nuisances are drawn anew for all.
     """
     for again in range(MAX_DAYS):
         amounts = np.random.default_rng([day, again]).standard_normal(len(fields(sizes)))

@@ -43,10 +43,7 @@ def test_with_noise_the_lens_comes_back_within_its_stated_errors(lens, model):
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """95 % intervals of 8 numbers in 40 calibrations: 304 of 320, give or take 5 %.
-
-    The numbers of one calibration hang together, so that 320 count as about 40 x 3.
-    """
+    """95 % intervals of 8 numbers in 40 calibrations: 304 of 320, give or take 5 %."""
     held, by_views = [], []
     for seed in range(40):
         fit = fit_lens(corner_views(FISHEYE, 16, seed=seed), BOARD, "fisheye")
@@ -96,31 +93,6 @@ def test_a_view_that_does_not_fit_is_left_out_and_named():
     assert all("corners" in view.reason for view in fit.rejected)
     clean = fit_lens([view for i, view in enumerate(views) if i not in (2, 6)], BOARD, "fisheye")
     np.testing.assert_allclose(numbers_of(fit.lens), numbers_of(clean.lens), rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_a_corner_that_lies_far_off_is_left_out_and_the_view_stays():
-    views = corner_views(FISHEYE, 16)
-
-    def move(places):
-        places[[4, 30]] += (3.0, -2.0)
-        return places
-
-    fit = fit_lens([shifted(views[0], move), *views[1:]], BOARD, "fisheye")
-    assert [view.name for view in fit.views if view.rejected_corners] == ["000.png"]
-    assert fit.views[0].rejected_corners == 2
-    errors = np.array(list(fit.standard_errors.values()))
-    assert (np.abs(numbers_of(fit.lens) - numbers_of(FISHEYE)) < 4 * errors).all()
-
-
-@pytest.mark.slow
-def test_the_lens_ends_where_the_boards_did():
-    views = corner_views(FISHEYE, 16)
-    fit = fit_lens(views, BOARD, "fisheye")
-    rays = FISHEYE.rays(np.concatenate([view.places_px for view in views]))
-    assert fit.widest_rad == pytest.approx(np.arccos(rays[:, 2]).max(), abs=2e-3)
-    assert fit.lens.max_angle_rad == fit.widest_rad
-    assert np.isnan(fit.lens.rays(np.array([[-300.0, 240.0]]))).all()
 
 
 @pytest.mark.slow

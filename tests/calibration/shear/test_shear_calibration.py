@@ -8,10 +8,8 @@ from tests.virtual_shears import VirtualPad, slow_presses
 
 from palpate.calibration.shear import ForceFollower, ShearCalibration, calibrate_shear
 from palpate.calibration.shear.shear_calibration import PAD_STIFFNESS
-from palpate.calibration.shear.touch_cues import outward_moment
 from palpate.core import CertificateError, ExistsError, InputError, RangeError
 from palpate.estimators.lattice import ControlPoints
-from palpate.estimators.surface_strain import StrainMeter
 
 PAD = VirtualPad()
 SPEC = PAD.sensor.spec
@@ -19,7 +17,7 @@ SPEC = PAD.sensor.spec
 
 @pytest.fixture(scope="module")
 def presses():
-    return slow_presses(PAD, 150, 1, ("round", "flat"))
+    return slow_presses(PAD, 80, 1, ("round", "flat"))
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +31,7 @@ def fitted(presses, law="any-tip", **words):
 
 @pytest.fixture(scope="module")
 def unseen():
-    return slow_presses(PAD, 80, 2, ("round", "flat"), low_n=1.3, high_n=7.7, shift=0.5)
+    return slow_presses(PAD, 40, 2, ("round", "flat"), low_n=1.3, high_n=7.7, shift=0.5)
 
 
 def errors(calibration, samples):
@@ -49,7 +47,7 @@ def test_force_of_unseen_presses_comes_back(calibrated, unseen):
     assert np.abs(off).mean() < 0.15
     assert np.abs(baseline).mean() > 2 * np.abs(off).mean()
     held = [r.contains(f) for r, f in zip(readings, unseen.force_n, strict=True) if r.valid]
-    assert len(held) > 70
+    assert len(held) > 32
     assert 0.8 < np.mean(held) < 0.98
 
 
@@ -57,18 +55,6 @@ def test_shuffled_forces_are_not_learnt(presses):
     """The control: forces of other presses leave the spread of the forces themselves."""
     mixed = replace(presses, force_n=np.random.default_rng(0).permutation(presses.force_n))
     assert fitted(mixed).mae_n[0] > 0.8 * np.abs(presses.force_n - presses.force_n.mean()).mean()
-
-
-def test_a_moment_is_the_integral():
-    """U = c (X - X_c): the moment is c times the window's second moment, 4 pi c r^4."""
-    columns, rows = np.meshgrid(np.arange(31), np.arange(31))
-    cells = np.column_stack([columns.ravel(), rows.ravel()])
-    places = (cells - 15) * 2e-3
-    sigma = np.zeros(len(cells))
-    meter = StrainMeter(ControlPoints(cells, places, sigma, "m"), 3)
-    centre = np.array([1e-3, -2e-3])
-    fields = meter.fields(ControlPoints(cells, places + 0.01 * (places - centre), sigma, "m"))
-    assert outward_moment(fields, centre, 4e-3) == pytest.approx(4 * np.pi * 0.01 * (4e-3) ** 4, rel=1e-3)
 
 
 def test_a_reading_outside_the_calibration_is_not_valid(calibrated):
@@ -143,17 +129,6 @@ def test_too_little_to_learn_from_is_refused(presses):
         fitted(presses, hysteresis=True)
 
 
-def test_half_a_press_never_stands_on_both_sides():
-    """Held-out errors are by press: no frame is judged by a fit to its own press."""
-    from palpate.calibration.shear.force_interval import press_folds
-
-    press = np.repeat(np.arange(23), 10)
-    out = list(press_folds(press))
-    assert np.sum(out, axis=0).tolist() == [1] * len(press)
-    for fold in out:
-        assert not set(press[fold]) & set(press[~fold])
-
-
 def test_a_copy_has_wider_intervals_until_a_weight_is_laid(calibrated, unseen):
     calibration = calibrated["any-tip"]
     copy = calibration.on_copy(0.20)
@@ -193,15 +168,6 @@ def test_a_weight_has_a_finite_error_and_is_laid(calibrated, error_n, lays):
     cues = [pad.meter().cues(pad.marks(pad.contact("round", 0.0, 0.0, 1.2e-3), np.random.default_rng(1)))]
     with pytest.raises(RangeError, match="lays of a weight"):
         calibrated["any-tip"].weighed(cues, 4.0, error_n, lays=lays)
-
-
-def test_a_wrong_weight_is_carried_into_every_force(calibrated, unseen):
-    """The control: a weight told 20 % too heavy makes every force 20 % too great."""
-    calibration, cues = calibrated["any-tip"], unseen.cues[:1]
-    true = float(calibration.line.elastic_n(cues)[0])
-    right, wrong = (calibration.weighed(cues, share * true) for share in (1.0, 1.2))
-    for one in unseen.cues[:8]:
-        assert wrong.read(one).value == pytest.approx(1.2 * right.read(one).value)
 
 
 def test_a_pad_of_half_the_modulus_is_within_three_half_widths_until_a_weight_is_laid(calibrated):

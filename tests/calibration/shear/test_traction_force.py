@@ -14,7 +14,7 @@ from palpate.calibration.shear.traction_force import (
     stiffer,
     thicker_support,
 )
-from palpate.core import InputError, Pose, PressHistory, RangeError
+from palpate.core import Pose, PressHistory
 from palpate.estimators.surface_strain import PatternedSkin, recover_traction
 
 PAD = VirtualPad()
@@ -71,19 +71,6 @@ def test_a_lateral_force_comes_back_with_friction_and_is_refused_without():
         assert readings[name].contains(truth)
         assert not readings[name].contains(-truth)
     assert readings["force_N"].contains(contact.force_n)
-
-
-def test_no_contact_is_no_force():
-    reading = traction_readings(fields(depth=0.0)[0], SKIN)["force_N"]
-    assert not reading.valid
-    assert reading.value == 0.0
-
-
-def test_doubts_are_shares():
-    with pytest.raises(RangeError):
-        SkinDoubt(modulus=10.0)
-    with pytest.raises(InputError):
-        traction_readings(fields()[0], SKIN, coverage=90)
 
 
 def test_loads_that_cannot_be_told_are_an_invalid_reading_that_says_why(monkeypatch):

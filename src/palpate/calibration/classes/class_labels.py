@@ -1,8 +1,7 @@
-"""Label columns whose values are classes or counts, and the outputs that a model learns of them.
+"""Label columns of classes or counts, and the outputs that a model learns of them.
 
-Each class is an output of its own, 1 in the rows of that class and 0 in all others. The least squares
-estimate of it is the probability of the class given the image (C. M. Bishop, Pattern Recognition and Machine
-Learning, Springer 2006, section 4.1.3).
+Each class is an output, 1 in its rows and 0 in others; its least squares estimate is the class probability
+(C. M. Bishop, Pattern Recognition and Machine Learning, Springer 2006, section 4.1.3).
 """
 
 from __future__ import annotations
@@ -17,19 +16,16 @@ from palpate.core import Bool, Float, Indices, LabelError, Values
 from palpate.estimators.class_sets import ClassCard, ClassOutputs, Members, class_parts
 from palpate.recordings.label_tables import label_kinds, rows_text, targets_from
 
-MAX_CLASSES = 20
-"""Distinct values that a column of classes holds at most; more are a quantity, or names of rows."""
+MAX_CLASSES = 20  # more distinct values are a quantity, or names of rows
 
 
 @dataclass(frozen=True, slots=True)
 class ClassLabels:
-    """The classes of some rows.
+    """Classes of some rows.
 
     Attributes:
-        column: where they stand.
-        values: the classes as the labels have them: numbers ascending, texts in alphabetic order.
-        names: what they are called.
-        codes: which of them each row is ``[n]``.
+        values: classes as labeled: numbers ascending, texts in alphabetic order.
+        codes: index of each row's class ``[n]``.
     """
 
     column: str
@@ -39,7 +35,6 @@ class ClassLabels:
 
     @property
     def one_hot(self) -> Float[np.ndarray, "n k"]:
-        """Outputs that a perfect model gives."""
         return np.eye(len(self.values))[self.codes]
 
     @property
@@ -50,14 +45,11 @@ class ClassLabels:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutClasses:
-    """Classes of a calibration's rows, and what models that had not seen a row gave for it.
+    """Class labels with held-out outputs and prediction sets.
 
     Attributes:
-        labels: of all rows, by column.
-        outputs: for all their classes ``[n k]``; NaN for rows not scored.
-        cards: of each column.
-        members: of each column, which classes are in the sets of the scored rows ``[m k]``, by thresholds
-            without the row's own group.
+        outputs: for all classes ``[n k]``; NaN for rows not scored.
+        members: for each column, classes in the sets of the scored rows ``[m k]``.
     """
 
     labels: tuple[ClassLabels, ...]
@@ -67,7 +59,6 @@ class HeldOutClasses:
 
     @property
     def parts(self) -> list[Float[np.ndarray, "n _"]]:
-        """The outputs of each column."""
         return [self.outputs[:, part] for part in class_parts([len(one.names) for one in self.labels])]
 
     def shortfalls(self, rows: Indices) -> Float[np.ndarray, " m"]:
@@ -90,24 +81,19 @@ SEPARATOR = "|"  # between the names in a set, in tables
 
 
 def set_text(names: Sequence[str], members: Members) -> list[str]:
-    """Names of the classes in each row's set, for a table."""
+    """Return the names of the classes in each row's set, for a table."""
     return [SEPARATOR.join(np.array(names)[row]) for row in members]
 
 
 def class_labels(
     table: pd.DataFrame, asked: Mapping[str, tuple[str, ...]], source: str, *, hint: str = ""
 ) -> tuple[ClassLabels, ...]:
-    """Take columns of classes out of a table of labels.
+    """Take class columns from a table of labels.
 
     Args:
-        table: the labels, one row a frame.
-        asked: of each column what its classes shall be called, in their order; none for the values.
-        source: what the table came from, for the messages.
-        hint: what else may be done where only one class is there.
-
-    Raises:
-        LabelError: a column is missing, has gaps, holds one class only, more than 20, numbers that are not
-            whole or a text with a bar in it, or there are not as many names as classes.
+        asked: for each column the names of its classes in order; none for the values.
+        source: name of the table in messages.
+        hint: alternative to offer where only one class is there.
     """
     return tuple(_class_labels(table, column, names, source, hint) for column, names in asked.items())
 
@@ -148,10 +134,9 @@ def _class_labels(
 
 
 def _in_order(values: list[str], names: tuple[str, ...], column: str) -> tuple[list[str], tuple[str, ...]]:
-    """Values in the order of the outputs, and what they are called.
+    """Values in the order of the outputs, and their names.
 
-    Numbers and flags are called by the names in ascending order. Texts have names already: what is given
-    orders them, so that no class is called as another one is labelled.
+    Names given for texts order them, so that no class is called as another one is labeled.
     """
     if not names:
         return values, names
@@ -196,11 +181,7 @@ def _written_alike(values: Sequence[str]) -> tuple[str, str] | None:
 
 
 def known_codes(table: pd.DataFrame, column: str, values: Sequence[str], source: str) -> Indices:
-    """Which of the calibrated classes each row of another recording is ``[n]``.
-
-    Raises:
-        LabelError: a row is of a class that was not calibrated; the message names it.
-    """
+    """Return the calibrated class of each row of another recording ``[n]``."""
     cells = _cells(table, column, source)
     if strangers := sorted(set(cells) - set(values), key=_place):
         count = int(np.isin(cells, strangers).sum())
@@ -253,18 +234,12 @@ def _place(value: str) -> tuple[float, str]:
 
 
 def with_classes(values: Values, classes: Sequence[ClassLabels]) -> Float[np.ndarray, "n _"]:
-    """Columns of numbers with the classes' outputs behind them ``[n t+k]``."""
+    """Append the classes' outputs to columns of numbers ``[n t+k]``."""
     return np.column_stack([values, *(one.one_hot for one in classes)]) if classes else values
 
 
 def target_values(
     table: pd.DataFrame, columns: Sequence[str], source: str, *, constant: bool = False
 ) -> Values:
-    """Targets out of a table of labels ``[n t]``; no column where classes alone are learnt.
-
-    Args: as of `recordings.label_tables.targets_from`.
-
-    Raises:
-        LabelError, UnitError: see `recordings.label_tables.targets_from`.
-    """
+    """Return targets from a table of labels ``[n t]``; no column where only classes are trained on."""
     return targets_from(table, columns, source, constant=constant) if columns else np.empty((len(table), 0))

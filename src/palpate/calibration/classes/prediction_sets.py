@@ -1,10 +1,8 @@
 """Prediction sets that cover the true class at the stated rate in each class by itself, and their scores.
 
-A row's score is how far the output of its true class falls short of 1. Each class has a threshold of its own,
-set by its held-out rows (label-conditional conformal prediction: V. Vovk, A. Gammerman and G. Shafer,
-Algorithmic Learning in a Random World, Springer 2005, doi:10.1007/b106715; the score: M. Sadinle, J. Lei and
-L. Wasserman, J. Am. Stat. Assoc. 114, 223 (2019), doi:10.1080/01621459.2017.1395341). Each press counts once
-(`coverage.group_quantiles`). With too few groups for the rate, below nine at 90 %, a class is in every set.
+Label-conditional conformal prediction: V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random
+World, Springer 2005, doi:10.1007/b106715; score: M. Sadinle, J. Lei and L. Wasserman, J. Am. Stat. Assoc.
+114, 223 (2019), doi:10.1080/01621459.2017.1395341. A class with too few groups is in every set.
 """
 
 from __future__ import annotations
@@ -17,8 +15,11 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.classes.class_labels import SEPARATOR, ClassLabels, HeldOutClasses, known_codes
-from palpate.calibration.coverage.group_quantiles import is_distribution_free, new_group_quantile
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.grouped_rates import (
+    grouped_coverage_interval,
+    is_distribution_free,
+    new_group_quantile,
+)
 from palpate.calibration.coverage.range_scores import MARGIN, chance_of_so_few, failing
 from palpate.core import Bool, Float, Indices, SplitError
 from palpate.estimators.class_sets import (
@@ -32,23 +33,19 @@ from palpate.estimators.class_sets import (
 )
 from palpate.recordings import Split
 
-MAX_PARTS = 50
-"""Parts in which groups are left out when sets are scored: a fiftieth hardly moves a threshold."""
+MAX_PARTS = 50  # leave-out parts of the groups: a fiftieth hardly moves a threshold
 
 
 def fit_thresholds(
     outputs: ClassOutputs, codes: Indices, groups: np.ndarray, coverage: float
 ) -> tuple[float | None, ...]:
-    """Least output of each class with which it is in the set.
+    """Return the least output of each class with which it is in the set; None with too few groups.
 
     Args:
         outputs: of models that had not seen the row's group.
-        codes: which class each row is ``[n]``.
-        groups: label of each row's group ``[n]``.
-        coverage: how often sets shall hold the true class, 0 to 1.
-
-    Returns:
-        A threshold for each class; None where its groups are too few for the rate.
+        codes: class of each row ``[n]``.
+        groups: group of each row ``[n]``.
+        coverage: rate at which sets contain the true class, 0 to 1.
     """
     return tuple(
         _threshold(1 - outputs[codes == k, k], groups[codes == k], coverage) for k in range(outputs.shape[1])
@@ -64,10 +61,7 @@ def _threshold(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: fl
 def members_without_own_group(
     outputs: ClassOutputs, codes: Indices, groups: np.ndarray, coverage: float
 ) -> Members:
-    """Sets of held-out rows by thresholds in which the row's own group had no part.
-
-    Args: as of `fit_thresholds`.
-    """
+    """Return the sets of held-out rows by thresholds fitted without the row's own group."""
     from sklearn.model_selection import GroupKFold  # here, since who evaluates needs no scikit-learn
 
     members = np.empty(outputs.shape, bool)
@@ -81,14 +75,11 @@ def members_without_own_group(
 def held_out_classes(
     labels: tuple[ClassLabels, ...], outputs: ClassOutputs, groups: np.ndarray, coverage: float
 ) -> HeldOutClasses:
-    """Sets and scores of some columns of classes.
+    """Return sets and scores of class columns.
 
     Args:
-        labels: of all rows.
-        outputs: for all their classes by models that had not seen the row's group ``[n k]``; NaN where it was
-            not scored.
-        groups: label of each row's group ``[n]``.
-        coverage: how often sets shall hold the true class, 0 to 1.
+        outputs: held-out outputs for all classes ``[n k]``; NaN where not scored.
+        groups: group of each row ``[n]``.
     """
     scored = np.flatnonzero(~np.isnan(outputs).any(axis=1))
     cards, sets = [], []
@@ -103,11 +94,7 @@ def held_out_classes(
 
 
 def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:
-    """Refuse a split that holds out every class whole.
-
-    Raises:
-        SplitError: each class is of one group, so that none is known when it is asked for.
-    """
+    """Refuse a split that holds out every class whole."""
     if parts.groups is None:
         return
     for one in labels:
@@ -145,7 +132,6 @@ def _card(
 
 
 def _unpromised(card: ClassCard, coverage: float) -> Iterator[str]:
-    """A sentence on the classes that too few groups show for a threshold."""
     few = [
         f"{name} ({groups})"
         for name, least, groups in zip(card.names, card.thresholds, card.groups, strict=True)
@@ -162,13 +148,13 @@ def _unpromised(card: ClassCard, coverage: float) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True)
 class ClassAnswers:
-    """Classes and sets of some rows, beside the truth.
+    """Classes and sets of some rows with their ground truth.
 
     Attributes:
         true, likeliest: codes ``[n]``.
-        members: which classes are in each set ``[n k]``.
-        groups: label of each row's group ``[n]``; rows of one group are not independent.
-        baseline: where the most frequent class of the rows learnt from is the true one ``[n]``.
+        members: classes in each set ``[n k]``.
+        groups: group of each row ``[n]``.
+        baseline: where the most frequent training class is the true one ``[n]``.
     """
 
     true: Indices
@@ -214,13 +200,7 @@ def _coverage(answers: ClassAnswers, one: int, coverage: float) -> ClassCoverage
 
 
 def class_findings(card: ClassCard, score: ClassScoreCard, coverage: float) -> tuple[str, ...]:
-    """Sentences on what cannot be relied on.
-
-    Args:
-        card: of the column.
-        score: its own, or that of another run.
-        coverage: that the sets promise.
-    """
+    """Return sentences on what cannot be relied on."""
     found = []
     if score.says_nothing:
         found.append(
@@ -241,17 +221,11 @@ def class_findings(card: ClassCard, score: ClassScoreCard, coverage: float) -> t
 def score_of_run(
     card: ClassCard, table: pd.DataFrame, groups: np.ndarray, coverage: float, source: str
 ) -> ClassScoreCard:
-    """Score a column of classes of another run.
+    """Score a class column of another run.
 
     Args:
-        card: of the column.
-        table: its labels, ``estimate:COLUMN`` and ``set:COLUMN``, a row a frame that was read.
-        groups: label of each row's group.
-        coverage: that the sets promise.
-        source: what the labels came from, for messages.
-
-    Raises:
-        LabelError: a row is of a class that was not calibrated.
+        table: labels, ``estimate:COLUMN`` and ``set:COLUMN``, one row per frame.
+        source: name of the labels in messages.
     """
     true = known_codes(table, card.column, card.values, source)
     likeliest = np.array([card.names.index(name) for name in table[f"estimate:{card.column}"]])

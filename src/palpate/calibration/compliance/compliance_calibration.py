@@ -1,8 +1,7 @@
-"""Compliance calibration of a TacTip on specimens of known stiffness, read from files and kept in one.
+"""Compliance calibration of a TacTip on specimens of known stiffness.
 
-Trials of a rigid plate and of soft references give the curve of `estimators.compliance.stiffness_curve`, by
-touch alone and with the approach beside it, and where the references' contact areas are known also the area
-fit. The file is one flat set of plain arrays, no pickles, and the calibration's id is that of its contents.
+A rigid plate and soft references give the stiffness curve, by touch alone and with the approach, and an area
+fit where contact areas are known. The file holds plain arrays; the id is that of its contents.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import numpy as np
 from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.reference_stiffness import check_references
-from palpate.calibration.compliance.shape_calibration import errors_between, fit_shapes
 from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
     Float,
@@ -31,6 +29,7 @@ from palpate.core import (
     refuse_existing,
     silent,
 )
+from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.compliance.contact_area import (
     AreaFit,
     Motions,
@@ -51,7 +50,7 @@ from palpate.estimators.compliance.pin_press import (
     sideways_px,
 )
 from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
-from palpate.estimators.compliance.shape_surface import ShapeSurface
+from palpate.estimators.compliance.shape_surface import Roundness, ShapeSurface, fit_shape_surface
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness, softness
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.press_folder import (
@@ -63,6 +62,61 @@ from palpate.recordings.exchange.press_folder import (
 )
 from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.version import __version__
+
+BEYOND = 0.05  # of the span of references in s and c, beyond which a place is not read
+OUTSIDE_MODULUS = "{:.3g} MPa is outside of the references' moduli, {:.3g} MPa to rigid"
+OUTSIDE_RADIUS = "a radius of {:.3g} mm is outside of the references', {:.3g} mm to flat"
+HOLLOW = (
+    "the object shows itself hollow, by a radius of {:.3g} mm the other way: no such reference was pressed, "
+    "and a layer on a hard base shows itself so too"
+)
+
+
+def fit_shapes(
+    bodies: Sequence[KnownBody], rows: Sequence[Float[ndarray, " d"]], which: Int[ndarray, " t"]
+) -> ShapeSurface | None:
+    """Fit the surface of modulus and radius through references; None where no sphere is among them.
+
+    Args:
+        rows: of every trial, motion of pins at every level and the approach from the first level to others.
+        which: reference of every trial.
+    """
+    known = [i for i, body in enumerate(bodies) if body.known]
+    if not any(np.isfinite(bodies[i].radius_m) for i in known):
+        return None
+    stacked = np.stack(rows)
+    return fit_shape_surface(
+        [bodies[i].modulus_pa for i in known],
+        [bodies[i].radius_m for i in known],
+        [stacked[which == i] for i in known],
+    )
+
+
+def moduli_pa(surface: ShapeSurface) -> tuple[float, float]:
+    """Return the least and greatest finite modulus of the references [Pa]."""
+    finite = surface.modulus_pa[np.isfinite(surface.modulus_pa)]
+    return float(finite.min()), float(finite.max())
+
+
+def errors_between(surface: ShapeSurface) -> dict[str, float]:
+    """Return the leave-one-out errors of the references, for files."""
+    of_modulus, of_c = surface.between
+    return {"modulus": of_modulus, "curvature_per_m": of_c / surface.turning_m}
+
+
+def shape_reasons(surface: ShapeSurface, found: Roundness) -> list[Refusal]:
+    """Return why neither modulus nor radius is valid."""
+    s, c = found.place
+    least, _ = moduli_pa(surface)
+    smallest, why = float(surface.radius_m.min()), []
+    if s > (1 + BEYOND) / (1 + least / surface.turning_pa):
+        why.append(OUTSIDE_MODULUS.format(1e-6 * found.modulus_pa[0], 1e-6 * least))
+    if c > (1 + BEYOND) * surface.turning_m / smallest:
+        why.append(OUTSIDE_RADIUS.format(1e3 * found.radius_m[0], 1e3 * smallest))
+    if c + found.half[1] < 0:
+        why.append(HOLLOW.format(-1e3 * surface.turning_m / c))
+    return [Refusal(ReasonCode.SHAPE_OUTSIDE_RANGE, text) for text in why]
+
 
 T = TypeVar("T")
 Samples = Float[ndarray, " _"]
@@ -85,14 +139,7 @@ class ReferenceTrial:
 
 @dataclass(frozen=True)
 class ReferenceSpecimen:
-    """A specimen of known stiffness, `inf` for a rigid plate, or of known modulus and radius, and its trials.
-
-    Attributes:
-        name: of the specimen.
-        kappa_n_m: stiffness of a flat one, NaN for a sphere [N/m].
-        trials: of it.
-        body: its modulus and radius, of a flat one or a sphere.
-    """
+    """Specimen of known stiffness (`inf` for a rigid plate, NaN for a sphere) or modulus and radius."""
 
     name: str
     kappa_n_m: float
@@ -102,36 +149,23 @@ class ReferenceSpecimen:
 
 @dataclass(frozen=True)
 class ComplianceCalibration:
-    """A calibrated tip.
+    """Calibrated tip; fields are None where the references lack what they need.
 
     Attributes:
-        names: of the references.
-        layout_px: the untouched pins.
+        layout_px: no-contact pins ``[p 2]`` [px].
         levels_n: forces at which presses are compared [N].
-        touch: curve of the pins' motion alone.
-        both: curve of motion and approach; None where references had no position.
-        motions, area: of the contact's area; None where no area was known.
-        ring: area by ring and stretch; None where no area was known, or rings are cut.
-        finger: the Hertz pair that acts as the tip does; None without a rigid plate, its areas or position.
-        wobble_px: how far untouched pins stand from the layout in the references' trials.
-        speed_m_s: least and greatest of the references.
-        tilt_rad: of the specimens' tops, for which alone it holds [rad].
-        note: free words, e.g. which tip.
-        version: of palpate.
-        rate: spread rates against known ones; None where fewer than three references have areas, and in
-            calibrations of before it was fitted.
-        seat: of the contact in the references' presses; None in calibrations of before.
-        nuisances: standard sizes that intervals contain; None in calibrations of before, whose intervals
-            contain the references' own scatter only.
-        rigid_plate: stretch of the middle by the ring's radius on a rigid plate; None without one, and in
-            calibrations of before.
-        latency_s: of the camera, which the references' frames were corrected for; None for none [s].
-        shape: modulus and radius by motion and approach; None without spheres among the references, or
-            without their positions, and in calibrations of before.
-        moduli_per_m: E* over stiffness of the flat references, by the same inversion as of a press; None
-            without `finger` or a soft reference, and in calibrations of before [1/m].
-        level: areas at 4 N against known ones; None as `rate` is, and in calibrations of before, whose areas
-            there have the error of the worst reference's frames at any force.
+        touch, both: stiffness curves of the pins' motion alone, and with the approach.
+        motions, area, ring: contact area by the pins' motion, and by ring and stretch.
+        finger: Hertz pair that acts as the tip does.
+        wobble_px: RMS distance of no-contact pins from the layout [px].
+        speed_m_s: least and greatest of the references [m/s].
+        tilt_rad: inclination of the specimens' tops, for which alone it is valid [rad].
+        rate, level: spread rates and areas at 4 N against known ones.
+        nuisances: standard sizes that intervals contain.
+        rigid_plate: stretch of the middle by the ring's radius on a rigid plate.
+        latency_s: camera latency that was corrected [s].
+        shape: modulus and radius by motion and approach, from spheres.
+        moduli_per_m: E* over stiffness of the flat references, by the inversion used for a press [1/m].
     """
 
     names: tuple[str, ...]
@@ -159,26 +193,15 @@ class ComplianceCalibration:
 
     @cached_property
     def id(self) -> str:
-        """Name by the contents."""
         return contents_id(self, "compliance")
 
     def save(self, path: Path) -> None:
-        """Write one ``.npz``, whole or not at all.
-
-        Raises:
-            ExistsError: `path` exists.
-            StorageError: the disk refused.
-        """
+        """Write one ``.npz``, whole or not at all."""
         save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ComplianceCalibration:
-        """Read what `save` wrote; nothing in it is run.
-
-        Raises:
-            CertificateError: it is no such file, or a damaged one.
-            StorageError: it cannot be read.
-        """
+        """Read what `save` wrote; no code in it is run."""
         return load_record(cls, path, "compliance", "palpate calibrate --method compliance")
 
 
@@ -193,13 +216,8 @@ def calibrate_compliance(
 
     Args:
         references: two or more, pressed alike.
-        tilt_rad: of their tops [rad].
-        note: kept with it.
-        nuisances: what later presses may differ by, unseen; None for the standard sizes, `NONE` for nothing.
-
-    Raises:
-        InputError: too few references or trials, presses that do not reach far enough, or of another sensor.
-        ReferenceStiffnessError: the presses contradict the stated stiffness of a reference.
+        tilt_rad: inclination of their tops [rad].
+        nuisances: sizes by which later presses may differ; None for the standard sizes, `NONE` for none.
     """
     trials = [(i, trial) for i, one in enumerate(references) for trial in one.trials]
     if not trials:
@@ -264,7 +282,6 @@ def _seats(
     layout: Float[ndarray, "p 2"],
     references: Sequence[int],
 ) -> list[Float[ndarray, "_ 2"]]:
-    """Mean motion of the pins of every trial, of some references."""
     sideways = np.stack([sideways_px(press, layout) for press in presses])
     return [sideways[which == i] for i in references]
 
@@ -278,7 +295,6 @@ def _layout(presses: Sequence[PinPress]) -> Float[ndarray, "p 2"]:
 
 
 def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray, "p 2"]:
-    """A press's untouched pins in the order of the layout."""
     still = replace(
         press,
         frame=press.frame[:1],
@@ -291,14 +307,14 @@ def _untouched(press: PinPress, layout: Float[ndarray, "p 2"]) -> Float[ndarray,
 
 
 def wobble_px(press: PinPress, layout: Float[ndarray, "p 2"]) -> float:
-    """Root mean square distance of untouched pins from the layout, less the shift of all [px]."""
+    """Return the RMS distance of no-contact pins from the layout, less the common shift [px]."""
     off = _untouched(press, layout) - layout
     off = off[np.isfinite(off).all(axis=1)]
     return float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
 
 
 def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[ndarray, " l"]) -> ndarray:
-    """The motion of the pins at every level, in one row; NaN for pins that are lost."""
+    """Return the motion of the pins at every level, in one row; NaN for lost pins."""
     motion = motion_on_layout(press, layout)
     tracked = np.isfinite(motion).all(axis=(0, 2))
     row = np.full((len(levels_n), *motion.shape[1:]), np.nan)
@@ -307,7 +323,7 @@ def touch_row(press: PinPress, layout: Float[ndarray, "p 2"], levels_n: Float[nd
 
 
 def approach_row(press: PinPress, levels_n: Float[ndarray, " l"]) -> Float[ndarray, " l-1"]:
-    """Approach from the first level to the others, weighed as pins' motion."""
+    """Return the approach from the first level to the others, weighted as pins' motion."""
     assert press.position_m is not None
     d = at_forces(press.force_n, press.position_m, levels_n)
     return np.asarray(APPROACH_PX * (d - d[0])[1:])
@@ -335,11 +351,7 @@ def _areas(
 
 
 def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
-    """Slope of a line through areas at even forces, 1 to 4.5 N; NaN where too few areas are known [m^2/N].
-
-    Frames crowd at small forces, and the area's growth slows: a line through the frames' own areas would
-    depend on speed and frame rate.
-    """
+    """Return the slope of area over force, 1 to 4.5 N, at even forces; NaN with too few areas [m^2/N]."""
     known = np.isfinite(area_m2)
     if known.sum() < MIN_AREAS:
         return float("nan")
@@ -351,7 +363,7 @@ def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:
 
 
 def area_at_4_n(force_n: Samples, area_m2: Samples) -> float:
-    """Area at 4 N by areas at other forces; NaN where too few are known [m^2]."""
+    """Return the area at 4 N by areas at other forces; NaN with too few [m^2]."""
     known = np.isfinite(area_m2)
     if known.sum() < MIN_AREAS:
         return float("nan")
@@ -368,7 +380,6 @@ def _against_known(
     true: Sequence[Samples],
     which: Sequence[int],
 ) -> RateFit | None:
-    """A measure of areas against that of known ones, of trials whose areas were fitted without them."""
     pairs = [
         (measure(f, np.where(np.isfinite(known), a, np.nan)), measure(f, known), i)
         for f, a, known, i in zip(forces, found, true, which, strict=True)
@@ -395,7 +406,6 @@ def _moduli_per_m(finger: Finger, flats: Sequence[ReferenceSpecimen]) -> float |
 
 
 def _curves(references: Iterable[ReferenceSpecimen]) -> list[PressCurves]:
-    """Return force, approach, and area of the trials whose area and position are known."""
     return [
         PressCurves(t.press.force_n[good], t.press.position_m[good], t.area_m2[good])
         for one in references
@@ -406,11 +416,7 @@ def _curves(references: Iterable[ReferenceSpecimen]) -> list[PressCurves]:
 
 
 def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> ReferenceTrial:
-    """Trial of a press: its pins' motion, and its contact area at their frames where the table has it.
-
-    Raises:
-        InputError, ImageError: they cannot be read as a press.
-    """
+    """Read a press: its pins' motion, and its contact area at their frames where the table has it."""
     press = follow_press(frames, table.force_n, table.frame_sample, table.position_m, table.time_s)
     area = None if table.area_m2 is None else table.area_m2[table.frame_sample[press.frame]]
     return ReferenceTrial(press, area)
@@ -419,16 +425,7 @@ def reference_trial(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -
 def load_references(
     folder: PressFolder, progress: Progress = silent, *, latency_s: float = 0.0
 ) -> list[ReferenceSpecimen]:
-    """The specimens of known stiffness, or modulus and radius, in the folder's order.
-
-    Args:
-        folder: of the experiment.
-        progress: called with how many presses are read.
-        latency_s: of the camera, taken off [s].
-
-    Raises:
-        InputError: fewer than two have a known stiffness; and as a press cannot be read.
-    """
+    """Read the specimens of known stiffness, or modulus and radius, in the folder's order."""
     known = [one for one in folder.specimens if one.stiffness_n_m is not None or one.body.known]
     flat = sum(one.stiffness_n_m is not None for one in known)
     if flat < 2:
@@ -454,13 +451,10 @@ def read_presses(
     progress: Progress,
     latency_s: float = 0.0,
 ) -> dict[str, list[T]]:
-    """Every press of some specimens, by their names, as `read` gives it from its frames and its table.
+    """Apply `read` to frames and table of every press, by specimen.
 
     Args:
-        specimens: of an experiment.
-        read: what is made of a press.
-        progress: called with how many are read.
-        latency_s: of the camera, taken off [s].
+        latency_s: camera latency to take off [s].
     """
     done, total = 0, sum(len(one.presses) for one in specimens)
     results: dict[str, list[T]] = {one.name: [] for one in specimens}
@@ -484,20 +478,17 @@ def calibrate_folder(
     latency: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Calibrate on the specimens of known stiffness in a folder, and return what was fitted in plain numbers.
+    """Calibrate on the specimens of known stiffness in a folder; return the fit in plain numbers.
 
     Args:
-        folder: of an experiment; see `recordings.exchange.press_folder`.
+        folder: experiment; see `recordings.exchange.press_folder`.
         out: ``.npz`` to make.
-        tilt_deg: of the specimens' tops [deg].
-        note: kept with the calibration.
-        nuisances: sizes that are not the standard ones, as `Nuisances.named` has them.
-        latency: of the camera and its standard uncertainty, of which the first is taken off and the second is
-            the size of `late_ms` unless that is named; None for frames as they are [s].
-        progress: called with how many presses are read.
+        tilt_deg: inclination of the specimens' tops [deg].
+        nuisances: sizes that differ from the standard ones, see `Nuisances.named`.
+        latency: camera latency to take off; its uncertainty is the size of `late_ms` unless that is named.
 
     Raises:
-        PalpateError: a folder, press or reference that cannot be used; `out` exists.
+        PalpateError: a folder, press, or reference that cannot be used; `out` exists.
     """
     if out.suffix != ".npz":
         raise InputError(f"{out} is not an .npz file; name the calibration e.g. tip.npz")
@@ -539,5 +530,5 @@ def calibrate_folder(
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number as JSON has it: None where it is not finite."""
+    """Return a number for JSON: None where it is not finite."""
     return float(value) if np.isfinite(value) else None

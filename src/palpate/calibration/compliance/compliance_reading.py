@@ -14,13 +14,14 @@ from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
     approach_row,
     area_at_4_n,
+    moduli_pa,
     rate_by_areas,
+    shape_reasons,
     touch_row,
 )
 from palpate.calibration.compliance.cue_agreement import greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
-from palpate.calibration.compliance.shape_calibration import moduli_pa, shape_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.core.refusal import SEPARATOR, ReasonCode, Refusal, joined
 from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
@@ -72,21 +73,14 @@ class AreaCourse:
 
 @dataclass(frozen=True)
 class PressReading:
-    """Readings of what was touched.
+    """Readings of a touched object; None where the calibration or press lacks what they need.
 
     Attributes:
-        stiffness: by images and force alone.
-        stiffness_both: with the approach beside them; None without one.
-        area: of the contact, at 4 N; None where the calibration knows no area.
-        spread_rate: dA/dF by regression, of the same.
-        modulus, radius: E* and R of the object by both cues: by references of known ones where spheres are
-            among them, else the tip being a Hertz pair; None without an approach, or without areas and
-            spheres.
-        course: the area of every frame.
-        budget: of every quantity, by how much each nuisance of its standard size changes it, as a share;
-            empty for calibrations that state none.
-        nuisances: those sizes; None for such calibrations.
-        rigid_plate: stretch by ring on a rigid plate, of the calibration; None where it has none.
+        stiffness, stiffness_both: by images and force alone, and with the approach.
+        area, spread_rate: contact area at 4 N, and dA/dF by regression.
+        modulus, radius: E* and R by both cues, from spheres among the references or the tip as a Hertz pair.
+        course: area of every frame.
+        budget: relative change of every quantity by each nuisance of its standard size.
     """
 
     stiffness: Reading
@@ -102,7 +96,6 @@ class PressReading:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """The readings that there are."""
         all_ = (
             self.stiffness, self.stiffness_both, self.area, self.spread_rate, self.modulus, self.radius
         )  # fmt: skip
@@ -116,11 +109,7 @@ def read_touch(
 
     Args:
         calibration: of this tip at this tilt.
-        presses: trials.
-        name: of the recording, for the readings.
-
-    Raises:
-        InputError: no press, one of another sensor, or one that does not reach the calibrated forces.
+        name: name of the recording in the readings.
     """
     if not presses:
         raise InputError("no press; give one or more")
@@ -134,11 +123,6 @@ def read_touch(
 
 
 def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: float) -> PressReading:
-    """Return the readings with wider intervals of area and rate for pins unlike the references'.
-
-    Both are derived from the pins by what references showed. A layer on a hard base moves them nearly as a
-    stiff flat specimen does, with another area.
-    """
     wide: dict[str, Any] = {}
     for name in ("area", "spread_rate"):
         one: Reading | None = getattr(read, name)
@@ -153,7 +137,6 @@ def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: fl
 def _judged(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
 ) -> PressReading:
-    """Return the readings with the reasons that follow from their final intervals."""
     reasons = {name: _range_reasons(calibration, name, getattr(read, name)) for name in FIELDS}
     curved = calibration.shape is not None and _curved(read)
     if curved:
@@ -175,7 +158,6 @@ def _judged(
 def _not_flat(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
 ) -> list[Refusal]:
-    """Return why presses that may be on a flat object tell no quantity of one."""
     misfit = worst_misfit(calibration, presses, flat=True)
     return _reasons_of(read.radius) + misfit_reasons(misfit, greatest_misfit(calibration, flat=True))
 
@@ -185,7 +167,6 @@ def _curved(read: PressReading) -> bool:
 
 
 def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading | None) -> list[Refusal]:
-    """Return why an interval is not inside what was calibrated."""
     if one is None or name == "radius":
         return []
     if name == "modulus" and calibration.shape is not None:
@@ -207,11 +188,6 @@ def _range_reasons(calibration: ComplianceCalibration, name: str, one: Reading |
 
 
 def _disagreements(calibration: ComplianceCalibration, read: PressReading) -> list[Refusal]:
-    """Return the first quantity whose interval contains nothing that the stiffness allows.
-
-    The stiffness is that by both cues, or by touch where there is no position. What it allows of the other
-    quantities follows from the references, which are flat specimens of one shape.
-    """
     base = read.stiffness if read.stiffness_both is None else read.stiffness_both
     ends = np.array([base.low, base.high])
     for name in ("stiffness", "area", "spread_rate", "modulus"):
@@ -245,7 +221,6 @@ def _on_flat(
 
 
 def _reasons_of(reading: Reading | None) -> list[Refusal]:
-    """Return the reasons that a reading carries."""
     if reading is None or reading.valid:
         return []
     texts, codes = reading.why.split(SEPARATOR), reading.code.split(SEPARATOR)
@@ -253,7 +228,6 @@ def _reasons_of(reading: Reading | None) -> list[Refusal]:
 
 
 def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | None:
-    """Return a reading with further reasons why it is not valid."""
     if reading is None or not reasons:
         return reading
     fields = joined([*_reasons_of(reading), *reasons])
@@ -263,7 +237,6 @@ def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | N
 def _read(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict, *, ring: bool = True
 ) -> PressReading:
-    """Readings under a verdict, with the scatter between presses alone."""
     reader = _PressReader(calibration, presses, verdict)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
     both = modulus = radius = None
@@ -286,7 +259,6 @@ def _read(
 def _altered_values(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict
 ) -> dict[str, dict[str, float]]:
-    """Values of every quantity, by the nuisance that all presses are given in its standard size."""
     assert calibration.nuisances is not None
     by_press = [calibration.nuisances.altered(press) for press in presses]
     values = {}
@@ -324,11 +296,7 @@ Scale = Callable[[float], float]
 
 
 def _scale(reading: Reading, turning: float) -> tuple[Scale, Scale]:
-    """Scale on which a quantity's errors are even, and its inverse; both fall as the quantity grows.
-
-    Stiffness has its place on the curve; modulus and radius, which are found by differences of reciprocals,
-    have these; area and rate have their logarithms.
-    """
+    """Scale on which a quantity's errors are uniform, and its inverse; both decrease with the quantity."""
     if reading.quantity.startswith("stiffness"):
         return lambda k: 1 / (1 + k / turning), lambda s: turning * (1 / min(s, 1.0) - 1) if s > 0 else np.inf
     if reading.quantity in ("modulus", "radius"):
@@ -337,12 +305,11 @@ def _scale(reading: Reading, turning: float) -> tuple[Scale, Scale]:
 
 
 def contained(reading: Reading, altered: Sequence[float], scale: tuple[Scale, Scale]) -> tuple[float, float]:
-    """Ends of an interval that also contains changes of one standard deviation each, unknown in sign.
+    """Return the interval's ends including changes of one standard deviation each, of unknown sign.
 
     Args:
-        reading: with the interval of everything else.
-        altered: its value under each change.
-        scale: falling function on which errors are even, and its inverse.
+        altered: value under each change.
+        scale: decreasing function on which errors are uniform, and its inverse.
     """
     to, back = scale
     middle = to(reading.value)
@@ -392,7 +359,6 @@ class _PressReader:
         )  # fmt: skip
 
     def by_surface(self, surface: ShapeSurface, rows: Float[ndarray, "t d"]) -> tuple[Reading, Reading]:
-        """E* and R by references of known ones."""
         found = surface.of(rows, COVERAGE)
         why = shape_reasons(surface, found)
         flat_to = float(surface.radius_m.min()), float("inf")
@@ -437,7 +403,6 @@ class _PressReader:
         return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
 
     def _between(self, error: float) -> list[Refusal]:
-        """Return why two references are not enough."""
         return [] if np.isfinite(error) else [Refusal(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
 
     def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:

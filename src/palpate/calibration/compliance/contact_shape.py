@@ -1,9 +1,7 @@
-"""Shape of the contact as the pins of one press show it: ring, ellipse, growth of cells, flattening.
+"""Shape of the contact in the pins of one press: ring, ellipse, growth of cells, flattening.
 
-All is of the last frame against the untouched pins, in pixels or without a unit, and none of it needs a
-calibration but the flattening: that is the stretch of the middle over the stretch that a rigid plate gives
-with the same ring, 1 on a rigid plate and less on what yields, whatever the force. The ring of what yields
-becomes larger than a rigid plate's does, so flattening is of the last frame whose ring does not.
+The last frame is compared with the no-contact pins. Flattening is the stretch of the middle over that of a
+rigid plate with the same ring: 1 on a rigid plate, less on soft objects.
 """
 
 from __future__ import annotations
@@ -28,18 +26,18 @@ NO_RIGID = "the calibration has no rigid plate among its references"
 
 
 def field_of(press: PinPress, frame: int = -1) -> Field:
-    """The motion of the pins that are seen in a frame of a press."""
+    """Return the motion of the pins that are seen in a frame of a press."""
     seen = np.isfinite(press.untouched_px).all(axis=1) & np.isfinite(press.moved_px[frame]).all(axis=1)
     return Field(press.untouched_px[seen], press.moved_px[frame][seen])
 
 
 def mean_stretch(field: Field) -> float:
-    """Stretch of the middle, the mean of all directions."""
+    """Return the stretch of the middle, the mean over directions."""
     return float(np.trace(field.stretch()) / 2)
 
 
 def rigid_plate_stretch(presses: Iterable[PinPress]) -> RigidPlateStretch | None:
-    """Stretch over ring of presses on a rigid plate; None where they show too few rings."""
+    """Return stretch over ring of presses on a rigid plate; None with too few rings."""
     fields = [field_of(press, i) for press in presses for i in range(len(press.force_n))]
     rings, stretches = (np.array([of(one) for one in fields]) for of in (ring_px, mean_stretch))
     try:
@@ -49,7 +47,7 @@ def rigid_plate_stretch(presses: Iterable[PinPress]) -> RigidPlateStretch | None
 
 
 def contact_shape(press: PinPress, rigid: RigidPlateStretch | None) -> dict[str, Any]:
-    """The shape in plain numbers; where there is none, why."""
+    """Return the shape in plain numbers, or why there is none."""
     field = field_of(press)
     ring = ring_px(field)
     growth = cell_growth(field)

@@ -4,20 +4,10 @@ The pins and the approach at the calibrated forces form one vector y. For an obj
 
     y = m(p) + B a + J b + K c + e,
 
-- m(p): mean of the references at the parameters p of the object (softness, or softness and curvature)
-- B: scatter between trials of one reference
-- J: change of the press by each stated nuisance of its standard size
-- K: other curves through the references, between which they cannot decide; for surfaces of curved objects
-  also the distance of each reference from the surface through the others
-- e: noise
-
-a, b, c, and e are independent with zero mean and known variance. The misfit is the generalized
-least-squares minimum over p of the squared residual in units of its covariance. The misfit of the pins alone
-tests the pins. Its increase when the approach is added tests whether the approach agrees with the pins.
-
-The area, the spread rate, and E* are derived from the pins and the approach, so a press that fails either
-test has no valid quantity. If the references include spheres, the quantities of flat objects are tested
-against the flat references alone as well.
+with m(p) the references' mean at the object's parameters p, B scatter between trials, J changes by the stated
+nuisances, K other curves through the references (and their leave-one-out distances for curved objects), and e
+noise; a, b, c, e independent with zero mean and known variance. The misfit is the generalized least-squares
+minimum over p. The pins' misfit tests the pins; its increase by the approach tests their agreement.
 """
 
 from __future__ import annotations
@@ -66,13 +56,12 @@ Places = Float[ndarray, "n q"]
 
 @dataclass(frozen=True)
 class CueMisfit:
-    """Misfit of a press; see the module.
+    """Misfit of a press.
 
     Attributes:
-        pins: of the pins alone.
-        approach: increase by the approach; 0 for a press without position.
-        birge: root of both over their degrees of freedom, at most near 1 for objects of the references' kind;
-            R. T. Birge, Phys. Rev. 40, 207 (1932), doi:10.1103/PhysRev.40.207.
+        pins: misfit of the pins alone.
+        approach: increase by the approach; 0 without position.
+        birge: Birge ratio of both, R. T. Birge, Phys. Rev. 40, 207 (1932), doi:10.1103/PhysRev.40.207.
     """
 
     pins: float
@@ -95,13 +84,7 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: boo
     """Return the misfit of the pins, and its increase by the approach.
 
     Args:
-        calibration: of this tip.
-        press: with or without positions.
-        flat: of flat objects alone, where the calibration has spheres as well.
-
-    Raises:
-        InputError: a press of another sensor.
-        RangeError: a press that does not reach the calibrated forces.
+        flat: test against flat references alone, where the calibration has spheres as well.
     """
     placed = calibration.both is not None and press.position_m is not None
 
@@ -123,11 +106,7 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: boo
 
 
 def greatest_misfit(calibration: ComplianceCalibration, *, flat: bool = False) -> CueMisfit:
-    """Return the limits, which are wider for a scatter that few trials show.
-
-    With a covariance that is estimated from trials, a squared distance has the distribution of Hotelling's T
-    squared in place of chi-squared.
-    """
+    """Return the limits by Hotelling's T², which are wider for a scatter estimated from few trials."""
     shape = None if flat else calibration.shape
     freedom = (shape or calibration.touch).space.freedom
     count = scatter_directions(freedom)

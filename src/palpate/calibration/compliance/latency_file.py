@@ -1,8 +1,6 @@
-"""Latency of a camera by recorded presses, kept as a file, and taken off where presses are read.
+"""Latency of a camera from recorded presses, kept in a file and taken off where presses are read.
 
-A press's table says which sample of the force each frame is of. By `press_latency` that is wrong by one time
-for all frames; so force and position are taken that much earlier (`PressTable.earlier`), and what the latency
-is uncertain by stands in the interval as the nuisance `late_ms`, in place of its standard size.
+Force and position are taken earlier by the latency; its uncertainty is the nuisance `late_ms`.
 """
 
 from __future__ import annotations
@@ -67,7 +65,7 @@ class CameraLatency:
     """Latency of one camera in one recording's clock.
 
     Attributes:
-        seconds: by which frames show an earlier moment than their samples say [s].
+        seconds: by which frames show an earlier moment than their samples state [s].
         sd_s: standard uncertainty of one press's latency [s].
     """
 
@@ -83,12 +81,7 @@ class CameraLatency:
     @classmethod
     @parser("latency file", InputError)
     def load(cls, path: Path) -> CameraLatency:
-        """Read what `measure_latency` wrote.
-
-        Raises:
-            InputError: no such file, or one that says that its presses have no one latency.
-            StorageError: it cannot be read.
-        """
+        """Read what `measure_latency` wrote."""
         try:
             with storage_errors(path):
                 card = json.loads(path.read_text(encoding="utf-8"))
@@ -106,16 +99,11 @@ class CameraLatency:
 def latency_of_press(
     frames: Iterable[Shaped[ndarray, ...]], table: Path, count: int, *, force_column: str | None = None
 ) -> PressLatency:
-    """The latency that one press tells.
+    """Return the latency that one press shows.
 
     Args:
         frames: all of the press, from before contact until the tip is free again.
-        table: of its force.
-        count: of the frames.
-        force_column: see `read_press_table`.
-
-    Raises:
-        PalpateError: a press that cannot be read, or that tells no latency.
+        count: number of frames.
     """
     read = read_press_table(table, count, force_column=force_column)
     frames = iter(frames)
@@ -133,18 +121,12 @@ def measure_latency(
     force_column: str | None = None,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """The latency of a camera by some presses of one recording, in plain numbers.
+    """Measure the latency of a camera from presses of one recording; return plain numbers.
 
     Args:
-        presses: frames of a press each, their tables beside them under the same name; or folders of a
-            specimen or an experiment, of which all presses are taken.
+        presses: frames of a press each, with tables of the same name; or folders of presses.
         out: JSON to make, for `--latency`; None for none.
         force: table of the only press, where it has another name.
-        force_column: see `read_press_table`.
-        progress: called with how many presses are read.
-
-    Raises:
-        PalpateError: no press that tells a latency, with what each of them lacks; files that cannot be read.
     """
     if out is not None:
         refuse_existing(out)
@@ -171,7 +153,6 @@ def measure_latency(
 
 
 def _pairs(presses: Sequence[Path], force: Path | None) -> list[tuple[Path, Path]]:
-    """Frames and table of every press."""
     if force is not None:
         if len(presses) != 1:
             raise InputError(f"one table for {len(presses)} presses; lay each table beside its frames")
@@ -190,7 +171,7 @@ def _pairs(presses: Sequence[Path], force: Path | None) -> list[tuple[Path, Path
 
 
 def latency_record(used: dict[str, PressLatency], unused: dict[str, str]) -> dict[str, Any]:
-    """The latency of presses together, and of each, in the units of the edges."""
+    """Return the latency of all presses and of each, in the units of files."""
     found = joined_latency(list(used.values()))
     why = disagreement(found)
     flags = [FEW] if len(used) == 1 else []
@@ -229,10 +210,10 @@ def _press(one: PressLatency) -> dict[str, float]:
 def with_latency(
     calibration: ComplianceCalibration, latency: CameraLatency | None
 ) -> tuple[ComplianceCalibration, str]:
-    """A calibration for presses whose latency is taken off, or not; and what does not go together, in words.
+    """Return a calibration for presses with or without corrected latency, and what does not fit, in words.
 
-    Where both were corrected, both uncertainties count as the nuisance `late_ms`. Where one was not, what it
-    is late by is an error of the reading, which is said unless that nuisance covers it.
+    If both were corrected, both uncertainties count as the nuisance `late_ms`. Otherwise the difference is
+    reported unless that nuisance covers it.
     """
     before, sizes = calibration.latency_s, calibration.nuisances
     if before is not None and latency is not None:

@@ -44,11 +44,10 @@ class PressCues:
     """Cues of a press, with and without a calibration.
 
     Attributes:
-        trial: pins and, where it is known, area.
-        series: force [N] over approach [m], sensor and specimen in series; None without a position.
-        reported: the report's route over the circle through the pins, from frames above 0.5 N.
-        region_px: pixels in that circle.
-        late: the same above 2.5 N.
+        trial: pins and, if known, area.
+        series: force [N] over approach [m] of sensor and specimen in series; None without position.
+        reported, late: the published route over the circle through the pins, above 0.5 and above 2.5 N.
+        region_px: number of pixels in that circle.
     """
 
     trial: ReferenceTrial
@@ -75,11 +74,7 @@ class PressCues:
 
 
 def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressCues:
-    """Cues from frames that can be read more than once, and their table.
-
-    Raises:
-        InputError, ImageError: it cannot be read as a press.
-    """
+    """Return the cues of re-readable frames and their table."""
     trial = reference_trial(frames, table)
     press = trial.press
     height, width = next(iter(frames)).shape[:2]
@@ -100,16 +95,11 @@ def read_press(
     rate_hz: float | None = None,
     latency: CameraLatency | None = None,
 ) -> tuple[PressCues, PressReading | None]:
-    """Cues of a press in files, and its readings where a calibration is given.
+    """Return the cues of a press in files, and its readings if a calibration is given.
 
     Args:
-        frames, force: of the press.
         calibration: of the sensor; None for the cues that need none.
-        force_column, position_column, rate_hz: see `read_press_table`.
-        latency: of the camera, taken off; None for frames as they are.
-
-    Raises:
-        PalpateError: a file that cannot be read.
+        latency: camera latency to take off.
     """
     tip, flag = None, ""
     if calibration is not None:
@@ -126,7 +116,7 @@ def read_press(
 
 
 def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
-    """A press in plain numbers; what is not finite is None."""
+    """Return a press in plain numbers; None for what is not finite."""
     press, reported = cues.trial.press, cues.reported
     record: dict[str, Any] = {
         "readings": [] if touch is None else [reading_record(one) for one in touch.readings],
@@ -178,7 +168,7 @@ def _letter(cues: PressCues) -> str:
 
 
 def reading_record(reading: Reading) -> dict[str, Any]:
-    """A reading in plain numbers, in the units of the edges."""
+    """Return a reading in plain numbers, in the units of files."""
     one = reading.in_unit(UNITS[reading.quantity])
     return {
         "quantity": one.quantity,

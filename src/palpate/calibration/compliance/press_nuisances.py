@@ -1,11 +1,7 @@
-"""What may be wrong with a press although it looks like one: stated sizes, and the press as it would then be.
+"""Nuisances of a press: stated sizes, and the press as it would be recorded with each.
 
-Each nuisance turns a press into the press that would have been recorded with it. A reading made again of the
-altered press says how far that nuisance carries it, and the interval takes that as a standard deviation
-beside its own. For small sizes this is the derivative of the reading along the nuisance times its size
-(propagation of uncertainty, JCGM 100:2008, section 5), without a derivative to be written for every quantity.
-
-The seat is not among them: a contact beside the apex is seen in the pins (`press_verdict`).
+Reading the altered press gives the change that the interval contains (propagation of uncertainty, JCGM
+100:2008, section 5).
 """
 
 from __future__ import annotations
@@ -18,6 +14,7 @@ import numpy as np
 from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.estimators.compliance.pin_press import PinPress
 
+# names in files and commands, with field and unit factor
 AT_EDGE = {
     "force_bias_N": ("force_bias_n", 1.0),
     "force_gain": ("force_gain", 1.0),
@@ -25,19 +22,18 @@ AT_EDGE = {
     "lever": ("lever", 1.0),
     "frame_yield_mm_per_N": ("frame_yield_m_n", 1e3),
 }
-"""Names in files and commands, each with its field and how many of its unit the SI unit is."""
 
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Standard sizes of what differs between calibration and press, unseen; 0 for what cannot.
+    """Standard sizes of unseen differences between calibration and press; 0 for none.
 
     Attributes:
-        force_bias_n: of the force's zero [N].
-        force_gain: of the force, as a share.
-        late_s: frames after force [s].
-        lever: of how far all pins move, as a share: pins' length, camera's height, zoom.
-        frame_yield_m_n: compliance of the frame between tip and position's encoder [m/N].
+        force_bias_n: force zero [N].
+        force_gain: relative force scale.
+        late_s: delay of frames after force [s].
+        lever: relative scale of all pins' motion: pin length, camera height, zoom.
+        frame_yield_m_n: compliance of the frame between tip and encoder [m/N].
     """
 
     force_bias_n: float = 0.05
@@ -55,12 +51,7 @@ class Nuisances:
 
     @classmethod
     def named(cls, words: Sequence[str]) -> Nuisances:
-        """The standard sizes, but for those named, as in "lever=0.01" or "late_ms=0".
-
-        Raises:
-            InputError: another name, or a size that is no number.
-            RangeError: a size below 0 or not finite.
-        """
+        """Return the standard sizes but for those named, as in "lever=0.01" or "late_ms=0"."""
         sizes = {}
         for one in words:
             name, _, size = one.partition("=")
@@ -80,9 +71,8 @@ class Nuisances:
         return {name: units * getattr(self, field) for name, (field, units) in AT_EDGE.items()}
 
     def altered(self, press: PinPress) -> dict[str, PinPress]:
-        """The press with each nuisance of its size, by the nuisance's name; those of size 0 are left out.
-
-        Frames cannot be late, nor a frame yield, in a press without times or positions.
+        """Return the press with each nuisance of nonzero size, by its name; without times or positions,
+        fewer.
         """
         return {
             name: alter(press, getattr(self, name))
@@ -91,8 +81,7 @@ class Nuisances:
         }
 
 
-NONE = Nuisances(0.0, 0.0, 0.0, 0.0, 0.0)
-"""Nothing but what references' trials show: intervals for presses on the very bench of the calibration."""
+NONE = Nuisances(0.0, 0.0, 0.0, 0.0, 0.0)  # for presses on the same bench as the calibration's
 
 
 def _biased(press: PinPress, bias_n: float) -> PinPress:

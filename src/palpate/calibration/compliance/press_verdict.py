@@ -1,9 +1,5 @@
-"""One verdict of a press, which every quantity read of it carries: is it a press as the references' were?
-
-A press whose pins move as on no reference gives no area and no modulus either. Beside what `follow_press` and
-the pins before contact show, four things are asked of the pins' motion itself: whether frames repeat, whether
-the contact sits beside the apex, whether the pins move as on the references, and where they do not, which
-known fault would explain most of it.
+"""Verdict on a press, shared by all its quantities: repeated frames, contact off the apex, and pin motion
+that no reference shows, with the known fault that explains most of it.
 """
 
 from __future__ import annotations
@@ -72,18 +68,13 @@ APPROACH_APART = (
 
 
 def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> Drift:
-    """How far untouched pins have moved against each other since calibration."""
+    """Return the relative motion of no-contact pins since calibration."""
     wobble = max(wobble_px(one, calibration.layout_px) for one in presses)
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
 
 def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Refusal]:
-    """Why no quantity of these presses is valid; empty where they are as the references' were.
-
-    Raises:
-        InputError: a press of another sensor.
-        RangeError: one that does not reach the calibrated forces.
-    """
+    """Return why no quantity of these presses is valid; empty where they resemble the references'."""
     flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
     reasons = [Refusal(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
@@ -113,7 +104,6 @@ def _speed(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> 
 
 
 def _frozen(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """Frames in which no pin has moved, though the force has risen."""
     step = np.abs(np.diff(press.moved_px, axis=0))
     still = np.nanmax(step.reshape(len(step), -1), axis=1) < REPEATED_PX
     repeated = still & (np.diff(press.force_n) > RISE_N)
@@ -131,8 +121,6 @@ def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector
 
 
 def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """Whether the pins, or pins and approach, move as on no reference, nor as one with stated nuisances."""
-
     def pins(one: PinPress) -> Vector:
         return touch_row(one, calibration.layout_px, calibration.levels_n)
 
@@ -158,10 +146,8 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
 
 
 def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
-    """What no reference shows and no nuisance explains, over the references' scatter, and nuisances' sizes.
-
-    Sizes are the smallest, as the root of the sum of their squares in standard sizes, that leave no more than
-    is allowed unexplained; where none do, what the best of any size leaves.
+    """Residual that no reference shows and no nuisance explains, over the references' scatter, and the
+    smallest nuisance sizes that leave no more than is allowed.
     """
     unlike = _outside(curve, row)
     seen = np.isfinite(unlike)
@@ -186,7 +172,7 @@ def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> t
 
 
 def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """The known fault, if any, whose direction holds most of what no reference shows, and its size."""
+    """Return the known fault whose direction explains most of the residual, and its size."""
     unlike = _outside(calibration.touch.space, row)
     explained: dict[str, tuple[float, float]] = {}
     for name, altered in PROBE.altered(press).items():
@@ -208,7 +194,6 @@ def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vecto
 
 
 def _outside(curve: SmallSpace, row: Vector) -> Vector:
-    """What of a press lies outside of the references' space."""
     return np.asarray(row - curve.middle - curve.place(row) @ curve.basis)
 
 

@@ -1,16 +1,10 @@
 """Check of the stated stiffness of the references, before a calibration is written.
 
-Three checks, of which the last needs no position:
-
 - Order: a softer reference gives way more.
-- Series: tip and specimen act as springs in series, so the additional approach from one reference to a
-  softer one is proportional to the difference of their compliances,
-  G = (d_i - d_0) / (1/kappa_i - 1/kappa_0). G of the virtual tips changes with the stiffness as kappa^0.03
-  within 5 % on level tops, and by up to 30 % between 7.6 and 1.1 N/mm on tops inclined by 45 degrees.
-- Leave-one-out: the other references read each reference between them. Three references on inclined tops are
-  too few for this check.
-
-The suspicious reference is the one whose removal leaves the smallest contradiction among the others.
+- Series: the additional approach d_i - d_0 is proportional to 1/kappa_i - 1/kappa_0, since tip and specimen
+  act as springs in series. The factor G of virtual tips varies as kappa^0.03 within 5 % on level tops, and by
+  up to 30 % between 7.6 and 1.1 N/mm on tops inclined by 45 degrees.
+- Leave-one-out: the other references read each reference between them (four references or more).
 """
 
 from __future__ import annotations
@@ -42,10 +36,9 @@ class ReferenceStiffnessError(InputError):
     """The stated stiffness of a reference contradicts its presses.
 
     Attributes:
-        code: Machine-readable reason.
-        reference: Name of the suspicious reference.
-        stated_n_m: Stated stiffness [N/m].
-        expected_n_m: Stiffness that fits the other references [N/m].
+        code: machine-readable reason.
+        reference: name of the suspicious reference.
+        stated_n_m, expected_n_m: its stated stiffness, and that which fits the others [N/m].
     """
 
     code = "reference-stiffness"
@@ -67,14 +60,9 @@ def check_references(
     """Raise unless the stated stiffness of every reference agrees with its presses.
 
     Args:
-        names: of the references of the curves.
-        touch: curve of the pins.
-        both: curve of pins and approach; None without positions.
+        touch, both: curves of the pins, and of pins and approach; None without positions.
         approach_px: weight of the approach in `both` [px/m].
         tilt_rad: inclination of their tops [rad].
-
-    Raises:
-        ReferenceStiffnessError: a stiffness that the presses contradict.
     """
     if len(names) < 3:
         return
@@ -151,10 +139,7 @@ def _refuse_left_out(names: Sequence[str], curve: SoftnessCurve) -> None:
 
 
 def _suspect(kappa: Vector, contradiction: Contradiction) -> tuple[int, tuple[int, ...]]:
-    """Return the reference whose removal leaves least, and the others whose removal leaves hardly more.
-
-    A rigid plate is no suspect, since nothing was measured of it.
-    """
+    """Reference whose removal leaves least contradiction (never a rigid plate), and the close runners-up."""
     everything = range(len(kappa))
     left = {
         one: contradiction([i for i in everything if i != one])

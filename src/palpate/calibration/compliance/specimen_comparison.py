@@ -49,14 +49,13 @@ Groups = Mapping[str, Sequence[PressCues]]
 
 @dataclass(frozen=True)
 class SpecimenComparison:
-    """A comparison of specimens.
+    """Comparison of specimens.
 
     Attributes:
         groups: cues of every trial, by specimen.
-        table: one row a trial, see `trials_table`.
-        differences: one row a cue and pair of specimens, by the mixed model; None where no groups were named.
-        calibration: the one used; None for cues that need none.
-        record: tests and means in plain numbers, as ``comparison.json`` holds them.
+        table: one row per trial, see `trials_table`.
+        differences: one row per cue and pair of specimens, by the mixed model; None without named groups.
+        record: tests and means in plain numbers, as in ``comparison.json``.
     """
 
     groups: Groups
@@ -83,13 +82,12 @@ def compare_specimens(
         pooled: also test the report's pooled samples, with a warning.
         groups: columns of ``trials.csv`` for a mixed model, the outer one first; see
             `psychophysics.compare_grouped`.
-        latency: of the camera, taken off; None for frames as they are.
-        progress: called with how many presses are read.
+        latency: camera latency to take off.
 
     Raises:
-        InputError: fewer than two specimens; groups that hold one specimen each; a calibration that does
-            not go with the latency; and as a press cannot be read.
-        LabelError: ``trials.csv`` does not tell the groups of every press.
+        InputError: fewer than two specimens, groups of one specimen each, or a calibration that does not fit
+            the latency.
+        LabelError: ``trials.csv`` lacks the groups of a press.
     """
     known = None
     if calibration is not None:
@@ -137,7 +135,6 @@ def compare_specimens(
 
 
 def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float] | None:
-    """Ends of the valid reading of a cue from all trials of a specimen, where there is one."""
     for one in readings:
         if cue == f"{one['quantity']}_{one['unit']}" and one["valid"]:
             return [one["low"], one["high"]]
@@ -145,7 +142,7 @@ def _interval_of(cue: str, readings: Sequence[Mapping[str, Any]]) -> list[float]
 
 
 def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> pd.DataFrame:
-    """One row a trial: specimen, trial, and every cue; empty where a reading is not valid."""
+    """Return one row per trial: specimen, trial, and every cue; empty for invalid readings."""
     rows = [
         {"specimen": name, "trial": i + 1, **one.row(calibration, f"{name}/{i + 1}")}
         for name, each in groups.items()
@@ -157,10 +154,9 @@ def trials_table(groups: Groups, calibration: ComplianceCalibration | None) -> p
 
 
 def cue_tests(table: pd.DataFrame) -> dict[str, Any]:
-    """Means with Student's intervals over trials, and rank tests, of every cue that two specimens have.
+    """Return means with Student's intervals, and rank tests, of every cue that two specimens have.
 
-    Several cues are tested: the p-values of all of them (Kruskal and Wallis's) and those of all their pairs
-    (rank-sum) stand there a second time, corrected by Holm.
+    p-values of all cues (Kruskal-Wallis) and of all pairs (rank-sum) are also corrected by Holm.
     """
     tests: dict[str, Any] = {}
     for cue in [one for one in table.columns[2:] if one not in BESIDE]:
@@ -199,12 +195,12 @@ def _shared_by_trials(experiment: PressFolder, columns: Sequence[str]) -> pd.Dat
 
 
 def add_mixed_models(record: dict[str, Any], table: pd.DataFrame, shared: pd.DataFrame) -> None:
-    """Add to every cue's tests what a linear mixed model says, in place.
+    """Add a linear mixed model to every cue's tests, in place.
 
     Args:
-        record: with ``cues``, as `cue_tests` has them.
-        table: one row a trial.
-        shared: groups of the same rows, a column a level, the outer one first.
+        record: with ``cues``, see `cue_tests`.
+        table: one row per trial.
+        shared: groups of the same rows, one column per level, the outer one first.
     """
     levels = [str(one) for one in shared.columns]
     random = [f"(1 | {':'.join(levels[: i + 1])})" for i in range(len(levels))]
@@ -233,14 +229,13 @@ def add_mixed_models(record: dict[str, Any], table: pd.DataFrame, shared: pd.Dat
 
 
 def _mixed_pairs(record: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Pairs of all mixed models, each with its cue."""
     return [
         (cue, pair) for cue, one in record["cues"].items() for pair in one["mixed_model"].get("pairs", [])
     ]
 
 
 def differences_table(record: Mapping[str, Any]) -> pd.DataFrame:
-    """One row a cue and pair of specimens: the second's mean less the first's, with its interval."""
+    """Return one row per cue and pair of specimens: difference of means with its interval."""
     columns = [
         "cue", "first", "second", "shared", "value", "low", "high", "freedom", "p", "p_all_cues",
     ]  # fmt: skip

@@ -20,7 +20,7 @@ CURVED = "{}: adjusted R2 {:.3g}, less than {:g}: no line; look at first contact
 
 
 def series_line(table: PressTable) -> Line:
-    """Force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
+    """Fit force over position between 0.5 and 5 N: the stiffness of all that yields [N/m]."""
     assert table.position_m is not None
     force = smoothed(table.force_n)
     part = within(force, loading(force), CONTACT_N, MAX_N)
@@ -35,20 +35,14 @@ def plate_stiffness(
     rate_hz: float | None = None,
     nuisances: Nuisances | None = None,
 ) -> dict[str, Any]:
-    """Stiffness of a specimen itself: slope of force over the position of a rigid plate, 0.5 to 5 N.
+    """Return a specimen's stiffness: slope of force over the position of a rigid plate, 0.5 to 5 N.
 
-    All trials share the errors of the force's scale and of the frame that yields beside the specimen: as
-    shares of the stiffness k they are the force's gain, and k times the frame's compliance. No trial shows
-    them, so their stated sizes are in the interval beside the trials' scatter.
+    The interval contains the trials' scatter and the shared errors of the force scale and the frame's
+    compliance.
 
     Args:
-        tables: of force and position, one a trial on the same specimen.
-        force_column, position_column, rate_hz: see `read_press_table`.
-        nuisances: standard sizes of the force's gain and of the frame's compliance; None for the usual ones.
-
-    Raises:
-        InputError: no table, or no loading part in one.
-        LabelError: a table that cannot be read, or one without a position.
+        tables: force and position, one per trial on the same specimen.
+        nuisances: standard sizes of force gain and frame compliance; None for the standard ones.
     """
     if not tables:
         raise InputError("no table; give one a trial, five if you can")

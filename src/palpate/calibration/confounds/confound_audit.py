@@ -33,42 +33,32 @@ from palpate.recordings import PackedSet
 MAX_ROWS = 400  # rows that are tested, evenly spaced over the recording
 SMALL_PX = 64  # longer side of the images that are tested
 MIN_ROWS = 20
-MIN_OUTSIDE_SHARE, OUTSIDE_SHARE_PER_UNIT = 0.1, 4.0
-"""R² from which what lies outside the skin predicts a label, and what is added over the number of presses."""
-MIN_CELL_SHARE, CELL_SHARE_PER_UNIT = 0.3, 8.0
-"""The same of the best of some sixty locations."""
-MAX_AROUND = 0.5
-"""R² around a location, over its own, up to which it stands alone: light that a press spreads does not."""
-EXACT_SHARE, EXACT_ERROR = 0.98, 0.1
-"""R² of a location from which it is exact, and its squared error over that around: touch fades."""
+MIN_OUTSIDE_SHARE, OUTSIDE_SHARE_PER_UNIT = 0.1, 4.0  # R² of the outside, and addend over the presses
+MIN_CELL_SHARE, CELL_SHARE_PER_UNIT = 0.3, 8.0  # the same of the best of some sixty locations
+MAX_AROUND = 0.5  # R² around a location, relative to its own, up to which it stands alone
+EXACT_SHARE, EXACT_ERROR = 0.98, 0.1  # R² of an exact location, and its squared error over that around
 MIN_BORDER_SHARE = 0.5
-MORE_THAN_SKIN = 0.7
-"""Squared error of what lies far from the skin, over the skin's, up to which touch cannot have spread it."""
-BORDER_ERROR = 2.0
-"""Squared error of a location at the border, over the model's, up to which it predicts as much."""
+MORE_THAN_SKIN = 0.7  # squared error far from the skin over the skin's, too good for spread light
+BORDER_ERROR = 2.0  # squared error at the border over the model's, up to which it predicts as much
+# tried sizes of a crop over the skin's box
 SHRINKS, MAX_LEFT_OUTSIDE = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7), 0.01
-"""Sizes of a crop tried, over the box that just holds the skin; 0.7 lies within a round one."""
-MAX_BY_NEIGHBORS = 0.5
-"""R² of the trained rows nearest in order, above which folds do not test a label."""
+MAX_BY_NEIGHBORS = 0.5  # R² of the trained rows nearest in order, above which folds test nothing
 Box = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class TargetEvidence:
-    """What was measured of one output.
+    """Measured predictability of one output; None where it was not tested.
 
     Attributes:
-        column: the target, or the name of one of a direction's two outputs.
-        order: the label against order and time.
+        column: target, or the name of one of a direction's two outputs.
         model: R² of the model's held-out estimates.
-        outside, outside_blocks: R² of the outside on the calibration's folds and on short interleaved blocks;
-            None where there is no outside.
-        far, inside: R² of what lies far from the skin, and of the skin; None where the outside told nothing.
-        cell: the location by itself that predicts best; None where none was tested.
-        cell_outside: whether that location lies outside the skin.
-        label: label column that it is of; empty where that is `column`.
-        neighbors: R² of the trained rows nearest in order; None where rows come in groups.
-        extrapolated: whether each fold holds out a part of the range that is not trained on.
+        outside, outside_blocks: R² of the outside on the calibration's folds and on short interleaved blocks.
+        far, inside: R² far from the skin, and of the skin.
+        cell: single location that predicts best; `cell_outside` states whether it lies outside the skin.
+        label: its label column; empty where that is `column`.
+        neighbors: R² of the trained rows nearest in order.
+        extrapolated: each fold holds out a part of the range that is not trained on.
     """
 
     column: str
@@ -86,7 +76,6 @@ class TargetEvidence:
 
     @property
     def about(self) -> str:
-        """Label column that it is of."""
         return self.label or self.column
 
     def told_outside(self, units: int) -> bool:
@@ -95,13 +84,11 @@ class TargetEvidence:
         return best >= MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / units
 
     def finding(self, code: FindingCode, **values: float | str) -> Finding:
-        """A finding about it."""
         name = output_in_words(self.column, self.about)
         return Finding(code=code, target=self.about, values={"name": name, **values})
 
     @property
     def card(self) -> TargetConfoundCard:
-        """The same on a card."""
         return TargetConfoundCard(
             column=self.column,
             rank_correlation=self.order.rank_correlation,
@@ -137,10 +124,8 @@ def audit_confounds(
     """Test what other than touch could predict the labels.
 
     Args:
-        job: rows, labels, and folds.
         held_out: outputs ``[n o]`` of models that had not seen the rows; NaN where there are none.
-        pixels: which pixels decide; None where that was not measured.
-        progress: called with how far it is.
+        pixels: deciding pixels; None where not measured.
     """
     rows = _AuditedRows.of(job, held_out)
     progress("looking for confounds", 0, 2)
@@ -174,13 +159,12 @@ def audit_confounds(
 
 
 def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str) -> list[Finding]:
-    """Findings about order, outside and burnt-in labels of one output.
+    """Return findings about order, outside, and burnt-in labels of one output.
 
     Args:
-        evidence: what was measured.
-        units: how many presses there are.
-        crop: X,Y,WIDTH,HEIGHT that cuts the outside off.
-        kind: of the split.
+        units: number of presses.
+        crop: X,Y,WIDTH,HEIGHT that removes the outside.
+        kind: kind of the split.
     """
     order, told, found = evidence.order, evidence.told_outside(units), []
     cell = _lone_cell(evidence, units)
@@ -196,7 +180,6 @@ def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str)
 
 
 def _order_findings(evidence: TargetEvidence, told: bool, kind: str) -> list[Finding]:
-    """Findings about order, of an output that the outside predicts or not, by a split of this kind."""
     order, found = evidence.order, []
     by_neighbors = evidence.neighbors is not None and evidence.neighbors > MAX_BY_NEIGHBORS
     if order.follows:
@@ -243,7 +226,7 @@ def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
 
 
 def order_not_tested(units: RecordedUnits) -> list[Finding]:
-    """Note that the order of the rows could not be tested; none where it could."""
+    """Return a note if the temporal order of the rows could not be tested."""
     if units.can_be_ordered:
         return []
     if not units.in_recorded_order:
@@ -257,11 +240,10 @@ def order_not_tested(units: RecordedUnits) -> list[Finding]:
 
 
 def function_finding(function: TargetFunction, labels: dict[str, str]) -> Finding:
-    """Finding about targets that are functions of each other.
+    """Return the finding about targets that are functions of each other.
 
     Args:
-        function: what was found.
-        labels: label column of each output, by the output's name.
+        labels: label column of each output name.
     """
     own = labels[function.target]
     values: dict[str, int | float | str] = {
@@ -280,7 +262,7 @@ def _why_none(region: SkinRegion) -> str:
 
 
 def small_images(packed: PackedSet, rows: Indices) -> Float32[np.ndarray, "n h w c"]:
-    """Area means of prepared frames, at most 64 px along the longer side [grey levels]."""
+    """Return area means of prepared frames, at most 64 px along the longer side [grey levels]."""
     height, width, channels = packed.shape
     scale = min(1.0, SMALL_PX / max(height, width))
     size = max(1, round(scale * width)), max(1, round(scale * height))
@@ -297,11 +279,9 @@ class _AuditedRows:
     """Rows of a calibration in the form that its tests need.
 
     Attributes:
-        values: ``[n o]`` labels as outputs.
-        names, labels: of the outputs, and the label column of each.
+        values: labels as outputs ``[n o]``.
         columns: label column of each output but those of classes, which follow from each other.
         chosen: rows whose images are tested.
-        images: small images of these.
     """
 
     job: CalibrationJob
@@ -375,7 +355,6 @@ class _AuditedRows:
         return SkinRegion(outside, inside, views[0].source)
 
     def evidence(self) -> list[TargetEvidence]:
-        """What order, outside and single locations predict of each output, next to what the model does."""
         job, region = self.job, self.region
         values, folds = self.values[self.chosen], folds_among(job.parts.folds, self.chosen)
         model = explained_share(self.values, self.held_out)
@@ -416,7 +395,6 @@ class _AuditedRows:
         ]
 
     def crop(self, told: list[int]) -> str:
-        """The largest crop about the skin in which the outside predicts none of these outputs that it did."""
         if not self.one_view or not self.region.has_outside:
             return "X,Y,WIDTH,HEIGHT"
         x, y, width, height = box = self.region.box
@@ -428,7 +406,6 @@ class _AuditedRows:
         return ",".join(map(str, self.in_frame(box)))
 
     def _is_silent(self, box: Box, told: list[int]) -> bool:
-        """True if what is left of the outside within a crop predicts none of these outputs."""
         x, y, width, height = box
         beyond = ~self.region.inside[y : y + height, x : x + width]
         if beyond.mean() <= MAX_LEFT_OUTSIDE:
@@ -439,7 +416,6 @@ class _AuditedRows:
         return bool(shares.max() < MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / self.units.count)
 
     def _scale(self) -> tuple[int, int, float, float]:
-        """Corner of the prepared image in the frame, and frame pixels in a small one, across and down."""
         height, width = self.images.shape[1:3]
         frame = self.job.run.frame(0).image.shape
         x, y, across, down = self.job.packed.preparation.crop_px or (0, 0, frame[1], frame[0])

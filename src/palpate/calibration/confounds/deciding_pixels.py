@@ -1,8 +1,5 @@
-"""Map of the pixels that decide a reading: by how much it errs once they show nothing.
-
-A block of the picture is replaced by its mean over many frames, which is a picture that could be, and
-held-out rows are read again (occlusion: M. D. Zeiler and R. Fergus, ECCV 2014,
-doi:10.1007/978-3-319-10590-1_53).
+"""Map of the pixels that decide a reading: growth of the error where a block is replaced by its mean over
+many frames (occlusion: M. D. Zeiler and R. Fergus, ECCV 2014, doi:10.1007/978-3-319-10590-1_53).
 """
 
 from __future__ import annotations
@@ -19,21 +16,18 @@ from palpate.core.parsing import parser
 from palpate.estimators.networks.model_interface import Fitted, TrainingData
 
 MAP_FILE = "deciding-pixels.npy"
-BLOCKS = 12
-"""Blocks along the picture's longer side."""
-MAX_ROWS = 60
-"""Held-out rows read again, over all folds."""
-MEAN_ROWS = 200
-"""Rows that a block's mean is taken over, at most."""
+BLOCKS = 12  # blocks along the picture's longer side
+MAX_ROWS = 60  # held-out rows read again, over all folds
+MEAN_ROWS = 200  # greatest number of rows in a block's mean
 
 
 @dataclass(frozen=True)
 class DecidingPixels:
-    """By how much the error grows where a block of the picture shows nothing.
+    """Growth of the error by occluded block.
 
     Attributes:
-        increase: ``[t y x]`` growth of the mean absolute error, in each target's unit.
-        rows: held-out rows that it is the mean of.
+        increase: growth of the mean absolute error in each target's unit ``[t y x]``.
+        rows: number of held-out rows averaged.
     """
 
     increase: Float[np.ndarray, "t y x"]
@@ -53,7 +47,6 @@ class DecidingPixels:
             np.save(file, self.increase.astype(np.float32))
 
     def keep(self, path: Path) -> None:
-        """Keep a fold's map until all are made."""
         path.unlink(missing_ok=True)
         with new_file(path) as file_path, file_path.open("wb") as file:
             np.savez(file, increase=self.increase, rows=self.rows)
@@ -70,7 +63,7 @@ class DecidingPixels:
 
 
 def mean_input(data: TrainingData, rows: Indices) -> Float32[np.ndarray, "c h w"]:
-    """Mean input over some of the rows ``[c h w]``."""
+    """Return the mean input over some of the rows ``[c h w]``."""
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, min(MEAN_ROWS, len(rows))).astype(np.int64))]
     total = np.zeros(data.shape, np.float64)
     for _, inputs in data.batches(chosen, 64):
@@ -79,12 +72,12 @@ def mean_input(data: TrainingData, rows: Indices) -> Float32[np.ndarray, "c h w"
 
 
 def rows_of_fold(folds: int, k: int) -> int:
-    """How many rows of fold `k` are read again, so that all `folds` together read `MAX_ROWS`."""
+    """Return the rows of fold `k` to read again, so that all `folds` read `MAX_ROWS`."""
     return max(1, MAX_ROWS * (k + 1) // folds - MAX_ROWS * k // folds)
 
 
 def block_edges(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the blocks down and across a picture of so many pixels [px]."""
+    """Return the limits of the blocks down and across a picture [px]."""
     side = max(shape) / BLOCKS
     counts = [min(max(1, round(length / side)), length) for length in shape]
     return tuple(  # type: ignore[return-value]
@@ -104,12 +97,9 @@ def deciding_pixels(
     """Read held-out rows again, each time with one block of the picture replaced.
 
     Args:
-        fitted: a model that has not seen these rows.
-        data: inputs and labels.
-        held_out: rows that it may read.
-        nothing: ``[c h w]`` the input that a block is taken from, see `mean_input`.
-        rows: how many of them are read, evenly spaced.
-        progress: called with the block that is replaced.
+        fitted: model that has not seen these rows.
+        nothing: replacement input ``[c h w]``, see `mean_input`.
+        rows: number of rows read, evenly spaced.
     """
     chosen = held_out[np.unique(np.linspace(0, len(held_out) - 1, min(rows, len(held_out))).astype(np.int64))]
     inputs, true = data.fetch(chosen), data.values[chosen]

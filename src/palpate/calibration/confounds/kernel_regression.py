@@ -14,16 +14,13 @@ from scipy.linalg import eigh
 
 from palpate.core import Float, Indices, Values
 
-PENALTIES = np.logspace(-7, 1, 9)
-"""Ridge penalties tried, as shares of the kernel's mean diagonal times the number of rows."""
+PENALTIES = np.logspace(-7, 1, 9)  # relative to the kernel's mean diagonal times the number of rows
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Products and radial similarities of rows, each with a diagonal of 1 on average.
-
-    Attributes:
-        matrices: ``[n n]`` each: linear, and radial at one and a third of the median distance.
+    """Kernel matrices ``[n n]`` with a mean diagonal of 1: linear, and radial at one and a third of the
+    median distance.
     """
 
     matrices: tuple[Float[np.ndarray, "n n"], ...]
@@ -42,12 +39,7 @@ class Kernels:
         return cls((products / squares.mean(), *radial))
 
     def held_out(self, values: Values, folds: Sequence[Indices]) -> Values:
-        """Estimates ``[n t]`` of each row by regressions on the other folds; NaN for rows in none.
-
-        Args:
-            values: ``[n t]``.
-            folds: rows held out together; each at most once.
-        """
+        """Return estimates ``[n t]`` of each row by regressions on the other folds; NaN for rows in none."""
         estimates = np.full(values.shape, np.nan)
         inside = np.sort(np.concatenate(list(folds)))
         for fold in folds:
@@ -55,10 +47,7 @@ class Kernels:
         return estimates
 
     def regressed(self, values: Values, learnt: Indices, asked: Indices) -> Float[np.ndarray, "a t"]:
-        """Estimates of the rows asked ``[a t]`` by a regression on the rows learnt.
-
-        Each target has the kernel and the penalty of least leave-one-out error on the rows learnt.
-        """
+        """Return estimates of the rows asked ``[a t]``, by the least leave-one-out error."""
         mean = values[learnt].mean(axis=0)
         least = np.full(values.shape[1], np.inf)
         best = np.broadcast_to(mean, (len(asked), len(mean))).copy()
@@ -79,7 +68,7 @@ class Kernels:
 
 
 def explained_share(values: Values, estimates: Values) -> Float[np.ndarray, " t"]:
-    """R² of estimates of the rows that have any: 1 − squared error / squared distance from the mean."""
+    """Return R² of estimates over the rows that have any."""
     rows = np.isfinite(estimates).all(axis=1)
     truth, guess = values[rows], estimates[rows]
     spread = np.mean((truth - truth.mean(axis=0)) ** 2, axis=0)
@@ -88,13 +77,11 @@ def explained_share(values: Values, estimates: Values) -> Float[np.ndarray, " t"
 
 
 def interleaved_blocks(units: np.ndarray, folds: int = 5, rounds: int = 8) -> list[Indices]:
-    """Rows of each fold in short stretches of neighboring rows, dealt in turn; empty folds are left out.
+    """Return each fold's rows in short stretches of neighboring rows, dealt in turn, without empty folds.
 
     Args:
-        units: ``[n]`` label of what each row belongs to; stretches end where a unit does, or anywhere where
-            all rows belong to one.
-        folds: how many.
-        rounds: stretches of each fold.
+        units: unit of each row ``[n]``; stretches end where a unit does, or anywhere in a single unit.
+        rounds: stretches per fold.
     """
     starts = np.flatnonzero(np.r_[True, units[1:] != units[:-1]])
     starts = starts if len(starts) > 1 else np.arange(len(units))

@@ -1,8 +1,7 @@
-"""Control model: what the part of the picture that is no skin predicts of the labels.
+"""Control model: prediction of the labels from the part of the picture outside the skin.
 
-It should predict nothing. Where it does, it shows the clock (a lamp that drifts while labels are taken in
-order), the label itself (a text burnt into the picture), or light that a press spreads to the rim, which
-predicts less than the skin does.
+A prediction there indicates drift of the lamp with ordered labels, labels burnt into the picture, or light
+that a press spreads to the rim, which predicts less than the skin does.
 """
 
 from __future__ import annotations
@@ -16,14 +15,10 @@ from palpate.calibration.confounds.kernel_regression import Kernels, explained_s
 from palpate.calibration.confounds.skin_region import SkinRegion
 from palpate.core import Bool, Float, Float32, Indices, Int, Values
 
-ASKED_FURTHER = 0.1
-"""R² of the outside from which it is asked what the skin tells, and what lies far from it."""
-CELLS = 8
-"""Cells along the picture's longer side that are asked one by one."""
-FAR = 4
-"""Cells from a place, beyond which another that tells as much is no part of the same text."""
-ALIKE = 1e-4
-"""Share of the variance left by which two places are not told apart."""
+ASKED_FURTHER = 0.1  # R² of the outside from which skin and far regions are tested
+CELLS = 8  # cells along the picture's longer side
+FAR = 4  # cells, beyond which an equally predictive location is no part of the same text
+ALIKE = 1e-4  # difference of unexplained variance ratios that counts as equal
 COMPONENTS = 12
 CELL_PENALTIES = np.logspace(-6, 0, 4)
 
@@ -33,9 +28,9 @@ class OutsideControl:
     """Held-out R² of each label ``[t]`` by regressions on parts of the picture.
 
     Attributes:
-        folds, blocks: of the outside, on the folds of the calibration and on short interleaved blocks.
-        far: of what lies a tenth of the picture away from the skin; −inf where nothing does.
-        inside: of the skin, on the folds of the calibration.
+        folds, blocks: outside, on the calibration's folds and on short interleaved blocks.
+        far: a tenth of the picture away from the skin; −inf where there is nothing.
+        inside: skin, on the calibration's folds.
     """
 
     folds: Float[np.ndarray, " t"]
@@ -55,8 +50,7 @@ def outside_control(
 
     Args:
         images: small pictures [grey levels].
-        region: of the skin in them.
-        values: ``[n t]``.
+        values: labels ``[n t]``.
         folds, blocks: of the calibration, and interleaved; in rows of `images`.
     """
 
@@ -79,12 +73,12 @@ def outside_control(
 
 @dataclass(frozen=True, slots=True)
 class TellingCell:
-    """A place by itself that tells a label, where the places around it do not.
+    """Single location that predicts a label where its surroundings do not.
 
     Attributes:
         box: (x, y, width, height) [px of the small picture].
-        share: R², held out, of what it tells.
-        around: the same two cells away (the median), or elsewhere apart from the skin (the most).
+        share: its held-out R².
+        around: R² two cells away (median), or elsewhere apart from the skin (maximum).
     """
 
     box: tuple[int, int, int, int]
@@ -95,12 +89,11 @@ class TellingCell:
 def telling_cells(
     images: Float32[np.ndarray, "n h w c"], region: SkinRegion, values: Values, folds: Sequence[Indices]
 ) -> list[TellingCell | None]:
-    """For each label the location outside the skin, or at the border, that predicts it best by itself.
+    """Return for each label the location outside the skin, or at the border, that predicts it best.
 
     Args:
         images: small pictures [grey levels].
-        region: of the skin in them.
-        values: ``[n t]``.
+        values: labels ``[n t]``.
         folds: in rows of `images`.
     """
     down, across = _edges(images.shape[1:3])
@@ -137,10 +130,9 @@ def _best(
     down: Int[np.ndarray, " d"],
     across: Int[np.ndarray, " a"],
 ) -> TellingCell | None:
-    """The cell that stands out most from what two cells away, and others as far out, predict.
+    """Cell that stands out most from two cells away and from others as far out.
 
-    Light that a press spreads is found all along the rim; a text in one location. `apart` is 0 for cells of
-    the skin, and larger the farther they lie from it.
+    `apart` is 0 for cells of the skin, and larger the farther they lie from it.
     """
     best, contrast = None, -np.inf
     for i, j in np.argwhere(apart).tolist():

@@ -10,17 +10,11 @@ import numpy as np
 
 from palpate.core import Bool, Float, Int, Values
 
-MIN_ORDERS = 200
-"""Orders of the units from which the one that lies there can be told from chance, at a level of 1 % and with
-each order as good as its mirror image: 6 units of one session have 720, and 5 have 120."""
-JITTER_SHARE = 2 / 3
-"""Share of the changes from row to row, the least ones, that are taken for jitter within a hold."""
-JUMP = 9.0
-"""A change over the mean of these that begins another hold: six standard deviations of normal jitter."""
-MAX_JITTER = 0.2
-"""Jitter over the label's standard deviation, above which no hold can be told from others."""
-MIN_ALTERNATING = 0.5
-"""Mean square change over the variance within holds: 2 where jitter is independent, nearly 0 of a slope."""
+MIN_ORDERS = 200  # unit orders for a level of 1 %: 6 units of one session have 720, and 5 have 120
+JITTER_SHARE = 2 / 3  # ratio of the smallest row-to-row changes that are jitter within a hold
+JUMP = 9.0  # change over mean jitter that begins another hold: six normal standard deviations
+MAX_JITTER = 0.2  # jitter over the label's standard deviation, above which holds are not separable
+MIN_ALTERNATING = 0.5  # squared change over variance within holds: 2 for jitter, 0 for a slope
 
 Kind = Literal["presses", "stretches of nearly equal labels", "rows"]
 
@@ -30,9 +24,8 @@ class RecordedUnits:
     """Groups of rows acquired without interruption.
 
     Attributes:
-        of, sessions: ``[n]`` number of each row's unit and session; no unit is of two sessions.
+        of, sessions: number of each row's unit and session ``[n]``; no unit spans two sessions.
         kind: source of the units: a column, or the labels.
-        in_recorded_order: whether rows lie in the order in which they were recorded.
     """
 
     of: Int[np.ndarray, " n"]
@@ -42,12 +35,10 @@ class RecordedUnits:
 
     @property
     def count(self) -> int:
-        """How many units there are."""
         return len(np.unique(self.of))
 
     @property
     def in_sessions(self) -> Int[np.ndarray, " s"]:
-        """How many there are of each session."""
         return np.array([len(np.unique(self.of[self.sessions == s])) for s in np.unique(self.sessions)])
 
     @property
@@ -57,22 +48,21 @@ class RecordedUnits:
 
 
 def have_orders(counts: Int[np.ndarray, " s"]) -> bool:
-    """True if so many units of each session can be put in enough orders."""
+    """Return whether so many units of each session have enough orders."""
     return sum(lgamma(int(count) + 1) for count in counts) >= log(MIN_ORDERS)
 
 
 def recorded_units(
     values: Values, groups: np.ndarray | None = None, sessions: np.ndarray | None = None
 ) -> RecordedUnits:
-    """Units by the groups that a column names, else by the labels.
+    """Return units by the groups that a column names, else by the labels.
 
-    Without groups, neighboring rows whose labels differ by no more than a hold's jitter are one unit, or,
-    where there are no holds, those with equal labels.
+    Without groups, neighboring rows whose labels differ by at most a hold's jitter are one unit or, without
+    holds, those with equal labels.
 
     Args:
-        values: ``[n t]`` labels, rows of a session in the order they were taken.
-        groups: ``[n]`` label of each row's group; None, or each row its own, where no column says.
-        sessions: ``[n]`` label of each row's session; None where there is one.
+        values: labels ``[n t]``, rows of a session in temporal order.
+        groups, sessions: group and session of each row ``[n]``; None where no column states it.
     """
     n = len(values)
     of_session = np.zeros(n, np.int64) if sessions is None else _numbered(sessions)
@@ -114,11 +104,7 @@ def _jitter_limits(values: Values, changes: Float[np.ndarray, "m t"]) -> Float[n
 def _are_holds(
     values: Values, begins: Bool[np.ndarray, " n"], another: Bool[np.ndarray, " n"], sessions: np.ndarray
 ) -> bool:
-    """True if stretches are holds and not pieces of a slope: changes between them exceed those within.
-
-    With too few to test their order, a hold that creeps and a piece of a sorted table look the same, and rows
-    are tested by themselves.
-    """
+    """Whether stretches are holds and not pieces of a slope: changes between them exceed those within."""
     of = np.cumsum(begins) - 1
     starts = np.flatnonzero(begins)
     scaled = values / np.where(np.ptp(values, axis=0) > 0, np.ptp(values, axis=0), 1.0)

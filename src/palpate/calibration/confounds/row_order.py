@@ -13,30 +13,25 @@ from palpate.calibration.confounds.kernel_regression import Kernels, explained_s
 from palpate.calibration.confounds.recorded_units import Kind, RecordedUnits
 from palpate.core import Float, Indices, Int, Values
 
-MAX_WAVES = 8
-"""Cosines over the recording: they follow a sorted label and a slow change, and no press by itself."""
+MAX_WAVES = 8  # cosines over the recording: a sorted label and slow changes, no single press
 SHUFFLES = 499
 LEVEL = 0.01
-MIN_SHARE = 0.25
-"""Share of a label's variance by its order below which it is of no account, however sure."""
+MIN_SHARE = 0.25  # R² of order below which it is irrelevant, however significant
 MAX_LAG = 3
-SHIFT_GAIN = 0.6
-"""Squared error of labels taken from another row, over that of a row's own, below which rows are shifted."""
+SHIFT_GAIN = 0.6  # squared error at another row over that of a row's own, below which rows are shifted
 MIN_SHIFTED_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class OrderCheck:
-    """What the order of the rows predicts of one label.
+    """Prediction of one label by the temporal order of the rows.
 
     Attributes:
-        rank_correlation: Spearman's, of the label with the row's number, both within their session [-1, 1].
-        share: of the label's variance within sessions by a smooth function of order or time (adjusted R²).
+        rank_correlation: Spearman's, of label and row number within sessions, -1 to 1.
+        share: adjusted R² within sessions of a smooth function of order or time.
         level: ratio of shufflings of whole units within their session that do as well.
-        by_time: whether time predicts more than the row's number.
-        units: what was shuffled.
-        asked: whether there are units enough for their order to be a finding.
-        sessions: how many there are.
+        by_time: time predicts more than the row number.
+        asked: there are enough units for their order to be a finding.
     """
 
     rank_correlation: float
@@ -56,17 +51,14 @@ class OrderCheck:
 def order_checks(
     values: Values, units: RecordedUnits, times_s: Float[np.ndarray, " n"], seed: int = 0
 ) -> list[OrderCheck]:
-    """Each label against the order of rows, and against time where it is another scale than order.
+    """Test each label against row order, and against time where its scale differs.
 
-    Order restarts in each session: labels are taken less their session's mean, and fitted by one curve that
-    all sessions share, or by one of each session's own. The level is that of shuffling whole units within
-    their session.
+    Labels are taken less their session's mean and fitted by one shared curve or one per session. The level is
+    that of shuffling whole units within their session.
 
     Args:
-        values: ``[n t]``.
-        units: of the rows.
-        times_s: of each row, not decreasing within a session [s].
-        seed: of the shufflings.
+        values: labels ``[n t]``.
+        times_s: time of each row, not decreasing within a session [s].
     """
     by_session = np.argsort(units.sessions, kind="stable")
     values, of, times_s = values[by_session], units.of[by_session], times_s[by_session]
@@ -104,7 +96,6 @@ def order_checks(
 def _bases(
     place: Float[np.ndarray, " n"], parts: Sequence[Indices], units: Int[np.ndarray, " s"]
 ) -> list[Float[np.ndarray, "n k"]]:
-    """Waves that all sessions share, and, of several sessions, waves of each one's own."""
     shared = _waves(place, _wave_count(int(units.sum())), parts)
     if len(parts) == 1:
         return [shared]
@@ -122,7 +113,6 @@ def _wave_count(units: int) -> int:
 
 
 def _waves(place: Float[np.ndarray, " n"], count: int, parts: Sequence[Indices]) -> Float[np.ndarray, "n k"]:
-    """Orthonormal cosines over each session, less their means in it."""
     waves = np.cos(np.pi * np.arange(1, count + 1) * place[:, None])
     for part in parts:
         waves[part] -= waves[part].mean(axis=0)
@@ -132,7 +122,6 @@ def _waves(place: Float[np.ndarray, " n"], count: int, parts: Sequence[Indices])
 def _within(
     column: Float[np.ndarray, " n"], parts: Sequence[Indices], ranked: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """A label, or its rank as a share of the rows, less its session's mean."""
     within = np.empty(len(column))
     for part in parts:
         own = rankdata(column[part]) / len(part) if ranked else column[part]
@@ -143,7 +132,6 @@ def _within(
 def _share(
     basis: Float[np.ndarray, "n k"], columns: Float[np.ndarray, "n m"], sessions: int
 ) -> Float[np.ndarray, " m"]:
-    """Adjusted R² of standardised columns, less their sessions' means, on the basis."""
     n, k = basis.shape
     told = np.sum((basis.T @ columns) ** 2, axis=0) / n
     return 1 - (1 - told) * (n - sessions) / max(n - k - sessions, 1)
@@ -156,7 +144,6 @@ def _standard(column: np.ndarray) -> Float[np.ndarray, " n"]:
 def _shuffled(
     units: Int[np.ndarray, " n"], sessions: Int[np.ndarray, " n"], rng: np.random.Generator
 ) -> Int[np.ndarray, "s n"]:
-    """Rows in shuffled orders of their units within each session, a unit's rows staying in their order."""
     count = int(units.max()) + 1
     keys = rng.random((SHUFFLES, count)).argsort(axis=1).argsort(axis=1)
     return np.argsort(keys[:, units] + count * sessions, axis=1, kind="stable")
@@ -167,9 +154,8 @@ class ShiftCheck:
     """Whether images fit the labels of other rows better than their own.
 
     Attributes:
-        lag: rows by which the labels come later than their images; 0 where their own fit best.
-        own, best: share of the labels' variance that images tell, of their own rows and at `lag`, averaged
-            over the targets.
+        lag: rows by which labels come later than their images; 0 where their own fit best.
+        own, best: mean R² of their own rows' labels, and of those at `lag`.
     """
 
     lag: int
@@ -178,12 +164,12 @@ class ShiftCheck:
 
 
 def shift_check(kernels: Kernels, values: Values, rows: Indices) -> ShiftCheck:
-    """Images against the labels of their own and of neighbouring rows.
+    """Compare images with the labels of their own and of neighboring rows.
 
     Args:
         kernels: of the images of `rows`.
-        values: ``[n t]`` labels of all rows in their order.
-        rows: which of them have their images here, ascending.
+        values: labels of all rows in their order ``[n t]``.
+        rows: ascending rows that have their images here.
     """
     inside = (rows >= MAX_LAG) & (rows < len(values) - MAX_LAG)
     lags = np.arange(-MAX_LAG, MAX_LAG + 1)
@@ -206,22 +192,20 @@ def shift_check(kernels: Kernels, values: Values, rows: Indices) -> ShiftCheck:
 
 
 def sampled(count: int, most: int) -> Indices:
-    """At most so many rows, evenly spaced in their order."""
+    """Return at most so many rows, evenly spaced in their order."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64))
 
 
 def folds_among(folds: Sequence[Indices], rows: Indices) -> list[Indices]:
-    """Places in `rows` of each fold's rows; folds without any are left out."""
+    """Return the positions in `rows` of each fold's rows, without empty folds."""
     return [found for fold in folds if (found := np.flatnonzero(np.isin(rows, fold))).size]
 
 
-MAX_GAP, MAX_GAPS = 0.01, 5.0
-"""Median distance from a held-out label to the nearest trained one, as a ratio of the range and over that of
-shuffled folds, above which blocks only extrapolate."""
+MAX_GAP, MAX_GAPS = 0.01, 5.0  # median label gap to trained rows, relative to range and shuffled folds
 
 
 def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
-    """R² of a label interpolated between the trained rows nearest in order, for each held-out row."""
+    """Return R² of a label interpolated between the trained rows nearest in order."""
     every, told = np.arange(len(values)), np.empty(len(values))
     for fold in folds:
         others = np.setdiff1d(every, fold)
@@ -231,7 +215,7 @@ def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices])
 
 
 def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
-    """Median distance from a held-out label to the nearest trained one, as a ratio of the range."""
+    """Return the median distance from a held-out label to the nearest trained one, relative to the range."""
     gaps = []
     for fold in folds:
         others = np.sort(np.delete(values, fold))
@@ -242,7 +226,7 @@ def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> floa
 
 
 def extrapolates(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> bool:
-    """True of blocks so long that each holds out a part of the range that is not trained on."""
+    """Return whether each block holds out a part of the range that is not trained on."""
     shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), len(folds))
     gap = label_gap(values, folds)
     return gap > MAX_GAP and gap > MAX_GAPS * label_gap(values, shuffled)

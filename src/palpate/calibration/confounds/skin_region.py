@@ -1,8 +1,7 @@
-"""The part of a picture that changes with touch, and what lies outside it.
+"""Skin region: the part of a picture that changes from one press to the next, and what lies outside it.
 
-Touch changes a picture from one press to the next; a lamp, a reflection or the background changes slowly, if
-at all. So frames a little apart in order are compared. Large connected locations that change are the skin,
-one in each view; a label burnt into a corner is small and apart.
+Lamp, reflections, and background change slowly, so frames a little apart in order are compared. Large
+connected regions that change are the skin, one in each view.
 """
 
 from __future__ import annotations
@@ -15,20 +14,14 @@ import numpy as np
 
 from palpate.core import Bool, Float, Float32, Int
 
-MAP_PX = 40
-"""Cells along the longer side in which change is averaged: the gaps between markers close."""
+MAP_PX = 40  # cells along the longer side in which change is averaged: gaps between markers close
 PAIRS = 300
-NEAR = 0.02
-"""Share of a session that lies between the frames of a pair, which are never of two sessions."""
-ACTIVE = 0.15
-"""Change from which a cell is skin, between the quietest cells (0) and the liveliest (1)."""
-MIN_CONTRAST = 1.5
-"""Change of the liveliest cells over that of the quietest below which nothing is told from noise."""
-SMALL_PLACE, SMALL_AT_BORDER = 0.05, 0.15
-"""Area of a place that changes, over the largest's, below which it is no skin; texts are at the border."""
+NEAR = 0.02  # ratio of a session between the frames of a pair
+ACTIVE = 0.15  # change of a skin cell, between the quietest (0) and the liveliest (1)
+MIN_CONTRAST = 1.5  # liveliest over quietest change, below which all is noise
+SMALL_PLACE, SMALL_AT_BORDER = 0.05, 0.15  # area relative to the largest, below which it is no skin
 FAR_AWAY = 0.1
-MIN_OUTSIDE = 0.02
-"""Share of the picture below which there is no outside to speak of."""
+MIN_OUTSIDE = 0.02  # ratio of the picture below which there is no outside
 
 
 class RegionSource(Enum):
@@ -42,12 +35,10 @@ class RegionSource(Enum):
 
 @dataclass(frozen=True)
 class SkinRegion:
-    """The skin in prepared pictures.
+    """Skin in prepared pictures.
 
     Attributes:
-        outside: ``[h w]`` pixels that surely lie outside the skin.
-        inside: ``[h w]`` pixels of the skin; between the two lies a margin.
-        source: how it was found.
+        outside, inside: pixels surely outside the skin, and of the skin, with a margin between ``[h w]``.
     """
 
     outside: Bool[np.ndarray, "h w"]
@@ -64,7 +55,6 @@ class SkinRegion:
 
     @property
     def has_outside(self) -> bool:
-        """True if there is an outside to speak of."""
         return bool(self.outside.mean() >= MIN_OUTSIDE)
 
     @property
@@ -80,7 +70,7 @@ def change_map(
     seed: int = 0,
     sessions: Int[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "y x"]:
-    """Mean absolute difference between frames a little apart in order, in cells [grey levels]."""
+    """Return the mean absolute difference of frames a little apart in order, in cells [grey levels]."""
     n = len(images)
     sessions = np.zeros(n, np.int64) if sessions is None else sessions
     by_session = np.argsort(sessions, kind="stable")
@@ -111,13 +101,13 @@ def find_skin(
     sessions: Int[np.ndarray, " n"] | None = None,
     rest_sessions: Int[np.ndarray, " r"] | None = None,
 ) -> SkinRegion:
-    """The skin by what changes from press to press.
+    """Find the skin by what changes from press to press.
 
     Args:
-        images: prepared frames in the order they were taken [grey levels].
+        images: prepared frames in temporal order [grey levels].
         units: press of each.
-        untouched: frames of the untouched sensor in their order, which show what changes without touch.
-        sessions, rest_sessions: session of each image and of each untouched frame; None where there is one.
+        untouched: no-contact frames in temporal order, which show what changes without touch.
+        sessions, rest_sessions: session of each image and no-contact frame; None for one.
     """
     change = change_map(images, units, sessions=sessions)
     quiet = float(np.quantile(change, 0.02))
@@ -135,7 +125,6 @@ def find_skin(
 
 
 def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: RegionSource) -> SkinRegion:
-    """Convex hulls of the places that change, small ones aside, and a margin of a cell around them."""
     closed = cv2.morphologyEx(active.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, parts, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     x, y, wide, tall, areas = stats[1:].T
@@ -152,7 +141,7 @@ def _region(active: Bool[np.ndarray, "y x"], shape: tuple[int, int], source: Reg
 
 
 def boxed(shape: tuple[int, int], box: tuple[int, int, int, int]) -> SkinRegion:
-    """A region whose outside is what lies beyond a box, (x, y, width, height) [px of the picture]."""
+    """Return the region whose outside lies beyond a box, (x, y, width, height) [px of the picture]."""
     inside = np.zeros(shape, dtype=bool)
     x, y, width, height = box
     inside[max(y, 0) : y + height, max(x, 0) : x + width] = True

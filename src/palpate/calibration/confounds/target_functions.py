@@ -9,26 +9,22 @@ import numpy as np
 
 from palpate.core import Bool, Float, Indices, Int, Values
 
-EXACT = 0.02
-"""Error, as a share of the target's range, within which a row is told."""
-MIN_TOLD = 0.95
-"""Share of rows that are told where a target is a function."""
-MISSED = 3
-"""Presses that may be missed however few there are: a sign jumps between two of them."""
-MAX_LEFT = 0.2
-"""Share of the rows not told, over that by the median alone."""
+EXACT = 0.02  # error relative to the target's range, within which a row is predicted
+MIN_TOLD = 0.95  # ratio of predicted rows of a function
+MISSED = 3  # presses that may be missed: a sign jumps between two of them
+MAX_LEFT = 0.2  # ratio of unpredicted rows over that by the median alone
 MIN_ROWS = 12
 MAX_ROWS = 600
 
 
 @dataclass(frozen=True, slots=True)
 class TargetFunction:
-    """A target that another one tells.
+    """Target that another one predicts.
 
     Attributes:
         target, of: its column, and that of the other.
-        told: share of rows told within 2 % of its range.
-        both_ways: whether the other is told by it, too.
+        told: ratio of rows predicted within 2 % of its range.
+        both_ways: the other is predicted by it, too.
     """
 
     target: str
@@ -38,17 +34,13 @@ class TargetFunction:
 
 
 def target_functions(
-    values: Values,
-    names: Sequence[str],
-    units: Int[np.ndarray, " n"],
-    columns: Sequence[str] | None = None,
+    values: Values, names: Sequence[str], units: Int[np.ndarray, " n"], columns: Sequence[str] | None = None
 ) -> list[TargetFunction]:
-    """Targets that follow from one other.
+    """Return targets that follow from one other.
 
     Args:
-        values: ``[n t]``.
-        names: columns of the targets.
-        units: ``[n]`` press of each row; a row is predicted from other presses only.
+        values: labels ``[n t]``.
+        units: press of each row ``[n]``; a row is predicted from other presses only.
         columns: label column of each target, where several are of one, as a direction's cosine and sine.
     """
     columns = tuple(columns or names)
@@ -112,7 +104,6 @@ def _misses(
 
 
 def _most_missed(target: Float[np.ndarray, " n"], units: int, rows: Indices) -> float:
-    """Share of the rows that may be missed where a target is a function."""
     asked = target[rows]
     by_median = float(np.mean(np.abs(asked - np.median(asked)) > EXACT * np.ptp(target)))
     return min(max(1 - MIN_TOLD, MISSED / units), MAX_LEFT * by_median)

@@ -11,46 +11,35 @@ Row = Float[np.ndarray, " n"]
 
 
 def shortest(difference: Row, period: float | None) -> Row:
-    """Differences the shortest way round, from -period/2 up to, not including, period/2.
-
-    Args:
-        difference: of two values, in their unit.
-        period: after which they come round again; None leaves the differences as they are.
-    """
+    """Return differences the shortest way round, in [-period/2, period/2); unchanged without a period."""
     return difference if period is None else (difference + period / 2) % period - period / 2
 
 
 def mean_direction(values: Row, period: float) -> float:
-    """Direction of the mean of the points on the circle, above -period/2 and up to period/2."""
+    """Return the direction of the mean of points on the circle, in (-period/2, period/2]."""
     angle = 2 * np.pi * values / period
     return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()) * period / (2 * np.pi))
 
 
 def mean_of(values: Row, period: float | None) -> float:
-    """Mean of values, or their mean direction where they come round again."""
+    """Return the mean of values, or the mean direction of periodic ones."""
     return float(values.mean()) if period is None else mean_direction(values, period)
 
 
 def dispersion(values: Row, period: float) -> float:
-    """Mean squared distance from the mean direction the shortest way round, in the square of the unit.
-
-    It stands where the variance of a plain quantity does; of evenly spread directions it is period² / 12.
-    """
+    """Return the mean squared distance from the mean direction [unit²]; period² / 12 if uniform."""
     return float(np.mean(shortest(values - mean_direction(values, period), period) ** 2))
 
 
-MIN_GAP = 1 / 20
-"""Share of the period that the widest gap between directions leaves free where they cover an arc only."""
-ALIKE, MIN_EVEN = 3 / 4, 2 / 3
-"""Gaps of at least `ALIKE` of the widest are alike. Where such gaps, two or more, are `MIN_EVEN` of the turn
-together, the directions are evenly spaced, and the widest gap is a step of theirs."""
+MIN_GAP = 1 / 20  # widest gap, relative to the period, of directions that cover an arc only
+ALIKE, MIN_EVEN = 3 / 4, 2 / 3  # gaps near the widest that sum to this ratio of a turn are steps
 
 
 def calibrated_arc(values: Row, period: float) -> tuple[float, float]:
-    """The arc that directions cover, from the first upwards to the second.
+    """Return the arc that directions cover, from the first upwards to the second.
 
-    It is what the widest gap between neighbours leaves, or the whole turn where that gap is narrow or the
-    directions are evenly spaced. It begins at -period/2 or above, and below period/2.
+    It is the complement of the widest gap, or the whole turn where that gap is narrow or the directions are
+    evenly spaced. It begins in [-period/2, period/2).
     """
     turned = np.unique(np.mod(values, period))
     gaps = np.diff(turned, append=turned[0] + period)
@@ -72,16 +61,14 @@ NEARLY = 0.95
 
 
 def uninformative_width(widths: Row, arc: float, coverage: float) -> float:
-    """Width from which on an interval around a direction tells nothing, in its unit.
+    """Return the width from which an interval around a direction carries no information, in its unit.
 
-    Where the image tells nothing of a direction, intervals around guesses of it need the coverage's share of
-    the arc to hold as many truths as they promise. A spread that follows chance makes some of them shorter;
-    their mean stays as long, so that then every width tells nothing.
+    If the image carries no information, intervals have a mean width of the coverage's ratio of the arc. Then
+    every width is uninformative.
 
     Args:
-        widths: of the intervals of rows held out.
+        widths: interval widths of held-out rows.
         arc: length of the calibrated arc.
-        coverage: what the intervals promise.
     """
     least = coverage * arc
     return 0.0 if np.minimum(widths, arc).mean() >= NEARLY * least else least
@@ -91,12 +78,8 @@ MAX_TURNS = 1.5  # of labels: -180 to 180 and 0 to 360 in one column reach over 
 
 
 def refuse_no_angles(column: str, values: Row, symbol: str, period: float) -> None:
-    """Refuse labels of a circular target that are no directions.
-
-    Mixed conventions, as -180 to 180 and 0 to 360 in one column, are the same directions and pass.
-
-    Raises:
-        LabelError: the labels reach over more than one and a half turns, or lie all in one direction.
+    """Refuse labels of a circular target that are no directions; mixed conventions such as -180 to 180 and 0
+    to 360 pass.
     """
     turn = max(period, FULL_TURN.get(symbol, period))
     span = float(np.ptp(values))

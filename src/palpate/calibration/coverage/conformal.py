@@ -1,9 +1,7 @@
-"""Conformal intervals: from errors on held-out rows to a half-width for every new reading.
+"""Conformal intervals: estimate ± expected spread times a quantile of scaled held-out errors.
 
-Each row's score is its held-out error over the spread expected there; the interval is the estimate plus and
-minus the spread times a quantile of those scores (cross-conformal prediction: Vovk, Ann. Math. Artif. Intell.
-74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled scores: Papadopoulos et al., ECML 2002,
-doi:10.1007/3-540-36755-1_29). Folds keep groups whole.
+Cross-conformal prediction: Vovk, Ann. Math. Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; scaled
+scores: Papadopoulos et al., ECML 2002, doi:10.1007/3-540-36755-1_29. Folds keep groups whole.
 """
 
 from __future__ import annotations
@@ -13,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.calibration.coverage.group_quantiles import weighted_quantile
-from palpate.calibration.coverage.grouped_rates import group_sizes
+from palpate.calibration.coverage.grouped_rates import group_sizes, weighted_quantile
 from palpate.calibration.coverage.range_fit import fit_range_intervals
 from palpate.core import Float, InputError, RangeError, Values
 from palpate.estimators.intervals import ErrorSpread, Intervals, design
@@ -23,20 +20,12 @@ from palpate.estimators.target_layout import Outputs, TargetLayout
 
 ROWS_PER_COEFFICIENT = 20
 MIN_RATIO = 1e-6  # of an error to what is typical: a logarithm is taken of it
-GROUPS_FOR_SPREAD = 20
-"""Groups from which the width may follow the estimate."""
-MANY_GROUPS = 50
-"""Groups from which it does. With fewer it does where that foretells the errors of other groups better than
-one width, by more than a standard error: of forty presses such widths held 94 to 95 % of new ones for 90."""
+GROUPS_FOR_SPREAD = 20  # groups from which the width may follow the estimate, if it predicts other groups
+MANY_GROUPS = 50  # groups from which it always does
 
 
 def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> float:
-    """The score that a new one stays below with probability `coverage`, of rank ceil((n + 1) coverage).
-
-    Raises:
-        InputError: there are no scores.
-        RangeError: the coverage is not above 0 and at most 1.
-    """
+    """Return the score of rank ceil((n + 1) coverage), below which a new one is with this probability."""
     if not 0 < coverage <= 1:
         raise RangeError(
             f"coverage is {coverage}; it is a rate above 0 and at most 1, such as 0.9", code="coverage-range"
@@ -52,10 +41,9 @@ def conformal_quantile(scores: Float[np.ndarray, " n"], coverage: float) -> floa
 
 
 def pooled_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
-    """The score that a row of a new group stays below, each group with the same weight.
+    """Return the score that a row of a new group stays below, each group with the same weight.
 
-    The level is raised by one of as many rows as their weights are worth (Kish), so that few long groups do
-    not set it; with groups of one size it is the conformal quantile of the rows.
+    The level is raised by one of the effective number of rows (Kish), so that few long groups do not set it.
     """
     sizes, index = group_sizes(groups)
     if (sizes == sizes[0]).all():
@@ -66,24 +54,19 @@ def pooled_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverag
 
 
 def fit_intervals(
-    predicted: Outputs,
-    true: Values,
-    groups: np.ndarray,
-    coverage: float,
-    layout: TargetLayout | None = None,
+    predicted: Outputs, true: Values, groups: np.ndarray, coverage: float, layout: TargetLayout | None = None
 ) -> Intervals:
-    """Intervals from held-out predictions.
+    """Fit intervals to held-out predictions.
 
-    The spread is a smooth function of the outputs fitted to the size of the errors: quadratic, linear, or one
-    number with few rows or groups, see `spread_terms`. A row's own group has no part in the spread that its
-    error is scored by. With groups enough, a target that is not periodic keeps its rate in every part of its
+    The spread is a quadratic, linear, or constant function of the outputs (`spread_terms`). A row's own group
+    has no part in its spread. With enough groups, a target that is not periodic keeps its rate over its
     range.
 
     Args:
         predicted: held-out outputs of the model ``[n o]``.
-        true: the labels ``[n t]``.
-        groups: ``[n]`` label of each row's group.
-        coverage: how often intervals shall cover the truth, 0 to 1.
+        true: labels ``[n t]``.
+        groups: group of each row ``[n]``.
+        coverage: rate, 0 to 1.
         layout: of the targets in the outputs; None where each is one.
     """
     layout = layout or TargetLayout((None,) * true.shape[1])
@@ -104,13 +87,7 @@ def fit_intervals(
 
 
 def spread_of_others(predicted: Outputs, errors: Values, groups: np.ndarray) -> Values:
-    """Expected size of each row's errors ``[n t]``, learnt from the errors of other groups.
-
-    Args:
-        predicted: held-out outputs of the model ``[n o]``.
-        errors: their absolute errors ``[n t]``.
-        groups: ``[n]`` label of each row's group.
-    """
+    """Return the expected size of each row's errors ``[n t]``, from the errors of other groups."""
     return _spread_by_others(predicted, errors, groups, spread_terms(predicted, errors, groups))
 
 
@@ -130,7 +107,7 @@ def _spread_by_others(
 
 
 def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rows to fit by and rows to score, whole groups together; a single group is both."""
+    """Return rows to fit by and rows to score, groups kept whole; a single group is both."""
     every, count = np.arange(len(groups)), len(np.unique(groups))
     if count < 2:
         return iter([(every, every)])
@@ -141,13 +118,7 @@ def parts_by_group(groups: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]
 
 
 def spread_terms(predicted: Outputs, errors: Values, groups: np.ndarray) -> tuple[int, ...]:
-    """Number of terms of `design` that each target's spread has: 1, the linear ones, or all.
-
-    Args:
-        predicted: held-out outputs of the model ``[n o]``.
-        errors: their absolute errors ``[n t]``.
-        groups: ``[n]`` label of each row's group.
-    """
+    """Return the number of terms of `design` in each target's spread: 1, the linear ones, or all."""
     (n, t), targets, count = predicted.shape, errors.shape[1], len(np.unique(groups))
     wanted = [terms for terms in (1 + t + t * (t + 1) // 2, 1 + t) if n >= ROWS_PER_COEFFICIENT * terms]
     if not wanted or count < GROUPS_FOR_SPREAD:
@@ -166,7 +137,6 @@ def spread_terms(predicted: Outputs, errors: Values, groups: np.ndarray) -> tupl
 def _deviances(
     predicted: Outputs, errors: Values, groups: np.ndarray, terms: int
 ) -> Float[np.ndarray, "g t"]:
-    """Mean gamma deviance of each group's errors from the spread that other groups' errors foretell."""
     rows = np.empty(errors.shape)
     for others, held in parts_by_group(groups):
         spread = fit_spread(predicted[others], errors[others], (terms,) * errors.shape[1])
@@ -176,7 +146,7 @@ def _deviances(
 
 
 def fit_spread(predicted: Outputs, errors: Values, terms: tuple[int, ...]) -> ErrorSpread:
-    """How the size of errors ``[n t]`` follows the outputs ``[n o]``, each by so many terms of `design`."""
+    """Fit the size of errors ``[n t]`` as a function of the outputs ``[n o]``, by terms of `design`."""
     from sklearn.linear_model import GammaRegressor  # as above
 
     scaler = Scaler.of(predicted)

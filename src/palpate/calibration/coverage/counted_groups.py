@@ -11,10 +11,7 @@ from palpate.recordings.splits import SESSION, within_session
 
 
 def groups_in(table: pd.DataFrame, columns: tuple[str, ...]) -> np.ndarray:
-    """A label for each row's group; each row its own where the columns are not all there.
-
-    A table that names no session is all of one.
-    """
+    """Return a label of each row's group; each row its own where a column is missing."""
     columns = tuple(name for name in columns if name != SESSION or name in table or len(columns) == 1)
     if not columns or not set(columns) <= set(table):
         return np.arange(len(table))
@@ -25,16 +22,13 @@ PRESS_COLUMNS = ("press", "cycle", "trial")
 
 
 def press_groups(table: pd.DataFrame) -> np.ndarray:
-    """A label for each row's press within one group, as a session; each row its own where none is named.
-
-    One session does not tell how sessions differ. How well its own rate is known, its presses tell.
-    """
+    """Return a label of each row's press within one group, as a session; each row its own without presses."""
     named = press_column(table)
     return np.arange(len(table)) if named is None else groups_in(table, within_session(table, (named,)))
 
 
 def press_column(table: pd.DataFrame) -> str | None:
-    """The column that says which rows are of one press; None where none does."""
+    """Return the column that names the press; None where there is none."""
     return next((column for column in PRESS_COLUMNS if column in table), None)
 
 
@@ -42,14 +36,10 @@ ROW, BLOCK = "row", "held-out block"
 
 
 def counted_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
-    """A label for each row's group, and what such a group is: rows of one group are not independent.
+    """Return a label of each row's group, and the kind of group.
 
-    By the columns that the calibration was split by, where the table has them. Else by the press, also after
-    a split that took rows apart without regard to it; each row is its own only where no press is named.
-
-    Args:
-        card: of the calibration.
-        table: labels of any rows.
+    Groups are by the columns that the calibration was split by, where the table has them; else by the press;
+    each row is its own only where no press is named.
     """
     columns = tuple(c for c in card.split.columns if c != SESSION or c in table)
     if columns and set(columns) <= set(table):
@@ -58,11 +48,8 @@ def counted_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
 
 
 def held_out_groups(card: Card, table: pd.DataFrame) -> tuple[np.ndarray, str]:
-    """Groups of a calibration's own held-out rows, as by `counted_groups`; blocks where blocks were held out.
-
-    Args:
-        card: of the calibration.
-        table: its held-out predictions.
+    """Return groups of a calibration's own held-out rows, as `counted_groups`; blocks where blocks were held
+    out.
     """
     length = card.split.block_rows
     if card.split.columns or card.interval_reset or length is None:
@@ -85,7 +72,7 @@ def _held_out_blocks(length: int, table: pd.DataFrame) -> np.ndarray:
 
 
 def counted_text(count: int, by: str) -> str:
-    """So many groups in words.
+    """Return the number of groups in words.
 
     Example:
         >>> counted_text(9, "held-out block"), counted_text(16, "press"), counted_text(80, "row")

@@ -1,30 +1,29 @@
-"""Number of independent rows that rows in groups are worth, when a rate is counted over them.
+"""Rates and quantiles over grouped rows, whose errors are correlated within a group.
 
-n rows count as n over the design effect of their correlation within groups (L. Kish, Survey Sampling, 1965).
-With few groups the correlation is raised towards 1, as if two groups more had been seen whose rows all agree.
+n rows count as n over the design effect (L. Kish, Survey Sampling, 1965); with few groups the correlation is
+raised towards 1, as if two uniform groups more had been seen. The quantile that a new group stays below has
+rank ceil(c (K + 1)) of K groups, averaged over drawings of one score per group in closed form.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.special import betaincinv, stdtrit
 
-from palpate.core import Int
+from palpate.core import Float, InputError, Int
 
-GROUPS_ADDED = 2
-"""Groups with rows that all agree, which are added to those seen where rows are few. With two, the intervals
-of `rate_interval` hold a rate of 0.9 in 96 % or more of draws, from 2 to 60 groups of 40 rows that correlate
-by 0.02 to 0.3; with one in 95.6 %, with none in 90 %."""
+GROUPS_ADDED = 2  # uniform groups; with two, intervals cover 96 % or more of draws, with none 90 %
 
 
 def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
-    """Correlation of two rows of the same group, 0 to 1: by how much more the mean of groups scatters.
-
-    It is 1 where the rows cannot tell: of one group, or all alike.
+    """Return the correlation of two rows of the same group, 0 to 1; 1 for one group or uniform rows.
 
     Args:
-        inside: whether each row is a hit ``[n]``.
-        groups: label of each row's group ``[n]``.
+        inside: hits ``[n]``.
+        groups: group of each row ``[n]``.
     """
     sizes, index = group_sizes(groups)
     n, rate, most = len(inside), float(inside.mean()), _largest_effect(sizes)
@@ -39,13 +38,13 @@ def within_group_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
 
 
 def cautious_correlation(inside: np.ndarray, groups: np.ndarray) -> float:
-    """Correlation of rows of the same group, raised towards 1 where groups are few, see the module."""
+    """Return the within-group correlation, raised towards 1 where groups are few."""
     found, count = within_group_correlation(inside, groups), len(np.unique(groups))
     return found + (1 - found) * min(GROUPS_ADDED / count, 1.0)
 
 
 def effective_rows(groups: np.ndarray, correlation: float) -> float:
-    """Number of independent rows that rows in groups are worth, 1 to n.
+    """Return the effective number of independent rows, 1 to n.
 
     Example:
         >>> effective_rows(np.repeat([0, 1, 2, 3], 10), 1.0), effective_rows(np.repeat([0, 1], 10), 0.0)
@@ -56,12 +55,7 @@ def effective_rows(groups: np.ndarray, correlation: float) -> float:
 
 
 def rate_interval(hits: float, n: float, confidence: float) -> tuple[float, float]:
-    """Interval of a rate by Clopper and Pearson, continued to numbers that are not whole.
-
-    Args:
-        hits: 0 to `n`.
-        n: independent rows, above 0.
-        confidence: how often the interval shall hold the rate, 0 to 1.
+    """Return the Clopper-Pearson interval of a rate, continued to fractional numbers.
 
     Example:
         >>> low, high = rate_interval(9, 10, 0.95)
@@ -78,29 +72,26 @@ CONFIDENCE = 0.95
 
 
 def coverage_interval(hits: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate by Clopper and Pearson, from `hits` of `n` independent rows."""
+    """Return the 95 % Clopper-Pearson interval of `hits` of `n` independent rows."""
     return rate_interval(hits, n, CONFIDENCE)
 
 
 def grouped_coverage_interval(inside: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a rate over groups, seen and not, from rows that come in groups.
-
-    Clopper and Pearson's of as many rows as these are worth (E. Korn and B. Graubard, Survey Methodology 24,
-    193 (1998)).
+    """Return the 95 % Clopper-Pearson interval of a rate by the effective number of rows (E. Korn and B.
+    Graubard, Survey Methodology 24, 193 (1998)).
     """
     n = effective_rows(groups, cautious_correlation(inside, groups))
     return rate_interval(float(inside.mean()) * n, n, CONFIDENCE)
 
 
-MIN_GROUPS_OF_MEAN = 3
-"""Groups that an interval of a mean takes: two differ by too little chance to tell how groups differ."""
+MIN_GROUPS_OF_MEAN = 3  # for an interval of a mean
 
 
 def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float, float] | None:
-    """95 % interval of a mean over groups, seen and not, from rows that come in groups; None of fewer than 3.
+    """Return the 95 % interval of a mean over groups; None for fewer than 3 groups.
 
-    Student's, with as many degrees of freedom as groups less one, around the cluster-robust standard error
-    (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986), doi:10.1093/biomet/73.1.13).
+    Student's, around the cluster-robust standard error (K.-Y. Liang and S. Zeger, Biometrika 73, 13 (1986),
+    doi:10.1093/biomet/73.1.13).
     """
     sizes, index = group_sizes(groups)
     count, mean = len(sizes), float(values.mean())
@@ -113,7 +104,7 @@ def grouped_mean_interval(values: np.ndarray, groups: np.ndarray) -> tuple[float
 
 
 def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, " n"]]:
-    """Rows of each group, and the number of each row's group."""
+    """Return the rows of each group, and the number of each row's group."""
     _, index = np.unique(groups, return_inverse=True)
     return np.bincount(index), index
 
@@ -121,3 +112,77 @@ def group_sizes(groups: np.ndarray) -> tuple[Int[np.ndarray, " g"], Int[np.ndarr
 def _largest_effect(sizes: Int[np.ndarray, " g"]) -> float:
     """Design effect of groups whose rows all agree: the mean size of the group that a row is in."""
     return float(sizes @ sizes / sizes.sum())
+
+
+MAX_GROUPS_TO_DRAW = 200  # beyond, mean over drawings and weighted quantile agree within a row
+POINTS_AT_ONCE = 4096
+
+
+def rank_of_new_group(groups: int, coverage: float) -> int:
+    """Return ceil(c (K + 1)) of K groups at coverage c; more than K where so few cannot promise it.
+
+    Example:
+        >>> rank_of_new_group(9, 0.9), rank_of_new_group(8, 0.9), rank_of_new_group(20, 0.9)
+        (9, 9, 19)
+    """
+    return math.ceil(coverage * (groups + 1) - 1e-9)
+
+
+def is_distribution_free(groups: int, coverage: float) -> bool:
+    """Return whether so many groups can promise a new one's coverage without assumptions."""
+    return rank_of_new_group(groups, coverage) <= groups
+
+
+def new_group_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
+    """Return the score that one of a new group stays below with this probability.
+
+    Args:
+        scores: absolute scores.
+        groups: group of each row ``[n]``.
+        coverage: 0 to 1.
+    """
+    names, of = np.unique(groups, return_inverse=True)
+    count, rank = len(names), rank_of_new_group(len(names), coverage)
+    if rank > count:
+        least = math.ceil(coverage / (1 - coverage) - 1e-9)
+        raise InputError(
+            f"{count} groups cannot set an interval that holds {100 * coverage:g} % of a new one's rows "
+            f"whatever the distribution; give {least} or more",
+            code="few-groups",
+        )
+    if count == len(scores):
+        return float(np.sort(scores)[rank - 1])
+    if count > MAX_GROUPS_TO_DRAW:
+        return weighted_quantile(scores, of, min(coverage * (count + 1) / count, 1.0))
+    points = np.sort(scores)
+    parts = [np.sort(scores[of == k]) for k in range(count)]
+    at_most = np.concatenate(
+        [
+            _rank_reached(points[i : i + POINTS_AT_ONCE], parts, rank)
+            for i in range(0, len(points), POINTS_AT_ONCE)
+        ]
+    )
+    return max(float(points @ np.diff(at_most, prepend=0.0)), weighted_quantile(scores, of, coverage))
+
+
+def _rank_reached(points: np.ndarray, parts: Sequence[np.ndarray], rank: int) -> np.ndarray:
+    """Probability that of one score from each part at least `rank` are at or below each point ``[p]``."""
+    below = np.zeros((len(parts) + 1, len(points)))  # how many of the parts so far are: a Poisson binomial
+    below[0] = 1.0
+    for part in parts:
+        share = np.searchsorted(part, points, side="right") / len(part)
+        below[1:] = below[1:] * (1 - share) + below[:-1] * share
+        below[0] *= 1 - share
+    return np.asarray(below[rank:].sum(axis=0))
+
+
+def weighted_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, level: float) -> float:
+    """Return the quantile of scores with the same weight for each group.
+
+    Args:
+        groups: number of each row's group ``[n]``, 0, 1, 2, and so on.
+        level: 0 to 1.
+    """
+    order, weights = np.argsort(scores), 1.0 / np.bincount(groups)[groups]
+    reached = np.cumsum(weights[order]) / weights.sum()
+    return float(scores[order][min(int(np.searchsorted(reached, level - 1e-12)), len(scores) - 1)])

@@ -1,7 +1,5 @@
-"""Joint regions of several targets: one ellipsoid that covers all of them at once at the stated rate.
-
-Errors are taken in units of their spread, their second moments are those of the held-out rows, and the
-radius is the conformal quantile of their Mahalanobis distances, groups kept whole.
+"""Joint regions of several targets: one ellipsoid that covers all of them at the stated rate, by the second
+moments of scaled errors and the conformal quantile of their Mahalanobis distances.
 """
 
 from __future__ import annotations
@@ -19,10 +17,7 @@ from palpate.estimators.intervals import Intervals, component_names, mahalanobis
 from palpate.estimators.model_card import VectorCard
 from palpate.estimators.target_layout import Outputs
 
-RIDGE = 1e-6
-"""Added to a correlation's diagonal: components that err together to the last digit still make an
-ellipsoid."""
-
+RIDGE = 1e-6  # added to a correlation's diagonal, for components with equal errors
 MIN_TRACE = float(np.finfo(np.float32).tiny)  # of errors that are all zero
 
 
@@ -34,15 +29,13 @@ def vector_cards(
     true: Values,
     groups: np.ndarray,
 ) -> tuple[VectorCard, ...]:
-    """Joint regions of some vectors, from held-out outputs.
+    """Return joint regions of vectors, from held-out outputs.
 
     Args:
         vectors: name of each, quantity_unit, and its targets.
         columns: all targets, in the order of the labels.
         intervals: of the single targets.
-        outputs: of the model ``[n o]``.
-        true: the labels ``[n t]``.
-        groups: label of each row's group.
+        outputs, true: of the model ``[n o]``, and labels ``[n t]``.
     """
     errors = intervals.errors(outputs, true)
     scaled = errors / spread_of_others(outputs, np.abs(errors), groups)
@@ -72,19 +65,13 @@ def vector_cards(
 def joint_score(
     vector: VectorCard, columns: Sequence[str], errors: Values, spread: Values, groups: np.ndarray
 ) -> dict[str, Any]:
-    """How often a vector's region covered all its components at once.
-
-    The region is that for what the labels' instruments show: their own uncertainty is not in it.
+    """Return rows, covered ratio, and its 95 % interval of a vector's region; label uncertainty is not
+    included.
 
     Args:
-        vector: its card.
         columns: all targets, in the order of the labels.
         errors: estimates less labels ``[n t]``, in the targets' units.
-        spread: the errors' expected sizes ``[n t]``, see `estimators.intervals.ErrorSpread`.
-        groups: label of each row's group.
-
-    Returns:
-        ``{"n", "covered", "low", "high"}``: rows, share covered, and its 95 % interval.
+        spread: expected sizes of the errors ``[n t]``.
     """
     at = [list(columns).index(part) for part in vector.columns]
     scaled = errors[:, at] / spread[:, at]
@@ -96,7 +83,6 @@ def joint_score(
 def _fitted(
     scaled: Float[np.ndarray, "n k"], groups: np.ndarray
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " n"]]:
-    """The second moments of the errors, and each row's distance by those of other groups."""
     parts, scores = group_parts(groups), np.empty(len(scaled))
     for part in np.unique(parts):
         held = parts == part

@@ -1,48 +1,35 @@
-"""Fit of intervals that keep their rate over the whole range, from held-out errors.
+"""Intervals that keep their rate over the whole range, from held-out errors.
 
-The cells are tenths of the range, joined until each holds `MIN_GROUPS` groups. Where the interval of one
-width covers too few of a cell's held-out rows, its band is the inner 90 % of the scaled errors, scaled about
-its middle by the conformal quantile of the cell's own scores, in which rows that are covered already count as
-0 (cross-conformal: V. Vovk, Ann. Math. Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; quantiles
-as a
-base: Y. Romano, E. Patterson and E. Candès, NeurIPS 2019). The rank is raised by one group; decision 0020
-    lists
-what else was tried.
+Tenths of the range are joined until each cell has `MIN_GROUPS` groups. Where one width covers too few rows of
+a cell, its band is the inner 90 % of scaled errors, rescaled by the cell's conformal quantile (V. Vovk, Ann.
+Math. Artif. Intell. 74:9 (2015), doi:10.1007/s10472-013-9368-4; Y. Romano, E. Patterson and E. Candès,
+NeurIPS 2019).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from palpate.calibration.coverage.group_quantiles import weighted_quantile
-from palpate.calibration.coverage.grouped_rates import group_sizes
+from palpate.calibration.coverage.grouped_rates import group_sizes, weighted_quantile
 from palpate.core import Float, Int
 from palpate.estimators.intervals import ErrorCells, RangeIntervals, Row
 
 TENTHS = 10
-MIN_GROUPS = 25
-"""Groups that a cell holds at least. The rate that it really keeps scatters by sqrt(0.9 · 0.1 / groups) or
-less: by 6 % with 25. With fewer than nine no rank promises 90 %."""
-MIN_ROWS = 60
-"""Rows that a cell holds at least, so that three or more lie beyond each quantile that a band begins with."""
+MIN_GROUPS = 25  # per cell; its kept rate scatters by sqrt(0.9 · 0.1 / groups), 6 % with 25
+MIN_ROWS = 60  # per cell, so that three or more lie beyond each quantile of a band
 MAX_LEVEL = 1.0
 
 
 def fit_range_intervals(
     estimate: Row, true: Row, spread: Row, quantile: float, groups: np.ndarray, coverage: float
 ) -> RangeIntervals | None:
-    """Bands of one target in the cells where one width covers too seldom.
+    """Return bands of one target in the cells where one width covers too seldom; None where no cell needs
+    one.
 
     Args:
-        estimate: held-out estimates, in the target's unit.
-        true: the labels.
-        spread: the expected size of each row's error, fitted without its group.
+        estimate, true: held-out estimates and labels, in the target's unit.
+        spread: expected size of each row's error, fitted without its group.
         quantile: half-width of the interval of one width, in units of the spread.
-        groups: label of each row's group.
-        coverage: how often the intervals shall hold the truth, 0 to 1.
-
-    Returns:
-        The bands; None where no cell needs one, or groups make a single cell only.
     """
     ends = float(true.min()), float(true.max())
     by_truth, by_estimate = (cell_limits(values, groups, *ends) for values in (true, estimate))
@@ -60,7 +47,7 @@ def fit_range_intervals(
 
 
 def cell_limits(values: Row, groups: np.ndarray, least: float, greatest: float) -> Float[np.ndarray, " k"]:
-    """Limits between the tenths of a range, without those that would leave a cell with too few groups."""
+    """Return the limits between tenths of the range that leave each cell enough groups."""
     kept: list[float] = []
     start = -np.inf
     for limit in np.linspace(least, greatest, TENTHS + 1)[1:-1]:
@@ -73,7 +60,7 @@ def cell_limits(values: Row, groups: np.ndarray, least: float, greatest: float) 
 
 
 def group_parts(groups: np.ndarray) -> Int[np.ndarray, " n"]:
-    """Number of each row's part, of five or as many as there are groups; groups are kept whole."""
+    """Return the number of each row's part, at most five, groups kept whole."""
     # Here, since whoever reads an interval needs no scikit-learn.
     from sklearn.model_selection import GroupKFold
 
@@ -85,12 +72,10 @@ def group_parts(groups: np.ndarray) -> Int[np.ndarray, " n"]:
 
 
 def grouped_quantile(scores: Row, groups: np.ndarray, coverage: float) -> float:
-    """The score below which a row of a new group lies with probability `coverage`.
+    """Return the score below which a row of a new group lies with probability `coverage`.
 
-    Each group has the same weight, however many rows it has. Of G groups the level is coverage · (G + 1) / G,
-    which is the usual rank where each row is its own group (pooled distributions of groups: R. Dunn, L.
-    Wasserman and A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112); the
-    largest where there are too few.
+    Groups have equal weight; the level is coverage (G + 1) / G of G groups (R. Dunn, L. Wasserman and A.
+    Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112).
     """
     n, sizes, index = len(scores), *group_sizes(groups)
     g = len(sizes)
@@ -102,7 +87,6 @@ def grouped_quantile(scores: Row, groups: np.ndarray, coverage: float) -> float:
 
 
 def _holds_enough(values: Row, groups: np.ndarray, start: float, end: float) -> bool:
-    """Tell whether a cell holds rows and groups enough to set a band by."""
     rows = (values >= start) & (values < end)
     return int(rows.sum()) >= MIN_ROWS and len(np.unique(groups[rows])) >= MIN_GROUPS
 
@@ -129,7 +113,6 @@ def _bands(
 
 
 def _scores(error: Row, parts: Int[np.ndarray, " n"], coverage: float) -> Row:
-    """Distance of each error from the middle of the other parts' errors, in units of their reach."""
     scores = np.empty_like(error)
     for part in np.unique(parts):
         held = parts == part

@@ -1,4 +1,8 @@
-"""Coverage in tenths of a target's range, with its groups counted, and sentences where a tenth fails."""
+"""Coverage in tenths of a target's range with groups counted, and the limits of a range.
+
+A range's limit is how far beyond it frames within it are read: the farthest of 97 % of the outermost tenth of
+held-out frames, 97 % of those in the outermost tenth of the range, and 99 % of all.
+"""
 
 from __future__ import annotations
 
@@ -11,39 +15,29 @@ from scipy.special import betainc
 from palpate.calibration.coverage.grouped_rates import (
     cautious_correlation,
     effective_rows,
+    is_distribution_free,
     within_group_correlation,
 )
-from palpate.calibration.coverage.range_fit import TENTHS
+from palpate.calibration.coverage.range_fit import TENTHS, grouped_quantile
+from palpate.core import Values
 from palpate.estimators.class_sets import ClassCoverageCard
-from palpate.estimators.intervals import Row
-from palpate.estimators.model_card import Card, TargetCard, TenthCard
+from palpate.estimators.intervals import ErrorCells, Intervals, Row
+from palpate.estimators.model_card import Card, CellsCard, RangeCard, TargetCard, TenthCard
 from palpate.estimators.reading_rules import too_unsure
-from palpate.estimators.target_layout import FULL_TURN
+from palpate.estimators.target_layout import FULL_TURN, Outputs
 
-MARGIN = 0.05
-"""How far below its promise a tenth's rate is allowed: 85 % where 90 % is promised."""
-SIGNIFICANCE = 0.05
-"""Probability of naming any tenth of a target whose rate is as allowed (Holm's procedure over the tenths)."""
+MARGIN = 0.05  # allowed shortfall of a tenth's rate: 85 % where 90 % is promised
+SIGNIFICANCE = 0.05  # probability of naming any tenth whose rate is as allowed (Holm)
 
 
 def range_scores(
-    along: Row,
-    error: Row,
-    inside: np.ndarray,
-    groups: np.ndarray,
-    ends: tuple[float, float],
-    coverage: float,
+    along: Row, error: Row, inside: np.ndarray, groups: np.ndarray, ends: tuple[float, float], coverage: float
 ) -> tuple[TenthCard, ...]:
-    """Score the tenths of a range; those without a row are left out.
+    """Score the tenths of a range that have rows.
 
     Args:
-        along: the value that says which tenth a row belongs to: its truth, or its estimate.
-        error: estimate less truth.
-        inside: whether each interval held the truth.
-        groups: label of each row's group.
-        ends: least and greatest value of the calibrated range; what lies beyond counts to the outermost
-            tenths.
-        coverage: what was promised.
+        along: value that assigns a row to a tenth: its truth, or its estimate.
+        ends: calibrated range; rows beyond count to the outermost tenths.
     """
     limits = np.linspace(*ends, TENTHS + 1)
     at = np.searchsorted(limits[1:-1], along, side="right")
@@ -67,15 +61,12 @@ def range_scores(
 def chance_of_so_few(
     inside: np.ndarray, groups: np.ndarray, rate: float, correlation: float | None = None
 ) -> float:
-    """Probability of as few hits, or fewer, in rows of groups whose hits have this rate.
-
-    It is the binomial one of as many rows as these are worth, see `coverage.grouped_rates`.
+    """Return the binomial probability of as few hits by the effective number of rows.
 
     Args:
-        inside: whether each row is a hit.
-        groups: label of each row's group.
-        rate: that hits are thought to have.
-        correlation: of rows of the same group, from more rows than these; None takes these rows' own.
+        inside: hits.
+        rate: assumed rate.
+        correlation: within groups; None takes these rows' own.
     """
     alike = cautious_correlation(inside, groups) if correlation is None else correlation
     effective = effective_rows(groups, alike)
@@ -88,10 +79,7 @@ Part = TypeVar("Part", TenthCard, ClassCoverageCard)
 
 
 def failing(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """Parts that cover significantly less often than allowed, by Holm's procedure over all that are given.
-
-    S. Holm, Scand. J. Stat. 6, 65 (1979).
-    """
+    """Return parts that cover significantly too seldom by Holm's procedure (Scand. J. Stat. 6, 65 (1979))."""
     found: list[Part] = []
     for rank, part in enumerate(sorted(parts, key=lambda one: one.p)):
         if part.p > SIGNIFICANCE / (len(parts) - rank):
@@ -101,7 +89,7 @@ def failing(parts: Sequence[Part]) -> tuple[Part, ...]:
 
 
 def range_sentences(parts: Sequence[TenthCard], unit: str, coverage: float) -> tuple[str, ...]:
-    """Sentences on the parts of a range that do not keep the promise; none where all do.
+    """Return sentences on the parts of a range that do not keep the promise.
 
     Example:
         >>> above = TenthCard(start=12.0, end=18.5, n=20, groups=20, covered=8, bias=-3.0, p=1e-4)
@@ -131,19 +119,13 @@ NEARLY_A_TURN = 350 / 360
 
 
 def card_findings(card: Card) -> tuple[str, ...]:
-    """What the reader of a certificate must know of its targets' ranges; empty where there is nothing."""
+    """Return the findings on the ranges of a certificate's targets."""
     return tuple(sentence for target in card.targets for sentence in target_findings(target, card.coverage))
 
 
 def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
-    """Sentences on one target, with its name.
-
-    They name tenths of its range that cover too seldom, intervals as wide as the range, and a whole turn of
-    angles that was learnt as a plain number.
-
-    Args:
-        target: its card.
-        coverage: what its intervals promise.
+    """Return sentences on one target: tenths that cover too seldom, intervals as wide as the range, and
+    angles that were trained on as plain numbers.
     """
     name = target.quantity.replace("_", " ")
     tenths = () if target.over_range is None else target.over_range.tenths
@@ -158,3 +140,83 @@ def target_findings(target: TargetCard, coverage: float) -> tuple[str, ...]:
             f"readings are off by up to a turn; calibrate with --circular {target.column}"
         )
     return tuple(found)
+
+
+USUAL_AT_THE_END, USUAL = 0.97, 0.99
+OUTER_SHARE, MIN_OUTER_ROWS = 0.1, 20
+
+
+def usual_reach(
+    true: Row, low: Row, high: Row, groups: np.ndarray, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """Return how far below and above a range values of rows within it usually lie, 0 or more.
+
+    Args:
+        true: labels of held-out rows.
+        low, high: values compared with the least and with the greatest label: the estimate twice, or the
+            interval's ends.
+        ends: of the calibrated range.
+    """
+    length = ends[1] - ends[0]
+    below = _usual(true - ends[0], ends[0] - low, length, groups)
+    above = _usual(ends[1] - true, high - ends[1], length, groups)
+    return below, above
+
+
+def _usual(within: Row, beyond: Row, length: float, groups: np.ndarray) -> float:
+    """Distance beyond one end at which values usually lie.
+
+    Args:
+        within: distance of each label within that end.
+        beyond: distance of its value beyond it; negative where within.
+        length: of the range.
+    """
+    count = min(max(int(OUTER_SHARE * len(within)), MIN_OUTER_ROWS), len(within))
+    tenths = np.argsort(within, kind="stable")[:count], np.flatnonzero(within <= OUTER_SHARE * length)
+    found = [0.0, grouped_quantile(beyond, groups, USUAL)]
+    found += [grouped_quantile(beyond[rows], groups[rows], USUAL_AT_THE_END) for rows in tenths if len(rows)]
+    if not all(is_distribution_free(len(np.unique(groups[rows])), USUAL_AT_THE_END) for rows in tenths):
+        found.append(grouped_quantile(within + beyond, groups, USUAL_AT_THE_END))
+    return max(found)
+
+
+def range_cards(
+    intervals: Intervals,
+    outputs: Outputs,
+    true: Values,
+    groups: np.ndarray,
+    ranges: Sequence[tuple[float, float]],
+) -> Sequence[RangeCard | None]:
+    """Return each target's card over its range, from held-out outputs; None for a circular one.
+
+    Args:
+        outputs, true: of the model ``[n o]``, and labels ``[n t]``.
+        ranges: least and greatest label of each target in all training rows.
+    """
+    layout = intervals.layout
+    estimate = outputs if layout is None else layout.decoded(outputs)
+    low, high = intervals.ends(outputs)
+    inside = intervals.hold(outputs, true)
+    return [
+        None
+        if layout is not None and layout.periods[j] is not None
+        else RangeCard(
+            by_truth=_cells_card(intervals, j, "by_truth"),
+            by_estimate=_cells_card(intervals, j, "by_estimate"),
+            beyond=usual_reach(true[:, j], estimate[:, j], estimate[:, j], groups, ranges[j]),
+            reach=usual_reach(true[:, j], low[:, j], high[:, j], groups, ranges[j]),
+            tenths=range_scores(
+                true[:, j], estimate[:, j] - true[:, j], inside[:, j], groups, ranges[j], intervals.coverage
+            ),
+        )
+        for j in range(true.shape[1])
+    ]
+
+
+def _cells_card(intervals: Intervals, j: int, which: str) -> CellsCard | None:
+    one = intervals.by_range[j] if intervals.by_range else None
+    if one is None:
+        return None
+    cells: ErrorCells = getattr(one, which)
+    plain = {name: tuple(map(float, getattr(cells, name))) for name in ("limits", "centre", "half")}
+    return CellsCard(**plain)

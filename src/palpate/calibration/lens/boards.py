@@ -29,15 +29,12 @@ MAX_SEARCH_PX = 8  # half a side of the window in which a corner is refined
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A flat board: a chessboard, or one with ArUco markers in its white squares.
+    """Flat board: a chessboard, or one with ArUco markers in its white squares.
 
     Attributes:
-        columns, rows: inner corners, where four squares meet, along the two sides.
+        columns, rows: inner corners along the two sides.
         square_m: side of a square [m].
-        dictionary: of the markers, as OpenCV names it without DICT_, e.g. "4X4_50"; None for a chessboard.
-
-    Raises:
-        InputError: too few or too many corners, a side that is not positive, or no such dictionary.
+        dictionary: OpenCV's marker dictionary without DICT_, e.g. "4X4_50"; None for a chessboard.
     """
 
     columns: int
@@ -58,7 +55,6 @@ class Board:
 
     @property
     def text(self) -> str:
-        """Words for it."""
         kind = "chessboard" if self.dictionary is None else f"ChArUco board ({self.dictionary})"
         return f"{kind} of {self.columns}x{self.rows} inner corners, squares of {self.square_m * 1e3:g} mm"
 
@@ -96,12 +92,11 @@ def _charuco(board: Board) -> cv2.aruco.CharucoBoard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """The board in one photograph.
+    """Board in one photograph.
 
     Attributes:
-        name: of the file.
-        corners_m: places on the board of the corners that were seen, shape [n, 3] [m].
-        places_px: where they are in the image, (x, y) [px].
+        corners_m: positions of the seen corners on the board ``[n 3]`` [m].
+        places_px: their positions (x, y) in the image [px].
         size_px: (height, width) of the image [px].
     """
 
@@ -122,12 +117,7 @@ class MissedView:
 def read_views(
     folder: PathText, board: Board, progress: Progress = silent
 ) -> tuple[list[BoardView], list[MissedView]]:
-    """The board in each photograph of a folder.
-
-    Raises:
-        InputError: there is no photograph, sizes are mixed, or most show a board of another size.
-        ImageError: one cannot be read as an image.
-    """
+    """Find the board in each photograph of a folder."""
     views: list[BoardView] = []
     missed: list[MissedView] = []
     sizes: dict[tuple[int, int], list[str]] = {}
@@ -155,7 +145,7 @@ def read_views(
 
 
 def find_board(image: UInt8[ndarray, "h w"], board: Board, name: str) -> BoardView | tuple[int, int] | None:
-    """The board in one grey image; (columns, rows) if it is one of another size, None if there is none."""
+    """Find the board in a grey image; (columns, rows) for one of another size, None without one."""
     if board.dictionary is not None:
         return _find_charuco(image, board, name)
     found = _by_sectors(image, board)
@@ -213,11 +203,7 @@ def _by_sectors(image: np.ndarray, board: Board) -> np.ndarray | None:
 
 
 def _continues(image: np.ndarray, lattice: np.ndarray) -> bool:
-    """Whether squares alternate beyond the board's own rim, which its white margin does not.
-
-    OpenCV finds a board of the size asked for within a larger one: another part of it in each view, which
-    would be fitted as if it were the same.
-    """
+    """Whether squares alternate beyond the board's rim: OpenCV finds a smaller board within a larger one."""
     for turn in range(4):
         side = np.rot90(lattice, turn)
         edge, step = (side[0, :-1] + side[0, 1:]) / 2, (side[0] - side[1])[:-1]
@@ -245,7 +231,6 @@ def _larger_size(image: np.ndarray, board: Board) -> tuple[int, int] | None:
 
 
 def _by_quadrilaterals(image: np.ndarray, board: Board) -> np.ndarray | None:
-    """OpenCV's older way, with each corner refined in a window that holds no other one."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(image, (board.columns, board.rows), flags=flags)
     if not found or len(corners) != board.columns * board.rows:
@@ -258,11 +243,7 @@ def _by_quadrilaterals(image: np.ndarray, board: Board) -> np.ndarray | None:
 
 
 def _right_handed(places: np.ndarray, board: Board) -> np.ndarray:
-    """Corners in an order in which the board is seen from its front.
-
-    Detectors begin at either corner and go either way. A mirrored order is that of a board seen from behind,
-    which fits as well, but then the boards' tilts could not be compared.
-    """
+    """Corners in an order in which the board is seen from its front, so that tilts can be compared."""
     lattice = places.reshape(board.rows, board.columns, 2)
     along, down = np.diff(lattice, axis=1)[:-1], np.diff(lattice, axis=0)[:, :-1]
     turn = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]

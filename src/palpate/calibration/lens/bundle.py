@@ -1,8 +1,7 @@
 """Bundle adjustment of a lens and its views of a flat board: least squares with robust weights.
 
-Unknowns are the lens's numbers and six of pose for each view. A view's pose meets only its own corners, so it
-is eliminated view by view (Schur's complement; Triggs et al. 2000, doi:10.1007/3-540-44480-7_21), which
-leaves the lens's own normal equations: their inverse is the covariance of its numbers.
+Each view's pose is eliminated by Schur's complement (Triggs et al. 2000, doi:10.1007/3-540-44480-7_21); the
+inverse of the lens's normal equations is the covariance of its parameters.
 """
 
 from __future__ import annotations
@@ -35,13 +34,11 @@ Pose = Float[ndarray, "6"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedLens:
-    """A lens and the poses of its views, fitted or guessed.
+    """Lens and the poses of its views, fitted or guessed.
 
     Attributes:
-        model: see `Lens`.
         numbers: of the lens, in the order of `PARAMETERS`.
-        poses: rotation vector [rad] and translation [m] of each board in the camera frame; NaN where it has
-            none.
+        poses: rotation vector [rad] and translation [m] of each board in the camera frame; NaN for none.
     """
 
     model: LensModel
@@ -49,7 +46,6 @@ class PosedLens:
     poses: tuple[Pose, ...]
 
     def lens(self, size_px: tuple[int, int], max_angle_rad: float | None = None) -> Lens:
-        """The lens of its numbers."""
         values = [float(value) for value in self.numbers]
         focal, centre = (values[0], values[1]), (values[2], values[3])
         return Lens(self.model, focal, centre, tuple(values[4:]), size_px, max_angle_rad)
@@ -61,12 +57,11 @@ class PosedLens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle(PosedLens):
-    """A fit.
+    """Fit.
 
     Attributes:
-        errors_px: seen less projected place of each corner, a view each, shape [n, 2] [px].
-        normal, score: of each view, its reduced normal matrix and right-hand side in the lens's numbers, in
-            units of 1 px.
+        errors_px: reprojection errors of each view ``[n 2]`` [px].
+        normal, score: each view's reduced normal matrix and right-hand side, in units of 1 px.
         scale_px: robust standard deviation of an error along one axis [px].
     """
 
@@ -77,11 +72,7 @@ class Bundle(PosedLens):
 
 
 def first_guess(model: LensModel, views: Sequence[BoardView]) -> PosedLens | None:
-    """A lens to begin with: the focal length at which flat boards explain the views best.
-
-    Each width of field is tried without distortion, since from a focal length that is far off a fit of a wide
-    lens descends into a valley of its own. None where no view has a pose.
-    """
+    """Return a lens without distortion at the focal length that fits the views best; None without a pose."""
     height, width = views[0].size_px
     centre = ((width - 1) / 2, (height - 1) / 2)
     best, least = None, math.inf
@@ -105,7 +96,7 @@ def first_guess(model: LensModel, views: Sequence[BoardView]) -> PosedLens | Non
 
 
 def pose_of(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) -> Pose | None:
-    """Pose of a board, from the directions of its corners; None where there is none."""
+    """Return the pose of a board from the directions of its corners; None where there is none."""
     rays = PosedLens(model, numbers, ()).lens(view.size_px).rays(view.places_px)
     known = np.isfinite(rays).all(axis=1) & (rays[:, 2] > 0.02)
     if known.sum() < 6:
@@ -129,14 +120,11 @@ def adjust(
     robust: bool = True,
     steps: int = MAX_STEPS,
 ) -> Bundle:
-    """Levenberg-Marquardt from a start to the least squares of all corners.
+    """Refine a start by Levenberg-Marquardt to the least squares of all corners.
 
     Args:
-        start: numbers and one pose a view.
-        views: the same views, in the same order.
-        free: which of the lens's numbers are fitted; None fits all, an empty one the poses alone.
-        robust: Huber's weights, about the errors' own spread.
-        steps: at most.
+        free: fitted lens parameters; None fits all, an empty one the poses alone.
+        robust: use Huber's weights about the errors' own spread.
     """
     free = list(range(len(start.numbers)) if free is None else free)
     now = _linearised(start.model, start.numbers, start.poses, views, robust)
@@ -174,7 +162,6 @@ class _Linear:
     robust: bool
 
     def cost_at(self, scale: float) -> float:
-        """Huber's cost at a fixed scale, by which steps are compared."""
         size = np.abs(np.concatenate([error.ravel() for error in self.errors]))
         if not self.robust:
             return float(np.sum(size**2))
@@ -182,7 +169,6 @@ class _Linear:
         return float(np.sum(np.where(size <= bend, size**2, bend * (2 * size - bend))))
 
     def reduced(self, view: int, free: list[int], damping: float = 0.0) -> tuple[np.ndarray, ...]:
-        """Normal matrix and score of one view in the lens's numbers, and what gives its pose back."""
         weight = self.weights[view][:, None]
         lens, pose, error = self.by_lens[view][:, free], self.by_pose[view], self.errors[view].ravel()
         corner = pose.T @ (weight * pose)
@@ -194,7 +180,6 @@ class _Linear:
         return whole, whole - mixed @ back[:, :-1], score - mixed @ back[:, -1], back
 
     def bundle(self) -> Bundle:
-        """The fit at this place."""
         every = list(range(len(self.numbers)))
         parts = [self.reduced(view, every) for view in range(len(self.poses))]
         return Bundle(
@@ -250,7 +235,6 @@ def _linearised(
 def _stepped(
     now: _Linear, free: list[int], damping: float
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
-    """Numbers and poses after one damped Gauss-Newton step."""
     try:
         parts = [now.reduced(view, free, damping) for view in range(len(now.poses))]
         numbers, change = now.numbers.copy(), np.zeros(0)
@@ -299,7 +283,7 @@ def _in_front(pose: np.ndarray, view: BoardView) -> bool:
 
 
 def view_error_px(model: LensModel, numbers: Float[ndarray, " p"], view: BoardView) -> float:
-    """Root mean square distance of a view's corners whose pose alone is fitted [px]; or inf."""
+    """Return the RMS error of a view's corners with only its pose fitted [px]; or inf."""
     pose = pose_of(model, numbers, view)
     if pose is None:
         return math.inf

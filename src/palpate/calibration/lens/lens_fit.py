@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -12,13 +12,7 @@ import cv2
 import numpy as np
 
 from palpate.calibration.lens.boards import Board, BoardView, MissedView, read_views
-from palpate.calibration.lens.bundle import (
-    PARAMETERS,
-    Bundle,
-    adjust,
-    first_guess,
-    view_error_px,
-)
+from palpate.calibration.lens.bundle import PARAMETERS, Bundle, adjust, first_guess, view_error_px
 from palpate.core import InputError, Lens, LensModel, PathText, Progress, silent
 
 Choice = Literal["auto", "fisheye", "pinhole"]
@@ -44,11 +38,10 @@ class ViewScore:
     """One photograph in a calibration.
 
     Attributes:
-        name: of the file.
-        rms_px: root mean square distance of its corners that were kept from where the lens puts them [px].
-        held_out_px: the same by a lens fitted without this view, whose pose alone is fitted to it [px].
-        corners, rejected_corners: how many were found, and how many of these were not used.
-        hull_px: the corners of the region that its board covers, (x, y) [px].
+        rms_px: RMS reprojection error of its kept corners [px].
+        held_out_px: the same by a lens fitted without this view [px].
+        corners, rejected_corners: number found, and number not used.
+        hull_px: convex hull of its board (x, y) [px].
     """
 
     name: str
@@ -61,26 +54,20 @@ class ViewScore:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A calibrated lens, and what tells how good it is.
+    """Calibrated lens with its quality.
 
     Attributes:
         lens: valid up to the largest angle at which a corner was seen.
-        board: what was photographed.
-        views: those that were used.
-        rejected: those that were not, and why.
-        mean_px, rms_px: mean and root mean square distance of corners from where the lens puts them [px].
-        held_out_px: root mean square of the views' held-out errors [px].
+        rejected: rejected views, and why.
+        mean_px, rms_px: mean and RMS reprojection error [px].
+        held_out_px: RMS of the views' held-out errors [px].
         scale_px: robust standard deviation of an error along one axis [px].
-        standard_errors: of each number, if errors of corners are independent.
-        standard_errors_by_views: the same by resampling of whole views, which also holds where a board is not
-            flat or the model not quite the lens's.
-        coverage: share of the frame within the hull of all corners.
+        standard_errors: of each parameter, for independent corners.
+        standard_errors_by_views: the same by resampling whole views.
+        coverage: ratio of the frame within the hull of all corners.
         widest_rad: largest angle of a corner from the axis [rad].
-        other_model, other_held_out_px: error on views held out of the model not taken, over all
-            views that either uses; None where it has no fit.
-        plain_rms_px: error of OpenCV's own calibration of all views that were found; None where it fails.
-        plain_failure: what it said then.
-        warnings: what the user should know.
+        other_model, other_held_out_px: held-out error of the model not taken; None without a fit.
+        plain_rms_px, plain_failure: error of OpenCV's own calibration of all views, or its message.
     """
 
     lens: Lens
@@ -103,65 +90,26 @@ class LensFit:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The lens's numbers by name."""
         values = (*self.lens.focal_px, *self.lens.centre_px, *self.lens.distortion)
         return dict(zip(PARAMETERS[self.lens.model], values, strict=True))
 
     def card(self) -> dict[str, Any]:
         """Content of the lens file: the lens's own, and how it was calibrated."""
-        return {
-            **self.lens.card(),
-            "calibration": {
-                "board": self.board.text,
-                "standard_errors": self.standard_errors,
-                "standard_errors_by_views": self.standard_errors_by_views,
-                "mean_px": self.mean_px,
-                "rms_px": self.rms_px,
-                "held_out_px": self.held_out_px,
-                "scale_px": self.scale_px,
-                "coverage": self.coverage,
-                "widest_deg": math.degrees(self.widest_rad),
-                "other_model": self.other_model,
-                "other_held_out_px": self.other_held_out_px,
-                "plain_rms_px": self.plain_rms_px,
-                "plain_failure": self.plain_failure,
-                "views": [
-                    {
-                        "name": view.name,
-                        "rms_px": view.rms_px,
-                        "held_out_px": view.held_out_px,
-                        "corners": view.corners,
-                        "rejected_corners": view.rejected_corners,
-                    }
-                    for view in self.views
-                ],
-                "rejected": [{"name": view.name, "reason": view.reason} for view in self.rejected],
-                "warnings": list(self.warnings),
-            },
-        }
+        told = asdict(self)
+        views = [{k: v for k, v in view.items() if k != "hull_px"} for view in told.pop("views")]
+        del told["lens"], told["widest_rad"]
+        own = {"board": self.board.text, "widest_deg": math.degrees(self.widest_rad), "views": views}
+        return {**self.lens.card(), "calibration": told | own}
 
 
 def calibrate_lens(
-    folder: PathText,
-    board: Board,
-    model: Choice = "auto",
-    *,
-    name: str = "",
-    progress: Progress = silent,
+    folder: PathText, board: Board, model: Choice = "auto", *, name: str = "", progress: Progress = silent
 ) -> LensFit:
-    """Calibrate a lens from photographs of a board.
+    """Calibrate a lens from photographs of a board, all of one camera at one size.
 
     Args:
-        folder: of the photographs, all of one camera at one size.
-        board: what they show.
-        model: "auto" takes the one with the smaller error on views held out.
-        name: what the lens shall be called.
-        progress: told what is being done.
-
-    Raises:
-        InputError: sizes are mixed, the board is another, or the views are too few or cannot tell the lens;
-            the message says which.
-        ImageError: a file is no image.
+        model: "auto" takes the one with the smaller held-out error.
+        name: name of the lens.
     """
     _check_choice(model)
     views, missed = read_views(folder, board, progress)
@@ -177,11 +125,7 @@ def fit_lens(
     name: str = "",
     progress: Progress = silent,
 ) -> LensFit:
-    """Fit a lens to views of a board: the same as `calibrate_lens`, from corners on.
-
-    Raises:
-        InputError: the views are too few or cannot tell the lens.
-    """
+    """Fit a lens to views of a board."""
     _check_choice(model)
     if len({view.size_px for view in views}) > 1:
         raise InputError("views of several image sizes; give those of one camera at one size")
@@ -246,10 +190,6 @@ class _Accepted:
 def _compared(
     fits: Mapping[LensModel, _Accepted | InputError], views: Sequence[BoardView]
 ) -> dict[LensModel, float]:
-    """Held-out error of each model over the same views: those that either uses.
-
-    A model that fits the lens badly rejects the views at the rim, and would look good on what it keeps.
-    """
     fitted = {model: fit for model, fit in fits.items() if not isinstance(fit, InputError)}
     names = {view.name for fit in fitted.values() for view in fit.whole}
     return {model: fitted[model].held_out_of(views, names) if model in fitted else math.inf for model in fits}
@@ -260,7 +200,6 @@ def _rms(values: Sequence[float]) -> float:
 
 
 def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Accepted:
-    """Fit, take out the worst view and the corners that lie far off, and fit again, until all agree."""
     guess = first_guess(model, views)
     poses = [np.full(6, np.nan)] * len(views) if guess is None else guess.poses
     rejected = [
@@ -323,7 +262,6 @@ def _good_corners(view: BoardView, errors: np.ndarray, bundle: Bundle) -> tuple[
 
 
 def _without_each(bundle: Bundle, views: Sequence[BoardView], progress: Any) -> list[float]:
-    """Error of each view by a lens fitted without it, or without its fold where there are many views."""
     count = len(views)
     folds = [list(range(i, count, MAX_FOLDS)) for i in range(min(count, MAX_FOLDS))]
     held = np.zeros(count)
@@ -391,9 +329,8 @@ def _told(
 
 
 def _standard_errors(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
-    """Standard errors of the lens's numbers: from the spread of corners, and by resampling views.
-
-    A resampled fit is one Gauss-Newton step from the fit, whose normal equations each view has a part in.
+    """Standard errors of the lens parameters: from the spread of corners, and by resampling views, one
+    Gauss-Newton step each.
     """
     normal = bundle.normal.sum(axis=0)
     unit = 1 / np.sqrt(np.diag(normal))

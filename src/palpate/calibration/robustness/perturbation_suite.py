@@ -1,8 +1,7 @@
-"""Perturbation suite: what changes of the camera cost a calibration's model, and a guard that knows it.
+"""Perturbation suite: cost of camera changes to a calibration's model, and a guard that knows them.
 
-Some held-out frames are changed by each kind and size of `perturbations.KINDS` and read by the model that is
-kept. A changed frame's estimate is its held-out one, moved as far as the kept model's moves with the change:
-so errors are those on groups not seen, and the change is that of the model that will sense.
+Held-out frames are changed by each kind and size of `perturbations.KINDS`. A changed frame's estimate is its
+held-out one plus the change of the kept model's output.
 """
 
 from __future__ import annotations
@@ -46,9 +45,7 @@ from palpate.estimators.networks.model_interface import Fitted
 from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Split
 
-MIN_ROWS = 50
-"""Held-out frames, with fewer of which neither the cost of a change nor false refusals can be told."""
-
+MIN_ROWS = 50  # held-out frames needed for the cost of a change and false refusals
 FRAMES_A_CELL = 12
 MIN_FRAMES_A_CELL = 4
 ROWS_A_FRAME = 5  # with fewer held-out frames, each is changed as often
@@ -62,13 +59,12 @@ BEYOND = 2.0  # half-widths
 
 @dataclass(frozen=True)
 class Suite:
-    """A calibration's frames and its model, to be tried.
+    """Frames and model of a calibration to be tested.
 
     Attributes:
-        job: rows, folds, and the seed of which frames are changed, and how.
         held_out: outputs ``[n o]`` by a model that had not seen the row's group; NaN where not scored.
-        fitted: the model that is kept.
-        intervals: those of its certificate.
+        fitted: model that is kept.
+        intervals: of its certificate.
     """
 
     job: CalibrationJob
@@ -88,11 +84,9 @@ class Suite:
         return np.flatnonzero(told) if told.any() else np.arange(len(told))
 
     def frame(self, row: int) -> Image:
-        """The camera's frame of a row."""
         return self.job.run.frame(int(self.job.rows[row])).image
 
     def prepared(self, frame: Image) -> UInt8[np.ndarray, "_ _ _"]:
-        """What the model is given of a frame."""
         return self.job.whole.preparation.apply(frame)
 
     def outputs(self, rows: Indices, prepared: list[np.ndarray]) -> Outputs:
@@ -117,16 +111,12 @@ def told_targets(
     layout: TargetLayout,
     coverage: float,
 ) -> Bool[np.ndarray, " t"]:
-    """Targets predicted better than by the mean, with intervals shorter than their range.
-
-    It is the rule of `TargetCard.is_read`, but that the mean is one of all rows.
+    """Return whether each target is predicted better than by the mean, with intervals shorter than its range.
 
     Args:
-        held_out: outputs ``[n o]`` for rows that the model had not seen.
-        true, widths: their labels, and the widths of their intervals ``[n t]``.
-        learnt: the labels of all rows ``[m t]``.
-        layout: of the targets in the outputs.
-        coverage: of the intervals.
+        held_out: held-out outputs ``[n o]``.
+        true, widths: labels, and widths of their intervals ``[n t]``.
+        learnt: labels of all rows ``[m t]``.
     """
     error = np.abs(layout.differences(layout.decoded(held_out), true)).mean(axis=0)
     told = [
@@ -138,7 +128,6 @@ def told_targets(
 
 
 def _untold(learnt: np.ndarray, widths: np.ndarray, period: float | None, coverage: float) -> float:
-    """Width from which on an interval tells nothing."""
     if period is None:
         return float(np.ptp(learnt))
     least, greatest = calibrated_arc(learnt, period)
@@ -147,13 +136,12 @@ def _untold(learnt: np.ndarray, widths: np.ndarray, period: float | None, covera
 
 @dataclass(frozen=True)
 class Tried:
-    """Changed frames, and what they did.
+    """Changed frames and their effect.
 
     Attributes:
-        row: of which each is ``[m]``.
+        row: row of each ``[m]``.
         kind, size: of the change ``[m]``.
-        prepared: what the model was given.
-        moved: how far the outputs moved with the change ``[m o]``.
+        moved: change of the outputs ``[m o]``.
     """
 
     row: Int[np.ndarray, " m"]
@@ -166,15 +154,10 @@ class Tried:
 def try_changes(
     suite: Suite, detector: NoveltyDetector, progress: Progress = silent
 ) -> tuple[NoveltyDetector, RobustnessCard]:
-    """Measure what changes of the camera cost, and let the guard know.
+    """Measure the cost of camera changes, and return a guard that refuses the costly ones, with its card.
 
     Args:
-        suite: what to try.
-        detector: the guard, fitted to all thumbnails of the suite's frames with its seed.
-        progress: called with how far it is.
-
-    Returns:
-        The guard, which refuses what costs the model more than its intervals promise, and what was found.
+        detector: guard, fitted to all thumbnails of the suite's frames with its seed.
     """
     scored = np.flatnonzero(~np.isnan(suite.held_out).any(axis=1))
     if not suite.job.plan.targets:
@@ -238,7 +221,6 @@ def _prepared(suite: Suite, rows: Indices) -> Iterator[np.ndarray]:
 
 
 def _tried(suite: Suite, rows: Indices, rng: np.random.Generator, progress: Progress) -> Tried:
-    """Change a few of the rows' frames by each kind and size, each frame about as often."""
     first = suite.frame(int(rows[0]))
     kinds = kinds_for(first)
     pixels = first.shape[0] * first.shape[1]
@@ -263,22 +245,17 @@ def _tried(suite: Suite, rows: Indices, rng: np.random.Generator, progress: Prog
 
 @dataclass(frozen=True)
 class _Errors:
-    """Signed errors of estimates and the half-widths of their intervals ``[m t]``, in the targets' units.
-
-    The targets are those that the model reads.
-    """
+    """Signed errors and half-widths ``[m t]`` of the targets that the model reads, in their units."""
 
     error: Values
     half: Values
 
     @property
     def scaled(self) -> Values:
-        """Errors in half-widths."""
         return self.error / self.half
 
     @property
     def beyond(self) -> np.ndarray:
-        """Readings whose error is beyond twice the half-width."""
         return np.abs(self.scaled) > BEYOND
 
 
@@ -293,10 +270,7 @@ def _errors(suite: Suite, rows: Indices, moved: Float[np.ndarray, "_ _"]) -> _Er
 
 
 def _turns(periods: Sequence[float | None], changed: _Errors) -> Values:
-    """Each target's period in half-widths ``[m t]``; infinite where an error does not come round again.
-
-    That is so of plain targets, and of an estimate that is no number.
-    """
+    """Each target's period in half-widths ``[m t]``; infinite for plain targets and estimates not finite."""
     period = np.array([np.inf if one is None else one for one in periods])
     return np.where(np.abs(changed.error) <= period, period / changed.half, np.inf)
 
@@ -304,13 +278,6 @@ def _turns(periods: Sequence[float | None], changed: _Errors) -> Values:
 def _harm(
     unchanged: Values, moved: Float[np.ndarray, "m t"], turns: Float[np.ndarray, "m t"]
 ) -> Float[np.ndarray, " m"]:
-    """Rise of the ratio of readings beyond twice their half-width, were every frame's estimate moved so far.
-
-    Args:
-        unchanged: errors of unchanged frames ``[n t]``, in half-widths.
-        moved, turns: shift of the estimates by each change, and period of the errors ``[m t]``, in
-            half-widths.
-    """
     usual = np.mean(np.abs(unchanged) > BEYOND, axis=0)
     pairs = zip(np.nan_to_num(moved), turns, strict=True)
     shares = np.stack([np.mean(_shortest(unchanged + far, turn) > BEYOND, axis=0) for far, turn in pairs])
@@ -333,10 +300,8 @@ def _examples(
     harm: Float[np.ndarray, " m"],
     learnt: Indices,
 ) -> tuple[ChangeExamples, Registration]:
-    """Features and novelty of unchanged and changed frames, each next to thumbnails of other folds alone.
-
-    Trained frames that were not scored count as unchanged: where few locations are scored, a touch between
-    them would otherwise resemble a change.
+    """Features and novelty of unchanged and changed frames, each compared with thumbnails of other folds
+    alone; trained frames that were not scored count as unchanged.
     """
     frame = np.concatenate([rows, tried.row, learnt])
     prepared = [*_prepared(suite, rows), *tried.prepared, *_prepared(suite, learnt)]
@@ -351,22 +316,13 @@ def _examples(
     names = tuple(dict.fromkeys(tried.kind.tolist()))
     kind, all_harm = np.zeros(len(frame), np.int64), np.zeros(len(frame))
     kind[changed], all_harm[changed] = [names.index(name) + 1 for name in tried.kind], harm
-    examples = ChangeExamples(
-        np.stack(features),
-        frame,
-        kind,
-        all_harm,
-        novelty,
-        names,
-        local=True,
-    )
+    examples = ChangeExamples(np.stack(features), frame, kind, all_harm, novelty, names, local=True)
     return examples, registration
 
 
 def _novelty(
     suite: Suite, detector: NoveltyDetector, frame: Indices, thumbs: list[np.ndarray]
 ) -> tuple[Float[np.ndarray, " m"], list[np.ndarray]]:
-    """Novelty of thumbnails of these rows, and what is unlike those that the guard keeps of other folds."""
     kept, total = kept_rows(len(suite.job.whole), suite.job.plan.seed), len(detector.neighbours.thumbs)
     novelty, unlike = np.empty(len(frame)), [np.empty(0)] * len(frame)
     for rows, whole in zip(suite.job.parts.folds, suite.job.folds_of_whole(), strict=True):
@@ -380,7 +336,6 @@ def _novelty(
 def _card(
     rows: Indices, tried: Tried, unchanged: _Errors, changed: _Errors, refused: np.ndarray
 ) -> RobustnessCard:
-    """The table of errors and refusals, and its sum in a sentence."""
     own = {int(row): i for i, row in enumerate(rows)}
     before = np.abs(unchanged.error[[own[int(row)] for row in tried.row]])
     refused_changed, table, wrong = refused[len(rows) :], [], []
@@ -419,14 +374,8 @@ def _card(
 
 
 def _more_often(wrong: Sequence[int], frames: Sequence[int], usual: int, unchanged: int) -> list[bool]:
-    """Changes in which frames are wrong significantly more often than unchanged ones.
-
-    Fisher's exact test of frames, since readings of one frame err together, and Holm's procedure over all
-    changes.
-
-    Args:
-        wrong, frames: of each change, frames with a reading beyond twice its half-width, and all.
-        usual, unchanged: the same of unchanged frames.
+    """Changes in which frames are wrong significantly more often, by Fisher's exact test and Holm's
+    procedure.
     """
     tables = [[[k, n - k], [usual, unchanged - usual]] for k, n in zip(wrong, frames, strict=True)]
     p = np.array([fisher_exact(table, alternative="greater").pvalue for table in tables])
@@ -460,14 +409,9 @@ def _text(table: list[PerturbationCard], frames: int, refused: float, beyond: fl
     )
 
 
-MAX_SLIGHT = 1.1
-"""A change whose errors are less than this many times the unchanged frames' costs less than 10 %."""
-MAX_SILENT = 0.02
-"""Readings beyond twice their half-width may pass by this share more often than of unchanged frames."""
-SIGNIFICANCE = 0.05
-"""Probability of naming any change that passes wrong no more often than unchanged frames."""
-
-
+MAX_SLIGHT = 1.1  # error over unchanged frames' below which a change costs less than 10 %
+MAX_SILENT = 0.02  # ratio by which undetected wrong readings may exceed unchanged frames'
+SIGNIFICANCE = 0.05  # probability of naming a harmless change
 MAX_FOLDS = 10  # in which frames are set beside those of the others: each costs a look at all of them
 
 
@@ -487,12 +431,11 @@ class CertifiedModel:
         return onnx.load(str(file), load_external_data=False)
 
 
-TOGETHER = 12
-"""Frames of the former calibration that are held out together: they lie in the order of its presses."""
+TOGETHER = 12  # neighboring frames of the former calibration that are held out together
 
 
 def former_frames(estimator: Estimator) -> RenderedImages:
-    """Thumbnails that a calibration's guard keeps, those of neighboring presses together."""
+    """Return the thumbnails that a calibration's guard keeps, neighboring presses together."""
     kept = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard)).neighbours.thumbs
     return RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
 
@@ -500,34 +443,24 @@ def former_frames(estimator: Estimator) -> RenderedImages:
 def adapted_guard(
     suite: Suite, former: RenderedImages, progress: Progress = silent
 ) -> tuple[NoveltyDetector, RobustnessCard]:
-    """Guard of a calibration that is taken over to another unit of its sensor, or to another session.
+    """Return the guard of a calibration adapted to another sensor unit or session, with its card.
 
-    It knows the former frames in addition to the new ones, which set its limits and test camera changes anew.
-    Where the former frames are too unlike these to help, they are left out.
+    The new frames set its limits and test camera changes anew; the former ones are kept if they are similar.
 
     Args:
-        suite: the new frames, with outputs of the network for them.
-        former: thumbnails that the former calibration's guard keeps.
-        progress: called with how far it is.
-
-    Returns:
-        The guard, and what was found; with too few frames it compares thumbnails alone.
+        suite: new frames, with outputs of the network for them.
+        former: thumbnails that the former guard keeps.
     """
     job = suite.job
     progress("learning what frames look like", 0, 1)
     thumbs = job.thumbnails()
     detector = fit_novelty_detector(
-        thumbs,
-        job.folds_of_whole(),
-        thumbs[job.untouched.rows],
-        also=former,
-        seed=job.plan.seed,
+        thumbs, job.folds_of_whole(), thumbs[job.untouched.rows], also=former, seed=job.plan.seed
     )
     progress("learning what frames look like", 1, 1)
     return try_changes(replace(suite, job=replace(job, parts=_in_few_folds(job.parts))), detector, progress)
 
 
 def _in_few_folds(parts: Split) -> Split:
-    """The same rows, several folds held out together where there are many."""
     count = min(MAX_FOLDS, len(parts.folds))
     return replace(parts, folds=tuple(np.concatenate(parts.folds[k::count]) for k in range(count)))

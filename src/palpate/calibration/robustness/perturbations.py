@@ -1,14 +1,8 @@
-"""Perturbations of a camera's frame at stated sizes: what focus, mounting, light, storage and dirt do to it.
+"""Perturbations of a camera frame at stated sizes: focus, mounting, light, storage, dirt.
 
-Each is a pure function of a frame, a size in the unit that its kind names, and a generator, which draws what
-the size leaves open: a direction, a sign, places. Size 0 is the frame itself.
-
-Labels never change with them. A reading is in the skin's frame, so that a camera that is shifted, turned or
-zoomed makes an error of the instrument and no other touch.
-
-A frame of two grey levels was made by a threshold behind the camera. What happens before that threshold
-(focus, mounting) is thresholded again halfway between the levels; what happens after it (softening, as by a
-codec or a resize, compression, noise) is not.
+Each is a pure function of frame, size, and a generator that draws direction, sign, and places; size 0 is the
+frame itself. Frames of two grey levels are thresholded again after focus and mounting changes, and not after
+softening, compression, and noise.
 """
 
 from __future__ import annotations
@@ -28,13 +22,11 @@ Sizes = tuple[float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class PerturbationKind:
-    """One kind of change, at five sizes.
+    """One kind of change, at five rising sizes.
 
     Attributes:
-        unit: of the sizes.
-        sizes: five, rising, 0 none of them.
-        change: frame, size and generator to the changed frame.
-        of_binary: True if only frames of two grey levels suffer it, False if only others; None if all do.
+        change: frame, size, and generator to the changed frame.
+        of_binary: True for frames of two grey levels only, False for others only; None for all.
     """
 
     unit: str
@@ -44,17 +36,12 @@ class PerturbationKind:
 
 
 def perturbed(image: Image, kind: str, size: float, rng: Rng) -> Image:
-    """A frame changed by one kind of perturbation.
+    """Return a frame changed by one kind of perturbation.
 
     Args:
         image: 8-bit, grey ``[h w]`` or RGB ``[h w 3]``.
-        kind: a name in `KINDS`.
+        kind: name in `KINDS`.
         size: in the kind's unit; 0 changes nothing.
-        rng: draws what the size leaves open.
-
-    Raises:
-        InputError: there is no such kind.
-        RangeError: the size is negative or not finite.
     """
     if kind not in KINDS:
         raise InputError(
@@ -69,19 +56,18 @@ def perturbed(image: Image, kind: str, size: float, rng: Rng) -> Image:
 
 
 def kinds_for(image: Image) -> tuple[str, ...]:
-    """Names of the kinds that frames like this one can suffer."""
+    """Return the names of the kinds that apply to such frames."""
     binary = is_binary(image)
     return tuple(name for name, kind in KINDS.items() if kind.of_binary in (None, binary))
 
 
 def is_binary(image: Image) -> bool:
-    """True if a frame has two grey levels, as behind a threshold."""
+    """Return whether a frame has two grey levels, as behind a threshold."""
     low, high = int(image.min()), int(image.max())
     return low < high and bool(np.isin(image, (low, high)).all())
 
 
 def _behind_threshold(image: Image, changed: np.ndarray) -> Image:
-    """What was changed before the threshold, thresholded again where the frame has two levels."""
     if not is_binary(image):
         return _as_8_bit(changed)
     low, high = image.min(), image.max()
@@ -165,12 +151,10 @@ def _noise(image: Image, sigma: float, rng: Rng) -> Image:
     return _as_8_bit(image + sigma * rng.standard_normal(image.shape, np.float32))
 
 
-SPECK = 0.01
-"""Radius of a speck, as a share of the frame's shorter side."""
+SPECK = 0.01  # radius of a speck, relative to the frame's shorter side
 
 
 def _dust(image: Image, percent: float, rng: Rng) -> Image:
-    """Round specks, dark or bright, until they cover the share asked for."""
     height, width = image.shape[:2]
     radius = max(1, round(SPECK * min(height, width)))
     dark, bright = (np.zeros((height, width), np.uint8) for _ in range(2))
@@ -181,7 +165,6 @@ def _dust(image: Image, percent: float, rng: Rng) -> Image:
 
 
 def _dead_columns(image: Image, count: float, rng: Rng) -> Image:
-    """Whole columns stuck at the frame's darkest or brightest grey level."""
     width = image.shape[1]
     dead = rng.choice(width, min(round(count), width), replace=False)
     stuck = image.copy()
@@ -211,10 +194,7 @@ OUTLINE_SIGMA_PX = 0.8
 
 
 def _outside_px(bright: np.ndarray) -> Float32[np.ndarray, "h w"]:
-    """Distance of each pixel from the outline between bright and dark, negative inside [px].
-
-    Smoothed, since it counts from the middles of whole pixels and an outline lies anywhere between them.
-    """
+    """Smoothed signed distance of pixels from the outline between bright and dark, negative inside [px]."""
     away, into = (
         cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (1 - bright, bright)
     )
@@ -224,6 +204,7 @@ def _outside_px(bright: np.ndarray) -> Float32[np.ndarray, "h w"]:
 
 _FINE: Sizes = (0.5, 1, 1.5, 2, 3)
 
+# every kind of perturbation, by name; `known_changes.SIGNATURES` has what to do about each
 KINDS: dict[str, PerturbationKind] = {
     "focus": PerturbationKind("px (sigma)", _FINE, _focus),
     "softening": PerturbationKind("px (sigma)", _FINE, _softening, of_binary=True),
@@ -238,4 +219,3 @@ KINDS: dict[str, PerturbationKind] = {
     "dust": PerturbationKind("% of the frame", (0.1, 0.2, 0.5, 1, 2), _dust),
     "dead columns": PerturbationKind("columns", (1, 2, 4, 8, 16), _dead_columns),
 }
-"""Every kind of perturbation, by name; `known_changes.SIGNATURES` has what to do about each."""

@@ -1,7 +1,5 @@
-"""Evaluations kept beside a card: one file each, which names the card and cannot be altered unnoticed.
-
-They lie in the calibration's folder as ``evaluation-RUN.json``, RUN being the first digits of the run's hash.
-The card is not touched. One that is damaged, or of another card, is refused by name.
+"""Evaluations kept next to a card as ``evaluation-RUN.json``, RUN being the first digits of the run's hash; a
+damaged one, or one of another card, is refused by name.
 """
 
 from __future__ import annotations
@@ -22,32 +20,26 @@ from palpate.version import __version__
 FORMAT = "palpate-evaluation/1"
 PREFIX, SUFFIX = "evaluation-", ".json"
 MAX_BYTES = 4_000_000
-DIGITS = 12
-"""Of a run's hash, in a file's name."""
+DIGITS = 12  # of a run's hash, in a file's name
 
 
 class EvaluationRecord(SealedCard):
-    """Scores of a calibration on a run, as kept beside its card.
+    """Scores of a calibration on a run.
 
     Attributes:
         id: hash of everything else here.
-        calibration: id of the card, which is a hash of all that it says.
-        created_utc, software: when and by what it was made.
-        run: ``run_id``, ``hash`` and ``frames`` of the run scored on.
-        session: name of the run's session, or of its sessions.
-        same_session: why this tests no other day: none than was learnt from, or labels outside what was
-            calibrated; empty where it tests one.
-        targets: scores of each target's column.
-        frames_scored, frames_read: how many frames were scored, and could be read.
-        frames_valid: how many tell some target, and have no reading of a target that they tell refused by
-            guard or range rule.
-        frames_untold: how many frames do not tell a target, by its column; all where it is not read.
-        frames_all_valid: how many gave a valid reading of everything that the calibration reads.
-        findings: sentences on each target's column whose intervals do not keep the promise here.
-        instruments: a sentence on each target whose labels are by another instrument than the card's.
-        valid_readings: scores of each target's valid readings alone.
-        groups: how many groups (presses) these are of.
-        reference: whether one image of the untouched sensor was given for all.
+        calibration: id of the card.
+        run: ``run_id``, ``hash``, and ``frames`` of the scored run.
+        session: name of the run's sessions.
+        same_session: why this tests no other day; empty where it does.
+        targets: scores by target column.
+        frames_valid: frames with some identifiable target and no refused reading of one.
+        frames_untold: frames whose interval is as wide as the range, by column.
+        frames_all_valid: frames with a valid reading of everything that the calibration reads.
+        findings: sentences on columns whose intervals do not keep the promise.
+        instruments: sentences on targets whose labels are by another instrument than the card's.
+        groups: number of groups (presses).
+        reference: one no-contact image was given for all.
     """
 
     format: Literal["palpate-evaluation/1"]
@@ -85,21 +77,10 @@ class EvaluationRecord(SealedCard):
 
 
 def keep_evaluation(folder: PathText, scores: dict[str, Any], *, reference: bool = False) -> Path:
-    """Keep the scores of `evaluate` beside the card that they are of.
-
-    The same scores are kept once. Others of the same run, as with another reference, get a file of their own.
+    """Keep the scores of `evaluate` next to their card, and return the file; equal scores are kept once.
 
     Args:
-        folder: the calibration.
-        scores: what `evaluate` returned for it.
-        reference: whether one image of the untouched sensor was given for all frames.
-
-    Returns:
-        The file that holds them.
-
-    Raises:
-        CertificateError: the scores are of another calibration, or a file that is there is damaged.
-        StorageError: the disk is full or refuses.
+        reference: one no-contact image was given for all frames.
     """
     folder = Path(folder)
     card = read_card(folder)
@@ -140,12 +121,7 @@ def _sealed(scores: dict[str, Any], reference: bool) -> EvaluationRecord:
 
 @parser("evaluation record", CertificateError)
 def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
-    """Read and check one evaluation.
-
-    Raises:
-        CertificateError: it is damaged or altered, of another card, or another version of palpate has to
-            read it.
-    """
+    """Read and check one evaluation."""
     remedy = "move it away, and evaluate again"
     if path.is_symlink() or not path.is_file() or path.stat().st_size > MAX_BYTES:
         raise CertificateError(f"{path} is no evaluation that palpate wrote; {remedy}")
@@ -162,15 +138,11 @@ def read_evaluation(path: Path, card: Card) -> EvaluationRecord:
 
 
 def read_evaluations(folder: PathText, card: Card) -> tuple[EvaluationRecord, ...]:
-    """All evaluations beside a card, the earliest first.
-
-    Raises:
-        CertificateError: one is damaged, altered, or of another card; the message names it.
-    """
+    """Read all evaluations next to a card, the earliest first."""
     paths = sorted(Path(folder).glob(f"{PREFIX}*{SUFFIX}"))
     return in_order([read_evaluation(path, card) for path in paths])
 
 
 def in_order(found: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
-    """Evaluations, the earliest first."""
+    """Return evaluations, the earliest first."""
     return tuple(sorted(found, key=lambda one: one.created_utc))

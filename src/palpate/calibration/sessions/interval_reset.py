@@ -1,10 +1,8 @@
-"""Intervals recalibrated for a session by some tens of its labeled rows, with the network as it was.
+"""Recalibrate intervals for a session by some tens of its labeled rows; the network stays.
 
-Errors of rows that the network has not seen are exchangeable with those to come: of n rows, a new one's
-scaled error is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n + 1) (V. Vovk, A.
-Gammerman and G. Shafer, Algorithmic Learning in a Random World, Springer 2005, doi:10.1007/b106715). Where
-rows come in presses, n counts presses and one row is drawn from each (`coverage.group_quantiles`). With the
-rows in hand the coverage is one draw of a Beta distribution with parameters r and n + 1 - r.
+Of n exchangeable scores a new one is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n +
+1) (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, Springer 2005,
+doi:10.1007/b106715); n counts presses. Given the rows, the coverage is Beta(r, n + 1 - r).
 """
 
 from __future__ import annotations
@@ -42,13 +40,13 @@ from palpate.calibration.certificate import (
 )
 from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
 from palpate.calibration.classes.prediction_sets import held_out_classes
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
+    grouped_coverage_interval,
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
 )
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.coverage.range_limits import range_cards
+from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
 from palpate.calibration.robustness.perturbation_suite import (
     CertifiedModel,
@@ -56,16 +54,7 @@ from palpate.calibration.robustness.perturbation_suite import (
     adapted_guard,
     former_frames,
 )
-from palpate.core import (
-    Float,
-    InputError,
-    PathText,
-    Progress,
-    Values,
-    new_folder,
-    refuse_existing,
-    silent,
-)
+from palpate.core import Float, InputError, PathText, Progress, Values, new_folder, refuse_existing, silent
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
 from palpate.estimators.class_sets import ClassCard, ClassOutputs
 from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
@@ -95,9 +84,8 @@ class ExpectedCoverage:
     """Coverage of intervals that the r-th smallest of n exchangeable scores sets.
 
     Attributes:
-        rank: r.
-        mean: r / (n + 1), over drawings of the n.
-        low, high: limits that hold 95 % of those drawings.
+        mean: r / (n + 1).
+        low, high: 95 % limits over drawings of the n.
     """
 
     rank: int
@@ -107,7 +95,7 @@ class ExpectedCoverage:
 
     @classmethod
     def of(cls, n: int, coverage: float) -> ExpectedCoverage:
-        """Expected coverage of so many scores.
+        """Return the expected coverage of so many scores.
 
         Example:
             >>> found = ExpectedCoverage.of(100, 0.9)
@@ -120,18 +108,11 @@ class ExpectedCoverage:
 
 
 def intervals_set_anew(former: Intervals, outputs: Outputs, true: Values, groups: np.ndarray) -> Intervals:
-    """Intervals of a session from rows that the network has not seen.
-
-    How their width follows the estimate stays; bands for parts of the range are the former session's, and go.
+    """Return intervals of a session from rows that the network has not seen; bands over the range go.
 
     Args:
-        former: the calibration's.
-        outputs: of the model for the rows ``[n o]``.
-        true: the labels ``[n t]``.
-        groups: label of each row's group ``[n]``, such as its press.
-
-    Raises:
-        InputError: too few groups for the coverage.
+        outputs, true: of the model ``[n o]``, and labels ``[n t]``.
+        groups: group (press) of each row ``[n]``.
     """
     scores = np.abs(former.errors(outputs, true)) / former.spread.at(outputs)
     quantile = [new_group_quantile(column, groups, former.coverage) for column in scores.T]
@@ -144,16 +125,11 @@ def radius_set_anew(
     groups: np.ndarray,
     coverage: float,
 ) -> float:
-    """Radius of a vector's joint region in a session; the ellipsoid's shape stays.
+    """Return the radius of a vector's joint region in a session; the ellipsoid's shape stays.
 
     Args:
         correlation: of the former session's errors, in units of their spread.
         scaled: signed errors of the rows, in these units.
-        groups: label of each row's group ``[n]``.
-        coverage: how often the region shall cover all components at once.
-
-    Raises:
-        InputError: too few groups for the coverage.
     """
     radius = new_group_quantile(mahalanobis(scaled, correlation), groups, coverage)
     return max(radius, float(np.finfo(np.float32).tiny))
@@ -169,24 +145,13 @@ def reset_intervals(
 ) -> Card:
     """Recalibrate a calibration's intervals by some tens of labeled rows of a new session.
 
-    The network stays, to the last byte; the novelty detector learns the session's frames in addition.
+    The network stays to the last byte; the novelty detector adds the session's frames.
 
     Args:
-        folder: the calibration; nothing in it is changed.
+        folder: calibration; it is not changed.
         run: labeled rows of one new session, of nine groups or more at 90 %.
-        out: the calibration folder to make; must not exist, and appears whole.
-        progress: called with what is being done and how far it is.
-        instruments: what label columns were measured with; precedes the run's manifest.
-
-    Returns:
-        The new card; `interval_reset` names the calibration and the run that set it.
-
-    Raises:
-        ExistsError: `out` exists.
-        CertificateError: the calibration is damaged.
-        ImageError: frames are of another size, or the untouched sensor is missing where it is subtracted.
-        LabelError: a target is not among the labels, or an instrument is given for what is none of them.
-        InputError: too few rows, several sessions, or one that the calibration was trained on.
+        out: calibration folder to make; must not exist, and appears whole.
+        instruments: reference instruments of label columns; precede the run's manifest.
     """
     folder, out = Path(folder), Path(out)
     refuse_existing(out)
@@ -228,11 +193,9 @@ class _SessionRows:
     """Rows of the new session, as the calibration reads them.
 
     Attributes:
-        rows: of the run ``[n]``, without those of the untouched sensor.
+        rows: of the run ``[n]``, without no-contact rows.
         outputs, of_classes: of the network for the targets ``[n o]`` and for classes ``[n k]``.
-        predicted, true: ``[n t]``.
         columns: label columns that name a group; none where each row is its own.
-        groups: number of each row's group ``[n]``.
     """
 
     session: str
@@ -275,7 +238,6 @@ class _SessionRows:
 
 
 def _new_session(estimator: Estimator, run: Run) -> str:
-    """Name of the one session that a run is of, which the calibration knows nothing of."""
     if why := same_session(estimator, run):
         raise InputError(
             f"{run.path} sets no interval for another day: {why}; record rows of the new session",
@@ -322,7 +284,6 @@ def _guard(
 
 
 def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> Suite:
-    """The session's frames, whole groups in a fold, with what the network gives for them."""
     card = estimator.card
     whole = pack(run, work / "packed", card.input.preparation)
     plan = CalibrationPlan.of_card(card, rule_in_run(card, run))
@@ -337,7 +298,6 @@ def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> 
 
 
 def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
-    """The usual pictures as they were, and this session's rows that are missed most."""
     for part in card.files:
         if part.file in ("example.png", "reference.png"):
             shutil.copyfile(checked_file(folder, part), building / part.file)
@@ -447,7 +407,6 @@ def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | Non
 
 
 def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
-    """A vector whose region these rows have set, and the share of them that it holds."""
     at, own = [former.columns.index(part) for part in vector.columns], intervals_of(former)
     scaled = own.errors(rows.outputs, rows.true) / own.spread.at(rows.outputs)
     correlation = np.array(vector.correlation)
@@ -459,7 +418,6 @@ def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
 
 
 def _classes(former: Card, rows: _SessionRows) -> HeldOutClasses | None:
-    """The classes, whose thresholds these rows have set, scored without each row's own group."""
     if not former.classes:
         return None
     labels = tuple(

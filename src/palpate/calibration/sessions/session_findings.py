@@ -14,7 +14,7 @@ import pandas as pd
 from palpate.calibration.calibration_job import HELD_OUT_WHOLE, groups_within
 from palpate.calibration.certificate import CalibrationResult, IntervalFit, run_card
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.calibration.coverage.group_quantiles import is_distribution_free, rank_of_new_group
+from palpate.calibration.coverage.grouped_rates import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
     few_sessions_factor,
@@ -29,17 +29,12 @@ from palpate.recordings import PackedSet, Run, Split
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.splits import SESSION, group_names
 
-MAX_COPIES = 0.05
-"""Ratio of a session's frames that may equal another's, as of a sensor that is dark at a light touch."""
-MAX_ALTERED = 0.5
-"""Ratio of the scored frames that are altered copies of another session's, from which it is no other."""
-MAX_SHARE_OF_VARIANCE = 0.9
-"""Ratio of a target's variance between sessions, above which the session predicts the target."""
+MAX_COPIES = 0.05  # ratio of a session's frames that may equal another's, as of a dark sensor
+MAX_ALTERED = 0.5  # ratio of scored frames that are altered copies of another session's
+MAX_SHARE_OF_VARIANCE = 0.9  # ratio of a target's variance between sessions
 MIN_ROWS = 10
-MAX_STRETCHES = 3.0
-"""Stretches of neighboring rows, over the number of sessions, above which sessions alternate."""
-MAX_SPANS = 20.0
-"""Ratio of a target's spans in two sessions, above which they may be in two units."""
+MAX_STRETCHES = 3.0  # stretches over the number of sessions, above which sessions alternate
+MAX_SPANS = 20.0  # ratio of a target's spans in two sessions, above which units may differ
 SHUFFLES, LEVEL = 199, 0.05
 MIN_UNITS = 8  # presses of a session, with fewer of which its frames are not compared with another's
 MAX_PAIRS, MAX_NAMED = 45, 3
@@ -52,8 +47,7 @@ class HeldOutSessions:
 
     Attributes:
         column: label column that names them.
-        of: name of each scored row's session ``[n]``.
-        groups: label of each scored row's group within them ``[n]``.
+        of, groups: session of each scored row, and its group within that ``[n]``.
     """
 
     column: str
@@ -62,12 +56,11 @@ class HeldOutSessions:
 
     @property
     def count(self) -> int:
-        """Number of sessions."""
         return len(np.unique(self.of))
 
 
 def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> HeldOutSessions | None:
-    """Sessions that were held out whole and scored; None where fewer than two were."""
+    """Return the sessions that were held out whole and scored; None where fewer than two were."""
     for column in HELD_OUT_WHOLE:
         if column not in split.group_columns or column not in table:
             continue
@@ -82,7 +75,7 @@ def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> Hel
 
 
 def interval_fit(held: HeldOutSessions | None) -> IntervalFit:
-    """Way to make intervals: for new sessions where such were held out."""
+    """Return the interval fit: for new sessions where such were held out."""
     return fit_intervals if held is None else partial(_for_sessions, held)
 
 
@@ -101,14 +94,7 @@ def check_sessions(table: pd.DataFrame, values: Values, columns: Sequence[str], 
     """Refuse to hold out sessions whose labels cannot name sessions.
 
     Args:
-        table: labels of the rows to train on.
-        values: the targets ``[n t]``.
-        columns: their names.
-        split: of the rows.
-
-    Raises:
-        SplitError: the label repeats a target, numbers rows, or spells one name in two ways; or a target has
-            one value in each session.
+        values: targets ``[n t]``, named `columns`.
     """
     if SESSION not in table or SESSION not in split.group_columns:
         return
@@ -145,13 +131,11 @@ def check_sessions(table: pd.DataFrame, values: Values, columns: Sequence[str], 
 def label_findings(
     table: pd.DataFrame, values: Values, columns: Sequence[str], in_recorded_order: bool = True
 ) -> list[Finding]:
-    """Findings on sessions by their labels and targets.
+    """Return findings on sessions by labels and targets.
 
     Args:
-        table: labels of the rows to train on, in the order they were recorded.
-        values: the targets ``[n t]``.
-        columns: their names.
-        in_recorded_order: whether that is the order in which the rows lie.
+        table: labels of the training rows; `in_recorded_order` states whether in temporal order.
+        values: targets ``[n t]``, named `columns`.
     """
     if SESSION not in table:
         return []
@@ -190,7 +174,7 @@ def label_findings(
 
 
 def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
-    """Ratio of a target's variance ``[n]`` that lies between the sessions' means (eta squared)."""
+    """Return the ratio of a target's variance ``[n]`` between the sessions' means (eta squared)."""
     _, of = np.unique(sessions, return_inverse=True)
     means = np.bincount(of, weights=target) / np.bincount(of)
     variance = float(np.var(target))
@@ -198,7 +182,7 @@ def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
 
 
 def unlabeled_runs(run: Run) -> list[Finding]:
-    """A finding on runs whose session is their name, joined with runs that label it."""
+    """Return a finding on runs whose session is their name, joined with runs that label it."""
     runs = run.runs if isinstance(run, JoinedRun) else ()
     bare = [one.path.name for one in runs if SESSION not in one.manifest.labels]
     if not bare or len(bare) == len(runs):
@@ -207,14 +191,11 @@ def unlabeled_runs(run: Run) -> list[Finding]:
 
 
 def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
-    """Raise where one session stands under two names: its frames equal another's.
+    """Raise `InputError` where the frames of one session equal another's beyond chance.
 
     Args:
-        packed: the rows to train on, without those of the untouched sensor, which look alike everywhere.
+        packed: training rows without no-contact frames, which look alike everywhere.
         columns: of the split; nothing is compared where no session is held out.
-
-    Raises:
-        InputError: more frames of a session than by chance are another's.
     """
     if SESSION not in columns or SESSION not in packed.table:
         return
@@ -238,15 +219,13 @@ def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
 def alike_sessions(
     images: Float32[np.ndarray, "n h w c"], sessions: np.ndarray, units: Indices
 ) -> list[Finding]:
-    """A finding on sessions whose frames differ no more than presses do.
+    """Return a finding on sessions whose frames differ no more than presses do.
 
-    Mean images of two sessions are compared, in their main components and in units of how much presses
-    differ (Hotelling's T²), with those of shuffled presses. A new mounting and another day's light differ.
+    Mean images are compared by Hotelling's T² of their main components, with those of shuffled presses.
 
     Args:
         images: small images of the frames.
-        sessions: of each ``[n]``.
-        units: press of each, which is shuffled whole.
+        sessions, units: session and press of each ``[n]``.
     """
     _, of_unit = np.unique(units, return_inverse=True)
     count = np.bincount(of_unit)
@@ -268,7 +247,6 @@ def alike_sessions(
 
 
 def _level(means: Float[np.ndarray, "u d"], ours: Bool[np.ndarray, " u"]) -> float:
-    """Ratio of shufflings in which two groups of presses differ as much."""
     centred = means - means.mean(axis=0)
     axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
     kept = min(COMPONENTS, len(means) // UNITS_A_COMPONENT, int((sizes > 1e-6 * max(sizes[0], 1e-12)).sum()))
@@ -287,15 +265,12 @@ def sessions_card(
     coverage: float,
     findings: tuple[Finding, ...] = (),
 ) -> SessionsCard:
-    """The card's part on sessions.
+    """Return the card's part on sessions.
 
     Args:
-        run: what was trained on.
-        held: the sessions held out; None where none was.
-        errors: of each target's column, signed errors of the scored rows ``[n]`` and whether their
-            intervals covered the truth ``[n]``.
-        coverage: of the intervals.
-        findings: what stands against the promise.
+        held: sessions held out; None where none was.
+        errors: per target column, signed errors of the scored rows and whether their intervals covered
+            ``[n]``.
     """
     column = held.column if held is not None else SESSION
     names = np.unique(held.of) if held is not None else np.unique(sessions_of(run))
@@ -332,7 +307,6 @@ _ELSEWHERE = (
 
 
 def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, factor: float | None) -> str:
-    """What the intervals promise of a new session, in words."""
     rate, many = f"{100 * coverage:g} %", "copies" if column == "copy" else f"{column}s"
     untested = "Not yet tested on another day"
     if count < 2 and len(names) < 2:
@@ -359,7 +333,7 @@ def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, f
 
 
 def result_sessions(result: CalibrationResult, held: HeldOutSessions | None) -> SessionsCard:
-    """The card's part on sessions of a new calibration."""
+    """Return the card's part on sessions of a new calibration."""
     job, scored, intervals = result.job, result.scored, result.intervals
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)

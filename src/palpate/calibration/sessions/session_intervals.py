@@ -1,32 +1,20 @@
-"""Intervals for a session that is yet to come, from errors in sessions that were held out.
+"""Intervals for a future session, from errors in held-out sessions.
 
-Rows of one session err together: its mounting, light and temperature are the same. So the promise "90 % of
-the rows of a new session" rests on the number of sessions K, and not on the number of rows.
+Errors within a session are correlated, so the promise rests on the number of sessions K.
 
-**Distribution-free**, where K (1 - c) >= c, which is nine sessions at c = 0.9. Draw one score from each of
-the K sessions. They and one of a new session are exchangeable, so that the new one is above the r-th smallest
-with probability 1 - r / (K + 1); r = ceil(c (K + 1)) keeps the promise, whatever the errors' distribution.
-For nine sessions at 90 % that is r = ceil(0.9 * 10) = 9: the greatest of the nine. (R. Dunn, L. Wasserman and
-A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), section 4, doi:10.1080/01621459.2022.2060112.) One drawing
-would leave the interval to chance; its mean over all drawings is computed here instead, in closed form. By
-Jensen's inequality the mean covers at least as often as single drawings do, wherever larger errors are rarer
-than smaller ones. Where they are not, as where rows fail grossly now and then, it is held at the quantile
-of the rows themselves, each session weighted alike.
+**Distribution-free**, where K (1 - c) >= c (nine sessions at c = 0.9): the r-th smallest of one score per
+session, r = ceil(c (K + 1)), covers a new session with probability r / (K + 1) (R. Dunn, L. Wasserman and A.
+Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), section 4, doi:10.1080/01621459.2022.2060112). The mean over all
+drawings is computed in closed form; by Jensen's inequality it covers at least as often where larger errors
+are rarer, and it is at least the rows' own weighted quantile. Beyond 200 sessions the weighted quantile at c
+(K + 1) / K is used (Y. Lee, R. F. Barber and R. Willett, arXiv:2306.06342).
 
-The quantile of all rows, each session weighted alike, at the level c (K + 1) / K (Y. Lee, R. F. Barber and R.
-Willett, arXiv:2306.06342) promises the same without that condition, but for nine sessions it is the one
-greatest error of all rows: far too wide. It is used beyond 200 sessions, where both are one.
+**Parametric**, for two sessions and more: errors are Gaussian about an offset that is Gaussian between
+sessions. Each session is one observation of the mean squared error; the half-width is Student's t with K
+degrees of freedom times its root. Nothing is guaranteed where offsets are not Gaussian.
 
-**Parametric**, for two sessions and more up to there: a session's errors are Gaussian about an offset that is
-itself Gaussian between sessions. Each session counts as one observation of the mean squared error, so that
-the half-width is t times its root, t of Student's distribution with K degrees of freedom. Where sessions do
-not differ that is wider than needed, by t over the Gaussian quantile (1.78 for two sessions, 1.23 for five),
-since two sessions that agree do not show that the third will. Nothing is guaranteed where offsets are not
-Gaussian.
-
-Scores are of models that had not seen the session; the model that is kept has seen them all, which is the
-jackknife's premise: that one session more changes it little (R. F. Barber et al., Ann. Statist. 49, 486
-(2021), doi:10.1214/20-AOS1965).
+The kept model has seen all sessions; one session more must change it little (jackknife: R. F. Barber et al.,
+Ann. Statist. 49, 486 (2021), doi:10.1214/20-AOS1965).
 """
 
 from __future__ import annotations
@@ -38,7 +26,7 @@ import numpy as np
 from scipy.stats import norm, t as student
 
 from palpate.calibration.coverage.conformal import fit_spread, parts_by_group, spread_terms
-from palpate.calibration.coverage.group_quantiles import (
+from palpate.calibration.coverage.grouped_rates import (
     is_distribution_free,
     new_group_quantile,
     weighted_quantile,
@@ -49,7 +37,7 @@ from palpate.estimators.target_layout import Outputs, TargetLayout
 
 
 def few_sessions_factor(sessions: int, coverage: float) -> float:
-    """Student's over the Gaussian quantile: what so few sessions cost in width.
+    """Return Student's over the Gaussian quantile: the cost of few sessions in width.
 
     Example:
         >>> [round(few_sessions_factor(count, 0.9), 2) for count in (2, 5, 8)]
@@ -60,13 +48,11 @@ def few_sessions_factor(sessions: int, coverage: float) -> float:
 
 
 def parametric_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
-    """Score that one of a new group stays below, by the rule for few groups; see the module.
-
-    Never less than that factor times the quantile of the scores themselves, each group weighted alike.
+    """Return the score that one of a new group stays below, by the parametric rule; at least that factor
+    times the quantile of the scores with equal weight per group.
 
     Args:
-        scores: of each row, signed or not.
-        groups: label of each row's group ``[n]``, of two groups or more.
+        groups: group of each row ``[n]``, of two or more.
         coverage: 0 to 1.
     """
     _, of = np.unique(groups, return_inverse=True)
@@ -80,12 +66,8 @@ def parametric_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, cov
 
 @dataclass(frozen=True, slots=True)
 class SessionSpread:
-    """How far a target's errors differ from session to session.
-
-    Attributes:
-        between: standard deviation of the sessions' mean errors about no error, less what chance within a
-            session adds [the target's unit].
-        within: standard deviation of errors within a session [the same].
+    """Standard deviation of a target's errors between sessions (less the part by chance) and within [the
+    target's unit].
     """
 
     between: float
@@ -110,17 +92,13 @@ def intervals_of_sessions(
     coverage: float,
     layout: TargetLayout | None = None,
 ) -> Intervals:
-    """Intervals that cover the truth at the rate `coverage` in a session not yet seen.
-
-    How their width follows the estimate is fitted as in `conformal.fit_intervals`, for each session's scores
-    from the other sessions.
+    """Return intervals that cover the truth at the rate `coverage` in a session not yet seen.
 
     Args:
         predicted: outputs ``[n o]`` of models that had not seen the row's session.
-        true: the labels ``[n t]``.
-        sessions: label of each row's session ``[n]``, two or more.
-        groups: label of each row's group within the sessions ``[n]``, such as its press.
-        coverage: 0 to 1.
+        true: labels ``[n t]``.
+        sessions: session of each row ``[n]``, two or more.
+        groups: group within the sessions ``[n]``, such as the press.
         layout: of the targets in the outputs; None where each is one.
     """
     names, of = np.unique(sessions, return_inverse=True)

@@ -1,6 +1,5 @@
-"""Force calibration from runs to a file, and that of another copy of the pad from one known weight.
-
-Simple estimates of normal force, held out by the same presses as a calibration's law.
+"""Force calibration from runs to a file, that of another pad from one known weight, and baselines of normal
+force.
 """
 
 from __future__ import annotations
@@ -46,15 +45,10 @@ KERNEL_STRENGTH, KERNEL_WIDTH = 1e-2, 0.5  # of standardised inputs
 
 
 def baseline_errors(samples: LabelledCues, used: Bool[ndarray, " n"]) -> dict[str, float]:
-    """Mean absolute error of each baseline on presses it was not fitted to [N].
+    """Return the mean absolute error of each baseline on presses it was not fitted to [N].
 
-    The mean force; a line in the mean shift, which is the published law; kernel ridge on gamma and the ring's
-    area; and where frames were at hand a line in the sum of pixels' change, and ridge and kernel ridge on the
-    moments of that change.
-
-    Args:
-        samples: labelled frames.
-        used: those to fit to and to score on.
+    Baselines: mean force; line in the mean shift (the published law); kernel ridge on gamma and the ring's
+    area; with frames also regressions on pixel change and its moments.
     """
     return {name: _error(*one, samples, used) for name, one in _inputs(samples).items()}
 
@@ -62,7 +56,7 @@ def baseline_errors(samples: LabelledCues, used: Bool[ndarray, " n"]) -> dict[st
 def transferred_errors(
     learnt: LabelledCues, used: Bool[ndarray, " n"], read: LabelledCues, scored: Bool[ndarray, " m"]
 ) -> dict[str, float]:
-    """Mean absolute error of each baseline of one run on another, of a later day or of another pad [N].
+    """Return the mean absolute error of each baseline of one run on another [N].
 
     Args:
         learnt, used: frames, and those to fit to.
@@ -78,7 +72,6 @@ def transferred_errors(
 
 
 def _inputs(samples: LabelledCues) -> dict[str, tuple[Rows, Fit]]:
-    """Inputs of each baseline, and how it is fitted."""
     gamma = np.array([c.gamma for c in samples.cues])
     area = np.array([c.radius_m**2 for c in samples.cues])
     inputs: dict[str, tuple[Rows, Fit]] = {
@@ -140,11 +133,10 @@ VIRTUAL = "virtual "  # before the sensor's name in a run of the virtual rig
 
 @dataclass(frozen=True)
 class PatternView:
-    """How a camera sees a pattern.
+    """Camera view of a pattern.
 
     Attributes:
-        lens: of the camera.
-        camera_m: its distance from the pattern [m].
+        camera_m: distance of the camera from the pattern [m].
         pitch_px: side of a tile in the image's middle [px].
     """
 
@@ -154,11 +146,7 @@ class PatternView:
 
 
 def view_of_sensor(name: str) -> PatternView:
-    """View of a sensor's pattern by its spec.
-
-    Raises:
-        InputError: no such sensor, or one without a lens and a pattern.
-    """
+    """Return the view of a sensor's pattern by its spec."""
     spec = getattr(design_of(name), "spec", None)
     lens, pattern = getattr(spec, "lens", None), getattr(spec, "pattern", None)
     camera_m = getattr(spec, "camera_m", None)
@@ -179,17 +167,12 @@ def calibrate_runs(
     note: str = "",
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Calibrate on runs of one pad, and return what was fitted in plain numbers, beside baselines.
+    """Calibrate on runs of one pad; return the fit and baselines in plain numbers.
 
     Args:
-        runs: one or more, as the rig records them; the reference is that of the first.
+        runs: one or more; the reference is that of the first.
         out: ``.npz`` to make.
         sensor: name; empty takes that of the first run.
-        law, hysteresis, coverage, note: as of `calibrate_shear`.
-        progress: called with how many frames of a run are read.
-
-    Raises:
-        PalpateError: a run that cannot be used, too few presses; `out` exists.
     """
     _refuse_name(out)
     if not runs:
@@ -217,18 +200,16 @@ def weigh_copy(
     lays: int = 1,
     pitch_px: float | None = None,
 ) -> dict[str, Any]:
-    """Calibration of another copy of a pad, on which a known weight was laid.
+    """Calibrate another pad of the same make, on which a known weight was laid.
 
     Args:
         calibration: of the first pad.
         out: ``.npz`` to make.
-        untouched: 8-bit frames of the copy at rest.
-        loaded: frames with the weight on it.
-        weight_n, weight_error_n, lays: as of `ShearCalibration.weighed`.
-        pitch_px: about the side of a tile; None takes that of the first pad.
+        untouched, loaded: 8-bit frames at rest, and with the weight.
+        pitch_px: approximate side of a tile [px]; None takes that of the first pad.
 
     Raises:
-        PalpateError: frames that show no pattern or no weight, a weight outside the range; `out` exists.
+        PalpateError: frames without pattern or weight, a weight outside the range; `out` exists.
     """
     _refuse_name(out)
     if not untouched or not loaded:

@@ -1,11 +1,8 @@
-"""Interval of a force from what held-out presses were off by, wider where they were off by more.
+"""Interval of a force from held-out errors: half(F) = q u(F).
 
-    half(F) = q u(F)
-
-u follows the errors' quantile at the stated rate over the range, in parts of 40 presses or more; q is the
-quantile of |error| / u that holds in presses not seen, each scored by a u of others: presses weigh alike,
-however many frames each has, and the rank is raised by one press (R. Dunn, L. Wasserman and A. Ramdas, J. Am.
-Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112).
+u follows the errors' quantile over the range in parts of 40 presses or more; q is the quantile of |error| / u
+for unseen presses with equal weights, its rank raised by one press (R. Dunn, L. Wasserman and A. Ramdas, J.
+Am. Stat. Assoc. 118, 2491 (2023), doi:10.1080/01621459.2022.2060112).
 """
 
 from __future__ import annotations
@@ -29,13 +26,7 @@ Series = Float[ndarray, " n"]
 
 @dataclass(frozen=True)
 class ForceInterval:
-    """Half-width of the interval over the range.
-
-    Attributes:
-        at_n: forces [N].
-        half_n: half-width at them, between them linear, beyond them constant [N].
-        coverage: how often it holds the truth in presses not seen.
-    """
+    """Half-width of the interval [N] at forces `at_n` [N], linear between and constant beyond."""
 
     at_n: Float[ndarray, " k"]
     half_n: Float[ndarray, " k"]
@@ -47,15 +38,12 @@ class ForceInterval:
 
 
 def fit_interval(estimate_n: Series, force_n: Series, press: ndarray, coverage: float) -> ForceInterval:
-    """Interval from estimates of presses that were held out.
+    """Fit an interval to estimates of held-out presses.
 
     Args:
         estimate_n, force_n: of frames [N].
-        press: of each frame.
-        coverage: 0 to 1.
-
-    Raises:
-        InputError: fewer than 10 presses, or a coverage that is not between 0.5 and 0.99.
+        press: press of each frame.
+        coverage: 0.5 to 0.99.
     """
     presses = len(np.unique(press))
     if presses < MIN_PRESSES:
@@ -94,7 +82,7 @@ def _smoothed(values: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
 
 
 def press_folds(press: ndarray, folds: int = FOLDS, seed: int = 0) -> Iterator[Bool[ndarray, " n"]]:
-    """Frames that are held out, fold by fold; a press is held out whole."""
+    """Yield the held-out frames of each fold, presses kept whole."""
     names, which = np.unique(press, return_inverse=True)
     of_press: Int[ndarray, " p"] = np.random.default_rng(seed).permutation(len(names)) % folds
     for fold in range(min(folds, len(names))):
@@ -102,11 +90,11 @@ def press_folds(press: ndarray, folds: int = FOLDS, seed: int = 0) -> Iterator[B
 
 
 def held_out(fit: Callable[[Bool[ndarray, " n"]], Series], press: ndarray) -> Series:
-    """Estimates of all frames [N], each by a fit to other presses.
+    """Return estimates of all frames [N], each by a fit to other presses.
 
     Args:
         fit: estimates of all frames, by a fit to those that it is given.
-        press: of each frame.
+        press: press of each frame.
     """
     estimate = np.full(len(press), np.nan)
     for out in press_folds(press):

@@ -4,14 +4,10 @@ The elastic force is linear in the cues,
 
     L = sum_c c (a_c + a_cx x^2 + a_cy y^2) + b,
 
-where the place (x, y) stands for what the pattern's edge cuts off. The cues are gamma in the laws "published"
-and "placed", the three moments in "any-tip": a moment is linear in the shifts, so that the marks' noise,
-which lengthens every shift in gamma, leaves it where it is. A viscoelastic skin carries more while it is
-pressed and less while it is let go, by branches that forget with times T_i:
+where the position (x, y) stands for what the pattern's edge cuts off. The cues are gamma in the laws
+"published" and "placed", the three moments in "any-tip". A viscoelastic skin adds branches with times T_i:
 
     F = L + sum_i s_i m_i,     m_i(t) = integral exp(-(t - t') / T_i) dL(t').
-
-The picture shows L alone, and its history m; without a history a frame has the interval of both ways.
 """
 
 from __future__ import annotations
@@ -37,11 +33,7 @@ Series = Float[ndarray, " n"]
 
 
 def law_terms(law: str, cues: Sequence[TouchCues]) -> Rows:
-    """Terms whose weighted sum is the elastic force, the constant last.
-
-    Raises:
-        InputError: another law.
-    """
+    """Return the terms whose weighted sum is the elastic force, the constant last."""
     if law not in LAWS:
         raise InputError(f"law {law!r}; there are {', '.join(LAWS)}")
     table = np.array([c[:6] for c in cues], float).reshape(-1, 6)
@@ -55,7 +47,7 @@ def law_terms(law: str, cues: Sequence[TouchCues]) -> Rows:
 
 @dataclass(frozen=True)
 class ForceLine:
-    """Law as fitted; see the module.
+    """Fitted law.
 
     Attributes:
         law: one of `LAWS`.
@@ -79,9 +71,8 @@ class ForceLine:
 
 
 class MemoryTrace:
-    """What the skin remembers, followed from frame to frame.
-
-    It begins to be known at a frame without contact, and is lost where frames are too far apart.
+    """Memory of the skin, followed from frame to frame; known from a frame without contact on, and lost where
+    frames are too far apart.
     """
 
     def __init__(self, memory_s: Float[ndarray, " m"]) -> None:
@@ -90,11 +81,11 @@ class MemoryTrace:
         self._last_n, self._last_s = math.nan, math.nan
 
     def step(self, time_s: float, elastic_n: float) -> Float[ndarray, " m"]:
-        """m_i at a frame [N]; NaN where the history is not known.
+        """Return m_i at a frame [N]; NaN where the history is not known.
 
         Args:
-            time_s: of the frame [s]; NaN where no clock tells.
-            elastic_n: L above that of the untouched skin; 0 without contact [N].
+            time_s: of the frame [s]; NaN without a clock.
+            elastic_n: L above that of the no-contact skin; 0 without contact [N].
         """
         step = time_s - self._last_s
         if not 0 < step <= MAX_GAP_S:  # the first frame too, and one without a clock, whose step is NaN
@@ -112,7 +103,7 @@ class MemoryTrace:
 def follow_memory(
     line: ForceLine, cues: Sequence[TouchCues], time_s: Series, press: ndarray
 ) -> tuple[Rows, Series]:
-    """m_i of each frame [N], and L; frames of one press stand in order of time."""
+    """Return m_i of each frame [N], and L; frames of one press in temporal order."""
     elastic = touched_n(line, cues)
     remembered = np.full((len(cues), len(line.memory_s)), np.nan)
     for one in dict.fromkeys(press.tolist()):
@@ -123,22 +114,18 @@ def follow_memory(
 
 
 def touched_n(line: ForceLine, cues: Sequence[TouchCues]) -> Series:
-    """Elastic force of each frame, 0 without contact [N]."""
+    """Return the elastic force of each frame, 0 without contact [N]."""
     contact = np.array([c.contacts > 0 for c in cues])
     with np.errstate(invalid="ignore"):
         return np.where(contact, np.maximum(line.elastic_n(cues), 0.0), 0.0)
 
 
 def fit_line(law: str, cues: Sequence[TouchCues], force_n: Series, used: Bool[ndarray, " n"]) -> ForceLine:
-    """Elastic law alone by least squares.
+    """Fit the elastic law alone by least squares.
 
     Args:
         law: one of `LAWS`.
-        cues, force_n: of all frames.
-        used: frames that the fit is made to.
-
-    Raises:
-        InputError: fewer frames than twice the terms.
+        used: frames to fit to.
     """
     terms = law_terms(law, cues)[used]
     _refuse_few(law, terms)
@@ -153,16 +140,10 @@ def fit_remembering(
     time_s: Series,
     press: ndarray,
 ) -> ForceLine:
-    """Law with memory by least squares, no branch's share below 0.
-
-    What is remembered is taken from the elastic part as fitted last.
+    """Fit the law with memory by least squares, no branch's weight below 0.
 
     Args:
-        law, cues, force_n, used: as of `fit_line`.
-        time_s, press: time and press of each frame; frames of one press stand in order of time.
-
-    Raises:
-        InputError: as of `fit_line`, and where too few frames have a history.
+        time_s, press: time and press of each frame, in temporal order within a press.
     """
     line = fit_line(law, cues, force_n, used)
     line = ForceLine(law, line.weights, np.array(MEMORY_S), np.zeros(len(MEMORY_S)))

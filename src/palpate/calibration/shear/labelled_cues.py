@@ -29,16 +29,13 @@ MAX_REFERENCES = 12
 
 @dataclass(frozen=True)
 class LabelledCues:
-    """Cues of frames beside the force.
+    """Cues of frames with ground-truth force.
 
     Attributes:
-        cues: of each frame.
         force_n: normal force, positive in compression ``[n]`` [N].
-        time_s: ``[n]`` [s]; frames of one press stand in order of time.
-        press: name of each frame's press ``[n]``.
-        tip: words of its indenter ``[n]``.
-        image: moments of each frame's difference from the untouched one, for a baseline; None where no frame
-            was at hand ``[n 6]``.
+        time_s: ``[n]`` [s]; in temporal order within a press.
+        press, tip: press and indenter of each frame ``[n]``.
+        image: moments of each frame's difference from the no-contact one ``[n 6]``; None without frames.
     """
 
     cues: tuple[TouchCues, ...]
@@ -57,11 +54,7 @@ class LabelledCues:
 
 
 def joined(parts: Sequence[LabelledCues]) -> LabelledCues:
-    """Frames of several runs; presses of one name in two runs stay two.
-
-    Raises:
-        InputError: no run.
-    """
+    """Join frames of several runs; presses of one name in two runs stay two."""
     if not parts:
         raise InputError("no run; give one or more")
     images = [part.image for part in parts if part.image is not None]
@@ -78,19 +71,14 @@ def joined(parts: Sequence[LabelledCues]) -> LabelledCues:
 def cues_of_run(
     path: PathText, lens: Lens, camera_m: float, pitch_px: float, progress: Progress = silent
 ) -> tuple[LabelledCues, ControlPoints]:
-    """Labelled cues of a run, and the marks of its untouched skin [px].
+    """Return labeled cues of a run, and the marks of its no-contact skin [px].
 
-    The marks of up to 12 reference frames are averaged. Frames whose pattern cannot be found are left out.
+    Up to 12 reference frames are averaged. Frames whose pattern cannot be found are left out.
 
     Args:
-        path: of the run; its frames have the labels force_N, press and reference.
-        lens, camera_m: of the camera.
-        pitch_px: about the side of a tile in the image.
-        progress: called with how many frames are read.
-
-    Raises:
-        LabelError: the run lacks one of these labels, or reference frames.
-        ImageError: no pattern in a reference frame, or in more than half of the frames.
+        path: run with the labels force_N, press, and reference.
+        camera_m: distance of the camera from the pattern [m].
+        pitch_px: approximate side of a tile [px].
     """
     run = Run.open(path)
     labels = run.labels
@@ -126,12 +114,8 @@ def cues_of_run(
 
 
 def difference_moments(frame: Shaped[ndarray, ...], untouched: Shaped[ndarray, ...]) -> Float[ndarray, " 6"]:
-    """Moments to the second order of how much each pixel has changed, a baseline that knows no pattern.
-
-    The zeroth in grey levels, the others over it: means and second moments of place, in image sides.
-
-    Args:
-        frame, untouched: 8-bit, RGB or grey, of one size.
+    """Return moments to the second order of the pixel change: the zeroth in grey levels, the others over it
+    in image sides.
     """
     change = np.abs(frame.astype(np.float32) - untouched.astype(np.float32))
     change = change.reshape(*change.shape[:2], -1).mean(axis=2)
@@ -144,11 +128,7 @@ def difference_moments(frame: Shaped[ndarray, ...], untouched: Shaped[ndarray, .
 
 
 def mean_marks(frames: Sequence[ControlPoints]) -> ControlPoints:
-    """Mean of marks over frames of the resting skin; those that every frame has.
-
-    Raises:
-        ImageError: no mark is in all of them.
-    """
+    """Return the mean of the marks that all no-contact frames have."""
     first = frames[0]
     common = {tuple(cell) for cell in first.cells.tolist()}
     for one in frames[1:]:

@@ -1,11 +1,8 @@
 """Calibration of normal force for a patterned skin: fitted, kept in a file, and read with.
 
-Only frames from 1 N on are learnt: below, a skin's pattern hardly moves. A calibration says what it was
-fitted to (force, places, tips), and a reading outside of that is not valid. The file is one flat set of plain
-arrays, no pickles, and the calibration's id is that of its contents.
-
-An image tells displacement, and force only through the skin's stiffness. On another copy of the pad that is
-unknown: the interval is widened by the stated spread of stiffness, until one known weight tells it.
+Only frames from 1 N on are trained on. A calibration states its force, positions, and tips; readings beyond
+them are not valid. An image shows force only through the skin's stiffness: on another pad the interval
+contains the stated spread of stiffness, until a known weight is measured.
 """
 
 from __future__ import annotations
@@ -31,22 +28,8 @@ from palpate.calibration.shear.force_law import (
     touched_n,
 )
 from palpate.calibration.shear.labelled_cues import LabelledCues
-from palpate.calibration.shear.touch_cues import (
-    PUBLISHED_ALPHA_PX,
-    SIDE_SAMPLES,
-    CueMeter,
-    TouchCues,
-)
-from palpate.core import (
-    Bool,
-    Drift,
-    Float,
-    Int,
-    Lens,
-    RangeError,
-    Reading,
-    ndarray,
-)
+from palpate.calibration.shear.touch_cues import PUBLISHED_ALPHA_PX, SIDE_SAMPLES, CueMeter, TouchCues
+from palpate.core import Bool, Drift, Float, Int, Lens, RangeError, Reading, ndarray
 from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear.touch_places import CODE as OUTSIDE_AREA
@@ -68,23 +51,16 @@ class ShearCalibration:
     """Calibrated pad.
 
     Attributes:
-        line: the law for single frames, fitted to all ways of loading.
-        alone: its interval.
-        remembering: the law for frames whose history is known; None where it was not asked for.
-        followed: its interval.
+        line, alone: law for single frames, fitted to all ways of loading, and its interval.
+        remembering, followed: law for frames with known history, and its interval; None without.
         range_n: least and greatest force [N].
         places_m: least x, greatest x, least y, greatest y of contacts, from the camera's axis [m].
-        tips: words of the indenters.
         alpha_px, samples: of gamma: scale [1/px] and samples along each side, K is their square.
-        lens_json, camera_m: the camera: its card, and its distance from the pattern [m].
-        cells, places_px, sigma_px: marks of the untouched pattern.
-        presses: how many it was fitted to.
+        cells, places_px, sigma_px: marks of the no-contact pattern.
         mae_n: mean absolute error of held-out presses, of single frames and of followed ones [N].
-        scale: of all forces, 1 on the pad that was calibrated.
-        scale_error: its standard error; 0 on that pad, where that of `stiffness_error` counts.
-        copy: in words, what is assumed of the pad.
-        note: free words.
-        version: of palpate.
+        scale: of all forces, 1 on the calibrated pad.
+        scale_error: its standard error; 0 on that pad, where `stiffness_error` counts.
+        copy: assumption on the pad, in words.
     """
 
     line: ForceLine
@@ -111,28 +87,20 @@ class ShearCalibration:
 
     @property
     def stiffness_error(self) -> float:
-        """Standard deviation of the pad's stiffness over the assumed one, as a fraction.
-
-        No frame shows the stiffness: a pad of half the modulus looks like one under twice the force. Age,
-        temperature, and relaxation under a static load change it since the calibration. A known weight
-        replaces the assumed 12 %; see `weighed`.
-        """
+        """Relative standard deviation of the pad's stiffness; a known weight replaces the assumed 12 %."""
         return self.scale_error or PAD_STIFFNESS
 
     @property
     def assumes(self) -> str:
-        """What a force assumes of the pad, in words."""
         percent = f"{100 * self.stiffness_error:.3g} %"
         return f"{self.copy}; stiffness within {percent} (standard deviation), which no frame shows"
 
     @property
     def id(self) -> str:
-        """Name by the contents."""
         return contents_id(self, "shear")
 
     @property
     def lens(self) -> Lens:
-        """The camera's lens."""
         return Lens.from_card(json.loads(self.lens_json))
 
     @property
@@ -159,13 +127,10 @@ class ShearCalibration:
         return Drift(off, DRIFT_LIMIT_PX)
 
     def on_copy(self, spread: float = COPY_STIFFNESS) -> ShearCalibration:
-        """The calibration for another pad of the same make whose stiffness is not known.
+        """Return the calibration for another pad of the same make with unknown stiffness.
 
         Args:
-            spread: standard deviation of its stiffness over this one's.
-
-        Raises:
-            RangeError: a spread that is not between 0 and 0.5.
+            spread: relative standard deviation of its stiffness, 0 to 0.5.
         """
         if not 0 < spread < 0.5:
             raise RangeError(f"a spread of stiffness of {spread}; give a share between 0 and 0.5")
@@ -175,19 +140,15 @@ class ShearCalibration:
     def weighed(
         self, cues: Sequence[TouchCues], weight_n: float, weight_error_n: float = 0.0, lays: int = 1
     ) -> ShearCalibration:
-        """The calibration for a copy on which a known weight was laid.
+        """Return the calibration for a pad on which a known weight was laid.
 
-        A weight rests, and a skin that remembers carries less at rest than while it is pressed: with a law of
-        the memory its elastic part is compared. Without one, bring the force on as in the calibration.
+        With a law of the memory the elastic part is compared, since a weight rests. Without one, apply the
+        force as in the calibration.
 
         Args:
-            cues: of frames with the weight on the pad, at rest.
-            weight_n: its force [N], within the calibrated range.
-            weight_error_n: standard error of that [N].
-            lays: how often it was laid on anew, each at another place.
-
-        Raises:
-            RangeError: a weight outside the range, or frames that show none.
+            cues: of frames with the weight at rest.
+            weight_n, weight_error_n: its force, within the calibrated range, and standard error [N].
+            lays: number of placements at different positions.
         """
         low, high = self.range_n
         if not low <= weight_n <= high:
@@ -216,7 +177,6 @@ class ShearCalibration:
 
     @property
     def _sigmas(self) -> float:
-        """Standard deviations to which the coverage reaches, of a normal error."""
         return NormalDist().inv_cdf(0.5 + self.alone.coverage / 2)
 
     def read(
@@ -228,12 +188,10 @@ class ShearCalibration:
         time_s: float = 0.0,
         drift: Drift | None = None,
     ) -> Reading:
-        """Normal force of a frame.
+        """Return the normal force of a frame.
 
         Args:
-            cues: of the frame.
-            remembered: as a `MemoryTrace` gives it; None or NaN where the history is not known.
-            frame, time_s, drift: for the reading.
+            remembered: from a `MemoryTrace`; None or NaN where the history is not known.
         """
         known = remembered is not None and bool(np.isfinite(remembered).all())
         line, interval, extra = self.line, self.alone, 0.0
@@ -292,31 +250,20 @@ class ShearCalibration:
         )
 
     def save(self, path: Path) -> None:
-        """Write one ``.npz``, whole or not at all.
-
-        Raises:
-            ExistsError: `path` exists.
-            StorageError: the disk refused.
-        """
+        """Write one ``.npz``, whole or not at all."""
         save_record(self, path)
 
     @classmethod
     def load(cls, path: Path) -> ShearCalibration:
-        """Read what `save` wrote; nothing in it is run.
-
-        Raises:
-            CertificateError: it is no such file, or a damaged one.
-            StorageError: it cannot be read.
-        """
+        """Read what `save` wrote; no code in it is run."""
         return load_record(cls, path, "shear force", "palpate calibrate --method shear-force")
 
 
 class ForceFollower:
-    """Force of frames one after the other, with the skin's memory where the calibration has it.
+    """Force of successive frames, with the skin's memory where the calibration has it.
 
     Args:
-        calibration: of the pad.
-        reference: marks of the untouched pad now [px]; None for those of the calibration.
+        reference: marks of the no-contact pad now [px]; None for those of the calibration.
     """
 
     def __init__(self, calibration: ShearCalibration, reference: ControlPoints | None = None) -> None:
@@ -327,17 +274,12 @@ class ForceFollower:
         self._trace = None if line is None else MemoryTrace(line.memory_s)
 
     def read(self, points: ControlPoints, time_s: float, frame: str = "", *, clocked: bool = True) -> Reading:
-        """Force of the next frame.
+        """Return the force of the next frame.
 
         Args:
             points: its marks [px].
-            time_s: when it was taken; frames come in order [s].
-            frame: its name.
-            clocked: whether `time_s` is a clock's. A place in a row of images is none: the history is then
-                not known, and the interval is that of single frames.
-
-        Raises:
-            InputError, RangeError: marks that cannot be compared with the reference.
+            time_s: in temporal order [s].
+            clocked: whether `time_s` is a clock's; without, the history is not known.
         """
         cues = self._meter.cues(points)
         return self.calibration.read(
@@ -371,19 +313,13 @@ def calibrate_shear(
     coverage: float = COVERAGE,
     note: str = "",
 ) -> ShearCalibration:
-    """Fit a calibration to labelled frames.
+    """Fit a calibration to labeled frames of one or more runs of one pad.
 
     Args:
-        samples: of one or more runs of one pad.
-        reference: marks of the untouched pad [px].
-        lens, camera_m: of the camera.
-        law: "any-tip" (moments and place), "placed" (gamma and place), or "published" (gamma alone).
-        hysteresis: fit the skin's memory too; frames of a press begin before contact then.
-        coverage: of the intervals.
-        note: kept with it.
-
-    Raises:
-        InputError: too few presses or frames from 1 N on with one contact.
+        reference: marks of the no-contact pad [px].
+        law: "any-tip" (moments and position), "placed" (gamma and position), or "published" (gamma alone).
+        hysteresis: fit the skin's memory too; frames of a press then begin before contact.
+        coverage: of the intervals, 0.5 to 0.99.
     """
     used = usable(samples)
     alone = held_out(
@@ -433,13 +369,13 @@ def calibrate_shear(
 
 
 def usable(samples: LabelledCues) -> Bool[ndarray, " n"]:
-    """Frames from 1 N on with one contact."""
+    """Return the mask of frames from 1 N on with one contact."""
     single = np.array([c.contacts == 1 for c in samples.cues])
     return np.asarray(single & (samples.force_n >= MIN_FORCE_N))
 
 
 def calibration_record(calibration: ShearCalibration) -> dict[str, Any]:
-    """What was fitted, in plain numbers."""
+    """Return the fit in plain numbers."""
     weights, memory = calibration.line.weights, calibration.remembering
     return {
         "calibration": calibration.id,

@@ -1,14 +1,10 @@
 """Cues of normal force in the motion of a pattern's marks.
 
-Every cue is a sum of shifts, so that it doubles with the displacement; an image tells no more of a skin whose
-stiffness is not known.
-
     gamma  = alpha K mean |s - s_ref|                    the published measure, alpha and K explicit
     moment = integral (X - X_c) . U exp(-|X - X_c|^2 / 2 r^2) dA     for three reaches r [m^4]
 
-The moment over the whole plane goes with the force whatever the pressure's shape: it is the slope of the
-layers' response to a wave of load where the wave is long. A window keeps the edge of the pattern and the
-noise of far marks out; three windows tell tips apart, which a single cue cannot.
+The moment over the whole plane is proportional to the force for any pressure distribution. A window excludes
+the pattern's edge and far noise; three windows distinguish tips.
 
 Source: "NUSense: Shear Based Robust Optical Tactile Sensor", equation 3.3.
 """
@@ -33,14 +29,13 @@ EVERY = 4  # samples along both sides, of which one goes into a moment
 
 
 class TouchCues(NamedTuple):
-    """Cues of one frame.
+    """Cues of one frame; NaN without a contact.
 
     Attributes:
         gamma: published measure, mean form.
-        near, middle, far: moments within 2.5, 5 and 10 mm of the contact [1e-9 m^4]; NaN without one.
-        x_m, y_m: the contact's place from the camera's axis [m]; NaN without one.
-        contacts: how many there are.
-        radius_m: of the ring where the skin moves outward most [m]; NaN without one.
+        near, middle, far: moments within 2.5, 5, and 10 mm of the contact [1e-9 m^4].
+        x_m, y_m: contact position from the camera's axis [m].
+        radius_m: of the ring of greatest outward motion [m].
     """
 
     gamma: float
@@ -54,11 +49,10 @@ class TouchCues(NamedTuple):
 
 
 class CueMeter:
-    """Cues of frames against the untouched pattern.
+    """Cues of frames against the no-contact pattern.
 
     Args:
-        reference: marks of the untouched pattern [px of the camera's image].
-        lens: of the camera.
+        reference: marks of the no-contact pattern [px of the camera's image].
         camera_m: distance of the camera from the pattern [m].
         alpha: of the published measure [1/px of the undistorted image].
         samples: along each side of the surface; K is its square.
@@ -83,15 +77,9 @@ class CueMeter:
         return self._meter.fields(on_plane(points, self._lens, self._camera_m))
 
     def cues(self, points: ControlPoints) -> TouchCues:
-        """Cues of a frame's marks.
-
-        Raises:
-            InputError, RangeError: marks of another unit, or too few in common with the reference.
-        """
         return self.cues_of(self.fields(points))
 
     def cues_of(self, fields: StrainFields) -> TouchCues:
-        """Cues of strain that is at hand."""
         gamma = self._alpha_m * fields.basis.count * mean_shift(fields)
         rings = find_rings(fields)
         if not rings:
@@ -103,31 +91,23 @@ class CueMeter:
 
 
 def bridged(fields: StrainFields) -> tuple[Float[ndarray, "2 nv nu"], Bool[ndarray, "nv nu"]]:
-    """Shift of the samples [unit], bridged where marks are lost amid others, and which samples count.
-
-    Marks under a deep press are the first to be lost, so that leaving their samples out would bias a sum.
-    """
+    """Return the shift of the samples [unit], interpolated amid lost marks, and which count."""
     basis = fields.basis
     return basis.sampled(basis.net(fields.moved)), binary_fill_holes(basis.supported)
 
 
 def mean_shift(fields: StrainFields) -> float:
-    """Mean length of the samples' shift [unit]."""
+    """Return the mean length of the samples' shift [unit]."""
     shift, counted = bridged(fields)
     return float(np.hypot(*shift)[counted].mean())
 
 
 def outward_moment(fields: StrainFields, centre_m: Float[ndarray, " 2"], reach_m: float) -> float:
-    """Integral of the outward shift times the distance, in a Gaussian window about a place [m^4].
+    """Integrate the outward shift times the distance, in a Gaussian window about a position [m^4].
 
     Args:
         fields: of marks in m.
-        centre_m: the window's middle [m].
-        reach_m: its standard deviation [m].
-
-    Raises:
-        InputError: fields in px.
-        RangeError: a reach that is not positive.
+        centre_m, reach_m: middle and standard deviation of the window [m].
     """
     if fields.unit != "m":
         raise InputError("a moment needs marks in m; take those of an image to the pattern with on_plane")

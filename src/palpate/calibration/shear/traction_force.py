@@ -1,10 +1,7 @@
-"""Normal and lateral force and torque from recovered traction, with intervals for what is taken as known.
+"""Normal and lateral force and torque from recovered traction, with intervals for the assumptions.
 
-An image tells pressure over modulus. So the interval holds, beside the marks' noise, what a change of each
-assumption does to this very frame: moduli, friction, and the support, whose compliance is that of the layer
-that yields most. Each is changed by its standard deviation and solved anew; the changes add in squares, as
-independent errors do. The virtual pad's probes do not turn: torque was compared with shear laid on the
-pressed contact around its centre, up to friction.
+The interval contains the marks' noise and the change by one standard deviation of each assumption: moduli,
+friction, and support, added in squares.
 """
 
 from __future__ import annotations
@@ -20,27 +17,24 @@ from palpate.core.refusal import NONE, Refusal
 from palpate.estimators.surface_strain import PatternedSkin, RecoveredTraction, StrainFields, recover_traction
 
 RANGE_N = (1.0, 8.0)  # over which recovery was measured; see the how-to
+# relative standard deviation of force left by the closure; measured
 FORM = {"frictionless": 0.02, "coulomb": 0.10, "bonded": 0.05}
-"""Standard deviation of force that the closure leaves with all else known, of the force; measured."""
 LATERAL_FORM = 0.01  # of the normal force: what the coulomb closure leaves of a lateral one; measured
 TORQUE_FORM_NM, TORQUE_FORM = 0.1e-3, 0.05  # what the coulomb closure leaves of a torque, and its share
 MAX_TORQUE_NM = 10e-3  # to which that was measured
-FINITE_STRAIN = 0.27
-"""Standard deviation of the relative force over the pattern's greatest strain. On frames of neo-Hookean
-layers, recovery by linear ones is 7 to 12 % low at a strain of 0.28 (1.5 mm under the round tip).
-"""
+FINITE_STRAIN = 0.27  # relative force deviation over the greatest strain, by neo-Hookean layers
 MAX_STRAIN = 0.4  # of the pattern, beyond which linear layers were not compared with finite strain
 SEEN_MISFIT = 2.0  # standard errors; above it the marks move as this closure cannot make them move
 
 
 @dataclass(frozen=True)
 class SkinDoubt:
-    """Standard deviations, as shares, of what recovery takes as known.
+    """Relative standard deviations of what recovery assumes.
 
     Attributes:
         modulus: of all moduli together.
-        friction: of Coulomb's coefficient, for the closure of this name.
-        support: of the thickness of the layer that yields most.
+        friction: of Coulomb's coefficient.
+        support: of the thickness of the most compliant layer.
     """
 
     modulus: float = 0.10
@@ -52,8 +46,7 @@ class SkinDoubt:
             raise RangeError("doubts about a skin are shares from 0 to 0.5")
 
 
-KNOWN = SkinDoubt(0.0, 0.0, 0.0)
-"""A skin whose moduli, friction and layers are as stated."""
+KNOWN = SkinDoubt(0.0, 0.0, 0.0)  # exactly known skin
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,6 @@ class ForceBudget:
 
     @property
     def total(self) -> float:
-        """Root of the sum of squares."""
         return math.hypot(self.noise, self.form, self.strain, self.skin)
 
     @property
@@ -79,7 +71,7 @@ class ForceBudget:
 
 
 def stiffer(skin: PatternedSkin, share: float) -> PatternedSkin:
-    """The skin with all moduli higher by a share."""
+    """Return the skin with all moduli higher by a ratio."""
     layers = tuple(
         replace(one, youngs_modulus_pa=one.youngs_modulus_pa * (1 + share)) for one in skin.stack.layers
     )
@@ -87,11 +79,7 @@ def stiffer(skin: PatternedSkin, share: float) -> PatternedSkin:
 
 
 def thicker_support(skin: PatternedSkin, share: float) -> PatternedSkin:
-    """The skin with the layer below its pattern that yields most thicker by a share.
-
-    Raises:
-        InputError: no layer below the pattern has an end.
-    """
+    """Return the skin with the most compliant layer below its pattern thicker by a ratio."""
     layers = list(skin.stack.layers)
     below = [i for i in range(skin.interface, len(layers)) if math.isfinite(layers[i].thickness_m)]
     if not below:
@@ -104,12 +92,10 @@ def thicker_support(skin: PatternedSkin, share: float) -> PatternedSkin:
 def force_budget(
     fields: StrainFields, skin: PatternedSkin, doubt: SkinDoubt, closure: str, found: RecoveredTraction
 ) -> ForceBudget:
-    """What a frame's force changes by, assumption by assumption.
+    """Return the change of a frame's force by each assumption.
 
     Args:
-        fields, skin, closure: as of `recover_traction`.
-        doubt: about the skin.
-        found: the traction with all as stated.
+        found: traction with all as stated.
     """
 
     def change(other: PatternedSkin) -> float:
@@ -128,7 +114,7 @@ def force_budget(
 
 
 def greatest_strain(fields: StrainFields) -> float:
-    """Greatest principal strain of the pattern, stretch or compression."""
+    """Return the greatest principal strain of the pattern, stretch or compression."""
     principal = fields.principal()
     strains = np.abs(np.stack([principal.greatest, principal.least]))
     return float(np.nanmax(strains, initial=0.0))
@@ -144,21 +130,14 @@ def traction_readings(
     frame: str = "",
     time_s: float = 0.0,
 ) -> Readings:
-    """Force from the picture and a known skin, uncalibrated; lateral force where the closure has friction,
-    and torque about the contact's normal, from x towards y, where that is Coulomb's.
-
-    A frame whose loads cannot be told has a reading that is not valid, and says why.
+    """Return force from the picture and a known skin, uncalibrated; lateral force where the closure has
+    friction, and torque about the contact's normal, from x towards y, for Coulomb's.
 
     Args:
         fields: strain of a frame, of marks in m.
-        skin: what is known of it.
-        doubt: how well; None for 10 % of the moduli and friction, and 5 % of the support.
-        closure: "frictionless", "coulomb" or "bonded"; the first has no lateral force.
-        coverage: of the intervals.
-        frame, time_s: for the readings.
-
-    Raises:
-        InputError: as of `recover_traction`; a coverage that is not between 0.5 and 0.99.
+        doubt: None for 10 % of the moduli and friction, and 5 % of the support.
+        closure: "frictionless", "coulomb", or "bonded".
+        coverage: of the intervals, 0.5 to 0.99.
     """
     if not 0.5 <= coverage <= 0.99:
         raise InputError(f"a coverage of {coverage}; give 0.5 to 0.99")

@@ -378,7 +378,7 @@ def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[
 
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage.range_scores import card_findings
-    from palpate.reports.class_text import class_lines
+    from palpate.reports.evaluation_text import class_lines
     from palpate.reports.terminal_text import confounds_text, instrument_lines
 
     lines = [f"calibration {card.id}: {out}", *confounds_text(card)]
@@ -429,8 +429,13 @@ def _scores_text(scores: dict[str, Any], card: Card, run: Manifest) -> str:
     from palpate.estimators.class_sets import ClassScoreCard
     from palpate.estimators.finding_cards import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard
-    from palpate.reports.class_text import class_lines
-    from palpate.reports.evaluation_text import day_text, frames_text, simulated_text, valid_readings_text
+    from palpate.reports.evaluation_text import (
+        class_lines,
+        day_text,
+        frames_text,
+        simulated_text,
+        valid_readings_text,
+    )
     from palpate.reports.terminal_text import scores_table
 
     lines = []
@@ -525,7 +530,7 @@ def _set_intervals_anew(calibration: Path, run: Path, out: Path, instruments: di
 
 def _reset_text(card: Any, out: Path, report: str) -> str:
     from palpate.calibration.coverage.range_scores import card_findings
-    from palpate.reports.class_text import class_lines
+    from palpate.reports.evaluation_text import class_lines
     from palpate.reports.terminal_text import instrument_lines
 
     former = card.interval_reset.former_half_widths

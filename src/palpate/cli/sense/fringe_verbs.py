@@ -93,7 +93,7 @@ def fringe_order(
         progress = stack.enter_context(progress_bar())
         files = None
         if out is not None:
-            from palpate.reports.fringe_map_figure import OrderFiles
+            from palpate.reports.fringe_figures import OrderFiles
 
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(seen, 1):

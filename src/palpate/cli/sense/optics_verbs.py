@@ -152,7 +152,7 @@ def fit_c(
             progress=progress,
         )
     if out is not None:
-        from palpate.reports.fringe_fit_figure import write_figure
+        from palpate.reports.fringe_figures import write_figure
 
         write_figure(fit, out)
     print_found(fit.to_dict(), _text(fit))

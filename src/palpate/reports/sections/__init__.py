@@ -1,6 +1,5 @@
 """Sections of a calibration's page, the sentences that stand in them, and how far their numbers hold."""
 
-from palpate.reports.audit_head import not_relied_on
 from palpate.reports.sections.certificate_sections import MIN_GROUPS, SECTIONS, ReportedCalibration
 from palpate.reports.sections.target_verdicts import (
     MIN_TOLD,
@@ -12,6 +11,7 @@ from palpate.reports.sections.target_verdicts import (
     tested_text,
     verdict,
 )
+from palpate.reports.terminal_text import not_relied_on
 
 __all__ = [
     "MIN_GROUPS",

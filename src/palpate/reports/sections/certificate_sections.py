@@ -1,8 +1,6 @@
-"""Sections of a calibration's page: a function here and a template of its name in `templates/certificate`.
+"""Sections of a calibration's page: a function and a template of its name in `templates/certificate`.
 
-A section is shown where its function returns values for its template, and left out where it returns None, as
-where a card or folder lacks what it would show. To add one, write both and name it in `SECTIONS`, in the
-order in which a reader needs them: what forbids trust, answers, pictures, tables, where it came from.
+A section is left out where its function returns None. `SECTIONS` lists them in the page's order.
 """
 
 from __future__ import annotations
@@ -10,43 +8,40 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.image import imread
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.coverage.counted_groups import held_out_groups, press_column
+from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
+from palpate.calibration.coverage.counted_groups import held_out_groups, press_column, press_groups
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_scores import target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.findings import Finding
+from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
-from palpate.reports.audit_head import audit_head, not_relied_on, remaining_remedy
 from palpate.reports.calibration_figures import (
+    Panel,
+    deciding_panel,
     errors_of,
     held_rows,
     interval_ends,
     picture,
     surface_columns,
     surface_figure,
+    target_columns,
     target_panels,
 )
-from palpate.reports.class_text import class_answer, classes_told
-from palpate.reports.sections.evidence_sections import (
-    audit,
-    choice,
-    deciding,
-    evaluations,
-    instruments,
-    robustness,
-    sessions,
-)
+from palpate.reports.evaluation_text import class_answer, classes_told, frames_of, valid_readings_text
 from palpate.reports.sections.target_verdicts import (
     OuterRange,
     answer,
@@ -58,23 +53,143 @@ from palpate.reports.sections.target_verdicts import (
     tested_text,
     verdict,
 )
+from palpate.reports.terminal_text import audit_head, not_relied_on, remaining_remedy
+
+Values = dict[str, Any]
+
+
+def sessions(report: ReportedCalibration) -> Values | None:
+    """Show scores of each training session, and what few of them promise."""
+    found = report.card.sessions
+    if found is None or len(found.names) < 2 or found.column not in report.table:
+        return None
+    names = report.table[found.column].astype(str).to_numpy()
+    rows = [_session_row(report, name, names == name) for name in found.names if (names == name).any()]
+    return {"sessions": found, "rows": rows, "targets": report.card.targets, "mixed": not found.held_out}
+
+
+def _session_row(report: ReportedCalibration, name: str, rows: np.ndarray) -> Values:
+    cells = []
+    for target in report.card.targets:
+        true, guess, _ = (part[rows] for part in target_columns(target, report.table))
+        error, inside = errors_of(target, true, guess), held_rows(target, report.table)[rows]
+        low, high = grouped_coverage_interval(inside, press_groups(report.table[rows]))
+        mae, scatter = float(np.abs(error).mean()), float(np.abs(error).std())
+        cells.append(
+            {
+                "target": target, "mae": mae, "mae_half": 1.96 * scatter / max(len(error), 1) ** 0.5,
+                "covered": float(inside.mean()), "low": low, "high": high,
+            }
+        )  # fmt: skip
+    return {"name": name, "n": int(rows.sum()), "cells": cells}
+
+
+def evaluations(report: ReportedCalibration) -> Values | None:
+    """Show scores on other recordings next to the card's own, and files that are not of it."""
+    if not report.evaluations and not report.refused_evaluations:
+        return None
+    rows = [
+        {
+            "found": found,
+            "frames": frames_of(report.card, found),
+            "scores": [(t, found.targets[t.column]) for t in report.card.targets],
+            "valid": valid_readings_text(report.card, found.valid_readings),
+            **_said_of(report.card, found),
+            "instruments": tuple(found.instruments.values()),
+        }
+        for found in report.evaluations
+    ]
+    return {"evaluations": rows, "refused": report.refused_evaluations, "coverage": report.card.coverage}
+
+
+def _said_of(card: Card, found: EvaluationRecord) -> Values:
+    """Findings of an evaluation: targets that fall short, and those that the card does not read."""
+    each = [(t, one) for t in card.targets for one in found.findings_of(t.column)]
+    return {
+        "findings": [one for t, one in each if t.is_read],
+        "unread": [one for t, one in each if not t.is_read],
+    }
+
+
+def audit(report: ReportedCalibration) -> Values | None:
+    """Show what other than touch predicts the labels, next to the model."""
+    found = report.card.confounds
+    if found is None:
+        return None
+    notes = [f for f in found.findings if f.severity == "notes"]
+    height, width = report.card.input.frame_px
+    return {"audit": found, "notes": notes, "whole": found.skin_px == (0, 0, width, height)}
+
+
+def deciding(report: ReportedCalibration) -> Values | None:
+    """Show maps of the pixels that decide each target."""
+    card, folder = report.card, report.folder
+    example = folder / "example.png"
+    known = card.confounds is not None and card.confounds.map_file == MAP_FILE
+    if not known or card.confounds is None or not (folder / MAP_FILE).exists() or not example.exists():
+        return None
+    growth = np.load(folder / MAP_FILE, allow_pickle=False).astype(np.float64)
+    edges, layout = block_edges(card.input.size_px), layout_of(card)
+    blocks = (len(edges[0]) - 1, len(edges[1]) - 1)
+    if not card.targets or len(growth) < layout.outputs or growth.shape[1:] != blocks:
+        return None
+    image = np.atleast_3d(imread(example))[..., :3].mean(axis=2)
+    maps = [growth[layout.outputs_of(j)].mean(axis=0) for j in range(len(card.targets))]
+    panels = [_map_panel(t, image, one, edges) for t, one in zip(card.targets, maps, strict=True)]
+    return {
+        "panels": panels,
+        "rows": card.confounds.map_rows,
+        "circular": any(t.circular for t in card.targets),
+        "undecided": [t for t, one in zip(card.targets, maps, strict=True) if not _stands_out(one)],
+    }
+
+
+def _map_panel(
+    target: TargetCard, image: np.ndarray, growth: np.ndarray, edges: tuple[np.ndarray, np.ndarray]
+) -> Panel:
+    name = target.quantity.replace("_", " ")
+    unit = target.unit if target.circular is None else "ratio"
+    return deciding_panel(name, unit, image, growth, edges)
+
+
+def _stands_out(growth: np.ndarray) -> bool:
+    return float(growth.max()) > 2 * abs(float(growth.min()))
+
+
+def robustness(report: ReportedCalibration) -> Values | None:
+    """Show error and refusal under each camera change."""
+    found = report.card.robustness
+    if found is None:
+        return None
+    kinds = [(kind, list(rows)) for kind, rows in groupby(found.table, key=lambda row: row.kind)]
+    return {"robustness": found, "kinds": kinds}
+
+
+def choice(report: ReportedCalibration) -> Values | None:
+    """Show what the model tried on inner folds, and what it took."""
+    return None if report.card.choice is None else {"choice": report.card.choice}
+
+
+def instruments(report: ReportedCalibration) -> Values | None:
+    """Show the instruments of the labels, and their part of every interval."""
+    if not any(target.measured_by for target in report.card.targets):
+        return None
+    rows = [
+        {"target": t, "by": t.measured_by, "reading": reading_half_width(t, report.table)}
+        for t in report.card.targets
+    ]
+    return {"rows": rows}
 
 
 @dataclass(frozen=True)
 class ReportedCalibration:
-    """A calibration as the page's sections see it.
-
-    Attributes:
-        folder: where it is.
-        card: what it says of itself.
-    """
+    """Calibration folder with its card."""
 
     folder: Path
     card: Card
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Its held-out predictions, a row a frame."""
         return read_predictions(self.folder, self.card)
 
     @cached_property
@@ -84,7 +199,6 @@ class ReportedCalibration:
 
     @property
     def scored_groups(self) -> int:
-        """How many groups were scored."""
         return len(np.unique(self.groups))
 
     @cached_property
@@ -96,12 +210,10 @@ class ReportedCalibration:
 
     @property
     def _took_presses_apart(self) -> bool:
-        """True after a random split, which counted rows of one press each by itself."""
         return self.card.split.kind == "random" and press_column(self.table) is not None
 
     @cached_property
     def ends(self) -> dict[str, tuple[OuterRange, ...]]:
-        """Outer ranges of each target, by its column."""
         return {t.column: outer_ranges(t, self.table, self.groups) for t in self.card.targets}
 
     @property
@@ -125,8 +237,7 @@ class ReportedCalibration:
         return in_order(found), tuple(refused)
 
 
-MIN_GROUPS = 10
-"""Groups below which a card's interval of the coverage is counted again: of before, it was too narrow."""
+MIN_GROUPS = 10  # fewer groups: earlier cards stated too narrow coverage intervals
 
 
 def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> TargetCard:
@@ -135,11 +246,8 @@ def _judged_by_few(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) 
     return target.model_copy(update={"score": target.score.model_copy(update=ends)})
 
 
-Values = dict[str, Any]
-
-
 def findings(report: ReportedCalibration) -> Values | None:
-    """What the audits found, where they found anything: it stands before the numbers."""
+    """Show the findings of failed audits, before the numbers."""
     card = report.card
     told = [f for f in (card.confounds.findings if card.confounds else ()) if f.severity != "notes"]
     elsewhere = bool(others(report.evaluations))
@@ -155,7 +263,7 @@ def findings(report: ReportedCalibration) -> Values | None:
 
 
 def answers(report: ReportedCalibration) -> Values:
-    """One sentence a target, and on which day it was tested."""
+    """Show one sentence per target, and on which day it was tested."""
     return {
         "answers": [_answer(report, target) for target in report.targets],
         "vectors": report.card.vectors or (),
@@ -196,7 +304,6 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
 
 
 def _day(report: ReportedCalibration) -> str:
-    """The card's sentence on the day that its numbers are of, unless an evaluation has said more."""
     card = report.card
     if card.interval_reset is not None:
         return card.interval_reset.text
@@ -206,12 +313,11 @@ def _day(report: ReportedCalibration) -> str:
 
 
 def _untested(report: ReportedCalibration) -> bool:
-    """True for a card from before sessions were told apart, and not evaluated since."""
     return report.card.sessions is None and not others(report.evaluations)
 
 
 def targets(report: ReportedCalibration) -> Values | None:
-    """Figures of each target, with its verdict and the tenths of its range."""
+    """Show figures of each target, with its verdict and the tenths of its range."""
     if not report.targets:
         return None
     return {
@@ -232,13 +338,13 @@ def targets(report: ReportedCalibration) -> Values | None:
 
 
 def classes(report: ReportedCalibration) -> Values | None:
-    """Confusion and sets of each column of classes."""
+    """Show confusion and sets of each class column."""
     told = report.card.classes
     return {"classes": told, "coverage": report.card.coverage} if told else None
 
 
 def surface(report: ReportedCalibration) -> Values | None:
-    """Maps of the error over the skin, where the labels say where it was pressed."""
+    """Show maps of the error over the skin, where labels state the position."""
     where = surface_columns(report.table)
     if where is None or not report.targets:
         return None
@@ -246,7 +352,7 @@ def surface(report: ReportedCalibration) -> Values | None:
 
 
 def scores(report: ReportedCalibration) -> Values | None:
-    """The table of scores."""
+    """Show the table of scores."""
     if not report.targets:
         return None
     few = report.scored_groups < MIN_GROUPS
@@ -255,12 +361,12 @@ def scores(report: ReportedCalibration) -> Values | None:
 
 
 def split(report: ReportedCalibration) -> Values:
-    """How rows were held out."""
+    """Show how rows were held out."""
     return {"split": report.card.split, "reset": report.card.interval_reset}
 
 
 def worst(report: ReportedCalibration) -> Values | None:
-    """Picture, name and estimate of each frame that was missed most."""
+    """Show picture, name, and estimate of each frame with the largest errors."""
     frames = []
     paths = report.folder.glob("worst-*.png")
     for number in sorted(int(path.stem.split("-")[1]) for path in paths):
@@ -291,7 +397,7 @@ def _estimate_text(row: pd.Series, target: TargetCard) -> str:
 
 
 def source(report: ReportedCalibration) -> Values:
-    """Recording, input, model and software."""
+    """Show recording, input, model, and software."""
     example, reference = report.folder / "example.png", report.folder / "reference.png"
     return {
         "card": report.card,
@@ -301,21 +407,22 @@ def source(report: ReportedCalibration) -> Values:
 
 
 def steps(report: ReportedCalibration) -> Values:
-    """Every step from the camera's pixels to a reading; of a card from before they stood on it, derived."""
+    """Show every step from the camera's pixels to a reading."""
     return {"words": steps_of(report.card)}
 
 
 def steps_of(card: Card) -> tuple[str, ...]:
-    """A card's steps in words; of a card from before it said them, those it was made for."""
+    """Return a card's steps in words; for earlier cards, derived."""
     return (card.steps or reading_steps(card)).words
 
 
 def use(report: ReportedCalibration) -> Values:
-    """How to use it, and what it does not promise."""
+    """Show how to use it, and what it does not promise."""
     before = all(target.over_range is None for target in report.card.targets)
     return {"card": report.card, "before": before}
 
 
+# in the order of the page; the name of each is that of its template
 SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     findings,
     answers,
@@ -336,4 +443,3 @@ SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     steps,
     use,
 )
-"""In the order of the page; the name of each is that of its template."""

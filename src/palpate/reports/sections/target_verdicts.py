@@ -20,23 +20,19 @@ from palpate.estimators.reference_uncertainty import with_reference
 from palpate.reports.calibration_figures import errors_of, held_rows, interval_ends, target_columns
 from palpate.reports.score_intervals import mean_error_half_width, percent, width_text
 
-OUTER_SHARE = 0.1
-"""Share of the scored rows, by their truth, that an outer range holds."""
-MIN_OUTER_ROWS = 20
-"""Rows that an outer range holds at least; with fewer, a rate of 90 % cannot be told from one of 70 %."""
-MIN_TOLD = 0.7
-"""Rate below which the interval of a range's coverage must not reach, if it shall tell of 90 %."""
+OUTER_SHARE = 0.1  # ratio of the scored rows in an outer range
+MIN_OUTER_ROWS = 20  # with fewer, rates of 90 and 70 % are indistinguishable
+MIN_TOLD = 0.7  # lower bound for the interval of a range's coverage
 
 
 @dataclass(frozen=True, slots=True)
 class OuterRange:
-    """Held-out rows at one end of a target's range, and how often their intervals covered the truth.
+    """Held-out rows at one end of a target's range.
 
     Attributes:
-        where: the range in words with its unit, e.g. "above 5.5 mm".
-        n: rows.
-        covered: rows whose interval covered the truth.
-        low, high: 95 % interval of the covered share, groups counted as groups.
+        where: range in words with its unit, e.g. "above 5.5 mm".
+        n, covered: rows, and those whose interval covered the truth.
+        low, high: 95 % interval of the covered ratio over groups.
         bias: mean signed error [the target's unit].
     """
 
@@ -49,12 +45,11 @@ class OuterRange:
 
 
 def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[OuterRange, ...]:
-    """The lowest and the highest tenth of a target's scored rows, by the truth; none where rows are few.
+    """Return the lowest and highest tenth of a target's scored rows by the truth; none where rows are few.
 
     Args:
-        target: whose range it is; a circular one has no ends.
-        table: the held-out predictions, a row a frame.
-        groups: ``[n]`` label of each row's group.
+        table: held-out predictions, one row per frame.
+        groups: group of each row ``[n]``.
     """
     true, estimate, _ = target_columns(target, table)
     error = errors_of(target, true, estimate)
@@ -74,14 +69,14 @@ def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) ->
 
 
 def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
-    """Evaluations on sessions that were not learnt from."""
+    """Return evaluations on sessions that were not trained on."""
     return tuple(one for one in evaluations if one.of_another_session)
 
 
 def fails(
     card: Card, target: TargetCard, ends: Sequence[OuterRange], evaluations: Sequence[EvaluationRecord]
 ) -> bool:
-    """True where a target's intervals hold less than promised: over all rows, in a part, or elsewhere."""
+    """Return whether a target's intervals cover less than promised, over all rows, a part, or elsewhere."""
     scores = [target.score, *(found.targets[target.column] for found in others(evaluations))]
     return (
         any(one.coverage_90_high < card.coverage for one in scores)
@@ -92,7 +87,7 @@ def fails(
 
 
 def found_elsewhere(target: TargetCard, evaluations: Sequence[EvaluationRecord]) -> tuple[str, ...]:
-    """Where a target did not keep its promise on sessions that were not learnt from, a sentence each."""
+    """Return where a target did not keep its promise on other sessions, a sentence each."""
     name = target.quantity.replace("_", " ")
     return tuple(
         f"on {', '.join(one.session)} {sentence.removeprefix(f'{name}: ')}"
@@ -102,14 +97,10 @@ def found_elsewhere(target: TargetCard, evaluations: Sequence[EvaluationRecord])
 
 
 def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: int, tested: str) -> str:
-    """How well a target is read, where, and on which day: one sentence.
+    """Return how well a target is read, where, and on which day, in one sentence.
 
     Args:
-        card: of the calibration.
-        target: which of its targets.
-        ends: its outer ranges.
-        groups: number of groups that were scored.
-        tested: on which other recordings it was tested, see `tested_text`.
+        tested: other recordings it was tested on, see `tested_text`.
     """
     s, name = target.score, target.quantity.replace("_", " ")
     # Two digits are enough of a sentence, and fewer where the groups bear out no more.
@@ -135,7 +126,6 @@ def _where(target: TargetCard) -> str:
 
 
 def _held(s: ScoreCard, coverage: float) -> str:
-    """The share of the rows that the intervals held."""
     share = percent(s.coverage_90, s.coverage_90_low, s.coverage_90_high)
     return f"{'only ' if s.coverage_90_high < coverage else ''}{share} %"
 
@@ -149,12 +139,10 @@ def _but(s: ScoreCard, ends: Sequence[OuterRange], coverage: float) -> str:
 
 
 def verdict(target: TargetCard, ends: Sequence[OuterRange] = (), groups: int | None = None) -> str:
-    """Meaning of a target's scores, in a sentence.
+    """Return the meaning of a target's scores, in one sentence.
 
     Args:
-        target: its card.
-        ends: its outer ranges; none where the rows are too few to judge them.
-        groups: number of groups that were scored; None counts every row as one.
+        groups: number of scored groups; None counts every row as one.
     """
     s = target.score
     off = mean_error_half_width(s, s.n if groups is None else groups)
@@ -179,7 +167,6 @@ def _times(s: ScoreCard) -> str:
 
 
 def _promise(target: TargetCard, ends: Sequence[OuterRange]) -> str:
-    """Judgement of the intervals' promise, over all rows and at both ends of the range."""
     s = target.score
     failed = [end for end in ends if end.high < 0.9]
     unsure = [end for end in ends if end.low <= MIN_TOLD and end not in failed]
@@ -215,10 +202,7 @@ def _signed(value: float, half_width: float) -> str:
 
 
 def reading_half_width(target: TargetCard, table: pd.DataFrame) -> float | None:
-    """Mean half-width of the readings' intervals, which hold the labels' instrument too; None without one.
-
-    The scores are of the intervals before: labels are what the instrument shows.
-    """
+    """Return the mean half-width of intervals that contain the labels' instrument too; None without one."""
     if target.measured_by is None or target.measured_by.half_width == 0:
         return None
     value = target_columns(target, table)[1]
@@ -227,18 +211,11 @@ def reading_half_width(target: TargetCard, table: pd.DataFrame) -> float | None:
 
 
 NOT_TESTED = "not yet tested on another day"
-MIN_VALID = 0.9
-"""Share of another recording's frames that are valid, below which the answer says so."""
+MIN_VALID = 0.9  # ratio of valid frames of another recording, below which the answer states it
 
 
 def tested_text(card: Card, target: TargetCard, evaluations: Sequence[EvaluationRecord]) -> str:
-    """On what else a target was tested, and whether its intervals held there.
-
-    Args:
-        card: of the calibration.
-        target: which of its targets.
-        evaluations: what `palpate evaluate` kept beside the card.
-    """
+    """Return on what else a target was tested, and whether its intervals covered the truth there."""
     found = others(evaluations)
     parts = [_held_out(card), _reset(card), _elsewhere(card, target, found)]
     sessions = card.sessions is not None and card.sessions.held_out > 1 and card.sessions.column == "session"

@@ -168,8 +168,7 @@ def kept_session(folder: Path) -> dict[str, Any]:
     Raises:
         PalpateError: the file is not a session's.
     """
-    from palpate.workflows.start_state import STATE
-    from palpate.workflows.stored_session import StoredSession
+    from palpate.workflows.stored_session import STATE, StoredSession
 
     if not (folder / STATE).is_file():
         return {}
