@@ -65,11 +65,7 @@ class Fingertip:
     area: Law
 
     def approach_m(self, force_n: float | Forces) -> Forces:
-        """Displacement at a force [m].
-
-        Raises:
-            RangeError: the force lies outside what the model is known for.
-        """
+        """Displacement at a force [m]."""
         return self._of(self.approach, force_n)
 
     def area_m2(self, force_n: float | Forces) -> Forces:
@@ -118,9 +114,6 @@ def exponential_fingertip(
         area_at_1n_m2: k, the area at 1 N [m^2].
         area_exponent: n, above 0 and at most 2/3.
         greatest_n: to which the constants were fitted, at most 2 N [N].
-
-    Raises:
-        RangeError: a constant that no finger has.
     """
     positive("the exponential's scale b", scale_n, "N")
     positive("the exponential's rate m", rate_per_m, "1/m")
@@ -159,10 +152,6 @@ def finite_strain_fingertip(tip: str, radius_m: float, gel_pa: float) -> Fingert
         tip: one of `tip_table.shipped_tips`.
         radius_m: of the hemisphere [m].
         gel_pa: Young's modulus of what is under the skin [Pa].
-
-    Raises:
-        InputError: no tip has that name.
-        RangeError: a radius or modulus that is not above 0.
     """
     positive("the fingertip's radius", radius_m, "m")
     positive("the fingertip's Young's modulus", gel_pa, "Pa")

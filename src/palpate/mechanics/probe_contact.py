@@ -73,10 +73,6 @@ def press_probe(
         The contact. Its pressure is that normal to the skin and sums to the force over the area seen from
         above. Its radius is that of a disc of the contact's area. Its touching cells are two or three across,
         or more.
-
-    Raises:
-        InputError: a light contact reaches beyond the grid.
-        RangeError: the depth lies outside the table, or the contact reaches over the rim.
     """
     h, E = thickness_m, youngs_modulus_pa
     if not 0.0 <= pose.depth_m <= table.greatest_depth * h * (1 + SAME):

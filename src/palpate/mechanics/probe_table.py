@@ -133,11 +133,7 @@ class ProbeTable:
         )  # fmt: skip
 
     def at(self, depth: float) -> PressedLayer:
-        """The layer at one depth [h].
-
-        Raises:
-            RangeError: the depth lies outside the table.
-        """
+        """The layer at one depth [h]."""
         least, most = float(self.depth[0]), self.greatest_depth
         if not least * (1 - SAME) <= depth <= most * (1 + SAME):
             raise RangeError(

@@ -35,9 +35,6 @@ def resultant_of(contact: Contact, about_m: tuple[float, float] = (0.0, 0.0)) ->
     Args:
         contact: with its pressure and its shear, if it has any.
         about_m: point (x, y) of the surface at rest [m]; by default the membrane's centre.
-
-    Raises:
-        InputError: a grid that is not regular, or a point that is not finite.
     """
     if not all(map(math.isfinite, about_m)):
         raise InputError(f"moments about {about_m} m; give two finite numbers in m, x and y")

@@ -61,9 +61,6 @@ class Prony:
         moduli_pa: E_i of the branches, positive [Pa].
         times_s: their relaxation times tau_i, positive [s].
 
-    Raises:
-        RangeError: a modulus or time is not positive, or they do not pair up.
-
     Example:
         >>> skin = Prony(0.2e6, (0.1e6,), (0.5,))
         >>> round(float(skin.relaxation(0.5)) / 1e6, 4)
@@ -176,11 +173,7 @@ class KelvinVoigt:
         positive("the viscosity", self.viscosity_pa_s, "Pa s")
 
     def stress(self, time_s: History, strain: History) -> History:
-        """Stress [Pa] under a smooth history of strain; the rate is taken from central differences.
-
-        Raises:
-            RangeError: the history has a step or a hold, or fewer than 3 samples, or is not finite.
-        """
+        """Stress [Pa] under a smooth history of strain; the rate is taken from central differences."""
         _steps(time_s, strain)
         if len(time_s) < 3:
             raise RangeError(f"{len(time_s)} samples give no rate of strain; give 3 or more")
@@ -260,10 +253,6 @@ def ting(
         skin: its relaxation modulus.
         poisson_ratio: of the skin, 0 to 0.5, constant in time.
 
-    Raises:
-        RangeError: the depth does not rise and then fall, is held on the way back so long that the contact
-            would grow again (use ``press``), is beyond a/R = 0.5, or an argument is out of range.
-
     Example:
         >>> t = np.linspace(0, 2, 101)
         >>> done = ting(t, 1e-3 * (1 - abs(1 - t)), 5e-3, Prony(0.2e6, (0.1e6,), (0.5,)), 0.49)
@@ -339,9 +328,6 @@ def press(
 
     The force errs by about 1e-5 of its greatest and the radius by 1/800 of its greatest, however few the
     samples of a history are.
-
-    Raises:
-        RangeError: the contact becomes a ring, the depth is beyond a/R = 0.5, or an argument is out of range.
     """
     _check(time_s, depth_m, radius_m)
     reduced_modulus(1.0, poisson_ratio)
@@ -383,10 +369,7 @@ def _check(time_s: History, depth_m: History, radius_m: float) -> None:
 
 
 def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times, Int[ndarray, " n"]]:
-    """Times and depths of the same straight pieces in short parts, and where among them the samples are.
-
-    First touches between samples are among them, and so the depth over the skin is straight between them too.
-    """
+    """Times and depths of the same straight pieces in short parts, and where among them the samples are."""
     before, after, steps = depth_m[:-1], depth_m[1:], np.diff(time_s)
     through = np.sign(before) * np.sign(after) < 0.0
     touches = (time_s[:-1] + steps * before / np.where(through, before - after, 1.0))[through]

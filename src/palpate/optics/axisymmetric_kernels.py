@@ -52,11 +52,7 @@ def _read(z, r, table):
 @numba.njit(**FAST)
 @no_type_check
 def _sample_deep(rays, j, i, slices, table, frozen, difference, shear):
-    """Slices of ray j, in the skin and in the table all along, into column i.
-
-    The law is in `axisymmetric_march`. Lengths are in units of the table's last radius. The angle
-    atan(y / scale) turns by equal steps.
-    """
+    """Slices of ray j, in the skin and in the table all along, into column i."""
     offset, scale = rays[0, j], rays[4, j]
     first, last = math.atan(rays[2, j] / scale), math.atan(rays[3, j] / scale)
     step = (last - first) / slices

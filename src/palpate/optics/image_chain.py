@@ -66,11 +66,7 @@ def through_lens(light: Light, chain: ImageChain) -> Light:
 
 @lru_cache(maxsize=8)
 def _seen_from(width: int, height: int, distortion: float) -> tuple[Map, Map]:
-    """Places (x, y) of the undistorted picture that each pixel shows [px].
-
-    A point at distance r from the middle, in halves of the diagonal, is seen at r (1 + k r^2); this inverts
-    it by Newton's steps.
-    """
+    """Places (x, y) of the undistorted picture that each pixel shows [px]."""
     middle = (width - 1) / 2, (height - 1) / 2
     half = math.hypot(*middle)
     x, y = np.meshgrid(np.arange(width) - middle[0], np.arange(height) - middle[1])
@@ -83,11 +79,7 @@ def _seen_from(width: int, height: int, distortion: float) -> tuple[Map, Map]:
 
 
 def as_kept(image: UInt8[ndarray, "h w 3"], chain: ImageChain) -> UInt8[ndarray, "h w 3"]:
-    """The picture as it is read again from its file.
-
-    Raises:
-        InputError: the picture cannot be coded.
-    """
+    """The picture as it is read again from its file."""
     if chain.jpeg_quality is None:
         return image
     done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, chain.jpeg_quality])

@@ -65,9 +65,6 @@ def plane_amplitude(polariser_rad: float, bands: int, light_field: bool = False)
         polariser_rad: from x towards z [rad].
         bands: k.
         light_field: analyser along the polariser instead of across it.
-
-    Raises:
-        InputError: no band, or an angle that is not a number.
     """
     if bands < 1 or not np.isfinite(polariser_rad):
         raise InputError(
@@ -95,9 +92,6 @@ def circular_amplitude(
         polariser_rad: from x towards z [rad].
         light_field: analyser along the polariser instead of across it.
         axis_error_rad: by which the second plate is turned too far [rad].
-
-    Raises:
-        RangeError: a wavelength is not positive, or an angle is not a number.
     """
     if not (np.all(wavelength_m > 0) and quarter_wave_m > 0):
         raise RangeError("wavelengths must be positive; give metres, such as 550e-9")

@@ -45,11 +45,7 @@ class StressOpticLaw:
         return self.coefficient_per_pa * (1 + self.dispersion_m2 * bend)
 
     def half_phase(self, wavelength_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Half the phase, in radians, that 1 Pa m makes at each wavelength: pi C / lambda [1/(Pa m)].
-
-        Raises:
-            RangeError: a wavelength is not positive, or the dispersion turns C negative there.
-        """
+        """Half the phase, in radians, that 1 Pa m makes at each wavelength: pi C / lambda [1/(Pa m)]."""
         if not np.all(wavelength_m > 0):
             raise RangeError("every wavelength must be positive; give metres, such as 550e-9")
         coefficient = self.at(wavelength_m)

@@ -64,9 +64,6 @@ def round_rim(x_m: Columns, radius_m: float, index: float) -> ColumnRays:
         The rays; at grazing columns the transmission falls to 0. Fresnel's loss is averaged over the two
         polarisations: that they differ turns the polarisation of rays near the rim, by less than 1 degree
         for |x| < R/2 at n = 1.41, and is left out.
-
-    Raises:
-        RangeError: radius not positive, index below 1, or a column that is not a number.
     """
     _check(x_m, radius_m, index)
     visible = abs(x_m) < radius_m

@@ -223,10 +223,6 @@ def disc_table_for(kind: type[AnyTable], ratio: float, friction: float, poisson_
         ratio: thickness over the indenter's radius.
         friction: Coulomb's coefficient.
         poisson_ratio: of the disc.
-
-    Raises:
-        RangeError: no table of this friction and Poisson's ratio, or a thickness outside those solved; or
-            between them, where fewer than three were.
     """
     near = _solved_near(kind, ratio, friction, poisson_ratio)
     if len(near) == 1:

@@ -92,11 +92,7 @@ class InclinedTable:
         return bool((same & (specimen_pa >= self.softest_pa * (1 - 1e-9))).any())
 
     def press(self, specimen_pa: float, tilt_rad: float) -> SidePress:
-        """The tip on a specimen of a Young's modulus, `inf` for a rigid plate [Pa], at a tilt [rad].
-
-        Raises:
-            RangeError: a tilt or modulus that is not in the table.
-        """
+        """The tip on a specimen of a Young's modulus, `inf` for a rigid plate [Pa], at a tilt [rad]."""
         if not self.holds(specimen_pa, tilt_rad):
             each = zip(self.softest_pa, np.rad2deg(self.tilt_rad).round(6), strict=True)
             raise RangeError(

@@ -211,9 +211,6 @@ def pulled(
         1.3 at 1.1 R and 1.5 at 1.2 R, so much too high inside. Its pressure and its edge stay as they were,
         as under Cattaneo and Mindlin; in three dimensions the pressure's centre moves by up to 0.02 R
         against the sphere's.
-
-    Raises:
-        RangeError: nothing presses, all slips, or the pull takes the sphere beyond `MAX_SHIFT`.
     """
     Q, most = math.hypot(*pull_n), friction * contact.force_n
     R = contact.probe.radius_m

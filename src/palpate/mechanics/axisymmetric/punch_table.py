@@ -91,10 +91,6 @@ def press_punch(
     Returns:
         The contact. Its pressure is that normal to the skin, which sums to the force over the area seen from
         above; on the punch's upright side, which is not seen from there, it is left out.
-
-    Raises:
-        InputError: the probe is no upright punch, or the pose is not a finite position.
-        RangeError: as of `press_finite_strain`.
     """
     if probe.shape != "punch" or probe.tilt_rad != 0.0:
         raise InputError(

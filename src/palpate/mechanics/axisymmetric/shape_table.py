@@ -89,9 +89,6 @@ class ShapeTable:
         Args:
             radius_m: of the dome, inf for a flat top [m].
             modulus_pa: Young's, inf for a rigid one [Pa].
-
-        Raises:
-            RangeError: a smaller radius or modulus than was solved.
         """
         if not radius_m >= self.least_radius_m * (1 - 1e-9):
             raise RangeError(
@@ -107,9 +104,6 @@ class ShapeTable:
         Args:
             thickness_m: of the layer [m].
             modulus_pa: Young's [Pa].
-
-        Raises:
-            RangeError: a thickness or modulus that was not solved.
         """
         low, high = self.thickness_m
         if not low * (1 - 1e-9) <= thickness_m <= high * (1 + 1e-9):
@@ -135,11 +129,7 @@ class ShapeTable:
 
 @cache
 def shape_table(name: str) -> ShapeTable:
-    """The table of a tip on other shapes.
-
-    Raises:
-        InputError: there is none of this tip.
-    """
+    """The table of a tip on other shapes."""
     flat = tip_table(name)
     path = resources.files("palpate.mechanics") / FOLDER / f"shapes-{name}.npz"
     if not path.is_file():

@@ -106,11 +106,6 @@ def press_finite_strain(
     Returns:
         The contact. Its pressure is the vertical load per area seen from above, so that it sums to the force;
         without friction it is the pressure normal to the skin. Its shear is friction alone.
-
-    Raises:
-        InputError: the probe is not a sphere, or the pose is not a finite position.
-        RangeError: no table is solved for this thickness, friction or Poisson's ratio, the depth lies beyond
-            the table, or the contact would reach over the disc's rim.
     """
     if probe.shape != "sphere":
         raise InputError(
@@ -190,9 +185,6 @@ def edge_reach(thickness: float) -> EdgeReach:
 
     Args:
         thickness: of the disc: 2 or 4 R.
-
-    Raises:
-        RangeError: another thickness.
     """
     offset, depth = (float(axis[-1]) for axis in _corrections(thickness).grid)
     return EdgeReach(offset, depth)
@@ -207,9 +199,6 @@ def edge_correction_held(
         offset: of the ball from the disc's axis [R].
         depth: of the press; below 0 as at 0 [R].
         thickness: of the disc: 2 or 4 R.
-
-    Raises:
-        RangeError: another thickness.
     """
     table, reach = _corrections(thickness), edge_reach(thickness)
     at = np.clip(offset, 0.0, reach.offset), np.clip(depth, 0.0, reach.depth)

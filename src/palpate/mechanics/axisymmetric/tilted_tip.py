@@ -52,9 +52,6 @@ def solve_friction(
         slip: tangential motion of the cells since they last rested, without any force now [m].
         friction: Coulomb's coefficient; 0 for none.
         start: forces to begin with, e.g. those of the last state [N].
-
-    Raises:
-        RangeError: friction below 0, or no rest after many sweeps.
     """
     if not friction >= 0:
         raise RangeError(f"friction is {friction}; Coulomb's coefficient is 0 or more")

@@ -53,9 +53,6 @@ def tip_between(log_ratio: float) -> TipBetween:
 
     Args:
         log_ratio: natural logarithm of the skin's modulus over the gel's.
-
-    Raises:
-        RangeError: a ratio beyond the tables'.
     """
     low, high = ratio_range()
     if not low * (1 - 1e-9) <= math.exp(log_ratio) <= high * (1 + 1e-9):

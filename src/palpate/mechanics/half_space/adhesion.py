@@ -92,11 +92,7 @@ class AdhesiveSphere:
         return self._in_range(math.cbrt(max(cubed, 0.0)))
 
     def radius_from_depth(self, depth_m: float) -> float:
-        """Contact radius a [m] at a held depth, on the branch that is stable then, of a contact already made.
-
-        Raises:
-            RangeError: the depth is below `pull_off_depth_m`, or beyond a/R = 0.5.
-        """
+        """Contact radius a [m] at a held depth of an existing contact, on the stable branch."""
         a_least, a_greatest = self._least_radius, MAX_SLOPE * self.radius_m
         least, greatest = self.depth_from_radius(a_least), self.depth_from_radius(a_greatest)
         if not least - 1e-12 * abs(least) <= depth_m <= greatest * (1 + 1e-12):

@@ -137,10 +137,6 @@ def press(
 
     Returns:
         The contact: exact pressure and surface displacement, inside the contact and around it.
-
-    Raises:
-        InputError: the probe is not a sphere.
-        RangeError: depth or material lies outside the law's range.
     """
     if probe.shape != "sphere":
         raise InputError(f"Hertz's law is for a sphere, got probe shape {probe.shape!r}; use shape 'sphere'")
@@ -159,11 +155,7 @@ def grid_around(
     x_m: Float[ndarray, " nx"] | None,
     y_m: Float[ndarray, " ny"] | None,
 ) -> tuple[Float[ndarray, " nx"], Float[ndarray, " ny"], Float[ndarray, "ny nx"]]:
-    """Columns, rows and distances from the pose [m]; around the pose where no columns or rows are given.
-
-    Raises:
-        InputError: the pose is not a finite position.
-    """
+    """Columns, rows and distances from the pose [m]; around the pose where no columns or rows are given."""
     if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
         raise InputError(
             f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
@@ -191,21 +183,13 @@ def surface_displacement(r: Points, a: float, radius_m: float) -> Points:
 
 
 def positive(name: str, value: float, unit: str) -> None:
-    """Refuse what is not a positive, finite number.
-
-    Raises:
-        RangeError: names the quantity, its value and its unit.
-    """
+    """Refuse what is not a positive, finite number."""
     if not (value > 0.0 and math.isfinite(value)):
         raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}", code="not-positive")
 
 
 def in_skin(*places_m: RayPoints) -> None:
-    """Refuse places that are not finite, and a depth, the last of them, above the surface.
-
-    Raises:
-        RangeError: some are.
-    """
+    """Refuse places that are not finite, and a depth, the last of them, above the surface."""
     if not (all(np.isfinite(place).all() for place in places_m) and np.all(np.asarray(places_m[-1]) >= 0)):
         raise RangeError(
             "the skin lies at finite places with z >= 0 m; a negative z is in the air above it",

@@ -155,10 +155,6 @@ def mindlin_displacement(
         force_n: along the named axis [N].
         along: ``"x"``, ``"y"`` or ``"z"``.
         youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
-
-    Raises:
-        InputError: the axis is not one of the three.
-        RangeError: material or depth is out of range, some z is negative, or a point lies on the force.
     """
     G = reduced_modulus(youngs_modulus_pa, poisson_ratio) * (1 - poisson_ratio) / 2
     u, _, _ = _mindlin(x_m, y_m, z_m, depth_m, along, poisson_ratio)

@@ -38,9 +38,6 @@ def stick_radius(pull_n: float, force_n: float, friction: float, contact_radius_
         friction: coefficient mu, positive.
         contact_radius_m: a, positive [m].
 
-    Raises:
-        RangeError: an argument is out of its range; at Q = mu P the whole contact slides.
-
     Example:
         >>> round(stick_radius(0.35, 1.0, 0.4, 2e-3) * 1e3, 9)
         1.0

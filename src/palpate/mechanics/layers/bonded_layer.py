@@ -45,12 +45,7 @@ Function = Float[ndarray, " n"]
 
 
 def layer_transfer(s: Function, poisson_ratio: float, base: Base = "bonded") -> Function:
-    """Displacement of a layer over a half-space's, M(s), under a pressure of wavenumber s/h.
-
-    Raises:
-        InputError: the base is neither bonded nor sliding.
-        RangeError: nu lies outside 0 to 0.5.
-    """
+    """Displacement of a layer over a half-space's, M(s), under a pressure of wavenumber s/h."""
     reduced_modulus(1.0, poisson_ratio)
     nu, fall = poisson_ratio, np.exp(-2 * s)  # all divided by e^2s / 2, so that nothing overflows
     if base == "bonded":
@@ -172,10 +167,6 @@ def dimitriadis_factor(chi: float, poisson_ratio: float, base: Base = "bonded") 
 
     The general formula is used. The bonded short form often quoted for nu = 1/2 has the other sign at its
     term 0.0975 chi^4, worth 0.1 % at chi = 0.3.
-
-    Raises:
-        InputError: the base is neither bonded nor sliding.
-        RangeError: nu lies outside 0 to 0.5.
     """
     reduced_modulus(1.0, poisson_ratio)
     nu = poisson_ratio

@@ -187,12 +187,6 @@ def press_stack(
     Returns:
         The contact. The force of a sphere is right to 1e-3, and its area to 1 %, from 10 cells a contact
         radius on; with 4, the coarsest allowed, to 1 % and 5 %.
-
-    Raises:
-        InputError: the grid is not regular, the gap does not fit it or is no height field, or not exactly one
-            of depth and force is given.
-        RangeError: depth or force is negative, the depth is not within the stack, the contact reaches the
-            border of the grid, or the cells do not resolve the contact or the top layer.
     """
     grid = cells(x_m, y_m)
     _check_gap(gap_m, grid)

@@ -83,9 +83,6 @@ def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
         ball: its Young's modulus over 1 - nu^2 [Pa], infinite for a rigid one, and its radius [m].
         radius_m: of the contact, to half the ball's [m].
 
-    Raises:
-        RangeError: the radius lies outside 0 to half the ball's.
-
     Example:
         >>> from palpate.mechanics.layers.stack import ElasticLayer
         >>> silicone = Stack((ElasticLayer(7e-3, 0.2e6, 0.499), ElasticLayer(7e-3, 0.1e6, 0.499)))
@@ -126,9 +123,6 @@ def press_course(stack: Stack, ball: Body, count: int = 40, until_n: float | Non
         count: presses after rest, 2 or more.
         until_n: force at the last; without, as far as small strain goes: a contact of half the ball's radius,
             or a stack pressed in by a fifth of its thickness [N].
-
-    Raises:
-        RangeError: a force that is not above 0, or beyond small strain.
     """
     widest = MAX_SLOPE * ball.radius_m
     deepest = MAX_STRAIN * stack.thickness_m

@@ -53,11 +53,7 @@ def cone(x_m: Axis, y_m: Axis, slope_rad: float, centre_m: Place = CENTRE) -> Fi
 def flat_punch(
     x_m: Axis, y_m: Axis, radius_m: float, edge_radius_m: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
-    """Upright cylinder of radius a; its edge is sharp, or rounded by a quarter circle inside a [m].
-
-    Raises:
-        RangeError: a is not positive, or the edge's radius lies outside 0 to a.
-    """
+    """Upright cylinder of radius a; its edge is sharp, or rounded by a quarter circle inside a [m]."""
     positive("the punch's radius", radius_m, "m")
     if not 0.0 <= edge_radius_m <= radius_m:
         raise RangeError(
@@ -96,12 +92,7 @@ def lying_cylinder(
 
 
 def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float, float, float]]) -> Field:
-    """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m].
-
-    Raises:
-        InputError: no sphere.
-        RangeError: a height that is negative, or none that is 0: the lowest sphere touches first.
-    """
+    """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m]."""
     heights = [up for _, _, up in places_m]
     if not heights:
         raise InputError("a holder without spheres; give one place (x, y, height) in m or more")
@@ -119,11 +110,7 @@ def together(*gaps_m: Field) -> Field:
 
 
 def tilt(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_rad: float = 0.0) -> Field:
-    """Lean an indenter by an angle along x and along y; its lowest grid point is at height 0 again.
-
-    Raises:
-        RangeError: an angle beyond 30 degrees, where adding a slope is no longer a turn.
-    """
+    """Lean an indenter by an angle along x and along y; its lowest grid point is at height 0 again."""
     _check_tilt(slope_x_rad)
     _check_tilt(slope_y_rad)
     sloped = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]

@@ -160,10 +160,6 @@ def stress_under(
 
     Returns:
         Window and wide grid. Five thicknesses beyond the load the wide one ends, and the stress with it.
-
-    Raises:
-        InputError: a load that is not finite, or a grid that is not regular.
-        RangeError: planes that do not rise within the layer, or a material out of range.
     """
     grid = cells(x_m, y_m)
     if not np.all(np.isfinite(pressure_pa)) or (shear_pa is not None and not np.all(np.isfinite(shear_pa))):

@@ -205,9 +205,6 @@ class Stack:
         base: ``"bonded"``: the last layer sticks to a rigid floor. ``"half-space"``: the last layer reaches
             down without end, and its thickness is ``math.inf``.
 
-    Raises:
-        InputError: no layer, a base of another name, or a thickness that does not fit the base.
-
     Example:
         >>> skin = Stack((ElasticLayer(1e-3, 0.8e6, 0.49), ElasticLayer(9e-3, 0.2e6, 0.49)))
         >>> round(skin.thickness_m, 6)
@@ -275,9 +272,6 @@ def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
 
     Returns:
         The compliances [m/Pa] at each k; the 3 x 3 matrix they make is Hermitian and positive definite.
-
-    Raises:
-        RangeError: k is negative, not finite, or 0 on a half-space, which yields without end.
 
     Example:
         >>> layer = Stack((ElasticLayer(10e-3, 0.3e6, 0.49),))

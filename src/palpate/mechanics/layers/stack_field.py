@@ -84,10 +84,6 @@ def field_below(
         The field. The load is taken as smooth between the grid's points: within a cell of the surface a rim
         is blurred. With the load in the middle third of the grid, images cost at most 3e-4 of the greatest
         pressure in the stress, and 0.5 % of the greatest displacement, at the border of the grid.
-
-    Raises:
-        InputError: a grid that is not regular, or a load that does not fit it or is not finite.
-        RangeError: a depth outside the stack, or a negative margin.
     """
     grid = cells(x_m, y_m)
     nothing = np.zeros((grid.ny, grid.nx))

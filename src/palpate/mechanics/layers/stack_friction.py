@@ -95,10 +95,6 @@ def shear_stack(
         moment_nm: about z through the axis [N m]. Where only a force is given, the probe does not turn, and
             the moment is what that takes.
         axis_m: of the probe (x, y) [m].
-
-    Raises:
-        InputError: neither a motion nor a load, or both, or one that is not finite.
-        RangeError: a contact without force, a friction that is not positive, or a load at which all slips.
     """
     if not contact.force_n > 0.0:
         raise RangeError(
@@ -182,11 +178,7 @@ class _Problem:
             )
 
     def solve(self, motion: Motion, q: Fields, limit: Field, tolerance: float = TOLERANCE) -> Fields:
-        """Tractions [Pa] at a motion, from a guess: conjugate gradients on what may still change.
-
-        A slipping traction turns on a circle. The smaller the circle, the more a turn costs: its bend stands
-        beside the stiffness of the skin.
-        """
+        """Tractions [Pa] at a motion, from a guess: conjugate gradients on what may still change."""
         target = np.tensordot(motion, self.modes, axes=1)
         allowed = tolerance * float(np.hypot(*target).max())
         q = _limited(q, limit)

@@ -45,9 +45,6 @@ def cells(x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]) -> Cells:
     Args:
         x_m: columns, rising in equal steps, 3 or more [m].
         y_m: rows, rising in equal steps, 3 or more [m].
-
-    Raises:
-        InputError: the steps are not equal and positive, or there are too few.
     """
     return Cells(len(x_m), len(y_m), _step("x_m", x_m), _step("y_m", y_m))
 
@@ -80,11 +77,7 @@ Places = Float[ndarray, "v u"]
 def laid_onto(
     values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
 ) -> Field:
-    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance.
-
-    Raises:
-        InputError: a value that is not 0 lies beyond the grid.
-    """
+    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance."""
     onto = np.zeros((len(y_m), len(x_m)))
     loaded = values > 0.0
     column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])

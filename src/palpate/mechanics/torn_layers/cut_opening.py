@@ -81,9 +81,6 @@ def strip_mesh(stack: Stack, cut_m: float, finer: float = 1.0) -> StripMesh:
         stack: on a rigid floor, of finite thickness.
         cut_m: depth of the cut.
         finer: elements over those that suffice.
-
-    Raises:
-        InputError: a stack without a floor, or a cut that is not within it.
     """
     total = stack.thickness_m
     if not (total < np.inf and MIN_CUT_SHARE * total <= cut_m < total):

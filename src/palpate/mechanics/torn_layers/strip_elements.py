@@ -86,11 +86,7 @@ def _with_middles(edges: ndarray) -> ndarray:
 
 
 def graded(first_m: float, growth: float, last_m: float, end_m: float) -> Columns:
-    """Sides of elements from 0 to an end that grow from a first to a last size [m].
-
-    Raises:
-        InputError: sizes that are not positive or a growth below 1.
-    """
+    """Sides of elements from 0 to an end that grow from a first to a last size [m]."""
     if not (0 < first_m <= last_m <= end_m and growth >= 1):
         raise InputError(
             f"elements from {first_m:g} to {last_m:g} m, growing by {growth:g}, up to {end_m:g} m; give "

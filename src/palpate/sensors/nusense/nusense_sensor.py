@@ -208,11 +208,7 @@ class NuSense:
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
     ) -> Contact:
-        """Press a rigid indenter; see `pad_contact`.
-
-        Raises:
-            RangeError: deeper than is known, beside the pad, or a specimen that yields.
-        """
+        """Press a rigid indenter; see `pad_contact`."""
         if not is_rigid(specimen):
             raise RangeError(
                 "NUSense is pressed by rigid indenters; a specimen that yields is not modelled",
@@ -291,11 +287,7 @@ class NuSense:
         return TileCorners(cells, rest, skin, seen, seen_px(self.spec, skin, seating.shift_px))
 
     def rectify(self, frame: Frame) -> Frame:
-        """The frame as a pinhole of the same axis and scale sees it.
-
-        Raises:
-            ImageError: a frame of another size.
-        """
+        """The frame as a pinhole of the same axis and scale sees it."""
         import cv2
 
         lens = self.spec.lens
@@ -357,9 +349,6 @@ def nusense(preset: str = "") -> NuSense:
     """NUSense as designed; "soft" with half the gel's modulus, "torn" with a cut skin, a number for a copy.
 
     "torn-7" is copy 7 as fabricated with the cut.
-
-    Raises:
-        InputError: another preset.
     """
     spec = NuSenseSpec()
     if preset == "soft":

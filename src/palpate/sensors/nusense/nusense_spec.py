@@ -225,9 +225,6 @@ def fabricated(copy: int, spec: NuSenseSpec | None = None) -> NuSenseSpec:
     Args:
         copy: its number, 0 or more.
         spec: what was designed; None for `NuSenseSpec()`.
-
-    Raises:
-        RangeError: a negative number.
     """
     if copy < 0:
         raise RangeError(f"copy {copy}; copies are numbered from 0")

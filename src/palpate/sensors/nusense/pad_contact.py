@@ -64,11 +64,7 @@ def grid_about(probe: Probe, depth_m: float) -> tuple[Columns, Rows]:
 
 @lru_cache(maxsize=128)
 def relaxed_press(stack: Stack, probe: Probe, depth_m: float) -> RelaxedPress:
-    """The relaxed pad at a depth above 0 [m].
-
-    Raises:
-        RangeError: the contact does not fit the grid or the cells at any depth.
-    """
+    """The relaxed pad at a depth above 0 [m]."""
     try:
         return RelaxedPress(_pressed(stack, probe, depth_m), 1.0)
     except RangeError:

@@ -28,9 +28,6 @@ Axis = Float[ndarray, " _"]
 def parse_indenter(words: str) -> Probe:
     """A probe from words: ``round`` and ``flat`` (tips of 5 mm radius), ``edge:30:60``, ``two-points:4:12``.
 
-    Raises:
-        InputError: other words, or sizes that are not positive.
-
     Example:
         >>> parse_indenter("round").radius_m
         0.005
@@ -58,11 +55,7 @@ def parse_indenter(words: str) -> Probe:
 
 
 def gap_under(probe: Probe, x_m: Axis, y_m: Axis) -> Field:
-    """Height of a probe over the flat skin at first touch, its axis at 0 [m].
-
-    Raises:
-        InputError: a shape that NUSense does not know, or a probe that leans.
-    """
+    """Height of a probe over the flat skin at first touch, its axis at 0 [m]."""
     if probe.tilt_rad:
         raise InputError(
             "an indenter that leans on NUSense is not modelled; hold it upright", code="inclined-indenter"

@@ -124,10 +124,7 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
 
 
 def _spectrum(contact: Contact) -> Callable[[Field], Wave]:
-    """Waves of a load on a contact's own cells, as the transform of the motion's grid has them.
-
-    They are summed wave by wave, so that a contact narrower than a cell of that grid keeps its shape.
-    """
+    """Waves of a load on a contact's own cells, as the transform of the motion's grid has them."""
     middle, dy = (contact.pose.x_m, contact.pose.y_m), float(contact.y_m[1] - contact.y_m[0])
     dx = float(contact.x_m[1] - contact.x_m[0])
     first = (0.5 - SIDE / 2) * PATTERN_CELL_M

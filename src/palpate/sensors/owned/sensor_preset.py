@@ -213,9 +213,6 @@ class SensorPreset(Part):
 
         Args:
             size_px: width and height of the frame [px].
-
-        Raises:
-            RangeError: a frame whose pixels would not be square on the skin, as one of another shape.
         """
         if self.skin.region_mm is None:
             return None
@@ -245,11 +242,7 @@ def preset_names() -> tuple[str, ...]:
 
 @cache
 def sensor_preset(name: str) -> SensorPreset:
-    """A preset that palpate has, by its name.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """A preset that palpate has, by its name."""
     if name not in preset_names():
         raise InputError(
             f"there is no preset {name!r}; there are {', '.join(preset_names())}, and `palpate sensors new "
@@ -259,12 +252,7 @@ def sensor_preset(name: str) -> SensorPreset:
 
 
 def read_preset(name_or_path: str | Path) -> SensorPreset:
-    """A preset by its name, or from a TOML file.
-
-    Raises:
-        InputError: no such preset, or a file that is none; each field that is wrong is named.
-        StorageError: the file cannot be read.
-    """
+    """A preset by its name, or from a TOML file."""
     path = Path(name_or_path)
     return _read(path) if path.suffix == ".toml" else sensor_preset(str(name_or_path))
 
@@ -281,13 +269,7 @@ def recognised_preset(name: str, usb: str = "") -> SensorPreset | None:
 
 
 def write_own_preset(path: Path) -> None:
-    """Begin a file of one's own, with what each field means.
-
-    Raises:
-        ExistsError: the file exists.
-        InputError: its name does not end in ``.toml``.
-        StorageError: the disk refused.
-    """
+    """Begin a file of one's own, with what each field means."""
     if path.suffix != ".toml":
         raise InputError(f"{path}: a preset is a TOML file; give a name that ends in .toml")
     text = (_folder() / f"{OWN}.toml").read_text(encoding="utf-8")

@@ -101,9 +101,6 @@ def worn(presses: float) -> Wear:
 
     Args:
         presses: 0 or more.
-
-    Raises:
-        RangeError: it is negative or not a number.
     """
     if not (math.isfinite(presses) and presses >= 0):
         raise RangeError(f"{presses} presses; give a finite number, 0 or more", code="press-count")

@@ -233,14 +233,7 @@ class GridSurface:
 
 
 def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray) -> Grey:
-    """Brightness met by lines of sight that enter the underside at (x, y) from the contact's axis [m].
-
-    Args:
-        spec: the palm.
-        surface: what they go towards.
-        reach_m: least and greatest z of that surface [m].
-        x, y: where they enter [m].
-    """
+    """Brightness met by lines of sight that enter the underside at (x, y) from the contact's axis [m]."""
     if not spec.membrane:
         return _in_air(spec, surface, x, y)
     if spec.opaque_underside:

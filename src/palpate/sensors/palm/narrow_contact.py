@@ -45,9 +45,6 @@ def press_narrow(
     Returns:
         The contact. Force, area and misfit are the narrow cells'; pressure, displacement and touching cells
         the grid's, where the contact covers two cells at least.
-
-    Raises:
-        RangeError: not resolved by the narrow cells either, or deeper than the stack.
     """
     narrow = _solved(stack, replace(probe, turn_rad=0.0), pose.depth_m, float(x_m[1] - x_m[0]) / PER_CELL)
     force_n = narrow.pressure_pa * cells(narrow.x_m, narrow.y_m).area_m2
@@ -78,10 +75,7 @@ def _solved(stack: Stack, probe: Probe, depth_m: float, cell_m: float) -> StackC
 
 
 def _overlap(probe: Probe, depth_m: float) -> Box:
-    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m].
-
-    Its parts are searched one by one: samples over all of several balls might miss one.
-    """
+    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m]."""
     boxes = [
         [(low + at, high + at) for (low, high), at in zip(_zoomed(part, depth_m - up), place, strict=True)]
         for part, (*place, up) in parts_of(probe)

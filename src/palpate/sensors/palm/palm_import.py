@@ -52,12 +52,7 @@ class PalmPressTable:
 
 
 def presses_in(folder: Path) -> list[PalmPressTable]:
-    """The presses that a folder has tables of, by place and cycle.
-
-    Raises:
-        InputError: no folder, or it has no tables.
-        LabelError: a table with another name, or two of one press.
-    """
+    """The presses that a folder has tables of, by place and cycle."""
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder of tables; check the name", code="folder-missing")
     with storage_errors(folder):
@@ -85,11 +80,7 @@ def _press(path: Path) -> PalmPressTable:
 
 
 def table_of(press: PalmPressTable) -> pd.DataFrame:
-    """A press's samples, in the table's order, every number finite.
-
-    Raises:
-        LabelError: the table is damaged, lacks a column, or holds what it must not; says in which row.
-    """
+    """A press's samples, in the table's order, every number finite."""
     path = press.path
     with storage_errors(path):
         size = path.stat().st_size
@@ -247,11 +238,7 @@ def _check_stands(shot: PalmShot, table: pd.DataFrame) -> None:
 
 
 def check_once(shots: Sequence[PalmShot]) -> None:
-    """Refuse a photograph that two shots name.
-
-    Raises:
-        LabelError: there is one.
-    """
+    """Refuse a photograph that two shots name."""
     first: dict[Path, PalmShot] = {}
     for shot in shots:
         for photo in shot.photos:
@@ -264,11 +251,7 @@ def check_once(shots: Sequence[PalmShot]) -> None:
 
 
 def check_no_strays(shots: Sequence[PalmShot], folder: Path) -> None:
-    """Refuse photographs that no shot names.
-
-    Raises:
-        LabelError: there are some; names the first.
-    """
+    """Refuse photographs that no shot names."""
     named = {photo.resolve() for shot in shots for photo in shot.photos}
     strays = sorted(
         path.relative_to(folder).as_posix()
@@ -309,14 +292,6 @@ def import_palm(
         run: the run to make; must not exist.
         sensor, licence, origin, provenance, progress: see `import_images`.
         allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
-
-    Raises:
-        ExistsError: `run` exists.
-        InputError: no folder, or it has no tables.
-        LabelError: a table with another name, a missing column, a cell that is no finite number, a photograph
-            or folder that is missing, outside `folder` or named by two shots; the message names file and row.
-        ImageError: a photograph cannot be read, or is not of the first one's size and kind.
-        StorageError: the disk is full, or refused.
     """
     refuse_existing(run)
     presses = presses_in(folder)
@@ -383,11 +358,7 @@ def _about(shot: PalmShot, samples: pd.DataFrame, sign: float) -> dict[str, obje
 
 
 def _normal_sign(tables: dict[PalmPressTable, pd.DataFrame]) -> float:
-    """Which way Fz points: at a press's deepest shot the skin is compressed, whatever its sign.
-
-    Raises:
-        LabelError: presses say otherwise of one another.
-    """
+    """Which way Fz points: at a press's deepest shot the skin is compressed, whatever its sign."""
     signs: dict[float, PalmPressTable] = {}
     for press, table in tables.items():
         depth, fz = table["indent_mm"].to_numpy(), table["Fz"].to_numpy()

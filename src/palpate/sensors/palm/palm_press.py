@@ -83,11 +83,7 @@ def has_table(spec: PalmSpec) -> bool:
 
 
 def table_of(spec: PalmSpec) -> SphereTable:
-    """The shipped table whose membrane has the spec's proportions.
-
-    Raises:
-        RangeError: none was made for them; the message lists those there are.
-    """
+    """The shipped table whose membrane has the spec's proportions."""
     if (table := _table_of(spec)) is not None:
         return table
     R = spec.indenter_radius_m
@@ -151,11 +147,7 @@ def _punch_table(spec: PalmSpec, probe: Probe) -> PunchTable | None:
 
 
 def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
-    """The table of an upright punch.
-
-    Raises:
-        RangeError: there is none for this membrane.
-    """
+    """The table of an upright punch."""
     if (table := _punch_table(spec, probe)) is None:
         raise RangeError(
             f"no table for a {probe.shape} of {2e3 * probe.radius_m:g} mm on a membrane "
@@ -177,11 +169,7 @@ def field_under(spec: PalmSpec, probe: Probe, depth_m: float) -> AxisymmetricFie
 
 
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:
-    """Depth of the spec's ball under a force, at a place where the spec applies the rim [m].
-
-    Raises:
-        RangeError: a force that is negative, not a number, or beyond the table.
-    """
+    """Depth of the spec's ball under a force, at a place where the spec applies the rim [m]."""
     spec = pressed_at(spec, x_m, y_m)
     table, R = table_of(spec), spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * R**2
@@ -285,11 +273,6 @@ def press(
         The contact. Both laws hold for a membrane wide around the contact; towards the rim the force is too
         high, by how much is on the verification page. A spec whose rim is "applied" corrects that of the
         ball, up to 23.5 mm from the axis and 5 mm deep under the palm's, and holds it beyond.
-
-    Raises:
-        InputError: a place or a load that is not a number.
-        RangeError: the depth lies beyond the law, the contact reaches over the rim, or the probe would slip.
-        MaterialStrainError: the material is strained beyond the spec's `max_strain`.
     """
     return within_material(spec, _pressed_by_law(spec, pose, probe, lateral_n, moment_nm))
 
@@ -301,11 +284,7 @@ def contact_strain(spec: PalmSpec, contact: Contact) -> float:
 
 
 def within_material(spec: PalmSpec, contact: Contact) -> Contact:
-    """The contact itself.
-
-    Raises:
-        MaterialStrainError: it strains the material beyond the spec's `max_strain`.
-    """
+    """The contact itself."""
     strain = contact_strain(spec, contact)
     if strain > spec.max_strain:
         raise MaterialStrainError(
@@ -398,11 +377,7 @@ def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> 
 
 
 def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
-    """Lateral force that a shift of the spec's ball along the skin builds up, in one go [N].
-
-    Raises:
-        RangeError: the ball would slip, or go further than the table of a pulled ball holds.
-    """
+    """Lateral force that a shift of the spec's ball along the skin builds up, in one go [N]."""
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     R, at = spec.indenter_radius_m, pressed(spec, pose.depth_m)
     table, unit = pulled_sphere_table(), spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
@@ -465,9 +440,6 @@ def press_to_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
         spec: the palm.
         force_n: 0 to that of the table's deepest press [N].
         x_m, y_m: where [m].
-
-    Raises:
-        RangeError: the force lies beyond the table, or the contact reaches over the rim.
     """
     return press(spec, Pose(x_m, y_m, depth_of_force(spec, force_n, x_m, y_m)))
 
@@ -478,11 +450,7 @@ def stack_of(spec: PalmSpec) -> Stack:
 
 
 def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
-    """Press any probe into the membrane as a linear layer, the spec's ball as well.
-
-    Raises:
-        RangeError: the depth lies beyond 0 to 1.5 mm, or the contact reaches over the rim.
-    """
+    """Press any probe into the membrane as a linear layer, the spec's ball as well."""
     if not 0 <= pose.depth_m <= LINEAR_DEPTH_M * (1 + SAME):
         others = probes_with_table(spec)
         raise RangeError(

@@ -81,9 +81,6 @@ def render(
 
     Returns:
         8-bit sRGB ``[h w 3]`` of the whole frame, dark outside the two regions.
-
-    Raises:
-        RangeError: its depth lies beyond the table.
     """
     return expose(render_clean(contact, spec, exact=exact), spec, rng)
 
@@ -130,9 +127,6 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool | None = False
 
     The spec's ball without lateral load takes one of the two ways; any other contact is marched through its
     own stress, whatever `exact` says.
-
-    Raises:
-        InputError: another contact than the ball's without a membrane.
     """
     views = spec.fringes, spec.mirror
     exact = fast_way_is_off(contact, spec) if exact is None else exact
@@ -271,10 +265,7 @@ def _lamp(strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSp
 def _films(
     wear: Wear, strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec
 ) -> tuple[Film, Film]:
-    """Films of a worn membrane in both regions, for a lamp as at set-up.
-
-    The same surface scatters the lamp's light before the analyser and the housing's on its way to the mirror.
-    """
+    """Films of a worn membrane in both regions, for a lamp as at set-up."""
     view, rim, R, h = spec.fringes, fringe_view.columns_kept(spec), spec.radius_m, spec.thickness_m
     seen = fringe_view.spectrum(spec.bands)
     x, z = view.x_m, view.down_m

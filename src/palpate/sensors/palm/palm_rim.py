@@ -71,9 +71,6 @@ def rim_effect(spec: PalmSpec, pose: Pose) -> RimEffect:
     Args:
         spec: the palm; its Poisson's ratio and friction are taken for the solutions', 0.49 and none.
         pose: where and how deep.
-
-    Raises:
-        RangeError: a membrane of proportions that were not solved; the message says which were.
     """
     reach, R = _checked_reach(spec), spec.indenter_radius_m
     offset, depth = math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R
@@ -105,12 +102,7 @@ def lateral_of(effect: RimEffect, pose: Pose, centred_n: float) -> tuple[float, 
 
 
 def rim_by_place(spec: PalmSpec) -> Callable[[ndarray, ndarray, ndarray], PlaceEffect] | None:
-    """What places do to the ball's force law, by the rim and an uneven modulus; None where they do nothing.
-
-    Raises:
-        RangeError: it applies the rim, but has proportions that were not solved; or its thickness is uneven,
-            which changes the law itself from place to place.
-    """
+    """What places do to the ball's force law, by the rim and an uneven modulus; None where they do nothing."""
     if spec.gel.thickness:
         raise RangeError(
             f"a thickness that varies by {spec.gel.thickness} has no one force law; a rig presses membranes "

@@ -162,11 +162,7 @@ class Palm:
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
     ) -> Contact:
-        """Press a rigid probe; see `palm_press.press`.
-
-        Raises:
-            RangeError: beyond the laws, over the rim, slipping, or a specimen that yields.
-        """
+        """Press a rigid probe; see `palm_press.press`."""
         if not is_rigid(specimen):
             raise RangeError("soft specimens are not modeled on the palm", code="soft-specimen")
         if probe != self._ball:
@@ -342,11 +338,7 @@ class Palm:
 
 
 def palm(preset: str = "palm") -> Palm:
-    """The palm by the name of a preset.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """The palm by the name of a preset."""
     return Palm(palm_spec.preset(preset))
 
 

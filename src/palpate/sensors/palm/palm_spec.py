@@ -401,11 +401,7 @@ PRESETS: dict[str, Callable[[], PalmSpec]] = {
 
 
 def preset(name: str) -> PalmSpec:
-    """A palm by name.
-
-    Raises:
-        InputError: there is none of that name; the message lists those there are.
-    """
+    """A palm by name."""
     if name not in PRESETS:
         raise InputError(f"there is no palm {name!r}; there are {', '.join(PRESETS)}", code="unknown-name")
     return PRESETS[name]()

@@ -178,11 +178,6 @@ def warmed(
         calibrated_k: then [K].
         modulus_per_k, coefficient_per_k: change of the logarithm of E, and of C, with temperature [1/K]; None
             for the ideal rubber's.
-
-    Raises:
-        RangeError: farther than 60 K from there, where silicones are no such rubber.
-
-    Reference: W. Kuhn, F. Gruen, Kolloid-Zeitschrift 101 (1942) 248, doi:10.1007/BF01793684.
     """
     if not abs(temperature_k - calibrated_k) <= MAX_WARMER_K:
         raise RangeError(

@@ -43,9 +43,6 @@ def parse_probe(text: str) -> Probe:
     Any of them may lean, ``@`` by up to 30 degrees, towards its turn or, said after a colon, towards another
     direction from x to y; an edge, a cylinder and two points lean along their length only.
 
-    Raises:
-        InputError: an unknown shape, or sizes that do not fit it.
-
     Example:
         >>> parse_probe("sphere:10").radius_m
         0.005
@@ -100,11 +97,7 @@ def _points(text: str, words: list[str]) -> Probe:
 
 
 def points_probe(radius_m: float, places_m: list[Place]) -> Probe:
-    """Balls of one radius at places (x, y, height); the lowest is taken to be at height 0.
-
-    Raises:
-        InputError: no place, or two at the same x and y.
-    """
+    """Balls of one radius at places (x, y, height); the lowest is taken to be at height 0."""
     if len({place[:2] for place in places_m}) != len(places_m) or not places_m:
         raise InputError(f"balls at {places_m} m; give different places", code="sphere-positions")
     lowest = min(up for _, _, up in places_m)
@@ -160,12 +153,7 @@ def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
 def gap_of(
     probe: Probe, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"], centre_m: tuple[float, float]
 ) -> Field:
-    """Height of the probe over the flat skin at first touch, on a grid [m].
-
-    Raises:
-        InputError: a shape that has no gap.
-        RangeError: a tilt beyond 30 degrees.
-    """
+    """Height of the probe over the flat skin at first touch, on a grid [m]."""
     R, L, turn = probe.radius_m, probe.length_m, probe.turn_rad
     match probe.shape:
         case "sphere":

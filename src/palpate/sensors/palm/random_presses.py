@@ -92,9 +92,6 @@ def draw_presses(
         progress: called with how many frames are drawn of how many.
         processes: how many draw, on this machine; what is drawn does not depend on it.
         law: by which palms and presses differ.
-
-    Raises:
-        InputError: no press, no depth, or no process.
     """
     if count < 1 or depths_each < 1:
         raise InputError(f"{count} presses of {depths_each} depths; give 1 or more", code="press-count")
@@ -288,10 +285,6 @@ def draw_loads(
         count: of contacts, with one picture each.
         rng: the only source of chance.
         progress: called with how many are drawn of how many.
-
-    Raises:
-        InputError: another kind, or no contact.
-        RangeError: a membrane too small for the probes.
     """
     if kind not in NAMES:
         raise InputError(f"no load {kind!r}; there are {', '.join(NAMES)}", code="unknown-name")

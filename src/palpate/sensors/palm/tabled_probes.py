@@ -18,11 +18,7 @@ def _probe_table(spec: PalmSpec, probe: Probe) -> ProbeTable | None:
 
 
 def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
-    """The table of a probe without an axis.
-
-    Raises:
-        RangeError: there is none for this membrane.
-    """
+    """The table of a probe without an axis."""
     if (table := _probe_table(spec, probe)) is None:
         raise RangeError(
             f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; upright there "

@@ -213,9 +213,6 @@ def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined 
         spec: the sensor; `friction` counts.
         specimen_pa: Young's modulus, `inf` for a rigid plate [Pa].
         tilt_rad: of the top [rad].
-
-    Raises:
-        RangeError: a tilt or modulus outside of what is modelled.
     """
     table = inclined_table(spec.tip)
     if table and has_table(spec, specimen_pa, tilt_rad):
@@ -236,9 +233,6 @@ def linear_inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> In
 
     Args:
         spec, specimen_pa, tilt_rad: see `inclined`.
-
-    Raises:
-        RangeError: a tilt or modulus outside of what is modelled.
     """
     if not (0 <= tilt_rad <= MAX_TILT and specimen_pa > 0):
         raise RangeError(

@@ -32,9 +32,6 @@ def skin_places_m(spec: TacTipSpec, places_px: Places, lens: Lens | None = None)
             scale.
         places_px: of markers.
         lens: of the camera in air, whose axis is the tip's; None for the spec's own camera.
-
-    Raises:
-        InputError: a place at which no pin can stand on this dome.
     """
     if lens is None:
         middle = (spec.camera.size_px - 1) / 2
@@ -68,9 +65,6 @@ def untouched_area_m2(
         spec, lens: see `skin_places_m`.
         places_px: of the pins of an untouched frame; NaN where one is lost.
         cells: of each on the lattice, as `find_pins` names them.
-
-    Raises:
-        InputError: pins without a lattice, of other rings than the spec's, or not of this dome.
     """
     if cells is None:
         raise InputError("pins without lattice; use `find_pins` on a reference frame", code="no-lattice")

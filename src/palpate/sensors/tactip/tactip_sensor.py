@@ -123,11 +123,7 @@ class TacTip:
         return {REGION: (0, 0, *self.frame_px)}
 
     def probe(self, words: str) -> Probe:
-        """The face of what words name, see `Specimen.parse`: upright, or inclined towards +x as "S1=7.6@30".
-
-        Raises:
-            InputError: other words, or a tilt beyond what is modelled.
-        """
+        """The face of what words name, see `Specimen.parse`: upright, or inclined towards +x as "S1=7.6@30"."""
         specimen, tilt_deg = _read(words)
         if math.isfinite(specimen.radius_m):
             return Probe(SPHERE, specimen.radius_m)
@@ -146,10 +142,6 @@ class TacTip:
         The force and the contact's area are those of tables at finite strain (head-on, and inclined where
         there are) or of linear bodies; the contact's `model` says which. The pressure is drawn as a sphere's
         over that area, and the skin as flat under the face.
-
-        Raises:
-            InputError: not a face.
-            RangeError: deeper than the tables, at a place beyond the outline, or pulled along the skin.
         """
         if history.path_m or any(history.lateral_n or ()):
             raise RangeError("a load along the skin of the TacTip is not modelled; press straight down")
@@ -213,11 +205,7 @@ class TacTip:
         return pose.x_m / self.spec.table.radius_m, -pose.y_m / self.spec.table.radius_m
 
     def rectify(self, frame: Frame) -> Frame:
-        """The frame unchanged.
-
-        Raises:
-            InputError: a frame of another size.
-        """
+        """The frame unchanged."""
         height, width = frame.image.shape[:2]
         if (width, height) != self.frame_px:
             raise InputError(
@@ -327,11 +315,7 @@ class TacTip:
 
 
 def tactip(preset: str = "127") -> TacTip:
-    """The TacTip with 127 or 331 pins, or "331-fitted", see `fitted_tactip`.
-
-    Raises:
-        InputError: another one.
-    """
+    """The TacTip with 127 or 331 pins, or "331-fitted", see `fitted_tactip`."""
     if preset == FITTED:
         return TacTip(specs.fitted_tactip())
     if not preset.isdecimal():

@@ -160,11 +160,7 @@ class TacTipSpec:
 
 
 def tactip(pins: int = 127) -> TacTipSpec:
-    """The TacTip with 127 or 331 pins.
-
-    Raises:
-        InputError: another number.
-    """
+    """The TacTip with 127 or 331 pins."""
     layouts = {127: PINS_127, 331: PINS_331}
     if pins not in layouts:
         raise InputError(f"{pins} pins; there are 127 and 331, or a `PinLayout`", code="pin-count")

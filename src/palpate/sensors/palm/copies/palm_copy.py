@@ -219,9 +219,6 @@ def designed_copy(
         modulus_share, coefficient_share: standard deviations of E and C, as shares.
         spreads: of all other terms, in their units.
         local_spreads: of what one press differs by; as small as can be, they say that the terms are all.
-
-    Raises:
-        RangeError: a spread that is not finite or not above 0.
     """
     others, own = (
         [of[name] for name in names] for of, names in ((spreads, TERMS[2:]), (local_spreads, LOCAL[3:]))
@@ -250,10 +247,6 @@ def measured_copy(
         spec: the design, whose E, lamp, mirror and regions are taken.
         coefficient_per_pa: C [1/Pa].
         coefficient_share, modulus_share: standard deviations of C and of the design's E, as shares.
-
-    Raises:
-        RangeError: a C more than `MAX_TIMES` from the design's, as one in another unit; or a share that is
-            not above 0, or above 1, as a percentage.
     """
     for name, share in (("coefficient", coefficient_share), ("modulus", modulus_share)):
         if share > 1:

@@ -87,11 +87,6 @@ def fit_copy(
         presses: pictures, with or without forces; one is a reading, five to ten of known force calibrate.
         progress: called with rounds of the estimate.
         near: another fit of the same presses, from which the estimate begins as well; the likelier is kept.
-
-    Raises:
-        InputError: no press.
-        ImageError: a picture of another size, in which no press is seen, or that is no such palm's.
-        RangeError: a force that is not above 0, or forces by which E or C is far from what was known.
     """
     if not presses:
         raise InputError("no press; a copy is found from one picture at least", code="no-presses")
@@ -124,9 +119,6 @@ def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
 
     A picture holds their product alone, so that forces in another unit hardly spoil one: in mN, E comes
     out some hundreds of times too great, and C a thousand times too small.
-
-    Raises:
-        RangeError: either is further off than `FARTHEST` standard deviations.
     """
     E = found.modulus_pa / known.modulus_pa
     C = found.coefficient_per_pa / known.coefficient_per_pa
@@ -143,12 +135,7 @@ def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
 def read_press(
     known: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"]
 ) -> PressFound:
-    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`.
-
-    Raises:
-        MisfitError: the picture differs from the copy's own by more than `MAX_MISFIT` times the stated
-            error of a pixel (root mean square): another probe, or another palm.
-    """
+    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`."""
     found = fit_copy(known, [PicturedPress(image, reference)]).presses[0]
     refuse_misfit(found)
     return found
@@ -159,9 +146,6 @@ def refuse_misfit(found: PressFound) -> None:
 
     The limit lies between the greatest difference of such presses, up to 3 mm deep on drawn palms with
     every fault (1.6), and the least of probes whose readings were off by 2.5 half-widths or more (1.8).
-
-    Raises:
-        MisfitError: the difference is above `MAX_MISFIT`.
     """
     if found.misfit > MAX_MISFIT:
         raise MisfitError(
@@ -217,10 +201,7 @@ def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> State:
 
 
 def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[State]:
-    """Where to begin: at the few products that all presses together find likeliest.
-
-    A press alone may look alike with another product, depth and place.
-    """
+    """Where to begin: at the few products that all presses together find likeliest."""
     looks = []
     for i, one in enumerate(seen):
         progress("looking for presses", i, len(seen))

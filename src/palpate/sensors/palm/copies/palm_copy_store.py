@@ -35,12 +35,7 @@ Image = UInt8[ndarray, "h w 3"]
 
 
 def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
-    """Write a copy as JSON.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write a copy as JSON."""
     others = {
         "preset": design, "frame_px": list(copy.spec.frame_px), "friction": copy.spec.friction,
         "widening": copy.widening._asdict(),
@@ -51,12 +46,7 @@ def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
 
 @parser("palm unit", InputError)
 def read_copy(path: Path) -> PalmCopy:
-    """A copy as `write_copy` wrote it.
-
-    Raises:
-        InputError: no copy's file, one of another format, or one whose numbers make none.
-        StorageError: it cannot be read.
-    """
+    """A copy as `write_copy` wrote it."""
     return read_unit(path, FORMAT, TERMS, "palpate calibrate --method palm-unit", _made)
 
 
@@ -74,12 +64,7 @@ def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> PalmCo
 
 
 def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:
-    """A preset's design for frames of a size (height, width), as it is or as a virtual rig has it.
-
-    Raises:
-        InputError: no such preset.
-        ImageError: frames of another size.
-    """
+    """A preset's design for frames of a size (height, width), as it is or as a virtual rig has it."""
     spec = preset(name)
     on_rig = Palm(spec).for_rig().spec
     for one in (spec, on_rig):
@@ -93,20 +78,12 @@ def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> P
 
 
 def preset_radius_m(name: str) -> float:
-    """Radius of a preset's membrane [m].
-
-    Raises:
-        InputError: no such preset.
-    """
+    """Radius of a preset's membrane [m]."""
     return preset(name).radius_m
 
 
 def preset_ball(name: str) -> str:
-    """A preset's own ball, as runs name indenters.
-
-    Raises:
-        InputError: no such preset.
-    """
+    """A preset's own ball, as runs name indenters."""
     return Palm(preset(name)).default_probe
 
 
@@ -129,9 +106,6 @@ def pictured_presses(
         force_share: standard deviation of a known force, as a share.
         within_m: of the membrane's middle [m].
         ball: indenter whose frames alone are taken, where the run names indenters; any where it is empty.
-
-    Raises:
-        InputError: no force, press or reference among its labels, no frame of the ball, or too few frames.
     """
     run = Run.open(path)
     table = run.labels
@@ -176,11 +150,7 @@ def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
 
 @parser("palm picture", ImageError, max_bytes=1 << 30)
 def read_picture(path: Path) -> Image:
-    """A picture of a file, 8-bit colour.
-
-    Raises:
-        ImageError: it cannot be read.
-    """
+    """A picture of a file, 8-bit colour."""
     with storage_errors(path):
         data = np.frombuffer(path.read_bytes(), np.uint8)
     image = opencv_image(data, cv2.IMREAD_COLOR)

@@ -60,10 +60,6 @@ def check_weight(
 
     Returns:
         What was found, and the copy as this weight alone has its E and C.
-
-    Raises:
-        RangeError: a mass that is not above 0.
-        ImageError: no press is seen, or no such palm's picture.
     """
     force_n = weight_n(mass_kg)
     design = designed_copy(calibrated.spec)
@@ -94,10 +90,6 @@ def refuse_rolling(
         image, later: the picture that it was found in, and another of it.
         reference: of the untouched skin.
         progress: called with rounds of the estimate.
-
-    Raises:
-        InputError: it has moved, or both pictures are one and the same.
-        ImageError: no press is seen, or no such palm's picture.
     """
     if np.array_equal(image, later):
         raise InputError("both pictures of the weight are the same; take the later one some seconds after")

@@ -159,12 +159,7 @@ def _free_of_probe(spec: PalmSpec, x_m: float, y_m: float) -> Bool[ndarray, "h w
 
 
 def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
-    """A press's pictures, checked.
-
-    Raises:
-        ImageError: of another size.
-        RangeError: a force, or its share, that is not above 0.
-    """
+    """A press's pictures, checked."""
     for image in (one.image, one.reference):
         if image.shape[:2] != spec.frame_px[::-1]:
             raise ImageError(

@@ -40,11 +40,7 @@ SEEN_FOR_SCALE = 500
 
 
 def half_width(shape: tuple[int, int, int]) -> int:
-    """Columns of each view [px] in an image of (channels, height, width).
-
-    Raises:
-        InputError: the width is odd, so that the image is not two views of one size.
-    """
+    """Columns of each view [px] in an image of (channels, height, width)."""
     if shape[2] % 2:
         raise InputError(
             f"an image {shape[2]} px wide is not two views side by side, the fringes left and the mirror "
@@ -54,11 +50,7 @@ def half_width(shape: tuple[int, int, int]) -> int:
 
 
 def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indices:
-    """Index of each of a model's targets among those asked for.
-
-    Raises:
-        InputError: they are not the same targets, in whatever order.
-    """
+    """Index of each of a model's targets among those asked for."""
     if sorted(targets) != sorted(asked):
         raise InputError(
             f"{model} estimates {', '.join(targets)}, no fewer and no others; asked for were "
@@ -82,9 +74,6 @@ def two_view_variation(strength: float, side_px: int) -> Vary | None:
     Args:
         strength: of shift, turn, zoom, blur, brightness and noise; 0 gives None.
         side_px: of a view.
-
-    Raises:
-        InputError: the strength is not from 0 to 2.
     """
     if not 0 <= strength <= MAX_VARIATION:
         raise InputError(f"variation {strength}: from 0, none, to {MAX_VARIATION:g}, twice the usual sizes")

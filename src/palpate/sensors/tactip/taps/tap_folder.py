@@ -64,11 +64,6 @@ def register_taps(
         pins: how many the tip has.
         progress: called with how many images are read and named.
         layout: of the tip's pins, where it is known.
-
-    Raises:
-        LabelError: no table, or one without a column or a value of the pose.
-        ImageError: an image that cannot be read.
-        InputError: too few taps, or too many whose pins cannot be named.
     """
     if pins < MIN_PINS:
         raise InputError(f"a tip of {pins} pins; give {MIN_PINS} or more", code="pin-count")
@@ -145,9 +140,6 @@ def fit_folder(
         taps: how many are fitted to, drawn from the first folder.
         seed: of that draw.
         progress: see `register_taps` and `fit_tip`.
-
-    Raises:
-        LabelError, ImageError, InputError: as `register_taps` and `fit_tip`.
     """
     if len(asked := _table(folder)[1]):
         refuse_alike(asked)  # before minutes of naming pins

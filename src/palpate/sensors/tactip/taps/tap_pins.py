@@ -49,11 +49,7 @@ class NamedPins:
 
 @parser("tap image", ImageError, max_bytes=1 << 30)
 def read_image(path: Path) -> UInt8[ndarray, "h w"]:
-    """An image of a file, 8-bit grey.
-
-    Raises:
-        ImageError: it cannot be read.
-    """
+    """An image of a file, 8-bit grey."""
     image = None
     if path.is_file():
         with storage_errors(path):
@@ -78,11 +74,7 @@ def spots(image: UInt8[ndarray, "h w"]) -> Spots:
 
 
 def layout_kind(found: Sequence[Spots], size: tuple[int, int]) -> PinLayoutKind:
-    """What kind of lattice most of a few taps' spots stand on.
-
-    Raises:
-        InputError: none.
-    """
+    """What kind of lattice most of a few taps' spots stand on."""
     some = np.linspace(0, len(found) - 1, min(KIND_BY, len(found))).astype(int)
     named = [name_pins(found[i], size) for i in dict.fromkeys(some.tolist())]
     kinds = Counter(each.kind for each in named if each is not None)
@@ -96,11 +88,7 @@ def layout_kind(found: Sequence[Spots], size: tuple[int, int]) -> PinLayoutKind:
 
 
 def pin_cells(named: Iterable[PinLattice | None], pins: int) -> list[Cell]:
-    """Cells of a tip's pins: those that are there in more than half of its taps, in order.
-
-    Raises:
-        InputError: they are not as many as the tip has pins.
-    """
+    """Cells of a tip's pins: those that are there in more than half of its taps, in order."""
     there = [each for each in named if each is not None]
     seen = Counter(cell for each in there for cell in map(tuple, each.cells.tolist()))
     cells = sorted(cell for cell, count in seen.items() if 2 * count > len(there))
@@ -142,10 +130,6 @@ def named_taps(
         pins: how many the tip has.
         progress: called with how many taps are named.
         layout: of the tip's pins, where it is known.
-
-    Raises:
-        ImageError: images of another size than the layout's.
-        InputError: spots stand on no lattice, or on one of another number of pins.
     """
     if layout is not None and layout.size != size:
         raise ImageError(

@@ -115,9 +115,6 @@ def fit_tip(
         progress: called with rounds of the fit.
         upright: as `upright_course` gives it of all taps there are, which the tip is to follow closely; None
             for too few taps.
-
-    Raises:
-        InputError: fewer than 8 taps, shapes that do not fit, or poses that do not differ in something.
     """
     if len(poses) != len(places) or len(poses) < MIN_TAPS or places.shape[1:] != tip.rest_px.shape:
         raise InputError(
@@ -165,11 +162,7 @@ def fit_tip(
 
 
 def refuse_alike(poses: Poses) -> None:
-    """Refuse taps whose poses do not differ in something.
-
-    Raises:
-        InputError: a coordinate of the pose that all taps share.
-    """
+    """Refuse taps whose poses do not differ in something."""
     still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
     if still:
         raise InputError(f"all taps have the same {', '.join(still)}; vary it", code="pose-constant")

@@ -83,11 +83,7 @@ class TipReader:
 
     @classmethod
     def learnt(cls, fit: TipFit, poses: Poses, places: Places, progress: Progress = silent) -> TipReader:
-        """A reader from a fitted tip and the taps that it was fitted to.
-
-        Raises:
-            InputError: fewer than 10 taps.
-        """
+        """A reader from a fitted tip and the taps that it was fitted to."""
         if len(poses) < MIN_LEARNT:
             raise InputError(f"{len(poses)} taps; give {MIN_LEARNT} or more", code="too-few-taps")
         plain = cls.plain(fit, poses, places)
@@ -124,11 +120,7 @@ class TipReader:
         return np.asarray(self.tip.places_px(self.terms, poses) + self.modes.field(x, y))
 
     def read(self, places: Places) -> PoseReadings:
-        """Read the poses of taps from the places of their pins [px].
-
-        Raises:
-            InputError: places of another number of pins.
-        """
+        """Read the poses of taps from the places of their pins [px]."""
         if places.ndim != 3 or places.shape[1:] != self.tip.rest_px.shape:
             raise InputError(
                 f"places of shape {list(places.shape)}; this tip has [taps, {len(self.tip.rest_px)}, 2]"
@@ -203,9 +195,6 @@ def fit_pins(
         places: of their pins, NaN where one was not found [px].
         progress: see `fit_tip`.
         closely_upright: see `fit_tip`; where the taps are enough for it.
-
-    Raises:
-        InputError: as `fit_tip`.
     """
     refuse_alike(poses)
     shallow = float(poses[:, 0].min())

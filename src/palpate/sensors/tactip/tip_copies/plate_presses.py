@@ -66,9 +66,6 @@ def pins_between(
     Args:
         reference, image: 8-bit grey or colour, of one size.
         pins: how many the tip has.
-
-    Raises:
-        ImageError: frames of two sizes, pins that cannot be named, or of another tip's number.
     """
     if reference.shape != image.shape:
         raise ImageError(
@@ -126,11 +123,6 @@ def known_presses(
         count: of frames under load that are taken.
         pins: how many the tip has.
         force_share, force_sd_n: standard deviation of a known force, as a share and in newtons [N].
-
-    Raises:
-        InputError: no such recording, or too few frames.
-        LabelError: a run without forces.
-        ImageError: pins that cannot be named.
     """
     loaded = [one for path in paths for one in _loaded(path)]
     approaches = {

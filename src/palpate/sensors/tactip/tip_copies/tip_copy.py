@@ -108,9 +108,6 @@ def designed_tip(spec: TacTipSpec, spreads: Mapping[str, float] = SPREADS) -> Ti
     Args:
         spec: the design.
         spreads: standard deviations of `COPY_TERMS`, in their units.
-
-    Raises:
-        RangeError: a spread that is not finite or not above 0.
     """
     sd = np.array([spreads[name] for name in COPY_TERMS])
     if not (np.isfinite(sd).all() and (sd > 0).all()):

@@ -30,11 +30,6 @@ def fit_tip_copy(
         presses: with or without forces; one is a reading, five to ten of known force calibrate.
         progress: called with rounds of the estimate.
         advise: whether further presses are weighed against each other.
-
-    Raises:
-        InputError: no press, or known forces that are all about the same.
-        ImageError: pins of another tip, or that do not move as this tip's on a flat plate.
-        RangeError: forces that these presses cannot have.
     """
     if not presses:
         raise InputError("no press; a copy is found from one at least", code="no-presses")

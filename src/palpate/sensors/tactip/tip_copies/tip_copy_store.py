@@ -24,11 +24,6 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
         copy: with its untouched pins.
         design: preset of the TacTip, see `tactip_sensor.tactip`.
         path: must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        InputError: a copy that has seen no pins yet.
-        StorageError: the disk refused.
     """
     if copy.rest_px is None or copy.cells is None:
         raise InputError("this copy has seen no press; fit it to presses first", code="no-presses")
@@ -41,12 +36,7 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
 
 @parser("tip unit", InputError)
 def load_tip_copy(path: Path) -> TipCopy:
-    """A copy as `write_tip_copy` wrote it.
-
-    Raises:
-        InputError: no copy's file, or one whose numbers make none.
-        StorageError: it cannot be read.
-    """
+    """A copy as `write_tip_copy` wrote it."""
     return read_unit(path, TIP_COPY_FORMAT, COPY_TERMS, "palpate calibrate --method tip-unit", _made)
 
 

@@ -98,11 +98,7 @@ class VirtualTip:
         return self.force_ratio * float(self.tip.press.force_at(np.array([depth_m]))[0])
 
     def depth_m(self, force_n: float) -> float:
-        """At which a rigid plate has a force [m].
-
-        Raises:
-            RangeError: a force beyond the table's.
-        """
+        """At which a rigid plate has a force [m]."""
         own = force_n / self.force_ratio
         if not 0 <= own <= self.tip.press.force_n[-1]:
             most = self.force_ratio * self.tip.press.force_n[-1]

@@ -69,11 +69,6 @@ def check_tip_weight(
             are not used.
         mass_kg: of all that rests on the tip [kg].
         progress: called with rounds of the estimate.
-
-    Raises:
-        InputError: no frame.
-        RangeError: a mass that is not above 0.
-        ImageError: a weight that leans, slides or moves, another tip's frames, or no flat rigid object.
     """
     force_n = weight_n(mass_kg)
     if not presses:
