@@ -83,8 +83,8 @@ def frozen_stress(birefringence: float, axis_rad: float, law: StressOpticLaw) ->
     """A uniform residual birefringence as the stress that would make it; added to every slice of a march.
 
     Args:
-        birefringence: n1 - n2 at the law's reference wavelength; over a path L it alone makes the order
-            N = (n1 - n2) L / lambda. It is taken to disperse like the skin's C.
+        birefringence: n1 - n2 at the law's reference wavelength; over a path L it alone makes the order N =
+            (n1 - n2) L / lambda. It is taken to disperse like the skin's C.
         axis_rad: of the larger index, from x towards z [rad].
         law: of the skin.
 

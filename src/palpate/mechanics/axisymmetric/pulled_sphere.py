@@ -207,10 +207,10 @@ def pulled(
     Returns:
         The contact. Its shear is what the pull adds to the load along x and y per area seen from above,
         friction and turned pressure together. It is made to sum to the pull by one factor, as the table holds
-        too little of the edge, which stands upright under a deep press: 1.03 to 1.09 to 0.8 R deep, up to
-        1.3 at 1.1 R and 1.5 at 1.2 R, so much too high inside. Its pressure and its edge stay as they were,
-        as under Cattaneo and Mindlin; in three dimensions the pressure's centre moves by up to 0.02 R
-        against the sphere's.
+        too little of the edge, which stands upright under a deep press: 1.03 to 1.09 to 0.8 R deep, up to 1.3
+        at 1.1 R and 1.5 at 1.2 R, so much too high inside. Its pressure and its edge stay as they were, as
+        under Cattaneo and Mindlin; in three dimensions the pressure's centre moves by up to 0.02 R against
+        the sphere's.
     """
     Q, most = math.hypot(*pull_n), friction * contact.force_n
     R = contact.probe.radius_m

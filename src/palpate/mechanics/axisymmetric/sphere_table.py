@@ -142,8 +142,8 @@ class EdgeCorrection(NamedTuple):
 
     Attributes:
         force_ratio: its force over the centred one's.
-        side_ratio: the force with which the disc pushes the ball outwards, over the centred press's
-            normal force.
+        side_ratio: the force with which the disc pushes the ball outwards, over the centred press's normal
+            force.
     """
 
     force_ratio: float

@@ -77,8 +77,8 @@ def field_below(
         depths_m: of the planes, 0 to the stack's thickness [m].
         shear_x_pa: load along x, the force of the probe on the skin ``[ny nx]`` [Pa].
         shear_y_pa: the same along y [Pa].
-        margin_m: unloaded strip to the next image of the grid [m]; by default six thicknesses of the
-            stack, and at most twice the width of the grid.
+        margin_m: unloaded strip to the next image of the grid [m]; by default six thicknesses of the stack,
+            and at most twice the width of the grid.
 
     Returns:
         The field. The load is taken as smooth between the grid's points: within a cell of the surface a rim

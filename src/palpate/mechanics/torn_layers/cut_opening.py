@@ -213,8 +213,8 @@ class CutOpening:
         closed: where the faces meet ``[z n]``.
         work_j: load times the motion of the surface that the cut adds [J].
         pressing_j: the part of it by the forces into the skin [J].
-        added_m: motion that the cut adds to the plane, across and along the cut and into the skin, behind
-            and before it ``[2 3 x s]``, in steps of ``STEP_M`` from the cut and along its period [m].
+        added_m: motion that the cut adds to the plane, across and along the cut and into the skin, behind and
+            before it ``[2 3 x s]``, in steps of ``STEP_M`` from the cut and along its period [m].
     """
 
     cut: SurfaceCut

@@ -1,4 +1,4 @@
-"""NUSense: a soft pad whose two-coloured tiles show a fisheye camera how the skin is sheared."""
+"""NUSense: a soft pad whose two-colored tiles show a fisheye camera how the pad is sheared."""
 
 from palpate.sensors.nusense.nusense_spec import (
     NuSenseSpec,
