@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.mechanics.axisymmetric.creeping_press import creeping_press
+from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
 from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.mechanics.viscoelastic import Prony, ting
 
@@ -21,6 +21,11 @@ def rigid_sphere(force_n: float, modulus_pa: float) -> float:
 def soft_tip(force_n: float, modulus_pa: float) -> float:
     tip = Body(0.06e6 / PLANE, R)
     return float(tip.against(Body(modulus_pa / PLANE, np.inf)).approach_m(force_n))
+
+
+def creeping_press(approach_m, body, most_n, depth_m, step_s):
+    press = CreepingPress(approach_m, body, most_n)
+    return np.array([(press.to(float(d), step_s), press.modulus_pa) for d in depth_m]).T
 
 
 def ramp_and_hold(rise_s: float, hold_s: float, depth_m: float = 3e-3) -> tuple[np.ndarray, np.ndarray]:

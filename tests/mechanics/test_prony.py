@@ -3,10 +3,9 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.viscoelastic import KelvinVoigt, Prony
+from palpate.mechanics.viscoelastic import Prony
 
 SKIN = Prony(0.2e6, (0.1e6, 0.05e6, 0.3e6), (0.5, 3.0, 0.01))
 ELASTIC = Prony(0.3e6, (), ())
@@ -127,23 +126,3 @@ def test_a_history_that_is_none_is_refused():
     ):
         with pytest.raises(RangeError):
             ask()
-
-
-def test_a_kelvin_voigt_skin_is_a_spring_beside_a_dashpot():
-    t = np.linspace(0, 1, 101)
-    skin = KelvinVoigt(0.3e6, 1e3)
-    # second-order differences are exact for a parabola
-    np.testing.assert_allclose(skin.stress(t, t**2), 0.3e6 * t**2 + 1e3 * 2 * t, rtol=1e-10, atol=1e-8)
-
-
-def test_a_kelvin_voigt_skin_refuses_a_step_and_a_hold():
-    t = np.linspace(0, 1, 11)
-    skin = KelvinVoigt(0.3e6, 1e3)
-    for strain in (np.ones(11), np.minimum(t, 0.5)):
-        with refused("no-step-response", RangeError):
-            skin.stress(t, strain)
-    with pytest.raises(RangeError):
-        skin.stress(t[:2], t[:2])
-    for bad in ((0.0, 1.0), (1.0, -1.0), (math.nan, 1.0)):
-        with pytest.raises(RangeError):
-            KelvinVoigt(*bad)

@@ -1,15 +1,8 @@
-"""A hemispherical tip pressed head-on on a domed cylinder or a bonded layer, beside its table of flat ones.
+"""Tables of a hemispherical tip pressed head-on on a domed cylinder or a bonded layer.
 
-A domed cylinder is the flat tables' one with a cap of a sphere of radius R on top, rigid or soft; a layer of
-thickness h lies bonded on a rigid base and is wider than any contact. Both are nearly incompressible
-neo-Hookean solids without friction, as in `tip_table`, and were solved by `tools/specimen_tables.py` on
-coarser cells.
-
-What is kept is the difference that the shape makes: of a dome from the flat cylinder of the same modulus, of
-a layer from a rigid plate, both on those cells. It is added to the flat table, so that R without end gives
-back that table and h = 0 the rigid plate. Differences are read by cubic splines, over 1/R and log h, and over
-1 / (1 + E / E0) as there; places on the skin and their energies are kept along the few directions in which
-they differ.
+The tables hold differences from the flat tables of `tip_table`: of a dome of radius R from the flat cylinder
+of equal modulus, and of a layer of thickness h from a rigid plate, with splines over 1/R or log h, and 1 / (1
++ E / E0). Solved by `tools/specimen_tables.py`.
 """
 
 from __future__ import annotations
@@ -33,12 +26,8 @@ Grid = Float[ndarray, "k e f *n"]
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """Differences over a family of shapes.
-
-    Attributes:
-        shape: coordinate of the shapes, rising: 1/R [1/m] or log h of h in m.
-        modulus_pa: Young's moduli, inf among them [Pa].
-        columns: of `HeadOnPress`, ``[shapes moduli forces ...]``.
+    """Differences over a family of shapes (1/R [1/m] or log h) and moduli [Pa]: columns ``[shapes moduli
+    forces ...]``.
     """
 
     shape: Float[ndarray, " k"]
@@ -61,12 +50,7 @@ class ShapeGrid:
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """One tip on domes and layers.
-
-    Attributes:
-        flat: the tip on flat cylinders.
-        domes, layers: what their shapes change.
-    """
+    """One tip on domes and layers: its flat table, and the differences."""
 
     flat: TipTable
     domes: ShapeGrid
@@ -74,21 +58,18 @@ class ShapeTable:
 
     @property
     def least_radius_m(self) -> float:
-        """Least radius of a dome [m]."""
+        """Minimum radius of a dome [m]."""
         return float(1 / self.domes.shape[-1])
 
     @property
     def thickness_m(self) -> tuple[float, float]:
-        """Least and greatest of a layer [m]."""
+        """Minimum and maximum thickness of a layer [m]."""
         low, high = np.exp(self.layers.shape[[0, -1]])
         return float(low), float(high)
 
     def dome(self, radius_m: float, modulus_pa: float) -> HeadOnPress:
-        """The tip on a domed cylinder.
-
-        Args:
-            radius_m: of the dome, inf for a flat top [m].
-            modulus_pa: Young's, inf for a rigid one [Pa].
+        """The tip on a domed cylinder of a radius, inf for flat [m], and Young's modulus,
+        inf for rigid [Pa].
         """
         if not radius_m >= self.least_radius_m * (1 - 1e-9):
             raise RangeError(
@@ -99,12 +80,7 @@ class ShapeTable:
         return self._changed(modulus_pa, self.domes.at(1 / radius_m, modulus_pa))
 
     def layer(self, thickness_m: float, modulus_pa: float) -> HeadOnPress:
-        """The tip on a bonded layer.
-
-        Args:
-            thickness_m: of the layer [m].
-            modulus_pa: Young's [Pa].
-        """
+        """The tip on a bonded layer of a thickness [m] and Young's modulus [Pa]."""
         low, high = self.thickness_m
         if not low * (1 - 1e-9) <= thickness_m <= high * (1 + 1e-9):
             raise RangeError(
@@ -129,7 +105,7 @@ class ShapeTable:
 
 @cache
 def shape_table(name: str) -> ShapeTable:
-    """The table of a tip on other shapes."""
+    """Return the table of a tip on other shapes."""
     flat = tip_table(name)
     path = resources.files("palpate.mechanics") / FOLDER / f"shapes-{name}.npz"
     if not path.is_file():

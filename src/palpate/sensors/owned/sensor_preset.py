@@ -54,7 +54,9 @@ class PresetSource(Part):
 
 
 class FrameMode(SourcedPart):
-    """Frame size and rates [Hz] of a camera, the usual rate first, with its FourCC format (empty if unknown)."""
+    """Frame size and rates [Hz] of a camera, the usual rate first, with its FourCC format
+    (empty if unknown).
+    """
 
     size_px: tuple[Annotated[int, Field(ge=16, le=20000)], Annotated[int, Field(ge=16, le=20000)]]
     rates_hz: Annotated[tuple[Positive, ...], Field(min_length=1)]

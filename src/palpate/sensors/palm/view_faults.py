@@ -105,7 +105,9 @@ def _dirt(dirt: MirrorDirt, view: View, sine: float, radius_m: float) -> Grey:
 
 
 def mottled(dirt: MirrorDirt, x_m: ndarray, y_m: ndarray, radius_m: float) -> ndarray:
-    """Return the texture at positions on the underside, with zero mean and unit variance over many membranes."""
+    """Return the texture at positions on the underside, with zero mean and unit variance
+    over many membranes.
+    """
     half = math.ceil(1.2 * radius_m / dirt.texture_m) + 2
     knots = np.random.default_rng([dirt.seed, 1]).standard_normal((2 * half + 1, 2 * half + 1))
     at = np.stack([y_m / dirt.texture_m + half, x_m / dirt.texture_m + half])
@@ -136,7 +138,7 @@ def _glare(glare: Glare, view: View, stream: int) -> Grey:
 
 
 def registered(light: Light, view: View) -> Light:
-    """Return a region's image rotated about its middle and translated, see `View`."""
+    """Return a region's image rotated and translated as its view specifies."""
     if not (view.turn_rad or any(view.shift_px)):
         return light
     (cx, cy), c, s = view.middle_px, math.cos(view.turn_rad), math.sin(view.turn_rad)

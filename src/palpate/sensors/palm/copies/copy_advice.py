@@ -1,4 +1,4 @@
-"""Uncertainty of E and C after a unit's presses: the dominant term, and the most informative further press."""
+"""Uncertainty of E and C after a unit's presses: dominant term, and most informative further press."""
 
 from __future__ import annotations
 

@@ -146,7 +146,9 @@ def refuse_misfit(found: PressFound) -> None:
 
 
 def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
-    """Return the change of the lamp since the fit, in standard deviations; E and C are not visible at rest."""
+    """Return the change of the lamp since the fit, in standard deviations; E and C are not
+    visible at rest.
+    """
     change = lamp_of(known, [regions_of(known.spec, reference)])
     spread = math.hypot(math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]), LAMP_SD)
     return Drift(abs(change) / spread, DRIFTED)

@@ -44,7 +44,9 @@ Kept = tuple[ndarray, ndarray]
 
 
 class Backdrop(NamedTuple):
-    """Background of an untouched frame: transmission of dirt in the mirror, and light added in both regions."""
+    """Background of an untouched frame: transmission of dirt in the mirror, and light added
+    in both regions.
+    """
 
     left: Float[ndarray, "h w 3"]
     added: Lights
