@@ -70,35 +70,6 @@ def test_fast_and_slow_presses_are_of_elastic_bodies(rise_s, modulus_pa) -> None
     assert abs(soft_tip(force[-1], elastic_of_the_other) / depth[-1] - 1) > 0.1
 
 
-@pytest.mark.slow
-def test_force_falls_at_constant_depth_to_the_relaxed_bodys() -> None:
-    _, depth = ramp_and_hold(0.2, 30.0)
-    force, in_effect = creeping_press(soft_tip, SKIN, MOST_N, depth[::4], 4 * STEP_S)
-    held = force[int(0.2 / STEP_S) // 4 + 1 :]
-    assert (np.diff(held) < 1e-12).all()
-    assert_allclose(soft_tip(held[-1], SKIN.equilibrium_pa), depth[-1], rtol=1e-3)
-    assert (in_effect >= SKIN.equilibrium_pa * (1 - 1e-9)).all()
-    assert (in_effect <= SKIN.instantaneous_pa * (1 + 1e-9)).all()
-
-
-@pytest.mark.slow
-def test_the_faster_press_takes_more_work_and_no_press_gives_energy() -> None:
-    """Work put in lies between that on the relaxed and that on the fresh body."""
-    works = []
-    for rise_s in (0.05, 0.5, 5.0):
-        _, depth = ramp_and_hold(rise_s, 0.0)
-        force, _ = creeping_press(soft_tip, SKIN, MOST_N, depth, STEP_S)
-        whole = np.append(depth, 3e-3)
-        works.append(float(np.trapezoid(np.append(force, force[-1]), whole)))
-
-    def elastic(modulus_pa: float) -> float:
-        pair = Body(0.06e6 / PLANE, R).against(Body(modulus_pa / PLANE, np.inf))
-        d = np.linspace(0, 3e-3, 400)
-        return float(np.trapezoid(pair.force_n(d), d))
-
-    assert elastic(SKIN.equilibrium_pa) < works[2] < works[1] < works[0] < elastic(SKIN.instantaneous_pa)
-
-
 def test_a_body_that_was_left_begins_anew() -> None:
     _, depth = ramp_and_hold(0.5, 0.5)
     once, _ = creeping_press(soft_tip, SKIN, MOST_N, depth, STEP_S)

@@ -25,7 +25,9 @@ def stress(name, nu, p):
 
 @ratios
 @both
-def test_the_stress_is_in_equilibrium(name, nu, points, h=1e-3):
+def test_the_stress_is_in_equilibrium(name, nu, points):
+    h = 1e-3
+
     def along(e):
         near, far = (stress(name, nu, points + k * e) - stress(name, nu, points - k * e) for k in (1, 2))
         return (8 * near - far) / (12 * h)

@@ -33,12 +33,6 @@ def test_head_on_it_is_finite_strain_while_the_approach_is_small(tip, approach_m
     assert_allclose(state.lift_n / both.force_n(1e-3 * approach_mm), over_hertz, rtol=0.04)
 
 
-def test_two_bodies_yield_in_series(tip, top) -> None:
-    both = Body(5e4 / (1 - NU**2), 0.02).against(Body(1e5 / (1 - NU**2), np.inf))
-    (state,) = pressed(tip, top, 0.0, 0.0, [2e-3])
-    assert_allclose(state.lift_n, both.force_n(2e-3), rtol=0.15)
-
-
 def test_without_friction_the_force_is_along_the_specimens_normal(tip, top) -> None:
     (state,) = pressed(tip, top, 30.0, 0.0, [3e-3])
     assert_allclose(state.force_n[:, 1:], 0.0, atol=1e-9)
@@ -73,12 +67,3 @@ def test_force_and_area_grow_with_the_approach_and_a_softer_specimen_has_the_lar
     force = 0.9 * soft[-1].lift_n
     areas = [np.interp(force, [s.lift_n for s in x], [s.area_m2 for s in x]) for x in (soft, rigid)]
     assert areas[0] > areas[1]
-
-
-def test_the_skins_inside_moves_towards_the_camera_under_the_contact(tip, top) -> None:
-    contact = TiltedContact(tip, top, np.deg2rad(30), 0.5)
-    state = contact.through(np.array([2e-3, 4e-3]))[-1]
-    moved = contact.pins_moved_m(state)
-    place = int(np.argmin(abs(tip.pins_rad - np.deg2rad(30))))
-    assert moved[place, 0, 2] > 1e-3
-    assert abs(moved[place, -1, 2]) < 0.5 * moved[place, 0, 2]

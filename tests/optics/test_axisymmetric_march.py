@@ -117,19 +117,6 @@ def test_a_point_load_shows_the_closed_form():
     np.testing.assert_allclose(marched.light[..., 0], exact, atol=1e-5)
 
 
-def test_the_table_s_error_falls_with_the_square_of_its_knots():
-    field = [
-        incompressible_field(hertz, 50 * CONTACT, knots=(n, n)) for n in (100, 200, 400, 1600)
-    ]  # evenly refined
-    x, z = np.meshgrid(np.linspace(0, 2, 9) * CONTACT, np.linspace(0.3, 2, 8) * CONTACT)
-    rays = wide(x, z)
-    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(np.pi / 4, 1)
-    light = [march_axisymmetric_plain(f, rays, *optics, slices=32).light for f in field]
-    error = [np.sqrt(np.mean((part - light[-1]) ** 2)) for part in light[:-1]]
-    assert error[0] / error[1] == pytest.approx(4, rel=0.3)
-    assert error[1] / error[2] == pytest.approx(4, rel=0.3)
-
-
 def hertz(x, y, z):
     return secondary_stress(x, y, z, CONTACT, 1e5)
 
@@ -176,14 +163,6 @@ def test_twice_the_slices_or_bands_change_no_8_bit_step(highest, slices):
     base = light(slices, 31)
     assert np.quantile(abs(light(2 * slices, 31) - base), 0.999) < 1 / 255
     assert np.quantile(abs(light(slices, 62) - base), 0.999) < 1 / 255
-
-
-def test_mirrored_rays_see_mirrored_light():
-    optics = LAW.half_phase(GREEN), ONE
-    rays = view(columns=61)
-    right = march_axisymmetric(dimple_field(), rays, *optics, plane_amplitude(0.3, 1)).light
-    left = march_axisymmetric(dimple_field(), rays, *optics, plane_amplitude(-0.3, 1)).light
-    np.testing.assert_allclose(right, left[:, ::-1], atol=ROUNDING)
 
 
 def test_air_and_what_lies_under_the_skin_leave_the_light_alone():
@@ -255,13 +234,6 @@ def test_rays_that_cannot_be_are_refused(part, value):
     one |= {"start_m": np.full(1, -1e-2), "end_m": np.full(1, 1e-2), "scale_m": np.full(1, 1e-3)}
     with pytest.raises((InputError, RangeError)):
         Rays(**(one | {part: np.full(1, value)}))
-
-
-def test_one_slice_is_marched():
-    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(0.3, 1)
-    rays = view(columns=5, rows=4)
-    one = march_axisymmetric(dimple_field(), rays, *optics, slices=1)
-    assert_equal_light(one, march_axisymmetric_plain(dimple_field(), rays, *optics, slices=1))
 
 
 def test_marches_that_cannot_be_are_refused():

@@ -12,7 +12,6 @@ from palpate.core import ExistsError, InputError, RangeError
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings, device
 from palpate.sensing.untouched_view import UntouchedView
 from palpate.sensors.owned import (
-    preset_names,
     read_preset,
     recognised_preset,
     sensor_preset,
@@ -29,11 +28,6 @@ def changed(tmp_path: Path, name: str, was: str, becomes: str) -> Path:
     path = tmp_path / f"{name}.toml"
     path.write_text(text.replace(was, becomes))
     return path
-
-
-def test_the_presets_are_those_promised() -> None:
-    assert preset_names() == NAMES
-    assert all(sensor_preset(name).name == name for name in NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)

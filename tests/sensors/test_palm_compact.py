@@ -8,7 +8,6 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from palpate.core import silent
 from palpate.core.errors import InputError
 from palpate.estimators.guard import thumbnail
 from palpate.estimators.networks.model_interface import TrainingData
@@ -21,7 +20,7 @@ torch = pytest.importorskip("torch", reason="the network trains with torch")
 
 from palpate.estimators.networks.training_loop import TrainingLoop  # noqa: E402
 from palpate.sensors.palm.networks import palm_compact  # noqa: E402
-from palpate.sensors.palm.networks.palm_compact import PalmCompact, _Union  # noqa: E402
+from palpate.sensors.palm.networks.palm_compact import PalmCompact  # noqa: E402
 from palpate.sensors.palm.networks.palm_training import two_view_variation  # noqa: E402
 
 SIDE = 32
@@ -49,11 +48,6 @@ def few_pictures():
 
 
 @pytest.fixture(scope="module")
-def drawn():
-    return draw_presses(SPEC, 20, 3, np.random.default_rng(5), law=UNSTRAINED)
-
-
-@pytest.fixture(scope="module")
 def recorded():
     return draw_presses(SPEC, 24, 6, np.random.default_rng(5), law=ONE_PALM)
 
@@ -68,39 +62,6 @@ def data(recorded):
 
     shape = (3, SIDE, 2 * SIDE)
     return TrainingData(shape, recorded.values.astype(float), recorded.press, fetch, TARGETS)
-
-
-@pytest.mark.slow
-def test_drawn_presses_lie_all_over_the_palm_and_their_labels_are_a_rigs(drawn):
-    depth, x, y, force = drawn.values.T
-    away = np.hypot(x, y)
-    assert away.max() <= 1e3 * (SPEC.radius_m - SPEC.indenter_radius_m)
-    assert (away > 15).mean() > 0.3
-    assert -0.6 < depth.min() < 1.0
-    assert 4.0 < depth.max() < 5.3
-    first = drawn.press == 3
-    assert len(np.unique(x[first])) == 1, "a press stands at one place"
-    # On one copy deeper presses carry more, but for what relaxes; between copies the modulus decides.
-    rank = [np.argsort(np.argsort(part)) for part in (depth, force)]
-    assert 0.6 < np.corrcoef(*rank)[0, 1] < 0.99
-    share = force / np.maximum(depth, 0.3) ** 1.5
-    assert share[depth > 1].std() / share[depth > 1].mean() > 0.15
-
-
-def test_the_same_seed_draws_the_same_and_another_does_not():
-    one, same, other = (draw_presses(SPEC, 2, 2, np.random.default_rng(s), law=UNSTRAINED) for s in (1, 1, 2))
-    np.testing.assert_array_equal(one.images, same.images)
-    np.testing.assert_array_equal(one.values, same.values)
-    assert (one.values != other.values).any()
-
-
-@pytest.mark.slow
-def test_rendered_rows_follow_the_recorded_ones_and_are_fetched_in_the_order_asked_for(data, recorded):
-    union = _Union(data, recorded)
-    first = len(data.values)
-    asked = np.array([first + 7, 3, first, 5])
-    np.testing.assert_array_equal(union.fetch(asked), data.fetch(np.array([7, 3, 0, 5])))
-    assert union.drawn_rows.tolist() == [first + i for i in range(len(recorded.values))]
 
 
 @pytest.fixture(scope="module")
@@ -161,31 +122,6 @@ def test_watched_presses_end_its_learning_and_their_frames_are_not_learnt_from(d
     assert PalmCompact(rendered=0, steps=7).fit(data, np.arange(96), seed=0).training.steps == 7
 
 
-def test_the_same_seed_trains_the_same_network(data):
-    recipe = PalmCompact(rendered=12, epochs=1, batch=16)
-    one, same = (recipe.fit(data, np.arange(48), seed=3).predict(data.fetch(np.arange(8))) for _ in range(2))
-    np.testing.assert_array_equal(one, same)
-
-
-def test_presses_that_were_drawn_before_leave_chance_where_drawing_them_leaves_it():
-    model = PalmCompact(rendered=12)
-    first, after = model._drawn(SIDE, 1, silent)
-    again, after_again = model._drawn(SIDE, 1, silent)
-    other, _ = model._drawn(SIDE, 2, silent)
-    anew, after_anew = model._drawn(SIDE, 1, silent)
-    assert again is first
-    assert anew is not first
-    np.testing.assert_array_equal(anew.images, first.images)
-    assert (other.values != first.values).any()
-    following = [one.random(3).tolist() for one in (after, after_again, after_anew)]
-    assert following[0] == following[1] == following[2]
-
-
-def test_without_rendered_presses_it_learns_from_the_recorded_alone(data):
-    fitted = PalmCompact(rendered=0, epochs=1, batch=16).fit(data, np.arange(48), seed=0)
-    assert np.isfinite(fitted.predict(data.fetch(np.arange(4)))).all()
-
-
 def test_one_camera_moves_both_views_alike_and_nothing_from_one_into_the_other(data) -> None:
     vary = two_view_variation(1.0, SIDE)
     left, changed = data.fetch(np.array([30]))[..., :SIDE], []
@@ -198,18 +134,6 @@ def test_one_camera_moves_both_views_alike_and_nothing_from_one_into_the_other(d
     assert sum(changed) >= 8, "half of the images have none of each change"
     again = [vary(np.concatenate([left, left], axis=3), (0, 3)) for _ in range(2)]
     np.testing.assert_array_equal(*again)
-
-
-def test_a_varied_camera_changes_what_is_learnt_and_none_changes_nothing(data) -> None:
-    rows = np.arange(48)
-    plain, none, varied = (
-        PalmCompact(rendered=0, epochs=1, batch=16, **options).fit(data, rows, seed=0)
-        for options in ({}, {"variation": 0.0}, {"variation": 1.0})
-    )
-    inputs = data.fetch(rows)
-    np.testing.assert_array_equal(plain.predict(inputs), none.predict(inputs))
-    assert np.abs(plain.predict(inputs) - varied.predict(inputs)).max() > 1e-3
-    assert two_view_variation(0.0, SIDE) is None
 
 
 @pytest.mark.parametrize(

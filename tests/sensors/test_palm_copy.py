@@ -14,7 +14,6 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import (
-    Drift,
     ExistsError,
     ImageError,
     InputError,
@@ -102,14 +101,6 @@ def test_a_picture_holds_the_product_of_modulus_and_coefficient_and_neither_alon
     assert np.abs(pictured(whole, at) - seen(0.0, 0.0)).max() < 1e-4
 
 
-def test_a_design_s_spread_of_the_coefficient_is_the_one_that_was_stated() -> None:
-    known = designed_copy(DESIGN, modulus_share=0.2, coefficient_share=0.03)
-    assert known.modulus_share == pytest.approx(0.2)
-    assert known.coefficient_share == pytest.approx(0.03)
-    assert known.modulus_pa == pytest.approx(E)
-    assert known.coefficient_per_pa == pytest.approx(C)
-
-
 def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_s() -> None:
     known = measured_copy(DESIGN, 1.2 * C, 0.03, 0.2)
     assert known.coefficient_per_pa == pytest.approx(1.2 * C)
@@ -129,18 +120,6 @@ def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("modulus", [0.8, 1.2])
-def test_a_copy_of_a_measured_coefficient_reads_force_whatever_its_modulus_is(modulus: float) -> None:
-    """By the design's own coefficient the same picture is read wrongly by as much as it differs."""
-    press_ = taken(own(modulus, 1.2), 3.0, 2e-3, 1e-3, known=False)
-    found = read_press(measured_copy(DESIGN, 1.2 * C, 0.01), press_.image, press_.reference)
-    assert found.force_n == pytest.approx(3.0, abs=0.15)
-    assert found.force_share < 0.06
-    designed = read_press(measured_copy(DESIGN, C, 0.01), press_.image, press_.reference)
-    assert designed.force_n > 3.3
-
-
-@pytest.mark.slow
 def test_two_known_forces_tell_modulus_coefficient_lamp_and_polariser(fitted: PalmCopy) -> None:
     assert fitted.modulus_pa == pytest.approx(1.12 * E, rel=0.03)
     assert fitted.coefficient_per_pa == pytest.approx(0.91 * C, rel=0.03)
@@ -148,28 +127,6 @@ def test_two_known_forces_tell_modulus_coefficient_lamp_and_polariser(fitted: Pa
     assert told["lamp"]["value"] == pytest.approx(math.log(1.06), abs=0.02)
     assert told["polariser_rad"]["value"] == pytest.approx(0.02, abs=0.01)
     assert fitted.modulus_share < 0.06
-
-
-@pytest.mark.slow
-def test_with_the_coefficient_known_a_picture_tells_the_force_whatever_the_modulus_is() -> None:
-    for modulus in (0.8, 1.2):
-        spec = own(modulus)
-        press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
-        sure = designed_copy(DESIGN, modulus_share=0.25, coefficient_share=0.01)
-        found = read_press(sure, press_.image, press_.reference)
-        assert found.force_n == pytest.approx(3.0, abs=0.15)
-        assert found.force_share < 0.06
-
-
-@pytest.mark.slow
-def test_with_neither_known_the_interval_spans_the_force_and_place_and_depth_stay() -> None:
-    spec = own(1.25)
-    press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
-    found = read_press(designed_copy(DESIGN), press_.image, press_.reference)
-    assert abs(math.log(found.force_n / 3.0)) < 2 * found.force_share
-    assert found.force_share > 0.1
-    depth_m = press_to_force(spec, 3.0).pose.depth_m
-    assert found.depth_m == pytest.approx(depth_m, abs=5e-5)
 
 
 @pytest.mark.slow
@@ -193,42 +150,6 @@ def test_a_known_weight_tells_what_has_changed_and_names_what_it_is_sure_of(
     assert math.log1p(check.modulus_change) == pytest.approx(math.log(modulus), abs=0.04)
     assert math.log1p(check.coefficient_change) == pytest.approx(math.log(coefficient), abs=0.04)
     assert check.read_n == pytest.approx(2.0 * coefficient, rel=0.05)
-
-
-@pytest.mark.parametrize(("modulus", "coefficient", "read_n"), [(1.0, 1.15, 2.3), (1.15, 1.0, 2.0)])
-def test_a_weight_is_read_as_more_by_as_much_as_the_coefficient_has_grown_and_not_by_the_modulus(
-    monkeypatch, modulus: float, coefficient: float, read_n: float
-) -> None:
-    calibrated, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
-    calibrated = replace(calibrated, covariance=1e-6 * calibrated.covariance)
-    terms = calibrated.terms.copy()
-    terms[:2] += math.log(modulus), math.log(modulus * coefficient)
-    found = PressFound(0.0, 0.0, 2e-3, 2.0, 1e-5, 1e-5, 1e-5, 0.01, 0.004)
-    moved = CopyFit(replace(calibrated, terms=terms), (found,), ())
-    monkeypatch.setattr(palm_weight, "fit_copy", lambda *_, **__: moved)
-    check, _ = check_weight(calibrated, picture, picture, 2.0 / GRAVITY_M_S2)
-    assert check.read_n == pytest.approx(read_n, rel=1e-5)
-    assert check.coefficient_change == pytest.approx(coefficient - 1, abs=1e-5)
-
-
-def test_a_weight_s_estimate_begins_also_where_the_calibrated_copy_reads_its_picture(monkeypatch) -> None:
-    calibrated, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
-    read = PressFound(1e-3, 2e-3, 2e-3, 2.0, 1e-5, 1e-5, 1e-5, 0.01, 0.004)
-    begun = []
-
-    def fit(known, presses, progress, near=None):
-        begun.append((known, presses[0].force_n, near))
-        return CopyFit(known, (read,), ())
-
-    monkeypatch.setattr(palm_weight, "fit_copy", fit)
-    check_weight(calibrated, picture, picture, 2.0 / GRAVITY_M_S2)
-    (first, no_force, _), (_, force_n, near) = begun
-    assert first is calibrated
-    assert no_force is None
-    assert force_n == pytest.approx(2.0)
-    assert near is not None
-    assert near.copy is calibrated
-    assert near.presses == (read,)
 
 
 @pytest.mark.parametrize(("moved_m", "rolled"), [(0.11e-3, False), (-0.3e-3, True), (0.3e-3, True)])
@@ -343,25 +264,6 @@ def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: fl
         refuse_far(known, by(unit))
     refuse_far(known, by(1.8))
     refuse_far(known, by(1 / 1.8))
-
-
-def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_counted(
-    monkeypatch, tmp_path: Path, capsys
-) -> None:
-    from palpate.cli.sense import palm_verbs
-    from palpate.sensors.palm.copies import palm_copy_store
-
-    found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
-    monkeypatch.setattr(palm_copy_fit, "read_press", lambda *_: found)
-    monkeypatch.setattr(palm_copy_fit, "drift_of", lambda *_: Drift(4.0, 3.0))
-    monkeypatch.setattr(palm_copy_store, "read_copy", lambda _: None)
-    monkeypatch.setattr(palm_copy_store, "read_picture", lambda _: None)
-    monkeypatch.setattr(palm_verbs, "print_found", lambda found, text: print(json.dumps(found)))
-    palm_verbs.read(tmp_path, tmp_path, tmp_path)
-    told = json.loads(capsys.readouterr().out)
-    assert told["force_low_N"] == pytest.approx(3.0 * math.exp(-1.645 * 0.7))  # above 0, as a force is
-    assert told["force_high_N"] == pytest.approx(3.0 * math.exp(1.645 * 0.7))
-    assert told["drift"] == {"statistic": 4.0, "limit": 3.0, "drifted": True}
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:

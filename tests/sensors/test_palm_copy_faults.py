@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from palpate.sensors.palm.copies.copy_force import log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
 from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, designed_copy
 from palpate.sensors.palm.copies.press_picture import (
-    away_from_edges,
     backdrop_of,
     exposure_change,
     pictured,
@@ -139,31 +137,6 @@ def moved(known: PalmCopy, local: np.ndarray, share: float, **steps: float) -> t
     of_copy = np.array([steps.get(name, 0.0) for name in TERMS])
     own = np.array([steps.get(name, 0.0) if name not in TERMS else 0.0 for name in LOCAL])
     return replace(known, terms=known.terms + share * of_copy), local + share * own
-
-
-def test_away_from_edges_slopes_tell_how_a_deeper_press_of_a_softer_palm_differs() -> None:
-    """Both look nearly alike; slopes that err by a tenth of either would tell them apart where no eye can."""
-    known, local = with_terms(), local_of(PRESSED)
-    steps = {"product": -0.055, "log_depth": 0.024}
-    ends = [moved(known, local, share, **steps) for share in (0.5, -0.5)]
-    sizes = {}
-    for kept in (away_from_edges(known, local), None):
-        J = picture_slopes(known, local, None, kept)
-        told_ = J[:, AT["product"]] * steps["product"]
-        told_ = told_ + J[:, len(TERMS) + 2] * steps["log_depth"]
-        drawn = shown(*ends[0], None, kept=kept) - shown(*ends[1], None, kept=kept)
-        sizes[kept is None] = float(np.linalg.norm(told_ - drawn) / np.linalg.norm(drawn))
-    assert sizes[False] < 0.15
-    assert sizes[True] > 2 * sizes[False]
-
-
-def test_away_from_edges_a_picture_does_not_jump_as_the_mirror_s_opening_grows_by_a_thousandth() -> None:
-    known, local = with_terms(), local_of(PRESSED)
-    jumps = {}
-    for kept in (away_from_edges(known, local), None):
-        pictures = [shown(*moved(known, local, k, mirror_scale=1e-3), None, kept=kept) for k in range(9)]
-        jumps[kept is None] = max(float(np.abs(b - a).max()) for a, b in pairwise(pictures))
-    assert jumps[False] < 0.25 * jumps[True]
 
 
 def linear_presses(rng: np.random.Generator, count: int, scale: float):

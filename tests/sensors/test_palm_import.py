@@ -14,7 +14,7 @@ from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
+from palpate.core import ImageError, InputError, LabelError, PalpateError
 from palpate.recordings import Run, check
 from palpate.sensors.palm.palm_import import import_palm
 
@@ -100,23 +100,6 @@ def test_photographs_of_a_shot_come_in_the_order_of_their_numbers(folder: Path) 
     assert names.astype(int).tolist() == list(range(MANY))
 
 
-def test_shots_come_by_place_cycle_and_depth(folder: Path) -> None:
-    labels = imported(folder).labels
-    assert labels["press"].unique().tolist() == ["r4c6/1", "r4c6/2", "r10c7/1"]
-    assert labels["shot"].unique().tolist()[:4] == [
-        "r4c6/1/reference/0/0",
-        "r4c6/1/down/100/0",
-        "r4c6/1/down/5000/0",
-        "r4c6/1/up/0/0",
-    ]
-
-
-def test_shots_at_depth_zero_are_references_and_no_others(folder: Path) -> None:
-    labels = imported(folder).labels
-    assert (labels["reference"] == (labels["depth_mm"] == 0.0)).all()
-    assert set(labels["phase"][labels["reference"]]) == {"reference", "up"}
-
-
 @pytest.mark.parametrize("turned", [1.0, -1.0])
 def test_force_is_positive_in_compression_whichever_way_fz_points(folder: Path, turned: float) -> None:
     for path in folder.glob("*.csv"):
@@ -135,37 +118,6 @@ def test_tables_that_disagree_about_the_sign_are_refused(folder: Path) -> None:
     read["Fz"] *= -1
     read.to_csv(path, index=False)
     not_imported(folder, LabelError, "r4c6_1.csv", "r10c7_1.csv", "sign")
-
-
-def test_a_column_of_units_is_told_and_the_groups_have_none(folder: Path) -> None:
-    report = import_palm(folder, folder.parent / "run")
-    assert set(report.units) == {
-        "x_mm", "y_mm", "depth_mm", "force_N", "force_x_N", "force_y_N", "force_sd_N", "t_s"
-    }  # fmt: skip
-    assert set(report.unitless) == {"row", "column", "cycle", "frame_in_shot"}
-
-
-def test_one_photograph_a_row_is_read_as_well(folder: Path) -> None:
-    """Photographs named one by one, with Windows' own slashes; a shot's force is the mean of its rows."""
-    shutil.rmtree(folder / "images")
-    for path in folder.glob("*.csv"):
-        path.unlink()
-    (folder / "images").mkdir()
-    lines = []
-    for i, depth in enumerate((0.0, 0.0, 2.0, 2.0)):
-        Image.fromarray(np.full((4, 6), i, np.uint8)).save(folder / "images" / f"{i}.png")
-        lines.append(f"{i},{depth},down,0,0,{-depth - i},0,0,images\\{i}.png")
-    table(folder, "r1c1_1").write_text(HEADER + "\n".join(lines) + "\n")
-    labels = imported(folder).labels
-    assert labels["force_N"].tolist() == [0.5, 0.5, 4.5, 4.5]
-    assert labels["frame_in_shot"].tolist() == [0, 1, 0, 1]
-
-
-def test_the_spread_of_a_single_sample_is_not_made_up(folder: Path) -> None:
-    path = table(folder, "r10c7_1")
-    read = pd.read_csv(path)
-    read.drop_duplicates("image_file").to_csv(path, index=False)
-    assert "force_sd_N" not in imported(folder).labels
 
 
 @pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "Cycle_Indent5mm_r4_3.csv", "notes.csv", "x.CSV"])
@@ -292,12 +244,6 @@ def test_no_folder_and_no_tables_are_told(tmp_path: Path) -> None:
         import_palm(tmp_path / "none", tmp_path / "run")
     with refused("no-table", InputError):
         import_palm(tmp_path, tmp_path / "run")
-
-
-def test_a_run_that_exists_is_never_overwritten(folder: Path) -> None:
-    imported(folder)
-    with pytest.raises(ExistsError):
-        imported(folder)
 
 
 def test_the_verb_imports_and_tells_what_it_found(folder: Path) -> None:

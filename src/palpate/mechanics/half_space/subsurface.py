@@ -53,8 +53,8 @@ def hertz_stress(
         friction: Traction along +x over pressure, -2 to 2.
 
     Returns:
-        Symmetric tensor ``[... 3 3]``, positive in tension, with relative rounding about 1e-14 (rho/a)^2 at distance
-        rho, and 1e-6 at the edge.
+        Tensor ``[... 3 3]``, positive in tension, with rounding about 1e-14 (rho/a)^2 at distance rho, and
+        1e-6 at the edge.
 
     Example:
         >>> s = hertz_stress(0.0, 0.0, 0.48, 1.0, 1.0, 0.3)

@@ -32,8 +32,8 @@ TERMS = (
 )  # fmt: skip
 """Terms relative to the design: log E, log E C, and log lamp; angles of polariser and mirror; shifts of both
 regions; room light; corner loss; lamp color [mired]; blur; log thickness; rotations and log sizes of both
-regions; residual birefringence along the axes and diagonals [wavelengths per diameter]; growth of log E to the
-rim along x and y; weights of `side_modes` of both residual components."""
+regions; residual birefringence along the axes and diagonals [wavelengths per diameter]; growth of log E to
+the rim along x and y; weights of `side_modes` of both residual components."""
 RESIDUAL_MODES = {part: tuple(one for one in TERMS if one.startswith(f"residual_{part}_")) for part in PARTS}
 """Names of the residual modes of each component."""
 
