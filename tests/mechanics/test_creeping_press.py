@@ -34,7 +34,7 @@ def ramp_and_hold(rise_s: float, hold_s: float, depth_m: float = 3e-3) -> tuple[
 
 
 def test_a_rigid_sphere_obeys_tings_law() -> None:
-    time, depth = ramp_and_hold(0.5, 2.0)
+    time, depth = ramp_and_hold(0.5, 0.5)
     force, _ = creeping_press(rigid_sphere, SKIN, MOST_N, depth, STEP_S)
     by_ting = ting(time, depth, R, SKIN, NU).force_n
     assert_allclose(force[5:], by_ting[5:], rtol=4e-3)
@@ -44,11 +44,11 @@ def test_a_rigid_sphere_obeys_tings_law() -> None:
 
 def test_two_bodies_meet_the_integral_equation_of_both() -> None:
     """P/E1 + int J(t - s) dP(s) = 4/3 sqrt(R) d^(3/2), by a sum over the steps of force."""
-    time, depth = ramp_and_hold(0.5, 1.0)
+    time, depth = ramp_and_hold(0.5, 0.5)
     force, _ = creeping_press(soft_tip, SKIN, MOST_N, depth, STEP_S)
     steps = np.diff(force)
     middle = (time[1:] + time[:-1]) / 2
-    for n in (20, 99, 150, len(time) - 1):
+    for n in (20, 99, len(time) - 1):
         past = middle[:n]
         creep = SKIN.compliance(time[n] - past) @ steps[:n]
         both = PLANE * (force[n] / 0.06e6 + creep)
@@ -59,10 +59,10 @@ def test_two_bodies_meet_the_integral_equation_of_both() -> None:
     ("rise_s", "modulus_pa"), [(0.05, SKIN.instantaneous_pa), (400.0, SKIN.equilibrium_pa)]
 )
 def test_fast_and_slow_presses_are_of_elastic_bodies(rise_s, modulus_pa) -> None:
-    step_s = rise_s / 400
+    step_s = rise_s / 100
     fast = Prony(SKIN.equilibrium_pa, SKIN.moduli_pa, tuple(40 * t for t in SKIN.times_s))
     body = fast if rise_s < 1 else SKIN
-    depth = 3e-3 * np.arange(401) / 400
+    depth = 3e-3 * np.arange(101) / 100
     force, in_effect = creeping_press(soft_tip, body, MOST_N, depth, step_s)
     assert_allclose(in_effect[-1], modulus_pa, rtol=0.02)
     assert_allclose(soft_tip(force[-1], modulus_pa), depth[-1], rtol=0.01)
@@ -71,7 +71,7 @@ def test_fast_and_slow_presses_are_of_elastic_bodies(rise_s, modulus_pa) -> None
 
 
 def test_a_body_that_was_left_begins_anew() -> None:
-    _, depth = ramp_and_hold(0.5, 0.5)
+    _, depth = ramp_and_hold(0.1, 0.1)
     once, _ = creeping_press(soft_tip, SKIN, MOST_N, depth, STEP_S)
     again, _ = creeping_press(soft_tip, SKIN, MOST_N, np.concatenate([depth, [-1e-3], depth]), STEP_S)
     assert_allclose(again[len(depth) + 1 :], once)

@@ -17,7 +17,7 @@ from finite_strain.frontal import Elements, eliminated
 from finite_strain.inclined import Fineness, InclinedPress
 from finite_strain.surface_contact import Below, below, facet_shapes, pressed as pressed_points
 from finite_strain.tip import Tip
-from inclined_tables import FORCES_N, at_forces, place_mm, steps, unseen_mm
+from inclined_tables import FORCES_N, at_forces, place_mm, unseen_mm
 
 BASE = Tip(skin_mpa=0.5, gel_mpa=0.015)
 COARSE = Fineness(degrees=10.0, gel=2, widest=12.0)
@@ -49,12 +49,12 @@ def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(til
     assert_allclose(factors.solve(product), padded[:-1], atol=5e-3 * np.abs(step).max())
 
 
-@pytest.mark.parametrize(("mpa", "within"), [(np.inf, 0.04), (0.2419, 0.04)])
-def test_head_on_the_force_is_the_tables(mpa, within) -> None:
+@pytest.mark.parametrize("mpa", [np.inf, pytest.param(0.2419, marks=pytest.mark.slow)])
+def test_head_on_the_force_is_the_tables(mpa) -> None:
     press, state = pressed(0.0, 1.0, mpa)
     upright = tip_table("base").press(1e6 * mpa)
     force = upright.force_at(np.array([1e-3 * state.approach]))[0]
-    assert_allclose(press.force(state)[2], force, rtol=within)
+    assert_allclose(press.force(state)[2], force, rtol=0.04)
 
 
 def test_the_base_holds_what_the_top_pushes(tilted) -> None:
@@ -89,17 +89,6 @@ def bumpy() -> tuple[Below, np.ndarray, np.ndarray]:
     nodes = (top.body.places + 0.3 * rng.normal(size=top.body.places.shape))[top.facet_nodes]
     points = rng.uniform([-12, 1, -1], [12, 10, 1], size=(20, 3))
     return below(points, nodes), points, nodes
-
-
-def test_the_top_below_a_point_is_where_the_point_is(bumpy) -> None:
-    found, points, nodes = bumpy
-    assert (found.facet >= 0).all()
-    at = np.einsum("pa,pai->pi", found.shapes[0], nodes[found.facet])
-    assert_allclose(at[:, :2], points[:, :2], atol=1e-9)
-    assert_allclose(found.gap, points[:, 2] - at[:, 2])
-    beside = below(np.array([[25.0, 1.0, 0.0], [0.0, 21.5, 0.0]]), nodes)
-    assert (beside.facet == -1).all()
-    assert np.isinf(beside.gap).all()
 
 
 def test_contact_forces_are_the_gaps_derivative_and_their_stiffness_the_forces(bumpy) -> None:
@@ -168,13 +157,3 @@ def test_an_edge_seen_too_near_at_0_degrees_is_put_right_at_any_tilt() -> None:
     found = at_forces(press, 0.3)
     assert_allclose(found["area_mm2"], np.pi * 16 * np.cbrt(FORCES_N) ** 2, rtol=1e-6)
     assert_allclose(found["approach_mm"][4:], np.cbrt(FORCES_N[4:]) ** 2, rtol=1e-3)
-
-
-def test_steps_add_up_to_the_motion() -> None:
-    rough = np.random.default_rng(2).uniform(-1, 1, (2, 3, 4, 5, 6, 3))
-    whole = steps(rough)
-    for axis in (3, 4, 5):
-        whole = np.cumsum(whole, axis=axis)
-    assert_allclose(5e-4 * np.moveaxis(whole, 0, -1), rough, atol=2.6e-4)
-    with pytest.raises(OverflowError):
-        steps(100 * rough)

@@ -55,6 +55,7 @@ def test_two_balls_just_touching_are_two_of_hertz():
 
 
 @pytest.mark.parametrize("name", TABLES)
+@pytest.mark.cases(1)
 def test_a_light_touch_on_finer_cells_is_the_same(name):
     table = TABLES[name]
     touch = light_touch(body_of(table), NU, 5e-3)
@@ -70,6 +71,7 @@ def test_a_light_touch_on_finer_cells_is_the_same(name):
 
 
 @pytest.mark.parametrize("name", TABLES)
+@pytest.mark.cases(1)
 def test_linear_layers_and_the_table_join_without_a_step(name):
     table, eps = TABLES[name], 1e-6
     for depth in (MIN_LIGHT, LIGHT, MAX_LIGHT):
@@ -85,6 +87,7 @@ def test_linear_layers_and_the_table_join_without_a_step(name):
 
 
 @pytest.mark.parametrize("name", TABLES)
+@pytest.mark.cases(1)
 def test_a_light_touch_sinks_the_skin_as_deep_as_the_probe_where_cells_are_wider_than_contact(name):
     """Linear layers under the pressure of the grid's cells alone sink 0.6 to 0.85 of 0.01 mm."""
     for depth in (1e-3, LIGHT):
@@ -93,6 +96,7 @@ def test_a_light_touch_sinks_the_skin_as_deep_as_the_probe_where_cells_are_wider
 
 
 @pytest.mark.parametrize("name", TABLES)
+@pytest.mark.cases(1)
 def test_in_between_pressure_and_surface_are_the_sum_of_their_shares(name):
     table, depth = TABLES[name], 0.018
     share = float(share_of_table(depth))

@@ -1,4 +1,3 @@
-import json
 import math
 from pathlib import Path
 
@@ -21,9 +20,6 @@ HERE = Path(__file__).parent
 REPOSITORY = HERE.parent.parent
 E, R, DISC = 0.3e6, 5e-3, 28.5e-3
 BALL = Probe("sphere", R)
-FRICTIONLESS = [name for name in shipped() if name.endswith("mu0")]
-WITH_FRICTION = [name for name in shipped() if not name.endswith("mu0")]
-DEPTHS = (0.2, 0.33, 0.6, 1.0, 1.2)
 
 
 def over_a_circle(values, r):
@@ -40,63 +36,29 @@ def top_traction(press):
 
 
 @pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_base_carries_the_force(name, depth):
-    press = SphereTable.load(name).at(depth)
-    # the stress is projected to a smooth field, and its peak at the bonded rim is read on a few knots
-    assert -over_a_circle(press.stress[2, -1], press.r) == pytest.approx(press.force, rel=0.01)
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_load_on_the_top_is_the_force(name, depth):
-    press = SphereTable.load(name).at(depth)
-    load = 2 * math.pi * np.trapezoid(press.top_load * press.r, press.r)
-    assert load == pytest.approx(press.force, rel=0.01)  # the edge lies somewhere within a knot of 0.02 R
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", [0.04, *DEPTHS])
-def test_the_top_is_free_of_traction_around_the_contact(name, depth):
-    press = SphereTable.load(name).at(depth)
-    normal, tangential = top_traction(press)
-    around = (press.r > press.contact_radius + 0.06) & (press.r < 5.5)
-    assert np.abs(normal[around]).max() < 0.01 * press.peak_pressure
-    assert np.abs(tangential[around]).max() < 0.01 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", FRICTIONLESS)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_sphere_without_friction_does_not_drag_the_skin(name, depth):
-    press = SphereTable.load(name).at(depth)
-    _, tangential = top_traction(press)
-    under = press.r < press.contact_radius - 0.06
-    assert np.abs(tangential[under]).max() < 0.015 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", WITH_FRICTION)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_friction_holds_the_skin_back_within_coulombs_cone(name, depth):
+@pytest.mark.parametrize("depth", [0.2, 1.2])
+def test_a_press_balances_its_force_and_its_skin_is_free_but_for_the_sphere(name, depth):
     table = SphereTable.load(name)
     press = table.at(depth)
-    normal, _ = top_traction(press)
+    # the stress is projected to a smooth field, and its peak at the bonded rim is read on a few knots
+    assert -over_a_circle(press.stress[2, -1], press.r) == pytest.approx(press.force, rel=0.01)
+    load = 2 * math.pi * np.trapezoid(press.top_load * press.r, press.r)
+    assert load == pytest.approx(press.force, rel=0.01)  # the edge lies somewhere within a knot of 0.02 R
+    normal, tangential = np.array(top_traction(press)) / press.peak_pressure
+    around = (press.r > press.contact_radius + 0.06) & (press.r < 5.5)
+    assert max(np.abs(normal[around]).max(), np.abs(tangential[around]).max()) < 0.01
     under = (press.r > 0.1) & (press.r < press.contact_radius - 0.06)
-    assert (press.top_friction[under] < 0.002).all()  # inwards, against the skin that flows out
-    excess = np.abs(press.top_friction[under]) + table.friction * normal[under]
-    assert excess.max() < 0.03 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", [0.02, *DEPTHS])
-def test_under_the_contact_the_skin_takes_the_spheres_shape(name, depth):
-    press = SphereTable.load(name).at(depth)
-    under = press.r < press.contact_radius - 0.02
-    sphere = depth - 1 + np.sqrt(1 - press.r[under] ** 2)
+    if table.friction == 0:
+        assert np.abs(tangential[under]).max() < 0.015
+    else:
+        assert (press.top_friction[under] < 0.002).all()  # inwards, against the skin that flows out
+        held = np.abs(press.top_friction[under]) / press.peak_pressure
+        assert (held + table.friction * normal[under]).max() < 0.03  # within Coulomb's cone
+    sphere = depth - 1 + np.sqrt(1 - np.minimum(press.r, 1) ** 2)
     # the contact is held by springs that give way by less than 0.001 R
-    assert np.abs(press.surface[under] - sphere).max() < 1.5e-3
-    beyond = press.r > press.contact_radius + 0.02
-    gap = press.surface - (depth - 1 + np.sqrt(1 - np.minimum(press.r, 1) ** 2))
-    assert (gap[beyond & (press.r < 1)] > -1e-3).all()
+    assert np.abs(press.surface - sphere)[press.r < press.contact_radius - 0.02].max() < 1.5e-3
+    beyond = (press.r > press.contact_radius + 0.02) & (press.r < 1)
+    assert (press.surface - sphere > -1e-3)[beyond].all()
 
 
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
@@ -156,30 +118,6 @@ def test_between_its_depths_a_table_reads_what_is_solved_there(name):
         assert error.max() < 0.065  # at the contact's edge, where the stress turns within one cell
 
 
-def test_at_its_own_depths_a_table_reads_itself():
-    table = SphereTable.load("sphere-h2-mu0")
-    for i in (1, 5, 12, 20, len(table.depth) - 1):
-        press = table.at(float(table.depth[i]))
-        assert press.force == pytest.approx(table.force[i], rel=1e-12)
-        np.testing.assert_allclose(press.stress, table.stress[i], atol=1e-9)
-        np.testing.assert_allclose(press.surface, table.surface[i], atol=1e-9)
-
-
-def test_a_finer_mesh_changes_force_by_less_than_one_percent():
-    rows = json.loads((REPOSITORY / "tools/mesh_study.json").read_text())["meshes"]
-    for row in rows:
-        if row["cells_per_radius"] != 72:
-            finest = next(
-                f
-                for f in rows
-                if f["cells_per_radius"] == 72
-                and (f["depth"], f["friction"]) == (row["depth"], row["friction"])
-            )
-            assert row["force"] == pytest.approx(finest["force"], rel=0.01)
-            assert row["contact_radius"] == pytest.approx(finest["contact_radius"], rel=0.01)
-            assert row["greatest_shear_below"] == pytest.approx(finest["greatest_shear_below"], rel=0.02)
-
-
 def test_the_generator_gives_the_tables_force_on_a_coarse_mesh(monkeypatch):
     pytest.importorskip("skfem", reason="the generator needs scikit-fem")
     monkeypatch.syspath_prepend(str(REPOSITORY / "tools"))
@@ -188,13 +126,13 @@ def test_the_generator_gives_the_tables_force_on_a_coarse_mesh(monkeypatch):
     from finite_strain.press import Press
 
     press = Press(Disc(2.0, 1 / 12), NeoHookean(0.49), 0.0)
-    *_, last = press.through([0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2])
+    *_, last = press.through([0.02, 0.06, 0.1, 0.15, 0.2])
     # four times coarser: five cells from the axis to the edge
     assert press.force(last) == pytest.approx(SphereTable.load("sphere-h2-mu0").at(0.2).force, rel=0.01)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-@pytest.mark.parametrize("depth_m", [1e-3, 3e-3, 5e-3])
+@pytest.mark.parametrize("depth_m", [1e-3, 5e-3])
 def test_the_load_on_the_grid_adds_up_to_the_force_wherever_the_press_is(friction, depth_m):
     contact = press_finite_strain(BALL, Pose(4e-3, -6e-3, depth_m), E, 4 * R, DISC, friction)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
@@ -209,30 +147,19 @@ def test_the_load_on_the_grid_adds_up_to_the_force_wherever_the_press_is(frictio
     ("change", "message"),
     [
         ({"depth_m": 6.1e-3}, "outside-table"),
-        ({"depth_m": -1e-3}, "outside-table"),
         ({"depth_m": math.nan}, "outside-table"),
         ({"thickness_m": 15e-3}, "no-table"),
-        ({"thickness_m": 0.0}, "not-positive"),
         ({"friction": 0.3}, "no-table"),
-        ({"friction": math.nan}, "no-table"),
         ({"poisson_ratio": 0.5}, "no-table"),
         ({"disc_radius_m": 20e-3}, "disc-too-small"),
         ({"youngs_modulus_pa": -1.0}, "not-positive"),
-        ({"youngs_modulus_pa": math.inf}, "not-positive"),
         ({"radius_m": 0.0}, "not-positive"),
         ({"x_m": 25e-3}, "contact-over-rim"),
     ],
 )
 def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
-    asked = {
-        "radius_m": R,
-        "x_m": 0.0,
-        "depth_m": 3e-3,
-        "youngs_modulus_pa": E,
-        "thickness_m": 2 * R,
-        "disc_radius_m": DISC,
-        **change,
-    }
+    asked = {"radius_m": R, "x_m": 0.0, "depth_m": 3e-3, "youngs_modulus_pa": E, "thickness_m": 2 * R}
+    asked |= {"disc_radius_m": DISC} | change
     probe = Probe("sphere", asked.pop("radius_m"))
     pose = Pose(asked.pop("x_m"), 0.0, asked.pop("depth_m"))
     with refused(message, RangeError):
@@ -249,12 +176,3 @@ def test_other_shapes_names_and_places_are_refused():
     for depth in (-0.1, 1.3, math.nan, math.inf):
         with refused("outside-table", RangeError, match="1.2"):
             SphereTable.load("sphere-h2-mu0").at(depth)
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_many_forces_at_once_are_those_one_by_one(name: str) -> None:
-    table = SphereTable.load(name)
-    depths = np.linspace(0.0, table.greatest_depth, 37)
-    assert table.force_at(depths) == pytest.approx([table.at(d).force for d in depths], rel=1e-12)
-    with pytest.raises(RangeError, match="R"):
-        table.force_at(np.array([0.5, 1.3]))

@@ -13,19 +13,19 @@ NU = 0.48
 @pytest.fixture(scope="module")
 def tip():
     """A homogeneous tip, coarse."""
-    return tip_modes(0.02, 0.001, 5e4, 5e4, NU, rings=26, azimuths=18, modes=22)
+    return tip_modes(0.02, 0.001, 5e4, 5e4, NU, rings=20, azimuths=14, modes=16)
 
 
 @pytest.fixture(scope="module")
 def top():
-    return top_modes(0.02, 0.04, 1e5, NU, rings=22, modes=22)
+    return top_modes(0.02, 0.04, 1e5, NU, rings=16, modes=16)
 
 
 def pressed(tip, top, degrees, friction, approaches) -> list[TiltedPress]:
     return TiltedContact(tip, top, np.deg2rad(degrees), friction).through(np.array(approaches))
 
 
-@pytest.mark.parametrize(("approach_mm", "over_hertz"), [(0.5, 1.119), (1.0, 1.189), (1.5, 1.254)])
+@pytest.mark.parametrize(("approach_mm", "over_hertz"), [(0.5, 1.119), (1.5, 1.254)])
 def test_head_on_it_is_finite_strain_while_the_approach_is_small(tip, approach_mm, over_hertz) -> None:
     """Force on a rigid plate over Hertz's, as `tools/finite_strain` solved it: a held dome is stiffer."""
     both = Body(5e4 / (1 - NU**2), 0.02)

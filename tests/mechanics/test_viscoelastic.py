@@ -47,21 +47,15 @@ def brute_force(t):
     return K * TOP**1.5 * force, t1
 
 
-def test_loading_is_the_hereditary_integral():
+def test_a_press_in_and_out_is_tings_integral():
     t, d = triangle()
     found = viscoelastic.ting(t, d, R, SKIN, NU)
     # the square root at first touch costs most: from a fifth of a second on it is below 1e-6
-    for n in (40, 77, 200):
-        assert found.force_n[n] == pytest.approx(brute_force(t[n])[0], rel=1e-6)
-
-
-def test_unloading_is_tings_integral():
-    t, d = triangle()
-    found = viscoelastic.ting(t, d, R, SKIN, NU)
-    for n in (210, 250, 300, 330):
+    for n in (40, 200, 250, 330):
         force, t1 = brute_force(t[n])
-        assert found.force_n[n] == pytest.approx(force, rel=2e-6)
-        assert found.radius_m[n] == pytest.approx(math.sqrt(R * TOP * t1), rel=1e-7)
+        assert found.force_n[n] == pytest.approx(force, rel=1e-6 if n <= 200 else 2e-6)
+        if n > 200:
+            assert found.radius_m[n] == pytest.approx(math.sqrt(R * TOP * t1), rel=1e-7)
 
 
 HISTORIES = {
@@ -74,7 +68,7 @@ HISTORIES = {
 
 @pytest.mark.parametrize("law", [viscoelastic.ting, viscoelastic.press])
 @pytest.mark.parametrize("name", HISTORIES)
-@pytest.mark.cases(5)
+@pytest.mark.cases(2)
 def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
     t, d = (np.array(values, dtype=float) for values in HISTORIES[name])
     every = np.unique(np.concatenate([np.linspace(*ends, 2001) for ends in pairwise(t)]))
@@ -114,17 +108,6 @@ def test_while_held_the_force_relaxes_with_the_modulus():
     # the press took a microsecond
     np.testing.assert_allclose(found.force_n[1:], held, rtol=1e-4)
     np.testing.assert_allclose(found.radius_m[1:], hertz.contact_radius(TOP, R), rtol=1e-12)
-
-
-def test_under_a_held_force_the_depth_creeps_so_that_the_force_stays():
-    t = np.concatenate([[0.0], np.geomspace(1e-5, 3, 2000)])
-    F = 0.2
-    d = np.cbrt(F / K * SKIN.compliance(t)) ** 2
-    assert d[0] == pytest.approx(hertz.depth_from_force(F, R, SKIN.instantaneous_pa, NU), rel=1e-12)
-    # from rest to the instantaneous depth within a microsecond, then along the creep curve
-    history = np.concatenate([[0.0], t + 1e-6]), np.concatenate([[0.0], d])
-    found = viscoelastic.ting(*history, R, SKIN, NU)
-    np.testing.assert_allclose(found.force_n[1:], F, rtol=1e-3)
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.7])
@@ -181,9 +164,3 @@ def test_ting_refuses_a_second_press():
     t = np.linspace(0, 4, 41)
     with pytest.raises(RangeError, match="rise once"):
         viscoelastic.ting(t, TOP * np.interp(t, [0, 1, 2, 3, 4], [0, 1, 0, 1, 0]), R, SKIN, NU)
-
-
-def test_a_compliance_at_no_time_is_refused():
-    for bad in (-1.0, math.nan, math.inf):
-        with pytest.raises(RangeError):
-            SKIN.compliance(np.array([bad]))

@@ -18,7 +18,6 @@ from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 
 torch = pytest.importorskip("torch", reason="the network trains with torch")
 
-from palpate.estimators.networks.training_loop import TrainingLoop  # noqa: E402
 from palpate.sensors.palm.networks import palm_compact  # noqa: E402
 from palpate.sensors.palm.networks.palm_compact import PalmCompact  # noqa: E402
 from palpate.sensors.palm.networks.palm_training import two_view_variation  # noqa: E402
@@ -42,7 +41,7 @@ UNSTRAINED = PressLaw(copies=6, residual=NONE, frozen=NONE)
 def few_pictures():
     """Fewer depths for some hundred presses to share, none with residual birefringence."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(random_presses, "DEPTHS", 32)
+        patched.setattr(random_presses, "DEPTHS", 12)
         patched.setattr(palm_compact, "draw_presses", partial(draw_presses, law=UNSTRAINED))
         yield
 
@@ -78,7 +77,6 @@ def test_it_tells_the_guard_of_the_presses_that_it_was_shown(fitted, data):
     assert also.thumbs.shape[1:] == thumbnail(np.zeros((SIDE, 2 * SIDE, 3), np.uint8)).shape
     half = also.thumbs.shape[2] // 2
     assert also.thumbs[48:, :, :half].mean() < also.thumbs[48:, :, half:].mean()
-    assert PalmCompact(rendered=0, epochs=1).fit(data, np.arange(96), seed=0).rendered_images is None
 
 
 def test_it_learns_what_it_is_shown(fitted, data):
@@ -136,9 +134,7 @@ def test_one_camera_moves_both_views_alike_and_nothing_from_one_into_the_other(d
     np.testing.assert_array_equal(*again)
 
 
-@pytest.mark.parametrize(
-    "options", [{"rendered": -1}, {"palm": "hand"}, {"epochs": 0}, {"variation": -1.0}, {"variation": 3.0}]
-)
+@pytest.mark.parametrize("options", [{"rendered": -1}, {"palm": "hand"}, {"variation": 3.0}])
 def test_settings_that_cannot_be_are_refused(options):
     with pytest.raises(InputError):
         PalmCompact(**options)
@@ -149,12 +145,3 @@ def test_an_input_that_is_not_two_fitting_squares_is_refused(data, shape):
     odd = TrainingData(shape, data.values, data.groups, data.fetch, TARGETS)
     with pytest.raises(InputError, match="two squares"):
         PalmCompact(rendered=0).fit(odd, np.arange(20), seed=0)
-
-
-def test_a_falling_step_begins_small_is_greatest_early_and_ends_at_nothing():
-    plan = TrainingLoop(10, learning_rate=1.0, cosine=True)
-    rates = [plan.rate(step, 50) for step in range(500)]
-    assert rates[0] == pytest.approx(0.01)
-    assert np.argmax(rates) in range(90, 110)
-    assert rates[-1] < 1e-4
-    assert TrainingLoop(10, learning_rate=0.5).rate(123, 50) == 0.5

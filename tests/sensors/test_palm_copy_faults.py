@@ -94,7 +94,7 @@ def test_a_press_s_own_unknowns_draw_an_uneven_membrane_at_its_place() -> None:
     assert math.exp(log_force(known, local)[0]) == pytest.approx(press(uneven, PRESSED).force_n, rel=1e-3)
 
 
-@pytest.mark.parametrize("thickness", [-0.04, 0.0, 0.03])
+@pytest.mark.parametrize("thickness", [-0.04, 0.03])
 def test_a_copy_s_force_is_its_own_spec_s_and_its_slopes_are_differences(thickness: float) -> None:
     known = with_terms(modulus=0.1, product=0.05, thickness=thickness, harder_across=0.04, harder_along=-0.03)
     local = local_of(PRESSED, harder=0.02)
@@ -175,7 +175,7 @@ def test_intervals_are_widened_where_held_out_presses_miss_and_stay_where_they_d
     found = {}
     for scale in (1.0, 10.0):
         factors = []
-        for _ in range(60):
+        for _ in range(30):
             H, known, _, _ = linear_presses(rng, 6, scale)
             errors = standardised(H, np.zeros_like(H), known, list(range(2, 8)))
             factors.append(widening_of(errors, 6).force)

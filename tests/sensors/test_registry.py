@@ -128,14 +128,6 @@ def test_a_preset_is_refused_where_the_factory_takes_none(install: Install, code
         sensor("strange-small")
 
 
-def test_a_preset_of_another_package_is_what_follows_the_name(install: Install) -> None:
-    code = (
-        "from palpate.sensors.palm.palm_sensor import palm\ndef make(preset='debug'): return palm(preset)\n"
-    )
-    install("strange", "stranger:make", code)
-    assert sensor("strange-small").frame_px == (480, 270)
-
-
 def test_specimens_are_read_from_words() -> None:
     assert Specimen.parse("S1=7.6") == Specimen("S1", 7600.0)
     assert Specimen.parse("new=5.3?") == Specimen("new", 5300.0)

@@ -21,12 +21,12 @@ def tilted() -> dict[str, Inclined | SideOn]:
     table = tip_table("base")
     coarse = tip_modes(
         table.radius_m, table.skin_m, table.skin_pa, table.gel_pa, table.poisson_ratio,
-        rings=26, azimuths=18, modes=22,
+        rings=20, azimuths=14, modes=16,
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "tip_of", lambda name: (table, coarse))
-        patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=22, modes=22))
-        patch.setattr(module, "STATES", 9)
+        patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=16, modes=16))
+        patch.setattr(module, "STATES", 7)
         linear = {
             name: module._inclined.__wrapped__("base", 0.5, pa, TILT)
             for name, pa in (("rigid", np.inf), ("soft", 5e4))

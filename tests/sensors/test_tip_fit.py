@@ -20,9 +20,8 @@ from palpate.sensors.tactip import fitted_tactip
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
 from palpate.sensors.tactip.skin_and_markers import lattice
 from palpate.sensors.tactip.taps import load_reader, register_taps, tip_fit, tip_reader
-from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, monomials
 from palpate.sensors.tactip.taps.tap_folder import fit_folder
-from palpate.sensors.tactip.taps.tap_pins import named_taps, spots
+from palpate.sensors.tactip.taps.tap_pins import named_taps
 from palpate.sensors.tactip.taps.tip_fit import fit_tip, judge_tip
 from palpate.sensors.tactip.taps.twin_error import TwinError
 
@@ -197,15 +196,6 @@ def test_another_number_of_pins_than_the_lattices_and_spots_on_none_are_refused(
         named_taps([rng.uniform(0, 300, (91, 2)) for _ in range(3)], (300, 320), 91)
 
 
-def test_a_polynomial_gives_back_a_polynomial(rng) -> None:
-    at = poses(300)
-    X = monomials((at - at.mean(0)) / at.std(0), 2)
-    places = np.tensordot(X, rng.standard_normal((X.shape[1], 4, 2)), 1)
-    found = PosePolynomial.fitted(at, places, 2)
-    assert_allclose(found.at(at), places, atol=1e-3)
-    assert X.shape[1] == 28  # 1 + 6 + 21
-
-
 def drawn(folder, at, places, **change) -> None:
     (folder / "images").mkdir(parents=True)
     rows = ["image_file," + ",".join(POSE)]
@@ -221,15 +211,6 @@ def drawn(folder, at, places, **change) -> None:
     (folder / "labels.csv").write_text(text + "\n")
 
 
-def test_spots_of_one_size_are_found_and_specks_are_not() -> None:
-    image = np.zeros((100, 100), np.uint8)
-    for x in (20, 50, 80):
-        cv2.circle(image, (x, 40), 5, 255, -1)
-    image[70:72, 10:12] = 255
-    image[60:99, 60:99] = 255
-    assert_array_equal(np.sort(spots(image)[:, 0].round()), [20, 50, 80])
-
-
 @pytest.mark.slow
 def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(tip_fit, "ROUNDS", 4)
@@ -240,17 +221,8 @@ def test_a_folder_is_fitted_by_the_verb_and_bad_ones_are_refused(tmp_path, monke
     places = TIP.places_px(TRUE, at)
     drawn(tmp_path / "train", at[::2], places[::2])
     drawn(tmp_path / "val", at[1::2], places[1::2])
-    words = [
-        "calibrate",
-        "--method",
-        "tip-pose",
-        str(tmp_path / "train"),
-        "--judge",
-        str(tmp_path / "val"),
-        "--preset",
-        "91",
-    ]
-    words += ["--presses", "20"]
+    words = ["calibrate", "--method", "tip-pose", str(tmp_path / "train"), "--judge", str(tmp_path / "val")]
+    words += ["--preset", "91", "--presses", "20"]
     said = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out"), "--json", "--quiet"])
     assert said.exit_code == 0, said.output
     told = json.loads(said.output)

@@ -242,7 +242,7 @@ def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
 
     Args:
         stack: Layers.
-        wavenumber_per_m: 2 pi / wavelength [1/m]; positive, or 0 on a rigid floor (uniaxial strain and shear).
+        wavenumber_per_m: 2 pi / wavelength [1/m]; positive, or 0 on a rigid floor (uniaxial strain).
 
     Example:
         >>> layer = Stack((ElasticLayer(10e-3, 0.3e6, 0.49),))
