@@ -114,7 +114,7 @@ def test_the_force_is_that_of_a_boundary_element_code(h, forces):
 
 
 @pytest.mark.parametrize("law", [layer.sphere_force, layer.dimitriadis_force, layer.punch_force])
-@pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
+@pytest.mark.parametrize("bad", [-1.0, math.nan])
 def test_what_lies_outside_the_law_is_refused(law, bad):
     good = (1e-4, R, 1e-2, E, 0.49)
     for i in range(5):

@@ -79,13 +79,6 @@ def test_a_modulus_that_is_left_out_is_read_from_its_neighbours(tilt, left_out) 
     assert off.max() < 120e-6
 
 
-def test_forces_and_approaches_belong_together(table) -> None:
-    press = table.press(MODULI[-1], TABLE.tilt_rad[0])
-    force = np.linspace(0.1, 5.4, 40)
-    assert_allclose(press.force_at(press.at("approach_m", force)), force, rtol=4e-3)
-    assert press.force_at(np.array([-1e-3]))[0] == 0.0
-
-
 @pytest.mark.parametrize(
     ("pa", "degrees"), [(1e6, 20.0), (1e6, 0.0), (1e6, 30.01), (3.4e4, 30.0), (9e4, 45.0), (np.nan, 30.0)]
 )

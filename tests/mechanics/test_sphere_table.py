@@ -9,10 +9,7 @@ from tests.refusals import refused
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
-    is_tabled,
     press_finite_strain,
-    shipped,
-    table_for,
 )
 from palpate.mechanics.layers import bonded_layer as layer
 
@@ -35,7 +32,7 @@ def top_traction(press):
     return (t * n).sum(axis=0), t[1] * n[0] - t[0] * n[1]
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", SphereTable.shipped())
 @pytest.mark.parametrize("depth", [0.2, 1.2])
 def test_a_press_balances_its_force_and_its_skin_is_free_but_for_the_sphere(name, depth):
     table = SphereTable.load(name)
@@ -79,7 +76,7 @@ def test_as_the_press_gets_shallow_its_force_tends_to_the_small_strain_layers(th
 
 def test_between_thicknesses_a_table_reads_what_is_solved_there():
     """A disc 2.1 R thick, drawn from 2, 2.2 and another, against solving it."""
-    table = table_for(2.1, 0.0, 0.49)
+    table = SphereTable.of_disc(2.1, 0.0, 0.49)
     with np.load(HERE / "between-sphere-h21-mu0.npz") as solved:
         for i, depth in enumerate(solved["depth"]):
             found = table.at(float(depth))
@@ -95,14 +92,14 @@ def test_between_thicknesses_a_table_reads_what_is_solved_there():
 
 def test_a_thickness_outside_those_solved_is_refused_and_friction_has_its_own():
     for asked in ((1.7, 0.0, 0.49), (3.0, 0.0, 0.49), (2.1, 0.5, 0.49), (2.1, 0.0, 0.45)):
-        assert not is_tabled(*asked)
+        assert not SphereTable.holds(*asked)
         with refused("no-table", RangeError):
-            table_for(*asked)
-    thin, thick = (table_for(h, 0.0, 0.49).at(0.8).force for h in (1.9, 2.1))
+            SphereTable.of_disc(*asked)
+    thin, thick = (SphereTable.of_disc(h, 0.0, 0.49).at(0.8).force for h in (1.9, 2.1))
     assert thin > SphereTable.load("sphere-h2-mu0").at(0.8).force > thick, "a thinner disc is stiffer"
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", SphereTable.shipped())
 def test_between_its_depths_a_table_reads_what_is_solved_there(name):
     table = SphereTable.load(name)
     with np.load(HERE / f"between-{name}.npz") as solved:

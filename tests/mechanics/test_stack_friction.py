@@ -25,7 +25,7 @@ def on_half_space(nu):
 
 
 @pytest.mark.parametrize(("nu", "tolerance"), [(0.0, 1e-3), (0.49, 4e-3)])
-@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("part", [0.2, 0.9])
 def test_a_sphere_sheared_on_a_half_space_slips_as_cattaneo_and_mindlin_say(nu, tolerance, part):
     # at nu = 0 theirs is exact; else they neglect traction across the shift, which costs up to 0.3 %
     contact = on_half_space(nu)
@@ -51,13 +51,6 @@ def test_no_traction_exceeds_friction_and_sticking_skin_goes_with_the_probe():
     assert np.all(pulling >= 0.0)  # friction drags the skin after the probe
 
 
-def test_force_and_shift_convert_back_in_any_direction():
-    contact = on_half_space(0.3)
-    by_shift = shear_stack(contact, MU, shift_m=(3e-5, 5e-5))
-    by_force = shear_stack(contact, MU, force_n=tuple(map(float, by_shift.force_n)))
-    np.testing.assert_allclose(by_force.shift_m, (3e-5, 5e-5), rtol=2e-3)
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.49])
 def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     contact = on_half_space(nu)
@@ -67,8 +60,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     assert np.abs(found.force_n).max() < 1e-6 * found.moment_nm / A
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.49])
-@pytest.mark.parametrize("turn", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize(("nu", "turn"), [(0.0, 0.3), (0.49, 0.1)])
 def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     contact = on_half_space(nu)
     found = shear_stack(contact, MU, turn_rad=turn)
@@ -112,8 +104,8 @@ def test_what_cannot_be_sheared_is_refused():
         shear_stack(nothing, MU, shift_m=(1e-5, 0.0))
 
 
-@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.5, 0.7, 0.95])
-@pytest.mark.parametrize("way", [0.0, 0.7, math.pi / 2])
+@pytest.mark.parametrize("part", [0.02, 0.95])
+@pytest.mark.parametrize("way", [0.0, 0.7])
 def test_every_pull_below_friction_is_found_under_a_punch_and_under_a_blunt_edge(part, way):
     """Secants through motions that the tolerance does not tell apart lead away; then 0.95 is refused."""
     layer, x = Stack((ElasticLayer(10e-3, E, 0.49),)), np.linspace(-7e-3, 7e-3, 80)

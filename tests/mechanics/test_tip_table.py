@@ -42,7 +42,7 @@ def test_a_table_ends_at_its_deepest_approach_but_for_rounding() -> None:
     press.force_at(np.array([1e-3 * float(end)]))  # as printed
 
 
-@pytest.mark.parametrize("specimen_mpa", np.linspace(0.04, 0.25, 43))
+@pytest.mark.parametrize("specimen_mpa", np.linspace(0.04, 0.25, 7))
 def test_the_force_of_the_deepest_approach_is_one_that_the_table_knows(specimen_mpa) -> None:
     press = tip_table("base").press(1e6 * specimen_mpa)
     press.at("area_m2", press.force_at(press.approach_m[-1:]))
@@ -55,7 +55,7 @@ def test_forces_and_approaches_belong_together() -> None:
     assert press.force_at(np.array([-1e-3]))[0] == 0.0
 
 
-@pytest.mark.parametrize("left_out", [2, 4, 6])
+@pytest.mark.parametrize("left_out", [4])
 def test_a_modulus_between_two_of_the_table_is_read_as_if_it_were_solved(left_out) -> None:
     """A modulus of the table is left out and read from the others."""
     from dataclasses import replace

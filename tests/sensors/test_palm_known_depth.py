@@ -29,7 +29,7 @@ STEP_M = 0.1e-3
 
 @pytest.mark.parametrize("words", TABLED + LINEAR)
 @pytest.mark.parametrize("membrane", MEMBRANES)
-@pytest.mark.cases(10)
+@pytest.mark.cases(6)
 def test_a_press_at_the_known_depth_is_taken_and_a_deeper_one_is_refused(membrane, words):
     sensor, probe = Palm(MEMBRANES[membrane]), palm.parse_probe(words)
     known_m = sensor.known_depth_m(probe)

@@ -40,16 +40,14 @@ def test_the_ball_s_lowest_point_is_where_snell_s_law_puts_it(depth_m, place):
     assert np.hypot(*(found - wanted)) < 1.0  # 0.25 is measured: the brightest 106 pixels' middle
 
 
-@pytest.mark.parametrize("index", [1.0, 1.41, 1.55])
-@pytest.mark.parametrize("place", [(0.0, 0.0), (7e-3, -5e-3)])
+@pytest.mark.parametrize(("index", "place"), [(1.0, (0.0, 0.0)), (1.55, (7e-3, -5e-3))])
 def test_the_place_given_for_a_contact_is_snell_s(place, index):
     spec = replace(FULL, refractive_index=index)
     found = mirror_view.contact_px(spec, *place, depth_m=2e-3)
     np.testing.assert_allclose(found, by_snell(spec, 2e-3, *place), atol=1e-9)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (5e-3, -4e-3), (-9e-3, 3e-3)])
-@pytest.mark.parametrize("depth_m", [0.5e-3, 3e-3])
+@pytest.mark.parametrize(("depth_m", "place"), [(0.5e-3, (5e-3, -4e-3)), (3e-3, (-9e-3, 3e-3))])
 def test_the_moved_patch_shows_what_tracing_every_pixel_does(depth_m, place):
     moved, traced = mirror_view.shift_mirror(SPEC, depth_m, *place), seen(depth_m, *place)
     assert np.sqrt(np.mean((moved - traced) ** 2)) < 5e-3  # the contact's sharp edge, moved by part pixels
@@ -76,7 +74,7 @@ def test_out_of_sight_a_probe_s_own_look_changes_nothing_and_its_dimple_is_left(
     assert abs(dimple - way(SPEC, 0.0, 0.0, 0.0)).max() > 0.1
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (5e-3, -4e-3), (-9e-3, 3e-3)])
+@pytest.mark.parametrize("place", [(5e-3, -4e-3)])
 @pytest.mark.parametrize("changed", [{"probe_in_mirror": False}, {"membrane": False}])
 def test_without_probe_or_membrane_the_moved_patch_shows_what_tracing_does(changed, place):
     spec = replace(SPEC, **changed)

@@ -87,13 +87,6 @@ def test_exported_trees_send_a_feature_on_a_threshold_to_the_side_that_the_fores
     np.testing.assert_allclose(exported, forest.predict(asked), atol=1e-5)
 
 
-def test_a_frame_without_a_press_gives_a_place_within_the_skin(rng):
-    data = presses(80, rng)
-    fitted = PalmMoments(5).fit(data, np.arange(80), seed=0)
-    reach = np.abs(data.values[:, 1:3]).max()
-    assert np.abs(fitted.predict(np.zeros((1, *data.shape), np.float32))[0, 1:3]).max() < 3 * reach
-
-
 @pytest.mark.parametrize("wrong", [{"trees": 0}, {"leaf_rows": 0}])
 def test_settings_that_cannot_be_are_refused(wrong):
     with refused("tree-count", InputError):

@@ -103,6 +103,33 @@ class DiscTable:
     surface: Float32[ndarray, "d n"]
     stress: Float32[ndarray, "d 4 m n"]
 
+    @classmethod
+    def of_disc(cls: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> AnyTable:
+        """The shipped table of a disc (thickness over indenter radius `ratio`), or one interpolated from the
+        nearest.
+        """
+        near = _solved_near(cls, ratio, friction, poisson_ratio)
+        if len(near) == 1:
+            return near[0]
+        if near:
+            solved = tuple(t.thickness for t in near)
+            return _between(cls, solved, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
+        choices = "; ".join(
+            f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}"
+            for t in map(cls.load, cls.shipped())
+        )
+        raise RangeError(
+            f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
+            f"{poisson_ratio:g}; choose a {cls.INDENTER} radius R and a friction among: {choices}"
+            f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other",
+            code="no-table",
+        )
+
+    @classmethod
+    def holds(cls, ratio: float, friction: float, poisson_ratio: float) -> bool:
+        """Whether `of_disc` has a table."""
+        return bool(_solved_near(cls, ratio, friction, poisson_ratio))
+
     @property
     def greatest_depth(self) -> float:
         """Maximum depth [R]."""
@@ -181,7 +208,7 @@ class DiscTable:
         if depth == 0.0:
             return np.zeros_like(self.r), np.zeros(self.stress.shape[1:])
         k = int(np.clip(np.searchsorted(self.depth, depth), 1, len(self.depth) - 1))
-        if k == 1:  # scaled below the first depth
+        if k == 1:  # below the first depth every press is like it, only smaller
             return self._brought(1, depth, F, a, p)
         edges = self.contact_radius[k - 1 : k + 1]
         if edges[1] - edges[0] > np.interp(edges[1], self.r[1:], np.diff(self.r)):
@@ -207,33 +234,6 @@ def _loaded(kind: type[AnyTable], name: str) -> AnyTable:
         return kind.open(path)
 
 
-def disc_table_for(kind: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> AnyTable:
-    """Return the shipped table of a disc (thickness over indenter radius `ratio`), or one interpolated from
-    the nearest.
-    """
-    near = _solved_near(kind, ratio, friction, poisson_ratio)
-    if len(near) == 1:
-        return near[0]
-    if near:
-        solved = tuple(t.thickness for t in near)
-        return _between(kind, solved, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
-    tables = [kind.load(name) for name in kind.shipped()]
-    choices = "; ".join(
-        f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables
-    )
-    raise RangeError(
-        f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
-        f"{poisson_ratio:g}; choose a {kind.INDENTER} radius R and a friction among: {choices}"
-        f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other",
-        code="no-table",
-    )
-
-
-def is_disc_tabled(kind: type[DiscTable], ratio: float, friction: float, poisson_ratio: float) -> bool:
-    """Return whether `disc_table_for` has a table."""
-    return bool(_solved_near(kind, ratio, friction, poisson_ratio))
-
-
 def _solved_near(kind: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> list[AnyTable]:
     """The table of a disc, the three that it is interpolated from, or none."""
     tables = [kind.load(name) for name in kind.shipped()]
@@ -252,7 +252,7 @@ def _stress_at_shares_of(
     kind: type[DiscTable], own: float, other: float, friction: float, poisson_ratio: float
 ) -> Float[ndarray, "d 4 m n"]:
     """Stress of one solved thickness at another's relative depths."""
-    table, at = (disc_table_for(kind, h, friction, poisson_ratio) for h in (own, other))
+    table, at = (kind.of_disc(h, friction, poisson_ratio) for h in (own, other))
     return np.asarray(PchipInterpolator(table.zeta, table.stress.astype(float), axis=2)(at.zeta))
 
 
@@ -265,7 +265,7 @@ def _between(
     poisson_ratio: float,
 ) -> AnyTable:
     """Table of an unsolved thickness, by Lagrange interpolation over 1 / thickness."""
-    tables = [disc_table_for(kind, h, friction, poisson_ratio) for h in thicknesses]
+    tables = [kind.of_disc(h, friction, poisson_ratio) for h in thicknesses]
     inverse = 1 / np.array(thicknesses)
     weights = [
         float(np.prod([(1 / ratio - other) / (own - other) for other in inverse if other != own]))

@@ -11,13 +11,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from palpate.core import Bool, Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, ForceColumns, HeadOnPress, TipTable, tip_table
+from palpate.mechanics.axisymmetric.tip_table import (
+    ForceColumns,
+    HeadOnPress,
+    TipTable,
+    from_rest,
+    loaded,
+    tip_table,
+)
 
 SAME_TILT = 1e-6  # rad
 COMPARED_N = 3.0
@@ -119,11 +125,9 @@ def _place(upright: HeadOnPress) -> float:
 @cache
 def inclined_table(name: str) -> InclinedTable | None:
     """Return the table of a tip; None if there is none."""
-    path = resources.files("palpate.mechanics") / FOLDER / f"inclined-{name}.npz"
-    if not path.is_file():
+    data = loaded(f"inclined-{name}.npz")
+    if not data:
         return None
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
     in_si = {
         "approach_m": 1e-3 * data["approach_mm"],
         "area_m2": 1e-6 * data["area_mm2"],
@@ -132,7 +136,7 @@ def inclined_table(name: str) -> InclinedTable | None:
     return InclinedTable(
         tip_table(name), np.deg2rad(data["tilt_deg"]), 1e6 * data["specimen_mpa"],
         np.concatenate([[0.0], data["force_n"]]), data["across_rad"], data["aside_rad"],
-        {name: _from_rest(values) for name, values in in_si.items()},
+        {name: from_rest(values, axis=2) for name, values in in_si.items()},
     )  # fmt: skip
 
 
@@ -141,8 +145,3 @@ def _summed(steps: Float[ndarray, "3 t s f a b"]) -> Float[ndarray, "t s f a b 3
     for axis in (3, 4, 5):
         steps = np.cumsum(steps, axis=axis)
     return np.moveaxis(steps, 0, -1)
-
-
-def _from_rest(values: Float[ndarray, "t s f *n"]) -> Float[ndarray, "t s g *n"]:
-    """A column with the untouched tip before its first force."""
-    return np.concatenate([np.zeros_like(values[:, :, :1]), values], axis=2)

@@ -18,8 +18,6 @@ from palpate.mechanics.axisymmetric.disc_table import (
     DiscTable,
     Knots,
     TabulatedPress,
-    disc_table_for,
-    is_disc_tabled,
     pressed_contact,
 )
 from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive
@@ -55,16 +53,6 @@ def is_punched(contact: Contact) -> bool:
     return contact.probe.shape == PunchTable.INDENTER and contact.solution is ContactSolution.DISC_TABLE
 
 
-def is_punch_tabled(ratio: float, friction: float, poisson_ratio: float) -> bool:
-    """Return whether `punch_table_for` has a table."""
-    return is_disc_tabled(PunchTable, ratio, friction, poisson_ratio)
-
-
-def punch_table_for(ratio: float, friction: float, poisson_ratio: float) -> PunchTable:
-    """Return the punch's table of a disc; see `disc_table_for`."""
-    return disc_table_for(PunchTable, ratio, friction, poisson_ratio)
-
-
 def press_punch(
     probe: Probe,
     pose: Pose,
@@ -93,5 +81,5 @@ def press_punch(
     positive("the disc's thickness", thickness_m, "m")
     positive("the disc's radius", disc_radius_m, "m")
     x, y, _ = grid_around(pose, np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS), x_m, y_m)
-    table = punch_table_for(thickness_m / R, friction, poisson_ratio)
+    table = PunchTable.of_disc(thickness_m / R, friction, poisson_ratio)
     return pressed_contact(table, probe, pose, youngs_modulus_pa, disc_radius_m, x, y)

@@ -9,13 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, TipTable, softness_share, tip_table
+from palpate.mechanics.axisymmetric.tip_table import (
+    HeadOnPress,
+    TipTable,
+    from_rest,
+    loaded,
+    softness_share,
+    tip_table,
+)
 
 SCALARS = ("approach_m", "flattening_m", "radius_m", "angle_rad")
 FIELDS = ("inside_m", "energy_pa")
@@ -107,15 +113,13 @@ class ShapeTable:
 def shape_table(name: str) -> ShapeTable:
     """Return the table of a tip on other shapes."""
     flat = tip_table(name)
-    path = resources.files("palpate.mechanics") / FOLDER / f"shapes-{name}.npz"
-    if not path.is_file():
+    data = loaded(f"shapes-{name}.npz")
+    if not data:
         raise InputError(
             f"the tip {name!r} has been solved on flat cylinders only; spheres and layers are of "
             "the tip 'base'",
             code="no-table",
         )
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
     domes = _grid("dome", data, data["dome_curvature_per_mm"] * 1e3)
     return ShapeTable(flat, domes, _grid("layer", data, np.log(1e-3 * data["layer_mm"])))
 
@@ -127,6 +131,5 @@ def _grid(family: str, data: dict[str, ndarray], shape: Float[ndarray, " k"]) ->
         if name in FIELDS:
             modes = data[f"{name}_modes"]
             values = np.tensordot(values, modes, axes=1)
-        start = np.zeros_like(values[:, :, :1])
-        columns[name] = TO_SI.get(name, 1.0) * np.concatenate([start, values], axis=2)
+        columns[name] = TO_SI.get(name, 1.0) * from_rest(values, axis=2)
     return ShapeGrid(shape, 1e6 * data[f"{family}_mpa"], columns)

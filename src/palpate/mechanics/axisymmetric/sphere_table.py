@@ -24,8 +24,6 @@ from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, nd
 from palpate.mechanics.axisymmetric.disc_table import (
     DiscTable,
     Fields,
-    disc_table_for,
-    is_disc_tabled,
     pressed_contact,
 )
 from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive
@@ -68,11 +66,6 @@ class SphereTable(DiscTable):
         return surface * factor, np.moveaxis(field((zeta, r)), -1, 0) * scale
 
 
-def shipped() -> tuple[str, ...]:
-    """Return the names of the sphere's tables."""
-    return SphereTable.shipped()
-
-
 def press_finite_strain(
     probe: Probe,
     pose: Pose,
@@ -111,18 +104,8 @@ def press_finite_strain(
     positive("the disc's radius", disc_radius_m, "m")
     around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
     x, y, _ = grid_around(pose, around, x_m, y_m)
-    table = table_for(thickness_m / R, friction, poisson_ratio)
+    table = SphereTable.of_disc(thickness_m / R, friction, poisson_ratio)
     return pressed_contact(table, probe, pose, E, disc_radius_m, x, y)
-
-
-def table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
-    """Return the sphere's table of a disc; see `disc_table_for`."""
-    return disc_table_for(SphereTable, ratio, friction, poisson_ratio)
-
-
-def is_tabled(ratio: float, friction: float, poisson_ratio: float) -> bool:
-    """Return whether `table_for` has a table."""
-    return is_disc_tabled(SphereTable, ratio, friction, poisson_ratio)
 
 
 OFF_CENTRE = resources.files("palpate.mechanics") / "tables" / "off_centre.json"

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib import resources
 
 import numpy as np
 
 from palpate.core import Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, tip_table
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, from_rest, loaded, skin_columns, tip_table
 
 PLATE = "plate.npz"
 
@@ -72,22 +71,8 @@ class _Plate:
 
 @cache
 def _plate() -> _Plate:
-    path = resources.files("palpate.mechanics") / FOLDER / PLATE
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
-    rest = tip_table("base").press(math.inf).inside_m[0]
-
-    def from_rest(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
-        start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
-        return np.concatenate([start, values], axis=1)
-
-    columns = {
-        "flattening_m": from_rest(1e-3 * data["flattening_mm"]),
-        "radius_m": from_rest(1e-3 * data["radius_mm"]),
-        "angle_rad": from_rest(data["angle_rad"]),
-        "inside_m": from_rest(1e-3 * data["inside_mm"], rest),
-        "energy_pa": from_rest(1e6 * data["energy_mpa"]),
-    }
+    data = loaded(PLATE)
+    columns = skin_columns(data, tip_table("base").press(math.inf).inside_m[0])
     return _Plate(
         np.append(0.0, 1e-3 * data["approach_mm"]),
         np.log(data["skin_mpa"] / data["gel_mpa"]),

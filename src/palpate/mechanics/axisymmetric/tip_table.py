@@ -139,14 +139,27 @@ def shipped_tips() -> tuple[str, ...]:
     return tuple(sorted(name.removeprefix("tip-").removesuffix(".npz") for name in names))
 
 
+def loaded(name: str) -> dict[str, ndarray]:
+    """Return the arrays of a shipped file; empty without such a file."""
+    path = resources.files("palpate.mechanics") / FOLDER / name
+    if not path.is_file():
+        return {}
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return {key: arrays[key].astype(np.float64) for key in arrays.files}
+
+
+def from_rest(values: ndarray, first: ndarray | float = 0.0, axis: int = 1) -> ndarray:
+    """Return values with the untouched tip's before the first along an axis."""
+    start = np.broadcast_to(first, (*values.shape[:axis], 1, *values.shape[axis + 1 :]))
+    return np.concatenate([start, values], axis=axis)
+
+
 @cache
 def tip_table(name: str) -> TipTable:
     """Return the table of a tip (cached)."""
     if name not in shipped_tips():
         raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}", code="unknown-name")
-    path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
+    data = loaded(f"tip-{name}.npz")
     radius_mm, skin_mm, skin_mpa, gel_mpa, nu = data["tip"]
     r_mm, h_mm = data["specimen"]
     return TipTable(
@@ -162,13 +175,12 @@ def _columns(data: dict[str, ndarray], radius_m: float, skin_m: float) -> dict[s
     """Columns in SI, with the untouched tip before the first force."""
     phi, inner = data["polar_rad"], radius_m - skin_m
     rest = np.stack([inner * np.sin(phi), radius_m - inner * np.cos(phi)], axis=-1)
+    return {"approach_m": from_rest(1e-3 * data["approach_mm"])} | skin_columns(data, rest)
 
-    def from_rest(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
-        start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
-        return np.concatenate([start, values], axis=1)
 
+def skin_columns(data: dict[str, ndarray], rest: Float[ndarray, "n 2"]) -> dict[str, ndarray]:
+    """Return the columns of contact and skin in SI, with the untouched tip first."""
     return {
-        "approach_m": from_rest(1e-3 * data["approach_mm"]),
         "flattening_m": from_rest(1e-3 * data["flattening_mm"]),
         "radius_m": from_rest(1e-3 * data["radius_mm"]),
         "angle_rad": from_rest(data["angle_rad"]),

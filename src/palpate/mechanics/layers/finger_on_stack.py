@@ -9,8 +9,7 @@ moduli over 1 - nu^2), and the stack's compliance C(k),
 as in `bonded_layer`, and F = 2 E int_0^a g dt. The ball takes (E / E_ball) g(0) of the displacement d at the
 axis. Layers are laterally unbounded, hence too stiff for a narrow specimen.
 
-Reference: W. C. Hayes et al., J.
-Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3, for one layer.
+Reference: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3, for one layer.
 """
 
 from __future__ import annotations
@@ -25,14 +24,13 @@ from scipy.optimize import brentq
 from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import MAX_SLOPE
 from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.layers.influence import PHASE, panels
 from palpate.mechanics.layers.stack import Stack, surface_compliance
 
 MAX_STRAIN = 0.2  # maximum depth over the stack's thickness
 NODES = 48  # nodes over the contact
 TOP_END = 25.0  # k h beyond which 1 - M vanishes
 STACK_START = 1e-4  # k times the stack's thickness of the first panel
-PANEL = 16  # Gauss points per panel
-PHASE = 8.0  # maximum k a per panel
 
 Points = Float[ndarray, " n"]
 Waves = Float[ndarray, " k"]
@@ -143,12 +141,4 @@ def _waves(stack: Stack, radius_m: float) -> tuple[Waves, Waves]:
     if math.isinf(h):  # a half-space, where 1 - M is 0
         h = radius_m
     total = sum(slab.thickness_m for slab in stack.slabs) or h
-    end, widest = TOP_END / h, PHASE / radius_m
-    growing = np.concatenate([[0.0], np.geomspace(STACK_START / total, end, 60)])
-    edges = [0.0]
-    while edges[-1] < end:
-        coming = growing[np.searchsorted(growing, edges[-1], side="right")]
-        edges.append(min(float(coming), edges[-1] + widest))
-    points, weights = np.polynomial.legendre.leggauss(PANEL)
-    low, half = np.array(edges[:-1])[:, None], np.diff(edges)[:, None] / 2
-    return (low + half * (1 + points)).ravel(), (half * weights).ravel()
+    return panels(STACK_START / total, TOP_END / h, 60, PHASE / radius_m)

@@ -152,12 +152,18 @@ def _wavenumbers(stack: Stack, reach_m: float) -> tuple[Waves, Waves]:
     """Gauss points and weights in k on panels that grow from the longest waves, then follow J(k r)."""
     h = stack.layers[0].thickness_m
     total = sum(slab.thickness_m for slab in stack.slabs)
-    end, widest = CHANGES_END / h, PHASE / reach_m
-    growing = np.concatenate([[0.0], np.geomspace(1e-4 / total, end, 80)])
+    return panels(1e-4 / total, CHANGES_END / h, 80, PHASE / reach_m)
+
+
+def panels(start: float, end: float, count: int, widest: float) -> tuple[Waves, Waves]:
+    """Return Gauss points and weights from 0 to `end`, 16 on each of `count` growing panels from
+    `start`, none wider than `widest`.
+    """
+    growing = np.concatenate([[0.0], np.geomspace(start, end, count)])
     edges = [0.0]
     while edges[-1] < end:
         coming = growing[np.searchsorted(growing, edges[-1], side="right")]
-        edges.append(min(coming, edges[-1] + widest))
+        edges.append(min(float(coming), edges[-1] + widest))
     points, weights = np.polynomial.legendre.leggauss(16)
     low, half = np.array(edges[:-1])[:, None], np.diff(edges)[:, None] / 2
     return (low + half * (1 + points)).ravel(), (half * weights).ravel()

@@ -26,16 +26,11 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
 )
 from palpate.mechanics.axisymmetric.punch_table import (
     PunchTable,
-    is_punch_tabled,
     press_punch,
-    punch_table_for,
 )
 from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
-    is_tabled,
     press_finite_strain,
-    shipped,
-    table_for,
 )
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
@@ -64,7 +59,7 @@ def _table_of(spec: PalmSpec) -> SphereTable | None:
 @lru_cache(maxsize=32)
 def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
     try:
-        table = table_for(thickness, friction, poisson_ratio)
+        table = SphereTable.of_disc(thickness, friction, poisson_ratio)
     except RangeError:
         return None
     return table if table.disc_radius <= disc_radius * (1 + SAME) else None
@@ -74,7 +69,7 @@ def has_table(spec: PalmSpec) -> bool:
     """Return whether a table exists for the spec's membrane under its ball."""
     R = spec.indenter_radius_m
     wide = spec.radius_m >= TABLE_RADIUS * R * (1 - SAME)
-    return wide and is_tabled(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
+    return wide and SphereTable.holds(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
 
 
 def table_of(spec: PalmSpec) -> SphereTable:
@@ -85,7 +80,7 @@ def table_of(spec: PalmSpec) -> SphereTable:
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"
-        for t in map(SphereTable.load, shipped())
+        for t in map(SphereTable.load, SphereTable.shipped())
     )
     raise RangeError(
         f"no table for a membrane {spec.thickness_m * 1e3:g} mm thick, {spec.diameter_m * 1e3:g} mm wide, nu "
@@ -134,9 +129,9 @@ def _punch_table(spec: PalmSpec, probe: Probe) -> PunchTable | None:
         return None
     R = probe.radius_m
     asked = spec.thickness_m / R, spec.friction, spec.poisson_ratio
-    if not is_punch_tabled(*asked):
+    if not PunchTable.holds(*asked):
         return None
-    table = punch_table_for(*asked)
+    table = PunchTable.of_disc(*asked)
     return table if table.disc_radius * R <= spec.radius_m * (1 + SAME) else None
 
 

@@ -48,6 +48,11 @@ class View:
     def size_px(self) -> tuple[int, int]:
         return self.box_px[2:]
 
+    def moved(self, across_px: float, down_px: float) -> View:
+        """The region with its middle moved in the image [px]."""
+        cx, cy = self.middle_px
+        return replace(self, middle_px=(cx + float(across_px), cy + float(down_px)))
+
     @property
     def window(self) -> tuple[slice, slice]:
         """Rows and columns in the frame."""

@@ -11,7 +11,7 @@ from palpate.core import RangeError
 from palpate.optics.camera_response import AutoExposure
 from palpate.optics.image_chain import ImageChain
 from palpate.sensors.palm.palm_rim import rim_reach
-from palpate.sensors.palm.palm_spec import PalmSpec, View
+from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.uneven_membrane import ResidualMap, UnevenGel
 from palpate.sensors.palm.view_faults import Glare, MirrorDirt
 
@@ -93,8 +93,8 @@ def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | 
         lamp_mired=design.lamp_mired + s.mired * float(z[3]),
         polariser_rad=design.polariser_rad + s.polariser_rad * float(z[4]),
         mirror_elevation_rad=design.mirror_elevation_rad + s.elevation_rad * float(z[5]),
-        fringes=_moved(design.fringes, s.region_px * z[6], s.region_px * z[7]),
-        mirror=_moved(design.mirror, s.region_px * z[8], s.region_px * z[9]),
+        fringes=design.fringes.moved(s.region_px * z[6], s.region_px * z[7]),
+        mirror=design.mirror.moved(s.region_px * z[8], s.region_px * z[9]),
         ambient=design.ambient + s.ambient * abs(float(z[10])),
         rim="applied" if rim_reach(design) is not None else design.rim,
         corner_loss=float(np.clip(design.corner_loss + s.corner_loss * z[11], 0.0, 1.0)),
@@ -129,11 +129,6 @@ def _with_faults(design: PalmSpec, s: CopySpread, rng: np.random.Generator) -> P
 
 def _exposure(stops: float) -> AutoExposure:
     return AutoExposure(MEAN_LIGHT, max_stops=stops)
-
-
-def _moved(view: View, across_px: float, down_px: float) -> View:
-    cx, cy = view.middle_px
-    return replace(view, middle_px=(cx + float(across_px), cy + float(down_px)))
 
 
 def warmed(

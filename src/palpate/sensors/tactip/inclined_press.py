@@ -24,32 +24,19 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
+from palpate.sensors.tactip.tactip_press import TabledContact
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class SideOn:
+class SideOn(TabledContact):
     """A specimen under the tip's side, by a finite-strain table."""
 
     press: SidePress
     inner_radius_m: float
     radius_m: float
-
-    @property
-    def law(self) -> str:
-        return "finite strain, without friction"
-
-    @property
-    def deepest_m(self) -> float:
-        return float(self.press.approach_m[-1])
-
-    def force_n(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        return self.press.force_at(approach_m)
-
-    def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        return self.press.at("area_m2", force_n)
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         moved = self.press.at("moved_m", self.press.force_at(np.array([approach_m])))[0]

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from palpate.core import Float, ndarray
+from palpate.mechanics.axisymmetric.inclined_table import SidePress
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
 from palpate.sensors.tactip.skin_and_markers import SkinShape, head_on, markers
 from palpate.sensors.tactip.tactip_camera import projected
@@ -38,12 +39,10 @@ class TipOnSpecimen(Protocol):
         """The skin's inside on a slightly misaligned specimen."""
 
 
-@dataclass(frozen=True)
-class HeadOn:
-    """A specimen under the tip's apex."""
+class TabledContact:
+    """A contact whose force and area a table at finite strain holds."""
 
-    press: HeadOnPress
-    radius_m: float
+    press: HeadOnPress | SidePress
 
     @property
     def law(self) -> str:
@@ -58,6 +57,14 @@ class HeadOn:
 
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         return self.press.at("area_m2", force_n)
+
+
+@dataclass(frozen=True)
+class HeadOn(TabledContact):
+    """A specimen under the tip's apex."""
+
+    press: HeadOnPress
+    radius_m: float
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         force = float(self.press.force_at(np.array([approach_m]))[0])

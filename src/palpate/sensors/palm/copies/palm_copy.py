@@ -104,8 +104,8 @@ class PalmCopy:
         at = dict(zip(TERMS, self.terms.tolist(), strict=True))
         spec, law = self.spec, self.spec.stress_optic
         size, axis = residual_of(spec, at["residual_along"], at["residual_aside"])
-        mirror = _moved(spec.mirror, at["mirror_across_px"], at["mirror_down_px"])
-        fringes = _moved(spec.fringes, at["fringes_across_px"], at["fringes_down_px"])
+        mirror = spec.mirror.moved(at["mirror_across_px"], at["mirror_down_px"])
+        fringes = spec.fringes.moved(at["fringes_across_px"], at["fringes_down_px"])
         return replace(
             spec,
             stress_optic=replace(law, coefficient_per_pa=law.coefficient_per_pa * math.exp(at["product"])),
@@ -160,11 +160,6 @@ def residual_of(spec: PalmSpec, along: float, aside: float) -> tuple[float, floa
     u = spec.frozen_birefringence * math.cos(turn) + unit * along
     v = spec.frozen_birefringence * math.sin(turn) + unit * aside
     return math.hypot(u, v), math.atan2(v, u) / 2
-
-
-def _moved(view: View, across_px: float, down_px: float) -> View:
-    cx, cy = view.middle_px
-    return replace(view, middle_px=(cx + across_px, cy + down_px))
 
 
 def _turned(view: View, turn_rad: float, scale: float) -> View:
