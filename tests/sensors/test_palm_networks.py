@@ -116,21 +116,6 @@ def test_the_two_stage_force_sees_the_image_through_depth_and_place_alone() -> N
     assert not pixels[1:3, :, :32].any()  # nor the place of the fringes.
 
 
-def test_the_weights_of_the_loss_weigh_its_parts() -> None:
-    torch.manual_seed(0)
-    answer, wanted = torch.randn(8, 7), torch.randn(8, 7)
-    parts = [
-        PalmTwoStage(depth_weight=float(i == 0), place_weight=float(i == 1), force_weight=float(i == 2))
-        for i in range(3)
-    ]
-    d, x, f = (float(part.loss(answer, wanted)) for part in parts)
-    weighed = PalmTwoStage(depth_weight=2.0, place_weight=0.5, force_weight=3.0).loss(answer, wanted)
-    np.testing.assert_allclose(float(weighed), 2 * d + 0.5 * x + 3 * f, rtol=1e-6)
-    errors = np.abs((answer - wanted).numpy()[:, 1:3])
-    huber = np.where(errors < 1, errors**2 / 2, errors - 0.5)
-    np.testing.assert_allclose(x, huber.mean(), rtol=1e-6)
-
-
 def test_given_weights_are_where_every_trunk_begins(rng, tmp_path, monkeypatch) -> None:
     path, given = tmp_path / "resnet18.safetensors", ResNet18(3).state_dict()
     path.write_bytes(b"")
