@@ -58,6 +58,13 @@ def test_a_press_balances_its_force_and_its_skin_is_free_but_for_the_sphere(name
     assert (press.surface - sphere > -1e-3)[beyond].all()
 
 
+def test_below_its_first_depth_stress_on_the_base_goes_as_the_force():
+    table = SphereTable.load("sphere-h2-mu0")
+    press, first = table.at(table.depth[1] / 2), table.stress[1][2, -1]
+    wanted = first * (press.force / table.force[1])
+    np.testing.assert_allclose(press.stress[2, -1], wanted, atol=0.02 * np.abs(wanted).max())
+
+
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
 def test_as_the_press_gets_shallow_its_force_tends_to_the_small_strain_layers(thickness):
     table = SphereTable.load(f"sphere-h{thickness:g}-mu0")
