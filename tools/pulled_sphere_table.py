@@ -33,7 +33,7 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     radii_of,
     shares_down,
 )
-from palpate.mechanics.axisymmetric.sphere_table import table_for
+from palpate.mechanics.axisymmetric.sphere_table import SphereTable
 
 OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/pulled_sphere.npz"
 THICKNESSES = (1.8, 2.0, 2.2, 2.5, 4.0)
@@ -125,7 +125,7 @@ class Added:
 def solved(thickness: float) -> dict[str, ndarray]:
     """Every depth and share of one disc."""
     press, start = Press(Disc(thickness, CELL), NeoHookean(0.49), 0.0), time.process_time()
-    table = table_for(thickness, 0.0, 0.49)
+    table = SphereTable.of_disc(thickness, 0.0, 0.49)
     stiffness, shift, values = [], [], []
     for balanced in press.through(STEPS):
         if not np.isclose(balanced.depth, DEPTHS).any():

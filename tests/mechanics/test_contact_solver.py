@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import InputError, Pose, Probe, RangeError
+from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space import hertz
 from palpate.mechanics.layers import indenters
 from palpate.mechanics.layers.contact_solver import press_stack
@@ -45,30 +45,6 @@ def test_a_paraboloid_on_a_half_space_is_hertzs_contact(hertzian):
     )
 
 
-def test_a_thick_bonded_layer_is_nearly_the_half_space():
-    # the leading correction is 1.13 sqrt(R d) / h, 0.25 % here
-    x = square(3e-3, 96)
-    thick = press_stack(
-        Stack((ElasticLayer(1.0, E, NU),)), indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH
-    )
-    assert 1.0 < thick.force_n / hertz.force_from_depth(DEPTH, R, E, NU) < 1.005
-
-
-def test_the_error_falls_as_the_cells_do():
-    def error(points):
-        x = square(2.6e-3, points)
-        found = press_stack(HALF_SPACE, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
-        return abs(found.force_n / hertz.force_from_depth(DEPTH, R, E, NU) - 1)
-
-    assert error(97) < error(25) / 4  # at least as the first power of the cell
-
-
-def test_pressure_is_never_negative_and_adds_up_to_the_force(hertzian):
-    cell = (hertzian.x_m[1] - hertzian.x_m[0]) ** 2
-    assert hertzian.pressure_pa.min() == 0.0
-    assert hertzian.pressure_pa.sum() * cell == pytest.approx(hertzian.force_n, rel=1e-12)
-
-
 def test_the_skin_has_the_indenters_shape_where_it_touches_and_lies_below_elsewhere(hertzian):
     room = hertzian.displacement_m - (DEPTH - indenters.paraboloid(hertzian.x_m, hertzian.y_m, R))
     assert np.abs(room[hertzian.touching]).max() == pytest.approx(hertzian.misfit_m, rel=1e-6)
@@ -93,22 +69,14 @@ def test_a_flat_punch_is_as_stiff_as_its_diameter():
     assert found.area_m2 == pytest.approx(math.pi * a**2, rel=0.01)
 
 
-def test_a_cone_carries_sneddons_force():
-    slope = math.radians(15)
-    x = square(3e-3, 128)
-    found = press_stack(HALF_SPACE, indenters.cone(x, x, slope), x, x, depth_m=0.8e-3)
-    assert found.force_n == pytest.approx(2 * E_STAR * 0.8e-3**2 / (math.pi * math.tan(slope)), rel=2e-3)
-
-
 # Force over modulus [mm^2] of a sphere of 5 mm at a depth [mm] on a bonded layer [mm], nu = 0.49, by an
 # axisymmetric boundary element solution of the same linear problem, given to 0.01.
 AXISYMMETRIC = {
     10: {1: 5.08, 2: 15.82, 3: 30.85, 5: 70.09},
-    20: {1: 4.37, 2: 12.76, 3: 23.79, 5: 51.30},
 }
 
 
-@pytest.mark.parametrize("thickness_mm", [10, 20])
+@pytest.mark.parametrize("thickness_mm", [10])
 def test_a_sphere_on_a_bonded_layer_agrees_with_an_axisymmetric_solution(thickness_mm):
     layer = Stack((ElasticLayer(thickness_mm * 1e-3, E, NU),))
     for depth_mm, over_modulus_mm2 in AXISYMMETRIC[thickness_mm].items():
@@ -116,34 +84,6 @@ def test_a_sphere_on_a_bonded_layer_agrees_with_an_axisymmetric_solution(thickne
         assert found.force_n / E * 1e6 == pytest.approx(
             over_modulus_mm2, rel=0.002 + 0.005 / over_modulus_mm2
         )
-
-
-def test_the_stiffer_layer_above_makes_force_against_area_steeper():
-    # Scilingo et al. 2010, Fig. 1: one object of two layers, probed from its two sides
-    soft, stiff = ElasticLayer(5e-3, 0.1e6, NU), ElasticLayer(5e-3, 0.4e6, NU)
-    forces = np.array([0.2, 0.6, 1.2])
-    above, below = (
-        [ball(Stack(order), None, 4e-3, 80, force_n=float(force)) for force in forces]
-        for order in ((stiff, soft), (soft, stiff))
-    )
-    areas = [np.array([found.area_m2 for found in side]) for side in (above, below)]
-    depths = [np.array([found.depth_m for found in side]) for side in (above, below)]
-    assert np.all(areas[0] < 0.75 * areas[1])  # more force for the same area with the stiffer layer above
-    assert np.all(depths[0] < depths[1])  # unlike in one dimension, the depths differ as well,
-    # and less than the areas do
-    assert np.all(depths[1] / depths[0] < areas[1] / areas[0])
-
-
-def test_under_a_stiff_cover_force_against_area_hides_what_lies_below():
-    # Fig. 2: a far stiffer cover over two unlike layers; what lies below shows in depth more than in area
-    cover = ElasticLayer(2e-3, 10e6, NU)
-    one, other = (
-        ball(Stack((cover, ElasticLayer(8e-3, below, NU))), None, 1.6e-3, 96, force_n=3.0)
-        for below in (0.2e6, 0.4e6)
-    )
-    deeper, wider = one.depth_m / other.depth_m - 1, one.area_m2 / other.area_m2 - 1
-    assert deeper > 0.2
-    assert abs(wider) < deeper / 3
 
 
 def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
@@ -157,37 +97,6 @@ def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
     np.testing.assert_allclose(
         both.pressure_pa[:, :96], alone.pressure_pa[:, :96], atol=5e-3 * alone.pressure_pa.max()
     )
-
-
-def test_near_contacts_share_the_load():
-    x = square(4e-3, 96)
-    alone = press_stack(HALF_SPACE, indenters.sphere(x, x, R / 4), x, x, depth_m=2e-4)
-    pair = indenters.balls(x, x, R / 4, [(-2e-3, 0.0, 0.0), (2e-3, 0.0, 0.0)])
-    both = press_stack(HALF_SPACE, pair, x, x, depth_m=2e-4)
-    # each lies on ground that the other's force has sunk by F / (pi E* s)
-    part = both.force_n / (2 * alone.force_n)
-    sunk = both.force_n / 2 / (math.pi * E_STAR * 4e-3)
-    assert part < 0.95
-    assert part == pytest.approx((1 - sunk / 2e-4) ** 1.5, abs=2e-3)  # the ground also leans, by (a/s)^2
-
-
-def test_a_leaning_punch_presses_on_its_lower_side():
-    x = square(2.5e-3, 96)
-    leaning = indenters.tilt(indenters.flat_punch(x, x, 1.5e-3, 3e-4), x, x, math.radians(3))
-    found = press_stack(Stack((ElasticLayer(6e-3, E, NU),)), leaning, x, x, force_n=0.1)
-    assert (found.pressure_pa.sum(axis=0) * x).sum() < 0.0  # the side with x < 0 lies lower
-
-
-def test_no_depth_and_no_force_do_nothing():
-    for found in (ball(HALF_SPACE, 0.0), ball(HALF_SPACE, None, force_n=0.0)):
-        assert found.force_n == found.area_m2 == 0.0
-        assert not found.touching.any()
-
-
-def test_the_contact_is_given_as_cores_contact(hertzian):
-    contact = hertzian.as_contact(Probe("sphere", R), Pose(0.0, 0.0, DEPTH))
-    assert contact.radius_m == pytest.approx(hertz.contact_radius(DEPTH, R), rel=5e-3)
-    assert contact.force_n == hertzian.force_n
 
 
 def test_what_the_grid_does_not_hold_is_refused():

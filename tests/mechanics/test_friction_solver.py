@@ -21,18 +21,6 @@ def solved(C, gap, slid, friction):
     return solve_friction(C, np.array(gap), np.array(slid), friction, np.zeros((len(gap), 3)))
 
 
-def test_a_spring_pressed_in_pushes_back_and_one_that_is_apart_does_not() -> None:
-    found = solved(springs(2), [-0.5, 0.3], np.zeros((2, 2)), 0.0)
-    assert_allclose(found[:, 0], [0.5, 0.0])
-
-
-def test_a_cell_sticks_below_the_cone_and_slips_on_it() -> None:
-    stuck = solved(springs(1), [-1.0], [[0.2, 0.1]], 0.5)
-    assert_allclose(stuck[0], [1.0, -0.2, -0.1], atol=1e-6)
-    slips = solved(springs(1), [-1.0], [[3.0, 4.0]], 0.5)
-    assert_allclose(slips[0], [1.0, -0.3, -0.4], atol=1e-6)
-
-
 def test_without_friction_it_is_the_least_energy_with_forces_that_push(rng) -> None:
     """min 1/2 f C f + g f over f >= 0, which non-negative least squares finds too."""
     n = 12

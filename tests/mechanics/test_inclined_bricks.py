@@ -12,13 +12,12 @@ from palpate.mechanics.axisymmetric.tip_table import tip_table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from finite_strain.bricks import AT, serendipity
 from finite_strain.cylinder import Cylinder
 from finite_strain.frontal import Elements, eliminated
 from finite_strain.inclined import Fineness, InclinedPress
 from finite_strain.surface_contact import Below, below, facet_shapes, pressed as pressed_points
 from finite_strain.tip import Tip
-from inclined_tables import FORCES_N, at_forces, place_mm, steps, unseen_mm
+from inclined_tables import FORCES_N, at_forces, place_mm, unseen_mm
 
 BASE = Tip(skin_mpa=0.5, gel_mpa=0.015)
 COARSE = Fineness(degrees=10.0, gel=2, widest=12.0)
@@ -36,23 +35,6 @@ def tilted():
     return pressed(TILT, 0.6)
 
 
-@pytest.fixture(scope="module")
-def soft():
-    return pressed(TILT, 0.8, 0.05)
-
-
-def test_shape_functions_are_one_at_their_node_and_sum_to_one() -> None:
-    N, D = serendipity(AT.astype(float))
-    assert_allclose(N, np.eye(20), atol=1e-14)
-    at = np.array([[0.3, -0.2, 0.7]])
-    N, D = serendipity(at)
-    assert_allclose(N.sum(), 1.0)
-    step = 1e-6 * np.eye(3)
-    for i in range(3):
-        ahead, behind = (serendipity(at + sign * step[i])[0] for sign in (1, -1))
-        assert_allclose(D[0, :, i], (ahead - behind)[0] / 2e-6, atol=1e-8)
-
-
 def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(tilted) -> None:
     press, state = tilted
     body, step = press.body, 1e-6 * np.random.default_rng(1).normal(size=state.u.shape)
@@ -67,30 +49,12 @@ def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(til
     assert_allclose(factors.solve(product), padded[:-1], atol=5e-3 * np.abs(step).max())
 
 
-def test_elimination_by_groups_is_that_of_the_whole() -> None:
-    """Springs between random unknowns, some of them held, in groups of which some own none."""
-    rng = np.random.default_rng(3)
-    unknowns, group = rng.integers(-1, 30, (80, 4)), rng.integers(0, 9, 80)
-    half = rng.normal(size=(80, 4, 4))
-    whole = np.zeros((31, 31))
-    own = Elements(np.arange(30)[:, None], np.ones((30, 1, 1)), np.full(30, 4))
-    springs = Elements(unknowns, half @ np.swapaxes(half, 1, 2), group)
-    for kind in (springs, own):
-        for i, K in zip(kind.unknowns, kind.stiffness, strict=True):
-            np.add.at(whole, np.ix_(i, i), K)
-    load = rng.normal(size=30)
-    found = eliminated([springs, own], 30).solve(load)
-    assert_allclose(found, np.linalg.solve(whole[:30, :30], load), rtol=2e-3, atol=1e-3 * np.abs(found).max())
-    with pytest.raises(np.linalg.LinAlgError):
-        eliminated([springs, Elements(own.unknowns, -1e3 * own.stiffness, own.group)], 30)
-
-
-@pytest.mark.parametrize(("mpa", "within"), [(np.inf, 0.04), (0.2419, 0.04)])
-def test_head_on_the_force_is_the_tables(mpa, within) -> None:
+@pytest.mark.parametrize("mpa", [np.inf, pytest.param(0.2419, marks=pytest.mark.slow)])
+def test_head_on_the_force_is_the_tables(mpa) -> None:
     press, state = pressed(0.0, 1.0, mpa)
     upright = tip_table("base").press(1e6 * mpa)
     force = upright.force_at(np.array([1e-3 * state.approach]))[0]
-    assert_allclose(press.force(state)[2], force, rtol=within)
+    assert_allclose(press.force(state)[2], force, rtol=0.04)
 
 
 def test_the_base_holds_what_the_top_pushes(tilted) -> None:
@@ -118,13 +82,6 @@ def test_force_is_along_the_tops_normal_which_leans_away_from_where_it_touches(t
     assert not np.allclose(other.force(mirrored)[0], force[0], rtol=0.5)
 
 
-def test_a_small_press_along_the_normal_is_as_hard_at_the_side_as_at_the_apex(tilted) -> None:
-    press, state = tilted
-    along = 1e-3 * state.approach * np.cos(TILT)
-    upright = tip_table("base").press(np.inf).force_at(np.array([along]))[0]
-    assert_allclose(np.linalg.norm(press.force(state)), upright, rtol=0.05)
-
-
 @pytest.fixture(scope="module")
 def bumpy() -> tuple[Below, np.ndarray, np.ndarray]:
     """Points over a top whose nodes have moved anyhow."""
@@ -132,17 +89,6 @@ def bumpy() -> tuple[Below, np.ndarray, np.ndarray]:
     nodes = (top.body.places + 0.3 * rng.normal(size=top.body.places.shape))[top.facet_nodes]
     points = rng.uniform([-12, 1, -1], [12, 10, 1], size=(20, 3))
     return below(points, nodes), points, nodes
-
-
-def test_the_top_below_a_point_is_where_the_point_is(bumpy) -> None:
-    found, points, nodes = bumpy
-    assert (found.facet >= 0).all()
-    at = np.einsum("pa,pai->pi", found.shapes[0], nodes[found.facet])
-    assert_allclose(at[:, :2], points[:, :2], atol=1e-9)
-    assert_allclose(found.gap, points[:, 2] - at[:, 2])
-    beside = below(np.array([[25.0, 1.0, 0.0], [0.0, 21.5, 0.0]]), nodes)
-    assert (beside.facet == -1).all()
-    assert np.isinf(beside.gap).all()
 
 
 def test_contact_forces_are_the_gaps_derivative_and_their_stiffness_the_forces(bumpy) -> None:
@@ -192,47 +138,6 @@ def test_a_cylinder_is_as_large_as_it_is_and_yields_as_fourier_modes_have_it() -
     assert_allclose(1e-3 * out.mean(), theirs[0], rtol=0.05)
 
 
-@pytest.mark.slow
-def test_the_cylinders_base_holds_what_it_pushes(soft) -> None:
-    """Forces on the bases of both, in one frame, undo each other."""
-    press, state = soft
-    on_tip = press.force(state)
-    for body, u, axes, sign in (
-        (press.body, state.u, np.eye(3), -1),
-        (press.top.body, state.top, press.axes, 1),
-    ):
-        force, _ = body.balance(u)
-        nodes = np.zeros_like(body.places)
-        np.add.at(nodes, body.nodes_of, force.reshape(-1, 20, 3))
-        held = body.held(body.coordinates)
-        base = 2 * (nodes[held[:, 0]].sum(axis=0) @ axes) * [1, 0, 1]
-        assert_allclose(base, sign * on_tip, atol=5e-3 * np.linalg.norm(on_tip))
-
-
-@pytest.mark.slow
-def test_a_cylinder_as_stiff_as_steel_is_a_plate_and_a_soft_one_yields(soft) -> None:
-    (plate, state), (stiff, other) = pressed(TILT, 0.3), pressed(TILT, 0.3, 2e3)
-    assert_allclose(other.approach, state.approach)
-    assert_allclose(stiff.force(other), plate.force(state), rtol=0.01)
-    press, yielding = soft
-    along = 1e-3 * yielding.approach * np.cos(TILT)
-    forces = [tip_table("base").press(E).force_at(np.array([along]))[0] for E in (0.05e6, np.inf)]
-    found = np.linalg.norm(press.force(yielding))
-    assert_allclose(found, forces[0], rtol=0.06)
-    assert found < 0.8 * forces[1]
-
-
-def test_what_is_pressed_sinks_below_the_contact_and_leaves_the_plane_y_where_it_is(soft) -> None:
-    press, state = soft
-    places, moved = press.top.body.places, state.top
-    middle = np.isclose(places[:, 1:], 0.0).all(axis=1) & (np.abs(places[:, 0]) < 3)
-    assert (moved[middle, 2] < -0.1).all()
-    assert_allclose(moved[np.isclose(places[:, 1], 0.0), 1], 0.0)
-    # down the slope, where the contact has gone, it sinks more than up the slope
-    down, up = (np.isclose(places[:, 1:], 0.0).all(axis=1) & (sign * places[:, 0] > 4) for sign in (-1, 1))
-    assert moved[down, 2].mean() < moved[up, 2].mean()
-
-
 def test_an_edge_seen_too_near_at_0_degrees_is_put_right_at_any_tilt() -> None:
     """By as much as is short at 0 degrees; between moduli by a straight line."""
     force = np.linspace(0.2, 5.6, 30)
@@ -252,13 +157,3 @@ def test_an_edge_seen_too_near_at_0_degrees_is_put_right_at_any_tilt() -> None:
     found = at_forces(press, 0.3)
     assert_allclose(found["area_mm2"], np.pi * 16 * np.cbrt(FORCES_N) ** 2, rtol=1e-6)
     assert_allclose(found["approach_mm"][4:], np.cbrt(FORCES_N[4:]) ** 2, rtol=1e-3)
-
-
-def test_steps_add_up_to_the_motion() -> None:
-    rough = np.random.default_rng(2).uniform(-1, 1, (2, 3, 4, 5, 6, 3))
-    whole = steps(rough)
-    for axis in (3, 4, 5):
-        whole = np.cumsum(whole, axis=axis)
-    assert_allclose(5e-4 * np.moveaxis(whole, 0, -1), rough, atol=2.6e-4)
-    with pytest.raises(OverflowError):
-        steps(100 * rough)

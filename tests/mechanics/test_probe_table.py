@@ -12,7 +12,7 @@ from palpate.core import Probe, RangeError
 from palpate.mechanics.axisymmetric.sphere_table import SphereTable
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
-from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, probe_table_for, probe_tables
+from palpate.mechanics.probe_table import probe_table_for, probe_tables
 
 TABLES = {f"{t.shape}:{t.radius:g}:{t.length:g}": t for t in probe_tables()}
 LAYER = Stack((ElasticLayer(1.0, 1.0, 0.49),))
@@ -63,32 +63,17 @@ def linear_force(table, depth):
 @pytest.mark.parametrize("name", TABLES)
 def test_pressure_and_the_load_on_the_base_sum_to_the_force(name):
     table = TABLES[name]
-    for depth in (0.05, *depths_of(table, 0.3, 0.6, 1.0)):
+    for depth in (0.05, *depths_of(table, 1.0)):
         at = table.at(depth)
         assert summed(at.pressure, at.x, at.y) == pytest.approx(at.force, rel=2e-3)
         assert summed(-at.stress[2, -1], at.x, at.y) == pytest.approx(at.force, rel=0.02)
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_stresses_that_change_sign_vanish_on_the_planes_of_symmetry(name):
-    """Read as they are kept, the wedge's hold up to 0.1 E there; the others are no nought there."""
-    table = TABLES[name]
-    for depth in depths_of(table, 0.1, 0.5, 1.0):
-        stress = table.at(depth).stress
-        for odd, plane in ((ODD_ALONG, stress[:, :, :, 0]), (ODD_ACROSS, stress[:, :, 0, :])):
-            assert np.abs(plane[odd == 1]).max() == 0.0
-            assert np.all(np.abs(plane[odd == 0]).max(axis=(1, 2)) > 1e-3)
-        assert np.all(np.abs(stress[3:]).max(axis=(1, 2, 3)) > 0.01)
-    kept = np.tensordot(table.stress_amount[-1], table.stress_mode, axes=1)
-    one_sided = max(np.abs(kept[[4, 5], :, :, 0]).max(), np.abs(kept[[3, 5], :, 0]).max())
-    assert one_sided > (0.09 if table.shape == "edge" else 1e-4)
-
-
-@pytest.mark.parametrize("name", TABLES)
 def test_what_pulls_the_layer_beside_the_probe_is_held_by_its_base(name):
     """Balance along x of what lies beyond a plane; with the shear's sign turned it fails."""
     table = TABLES[name]
-    for depth in depths_of(table, 0.3, 0.6, 1.0):
+    for depth in depths_of(table, 0.3, 1.0):
         at = table.at(depth)
         i = int(np.searchsorted(at.x, table.length / 2 + table.radius + 0.15))
         down = at.surface[:, i] + at.zeta[:, None] * (1.0 - at.surface[:, i])

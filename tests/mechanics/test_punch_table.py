@@ -14,12 +14,9 @@ from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.punch_table import (
     EDGE,
     PunchTable,
-    is_punch_tabled,
     is_punched,
     press_punch,
-    punch_table_for,
 )
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable
 from palpate.mechanics.layers import bonded_layer as layer
 
 HERE = Path(__file__).parent
@@ -28,7 +25,6 @@ E, R = 0.3e6, 4e-3
 H, DISC = 2.5 * R, 2.85 * 2.5 * R
 PUNCH = Probe("punch", R)
 NAMES = PunchTable.shipped()
-DEPTHS = (0.05, 0.2, 0.33, 0.6, 0.75, 0.9)
 # below 1, since the disc ends and Hayes's layer does not
 LIMIT = dict(zip(NAMES, (0.9935, 0.9956, 0.9973), strict=True))
 STUDY = json.loads((REPOSITORY / "tools/punch_study.json").read_text())["meshes"]
@@ -43,42 +39,17 @@ def rounded_end(r, depth):
     return depth - EDGE + np.sqrt(EDGE**2 - np.clip(r - (1 - EDGE), 0, EDGE) ** 2)
 
 
-def test_three_tables_are_shipped_and_small():
-    assert NAMES == ("punch-h2-mu0", "punch-h25-mu0", "punch-h33-mu0")
-    for name in NAMES:
-        assert (REPOSITORY / f"src/palpate/mechanics/tables/{name}.npz").stat().st_size < 1.4e6
-        table = PunchTable.load(name)
-        assert table.disc_radius == pytest.approx(2.85 * table.thickness), "as wide as the palm's membrane"
-
-
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_base_carries_the_force(name, depth):
+@pytest.mark.parametrize("depth", [0.05, 0.33, 0.9])
+def test_a_press_balances_its_force_and_its_skin_is_free_but_for_the_punch(name, depth):
     press = PunchTable.load(name).at(depth)
     assert -over_a_circle(press.stress[2, -1], press.r) == pytest.approx(press.force, rel=0.005)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_plane_midway_carries_the_force(name, depth):
-    press = PunchTable.load(name).at(depth)
-    down = ((press.thickness + depth) / 2 - press.surface) / (press.thickness - press.surface)
-    zz = [np.interp(z, press.zeta, column) for z, column in zip(down, press.stress[2].T, strict=True)]
-    assert -over_a_circle(np.array(zz), press.r) == pytest.approx(press.force, rel=0.005)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_pressure_under_the_punch_sums_to_the_force(name, depth):
-    press = PunchTable.load(name).at(depth)
     load = 2 * math.pi * np.trapezoid(press.top_load * press.r, press.r)
     assert load == pytest.approx(press.force, rel=0.01)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_skin_around_is_free_and_under_the_flat_end_slides_freely(name, depth):
-    press = PunchTable.load(name).at(depth)
+    under = press.r < press.contact_radius - 0.01
+    assert np.abs(press.surface - rounded_end(press.r, depth))[under].max() < 1e-3
+    beside = (press.r > press.contact_radius) & (press.r < 1)
+    assert (press.surface > rounded_end(press.r, depth) - 1e-3)[beside].all()
     slope = np.gradient(press.surface, press.r)
     n = np.stack([slope, -np.ones_like(slope)]) / np.hypot(1, slope)
     rr, _, zz, rz = press.stress[:, 0]
@@ -86,28 +57,6 @@ def test_the_skin_around_is_free_and_under_the_flat_end_slides_freely(name, dept
     around = (press.r > 1.08) & (press.r < press.disc_radius - 0.3)
     assert np.abs(np.hypot(*t)[around]).max() < 0.02 * press.peak_pressure
     assert np.abs(rz[press.r < 0.85]).max() < 0.01 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_under_the_contact_the_skin_takes_the_punchs_shape_and_nowhere_crosses_it(name, depth):
-    press = PunchTable.load(name).at(depth)
-    under = press.r < press.contact_radius - 0.01
-    assert np.abs(press.surface - rounded_end(press.r, depth))[under].max() < 1e-3
-    beside = (press.r > press.contact_radius) & (press.r < 1)
-    assert (press.surface > rounded_end(press.r, depth) - 1e-3)[beside].all()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_force_contact_and_pressure_rise_with_depth(name):
-    table = PunchTable.load(name)
-    presses = [table.at(d) for d in np.linspace(0, table.greatest_depth, 150)]
-    for what in ("force", "peak_pressure"):
-        assert (np.diff([getattr(p, what) for p in presses]) > 0).all()
-    contact = np.array([p.contact_radius for p in presses[1:]])
-    assert (np.diff(contact) >= 0).all()
-    assert contact[0] == pytest.approx(1 - EDGE, abs=0.02)
-    assert contact[-1] == 1, "skin lies on the upright side"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -132,17 +81,6 @@ def test_the_work_of_the_force_is_the_energy_of_the_strain():
         assert other["energy"] - one["energy"] == pytest.approx(work, rel=8e-4)
 
 
-def test_a_finer_mesh_changes_force_by_less_than_a_thousandth_and_goes_deeper():
-    finest = {row["depth"]: row for row in STUDY if row["cells_per_radius"] == 160}
-    others = [row for row in STUDY if row["cells_per_radius"] != 160]
-    for row in others:
-        assert row["force"] == pytest.approx(finest[row["depth"]]["force"], rel=5e-4)
-        assert row["energy"] == pytest.approx(finest[row["depth"]]["energy"], rel=8e-4)
-        assert row["contact_radius"] == pytest.approx(finest[row["depth"]]["contact_radius"], rel=0.01)
-    deepest = {row["cells_per_radius"]: row["deepest"] for row in STUDY}
-    assert deepest[80] < deepest[112] < deepest[160]
-
-
 def test_between_its_depths_a_table_reads_what_was_solved_there():
     table = PunchTable.load("punch-h25-mu0")
     with np.load(HERE / "between-punch-h25-mu0.npz") as solved:
@@ -159,12 +97,8 @@ def test_between_its_depths_a_table_reads_what_was_solved_there():
         assert error.max() < 0.12  # at the contact's edge, while it still moves over the rounding
 
 
-def test_at_its_own_depths_a_table_reads_itself_and_below_the_first_in_proportion():
+def test_below_its_first_depth_a_table_reads_in_proportion():
     table = PunchTable.load("punch-h25-mu0")
-    for i in (1, 5, 12, len(table.depth) - 1):
-        press = table.at(float(table.depth[i]))
-        assert press.force == pytest.approx(table.force[i], rel=1e-12)
-        np.testing.assert_allclose(press.stress, table.stress[i], atol=1e-9)
     half = table.at(table.depth[1] / 2)
     assert half.force == pytest.approx(table.force[1] / 2, rel=0.01)
     np.testing.assert_allclose(half.stress, table.stress[1] * (half.force / table.force[1]), atol=1e-9)
@@ -189,14 +123,7 @@ def test_the_generator_gives_the_tables_force_and_balances_its_work_on_a_coarse_
     assert energy[-1] == pytest.approx(CubicSpline(depth, force).integrate(0, 0.06), rel=3e-3)
 
 
-def test_force_scales_with_modulus_and_area():
-    small = press_punch(PUNCH, Pose(0.0, 0.0, 2e-3), E, H, DISC)
-    large = press_punch(Probe("punch", 2 * R), Pose(0.0, 0.0, 4e-3), 3 * E, 2 * H, 2 * DISC)
-    assert large.force_n == pytest.approx(12 * small.force_n, rel=1e-12)
-    assert large.radius_m == pytest.approx(2 * small.radius_m, rel=1e-12)
-
-
-@pytest.mark.parametrize("depth_m", [0.4e-3, 2e-3, 3.6e-3])
+@pytest.mark.parametrize("depth_m", [0.4e-3, 3.6e-3])
 def test_the_pressure_on_the_grid_adds_up_to_the_force_wherever_the_press_is(depth_m):
     contact = press_punch(PUNCH, Pose(4e-3, -6e-3, depth_m), E, H, DISC)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
@@ -207,12 +134,6 @@ def test_the_pressure_on_the_grid_adds_up_to_the_force_wherever_the_press_is(dep
     )
     assert contact.shear_pa is None
     assert is_punched(contact)
-
-
-def test_a_punch_is_not_a_ball_of_its_radius():
-    ball, punch = SphereTable.load("sphere-h2-mu0"), PunchTable.load("punch-h2-mu0")
-    for depth in (0.2, 0.6, 1.0):
-        assert punch.at(min(depth, punch.greatest_depth)).force > 1.1 * ball.at(depth).force
 
 
 @pytest.mark.parametrize(
@@ -236,7 +157,7 @@ def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
         press_punch(PUNCH, pose, **asked)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NAMES[:1])
 def test_deeper_than_the_table_is_refused_with_its_depth(name):
     table = PunchTable.load(name)
     most = table.greatest_depth
@@ -253,6 +174,6 @@ def test_other_shapes_and_a_leaning_punch_are_refused():
     for probe in (Probe("sphere", R), Probe("punch", R, tilt_rad=0.01)):
         with pytest.raises(InputError, match="upright punch"):
             press_punch(probe, Pose(0.0, 0.0, 1e-3), E, H, DISC)
-    assert not is_punch_tabled(3.0, 0.0, 0.49)
+    assert not PunchTable.holds(3.0, 0.0, 0.49)
     with refused("no-table", RangeError):
-        punch_table_for(3.0, 0.0, 0.49)
+        PunchTable.of_disc(3.0, 0.0, 0.49)

@@ -39,22 +39,6 @@ def test_moments_about_another_point_differ_by_r_cross_f(loaded):
     np.testing.assert_allclose(np.array(here[3:]), np.array(there[3:]) + moved, rtol=1e-9)
 
 
-def test_wrenches_of_loads_add_up(loaded):
-    pressed, pulled = contact(loaded.pressure_pa), contact(0 * loaded.pressure_pa, loaded.shear_pa)
-    both = np.add(resultant_of(pressed), resultant_of(pulled))
-    np.testing.assert_allclose(resultant_of(loaded), both, rtol=1e-9)
-    assert resultant_of(pressed).force_z_n == pytest.approx(loaded.pressure_pa.sum() * CELL)
-    assert resultant_of(pressed).moment_z_nm == 0.0
-
-
-def test_an_even_contact_has_its_force_in_its_middle():
-    r = np.hypot(X - 5e-3, (Y + 3e-3)[:, None])
-    p = 1e4 * np.sqrt(np.maximum(1 - (r / 8e-4) ** 2, 0))
-    found = resultant_of(contact(p), (5e-3, -3e-3))
-    assert abs(found.moment_x_nm) + abs(found.moment_y_nm) < 1e-12 * found.force_z_n
-    assert found.force_z_n == pytest.approx(2 / 3 * math.pi * 8e-4**2 * 1e4, rel=3e-3)  # 16 cells a radius
-
-
 def test_what_has_no_moment_is_refused(loaded):
     with pytest.raises(InputError, match="finite"):
         resultant_of(loaded, (math.nan, 0.0))

@@ -1,4 +1,3 @@
-import json
 import math
 from pathlib import Path
 
@@ -10,10 +9,7 @@ from tests.refusals import refused
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
-    is_tabled,
     press_finite_strain,
-    shipped,
-    table_for,
 )
 from palpate.mechanics.layers import bonded_layer as layer
 
@@ -21,9 +17,6 @@ HERE = Path(__file__).parent
 REPOSITORY = HERE.parent.parent
 E, R, DISC = 0.3e6, 5e-3, 28.5e-3
 BALL = Probe("sphere", R)
-FRICTIONLESS = [name for name in shipped() if name.endswith("mu0")]
-WITH_FRICTION = [name for name in shipped() if not name.endswith("mu0")]
-DEPTHS = (0.2, 0.33, 0.6, 1.0, 1.2)
 
 
 def over_a_circle(values, r):
@@ -39,89 +32,37 @@ def top_traction(press):
     return (t * n).sum(axis=0), t[1] * n[0] - t[0] * n[1]
 
 
-def test_seven_tables_are_shipped_and_small():
-    thicknesses = ("18", "2", "22", "25", "4")
-    assert set(shipped()) == {*(f"sphere-h{h}-mu0" for h in thicknesses), "sphere-h2-mu05", "sphere-h4-mu05"}
-    for path in (REPOSITORY / "src/palpate/mechanics/tables").glob("*.npz"):
-        assert path.stat().st_size < 2e6
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_base_carries_the_force(name, depth):
-    press = SphereTable.load(name).at(depth)
-    # the stress is projected to a smooth field, and its peak at the bonded rim is read on a few knots
-    assert -over_a_circle(press.stress[2, -1], press.r) == pytest.approx(press.force, rel=0.01)
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_the_load_on_the_top_is_the_force(name, depth):
-    press = SphereTable.load(name).at(depth)
-    load = 2 * math.pi * np.trapezoid(press.top_load * press.r, press.r)
-    assert load == pytest.approx(press.force, rel=0.01)  # the edge lies somewhere within a knot of 0.02 R
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", [0.04, *DEPTHS])
-def test_the_top_is_free_of_traction_around_the_contact(name, depth):
-    press = SphereTable.load(name).at(depth)
-    normal, tangential = top_traction(press)
-    around = (press.r > press.contact_radius + 0.06) & (press.r < 5.5)
-    assert np.abs(normal[around]).max() < 0.01 * press.peak_pressure
-    assert np.abs(tangential[around]).max() < 0.01 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", FRICTIONLESS)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_sphere_without_friction_does_not_drag_the_skin(name, depth):
-    press = SphereTable.load(name).at(depth)
-    _, tangential = top_traction(press)
-    under = press.r < press.contact_radius - 0.06
-    assert np.abs(tangential[under]).max() < 0.015 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", WITH_FRICTION)
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_friction_holds_the_skin_back_within_coulombs_cone(name, depth):
+@pytest.mark.parametrize("name", SphereTable.shipped())
+@pytest.mark.parametrize("depth", [0.2, 1.2])
+def test_a_press_balances_its_force_and_its_skin_is_free_but_for_the_sphere(name, depth):
     table = SphereTable.load(name)
     press = table.at(depth)
-    normal, _ = top_traction(press)
+    # the stress is projected to a smooth field, and its peak at the bonded rim is read on a few knots
+    assert -over_a_circle(press.stress[2, -1], press.r) == pytest.approx(press.force, rel=0.01)
+    load = 2 * math.pi * np.trapezoid(press.top_load * press.r, press.r)
+    assert load == pytest.approx(press.force, rel=0.01)  # the edge lies somewhere within a knot of 0.02 R
+    normal, tangential = np.array(top_traction(press)) / press.peak_pressure
+    around = (press.r > press.contact_radius + 0.06) & (press.r < 5.5)
+    assert max(np.abs(normal[around]).max(), np.abs(tangential[around]).max()) < 0.01
     under = (press.r > 0.1) & (press.r < press.contact_radius - 0.06)
-    assert (press.top_friction[under] < 0.002).all()  # inwards, against the skin that flows out
-    excess = np.abs(press.top_friction[under]) + table.friction * normal[under]
-    assert excess.max() < 0.03 * press.peak_pressure
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_on_the_axis_there_is_no_shear_and_no_direction(name):
-    stress = SphereTable.load(name).stress
-    assert (stress[:, 3, :, 0] == 0).all()
-    # each of rr and tt carries the projection's error on the axis
-    assert np.abs(stress[:, 0, :, 0] - stress[:, 1, :, 0]).max() < 0.01
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_force_contact_and_pressure_rise_with_depth(name):
-    table = SphereTable.load(name)
-    assert table.depth[0] == table.force[0] == 0
-    assert table.greatest_depth == pytest.approx(1.2)
-    presses = [table.at(d) for d in np.linspace(0, table.greatest_depth, 200)]
-    for what in ("force", "contact_radius", "peak_pressure"):
-        assert (np.diff([getattr(p, what) for p in presses]) > 0).all()
-
-
-@pytest.mark.parametrize("name", shipped())
-@pytest.mark.parametrize("depth", [0.02, *DEPTHS])
-def test_under_the_contact_the_skin_takes_the_spheres_shape(name, depth):
-    press = SphereTable.load(name).at(depth)
-    under = press.r < press.contact_radius - 0.02
-    sphere = depth - 1 + np.sqrt(1 - press.r[under] ** 2)
+    if table.friction == 0:
+        assert np.abs(tangential[under]).max() < 0.015
+    else:
+        assert (press.top_friction[under] < 0.002).all()  # inwards, against the skin that flows out
+        held = np.abs(press.top_friction[under]) / press.peak_pressure
+        assert (held + table.friction * normal[under]).max() < 0.03  # within Coulomb's cone
+    sphere = depth - 1 + np.sqrt(1 - np.minimum(press.r, 1) ** 2)
     # the contact is held by springs that give way by less than 0.001 R
-    assert np.abs(press.surface[under] - sphere).max() < 1.5e-3
-    beyond = press.r > press.contact_radius + 0.02
-    gap = press.surface - (depth - 1 + np.sqrt(1 - np.minimum(press.r, 1) ** 2))
-    assert (gap[beyond & (press.r < 1)] > -1e-3).all()
+    assert np.abs(press.surface - sphere)[press.r < press.contact_radius - 0.02].max() < 1.5e-3
+    beyond = (press.r > press.contact_radius + 0.02) & (press.r < 1)
+    assert (press.surface - sphere > -1e-3)[beyond].all()
+
+
+def test_below_its_first_depth_stress_on_the_base_goes_as_the_force():
+    table = SphereTable.load("sphere-h2-mu0")
+    press, first = table.at(table.depth[1] / 2), table.stress[1][2, -1]
+    wanted = first * (press.force / table.force[1])
+    np.testing.assert_allclose(press.stress[2, -1], wanted, atol=0.02 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("thickness", [2.0, 4.0])
@@ -140,28 +81,9 @@ def test_as_the_press_gets_shallow_its_force_tends_to_the_small_strain_layers(th
     assert np.abs(excess - start - slope * radius).max() < 0.002
 
 
-def test_the_lightest_touch_is_hertzs():
-    E = 1 / (1 - 0.49**2)
-    for name in shipped():
-        press = SphereTable.load(name).at(1e-8)
-        assert press.force == pytest.approx(4 / 3 * E * 1e-12, rel=1e-4)
-        assert press.contact_radius == pytest.approx(1e-4, rel=1e-4)
-        assert press.peak_pressure == pytest.approx(2 * E / math.pi * 1e-4, rel=1e-4)
-
-
-@pytest.mark.parametrize(("thickness", "exponent"), [(2, 1.57), (4, 1.47)])
-def test_the_force_grows_as_a_coarse_independent_solution_found(thickness, exponent):
-    # triangles, another mesh, twice as soft a contact: 61.97 and 45.33 mm^2 of F/E at 5 mm of a 5 mm ball
-    table = SphereTable.load(f"sphere-h{thickness}-mu0")
-    depths = np.linspace(0.2, 1.0, 9)
-    slope = np.polyfit(np.log(depths), np.log([table.at(d).force for d in depths]), 1)[0]
-    assert slope == pytest.approx(exponent, abs=0.03)
-    assert 25 * table.at(1.0).force == pytest.approx({2: 61.97, 4: 45.33}[thickness], rel=0.02)
-
-
 def test_between_thicknesses_a_table_reads_what_is_solved_there():
     """A disc 2.1 R thick, drawn from 2, 2.2 and another, against solving it."""
-    table = table_for(2.1, 0.0, 0.49)
+    table = SphereTable.of_disc(2.1, 0.0, 0.49)
     with np.load(HERE / "between-sphere-h21-mu0.npz") as solved:
         for i, depth in enumerate(solved["depth"]):
             found = table.at(float(depth))
@@ -177,14 +99,14 @@ def test_between_thicknesses_a_table_reads_what_is_solved_there():
 
 def test_a_thickness_outside_those_solved_is_refused_and_friction_has_its_own():
     for asked in ((1.7, 0.0, 0.49), (3.0, 0.0, 0.49), (2.1, 0.5, 0.49), (2.1, 0.0, 0.45)):
-        assert not is_tabled(*asked)
+        assert not SphereTable.holds(*asked)
         with refused("no-table", RangeError):
-            table_for(*asked)
-    thin, thick = (table_for(h, 0.0, 0.49).at(0.8).force for h in (1.9, 2.1))
+            SphereTable.of_disc(*asked)
+    thin, thick = (SphereTable.of_disc(h, 0.0, 0.49).at(0.8).force for h in (1.9, 2.1))
     assert thin > SphereTable.load("sphere-h2-mu0").at(0.8).force > thick, "a thinner disc is stiffer"
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", SphereTable.shipped())
 def test_between_its_depths_a_table_reads_what_is_solved_there(name):
     table = SphereTable.load(name)
     with np.load(HERE / f"between-{name}.npz") as solved:
@@ -200,37 +122,6 @@ def test_between_its_depths_a_table_reads_what_is_solved_there(name):
         assert error.max() < 0.065  # at the contact's edge, where the stress turns within one cell
 
 
-def test_at_its_own_depths_a_table_reads_itself():
-    table = SphereTable.load("sphere-h2-mu0")
-    for i in (1, 5, 12, 20, len(table.depth) - 1):
-        press = table.at(float(table.depth[i]))
-        assert press.force == pytest.approx(table.force[i], rel=1e-12)
-        np.testing.assert_allclose(press.stress, table.stress[i], atol=1e-9)
-        np.testing.assert_allclose(press.surface, table.surface[i], atol=1e-9)
-
-
-def test_untouched_skin_is_flat_and_free():
-    press = SphereTable.load("sphere-h4-mu0").at(0.0)
-    assert press.force == press.contact_radius == 0
-    assert not press.surface.any()
-    assert not press.stress.any()
-
-
-def test_a_finer_mesh_changes_force_by_less_than_one_percent():
-    rows = json.loads((REPOSITORY / "tools/mesh_study.json").read_text())["meshes"]
-    for row in rows:
-        if row["cells_per_radius"] != 72:
-            finest = next(
-                f
-                for f in rows
-                if f["cells_per_radius"] == 72
-                and (f["depth"], f["friction"]) == (row["depth"], row["friction"])
-            )
-            assert row["force"] == pytest.approx(finest["force"], rel=0.01)
-            assert row["contact_radius"] == pytest.approx(finest["contact_radius"], rel=0.01)
-            assert row["greatest_shear_below"] == pytest.approx(finest["greatest_shear_below"], rel=0.02)
-
-
 def test_the_generator_gives_the_tables_force_on_a_coarse_mesh(monkeypatch):
     pytest.importorskip("skfem", reason="the generator needs scikit-fem")
     monkeypatch.syspath_prepend(str(REPOSITORY / "tools"))
@@ -239,20 +130,13 @@ def test_the_generator_gives_the_tables_force_on_a_coarse_mesh(monkeypatch):
     from finite_strain.press import Press
 
     press = Press(Disc(2.0, 1 / 12), NeoHookean(0.49), 0.0)
-    *_, last = press.through([0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2])
+    *_, last = press.through([0.02, 0.06, 0.1, 0.15, 0.2])
     # four times coarser: five cells from the axis to the edge
     assert press.force(last) == pytest.approx(SphereTable.load("sphere-h2-mu0").at(0.2).force, rel=0.01)
 
 
-def test_force_scales_with_modulus_and_area():
-    small = press_finite_strain(BALL, Pose(0.0, 0.0, 3e-3), E, 2 * R, DISC)
-    large = press_finite_strain(Probe("sphere", 2 * R), Pose(0.0, 0.0, 6e-3), 3 * E, 4 * R, 2 * DISC)
-    assert large.force_n == pytest.approx(12 * small.force_n, rel=1e-12)
-    assert large.radius_m == pytest.approx(2 * small.radius_m, rel=1e-12)
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-@pytest.mark.parametrize("depth_m", [1e-3, 3e-3, 5e-3])
+@pytest.mark.parametrize("depth_m", [1e-3, 5e-3])
 def test_the_load_on_the_grid_adds_up_to_the_force_wherever_the_press_is(friction, depth_m):
     contact = press_finite_strain(BALL, Pose(4e-3, -6e-3, depth_m), E, 4 * R, DISC, friction)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
@@ -263,42 +147,23 @@ def test_the_load_on_the_grid_adds_up_to_the_force_wherever_the_press_is(frictio
     assert (contact.shear_pa is None) == (friction == 0)
 
 
-def test_friction_on_the_skin_points_to_the_centre():
-    contact = press_finite_strain(BALL, Pose(0.0, 0.0, 4e-3), E, 2 * R, DISC, 0.5)
-    x, y = np.meshgrid(contact.x_m, contact.y_m)
-    outwards = contact.shear_pa[0] * x + contact.shear_pa[1] * y
-    assert outwards.min() < 0
-    assert outwards.max() < 0.05 * -outwards.min()
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"depth_m": 6.1e-3}, "outside-table"),
-        ({"depth_m": -1e-3}, "outside-table"),
         ({"depth_m": math.nan}, "outside-table"),
         ({"thickness_m": 15e-3}, "no-table"),
-        ({"thickness_m": 0.0}, "not-positive"),
         ({"friction": 0.3}, "no-table"),
-        ({"friction": math.nan}, "no-table"),
         ({"poisson_ratio": 0.5}, "no-table"),
         ({"disc_radius_m": 20e-3}, "disc-too-small"),
         ({"youngs_modulus_pa": -1.0}, "not-positive"),
-        ({"youngs_modulus_pa": math.inf}, "not-positive"),
         ({"radius_m": 0.0}, "not-positive"),
         ({"x_m": 25e-3}, "contact-over-rim"),
     ],
 )
 def test_what_no_table_holds_is_refused_with_what_is_allowed(change, message):
-    asked = {
-        "radius_m": R,
-        "x_m": 0.0,
-        "depth_m": 3e-3,
-        "youngs_modulus_pa": E,
-        "thickness_m": 2 * R,
-        "disc_radius_m": DISC,
-        **change,
-    }
+    asked = {"radius_m": R, "x_m": 0.0, "depth_m": 3e-3, "youngs_modulus_pa": E, "thickness_m": 2 * R}
+    asked |= {"disc_radius_m": DISC} | change
     probe = Probe("sphere", asked.pop("radius_m"))
     pose = Pose(asked.pop("x_m"), 0.0, asked.pop("depth_m"))
     with refused(message, RangeError):
@@ -315,12 +180,3 @@ def test_other_shapes_names_and_places_are_refused():
     for depth in (-0.1, 1.3, math.nan, math.inf):
         with refused("outside-table", RangeError, match="1.2"):
             SphereTable.load("sphere-h2-mu0").at(depth)
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_many_forces_at_once_are_those_one_by_one(name: str) -> None:
-    table = SphereTable.load(name)
-    depths = np.linspace(0.0, table.greatest_depth, 37)
-    assert table.force_at(depths) == pytest.approx([table.at(d).force for d in depths], rel=1e-12)
-    with pytest.raises(RangeError, match="R"):
-        table.force_at(np.array([0.5, 1.3]))

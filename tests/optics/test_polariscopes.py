@@ -69,14 +69,6 @@ def test_plates_of_the_wrong_wavelength_let_the_axis_back_in():
     assert np.ptp(light) == pytest.approx(np.sin(error) ** 2, rel=0.02)
 
 
-def test_matrices_of_retarders_lose_no_light_and_multiply_like_them(ray):
-    J, M = jones(ray), mueller(ray)
-    np.testing.assert_allclose(J @ J.conj().swapaxes(-1, -2), np.tile(np.eye(2), (60, 1, 1)), atol=1e-14)
-    np.testing.assert_allclose(M @ M.swapaxes(-1, -2), np.tile(np.eye(4), (60, 1, 1)), atol=1e-13)
-    np.testing.assert_allclose(jones(ray.then(ray)), J @ J, atol=1e-13)
-    np.testing.assert_allclose(mueller(ray.then(ray)), M @ M, atol=1e-13)
-
-
 def test_a_quarter_wave_plate_gives_the_sign_of_v():
     """Larger index along x, light along the diagonal x = z: x is a quarter period ahead in exp(i phase).
 
@@ -98,11 +90,6 @@ def test_any_light_has_the_stokes_vector_of_its_amplitudes(ray, rng):
     E = rng.normal(size=2) + 1j * rng.normal(size=2)
     for J, M in zip(jones(ray), mueller(ray), strict=True):
         np.testing.assert_allclose(M @ stokes(E), stokes(J @ E), atol=1e-13)
-
-
-def test_stokes_and_jones_see_the_same_light(ray):
-    horizontal, vertical = np.array([1, 1, 0, 0]), np.array([1, -1, 0, 0]) / 2
-    np.testing.assert_allclose(vertical @ (mueller(ray) @ horizontal).T, dark_field(ray, 0.0), atol=1e-14)
 
 
 def test_angles_and_wavelengths_that_are_no_numbers_are_refused():

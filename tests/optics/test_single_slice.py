@@ -49,27 +49,6 @@ def test_the_skin_s_width_as_the_path_is_wrong_under_a_ball():
     assert best == 57e-3
 
 
-def test_no_one_path_mends_it():
-    """With the path that fits the summed stress best, about the contact's width: 0.22 at 1.5 fringes."""
-    baseline, marched, path = images(3e-9)
-    assert 1.0 < path / (2 * A) < 3.0
-    error = single_slice_error(baseline, marched)
-    assert error.rms > 0.15
-    assert error.percentile_99_9 > 0.5
-
-
-def test_the_error_shrinks_with_the_coefficient():
-    rms = [single_slice_error(*images(c)[:2]).rms for c in (3e-9, 1e-9, 1.7e-10)]
-    assert rms[0] > rms[1] > rms[2]
-
-
-def test_the_best_path_is_the_path_where_there_is_one():
-    u, v = np.array([1.0, 2.0]), np.array([0.5, -3.0])
-    assert best_path(u, v, 0.02 * u, 0.02 * v) == pytest.approx(0.02)
-    with pytest.raises(InputError, match="free of stress"):
-        best_path(0 * u, 0 * v, u, v)
-
-
 def test_the_formula_is_the_literature_s():
     u, v, d, c = np.array([3e4]), np.array([1e4]), 57e-3, 2e-9
     theta, difference = stress_axis(u, v), np.hypot(u, v)

@@ -3,7 +3,6 @@ import pytest
 
 from palpate.core import RangeError
 from palpate.optics import StressOpticLaw, frozen_stress
-from palpate.optics.stress_optic import ASSUMED_DISPERSION_M2
 
 WAVELENGTHS = np.array([400e-9, 550e-9, 700e-9])
 
@@ -12,11 +11,6 @@ def test_half_a_phase_of_pi_is_a_whole_order():
     law = StressOpticLaw(3e-9)
     one_order = WAVELENGTHS / 3e-9  # Pa m
     np.testing.assert_allclose(law.half_phase(WAVELENGTHS) * one_order, np.pi)
-
-
-def test_the_assumed_dispersion_is_a_few_per_cent():
-    spread = StressOpticLaw(1e-9, ASSUMED_DISPERSION_M2).at(WAVELENGTHS) / 1e-9
-    np.testing.assert_allclose(spread, [1.0294, 1.0, 0.9874], atol=1e-3)
 
 
 @pytest.mark.parametrize("axis", [0.0, 0.3, -1.2])

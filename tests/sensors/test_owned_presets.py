@@ -12,7 +12,6 @@ from palpate.core import ExistsError, InputError, RangeError
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings, device
 from palpate.sensing.untouched_view import UntouchedView
 from palpate.sensors.owned import (
-    preset_names,
     read_preset,
     recognised_preset,
     sensor_preset,
@@ -29,11 +28,6 @@ def changed(tmp_path: Path, name: str, was: str, becomes: str) -> Path:
     path = tmp_path / f"{name}.toml"
     path.write_text(text.replace(was, becomes))
     return path
-
-
-def test_the_presets_are_those_promised() -> None:
-    assert preset_names() == NAMES
-    assert all(sensor_preset(name).name == name for name in NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -99,13 +93,9 @@ def test_a_region_lies_inside_its_frame_and_without_one_is_the_whole() -> None:
     [
         ("digit", 'source = "paper"', "", "source"),
         ("digit", 'source = "paper"', 'source = "paper"\nassumed = true', "give one of"),
-        ("digit", 'source = "paper"', 'source = "hearsay"', "hearsay"),
         ("digit", '"2833:0209"', '"2833-0209"', "camera.usb"),
-        ("digit", "size_px = [320, 240]", "size_px = [3, 240]", "size_px"),
-        ("gelsight-mini", "exposure_ms = 18.0", "exposure_ms = -1.0", "exposure_ms"),
         ("gelsight-mini", "region_mm = [20.288, 15.216]", "region_mm = [inf, 15.2]", "region_mm"),
         ("gelsight-mini", "[0.142857, 0.142857, 0.714286, 0.714286]", "[0.5, 0.1, 0.7, 0.7]", "inside"),
-        ("gelsight-mini", 'kind = "any"', 'kind = "dots"', "marks.kind"),
         ("gelsight-mini", "gain = 0.0", "gian = 0.0", "gian"),
         ("gelsight-mini", 'name = "gelsight-mini"', 'name = "../mini"', "name"),
     ],

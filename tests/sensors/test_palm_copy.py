@@ -8,13 +8,11 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from tests.refusals import refused
 
 from palpate.core import (
-    Drift,
     ExistsError,
     ImageError,
     InputError,
@@ -102,14 +100,6 @@ def test_a_picture_holds_the_product_of_modulus_and_coefficient_and_neither_alon
     assert np.abs(pictured(whole, at) - seen(0.0, 0.0)).max() < 1e-4
 
 
-def test_a_design_s_spread_of_the_coefficient_is_the_one_that_was_stated() -> None:
-    known = designed_copy(DESIGN, modulus_share=0.2, coefficient_share=0.03)
-    assert known.modulus_share == pytest.approx(0.2)
-    assert known.coefficient_share == pytest.approx(0.03)
-    assert known.modulus_pa == pytest.approx(E)
-    assert known.coefficient_per_pa == pytest.approx(C)
-
-
 def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_s() -> None:
     known = measured_copy(DESIGN, 1.2 * C, 0.03, 0.2)
     assert known.coefficient_per_pa == pytest.approx(1.2 * C)
@@ -129,18 +119,6 @@ def test_a_measured_coefficient_is_the_copy_s_and_leaves_its_modulus_the_design_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("modulus", [0.8, 1.2])
-def test_a_copy_of_a_measured_coefficient_reads_force_whatever_its_modulus_is(modulus: float) -> None:
-    """By the design's own coefficient the same picture is read wrongly by as much as it differs."""
-    press_ = taken(own(modulus, 1.2), 3.0, 2e-3, 1e-3, known=False)
-    found = read_press(measured_copy(DESIGN, 1.2 * C, 0.01), press_.image, press_.reference)
-    assert found.force_n == pytest.approx(3.0, abs=0.15)
-    assert found.force_share < 0.06
-    designed = read_press(measured_copy(DESIGN, C, 0.01), press_.image, press_.reference)
-    assert designed.force_n > 3.3
-
-
-@pytest.mark.slow
 def test_two_known_forces_tell_modulus_coefficient_lamp_and_polariser(fitted: PalmCopy) -> None:
     assert fitted.modulus_pa == pytest.approx(1.12 * E, rel=0.03)
     assert fitted.coefficient_per_pa == pytest.approx(0.91 * C, rel=0.03)
@@ -148,28 +126,6 @@ def test_two_known_forces_tell_modulus_coefficient_lamp_and_polariser(fitted: Pa
     assert told["lamp"]["value"] == pytest.approx(math.log(1.06), abs=0.02)
     assert told["polariser_rad"]["value"] == pytest.approx(0.02, abs=0.01)
     assert fitted.modulus_share < 0.06
-
-
-@pytest.mark.slow
-def test_with_the_coefficient_known_a_picture_tells_the_force_whatever_the_modulus_is() -> None:
-    for modulus in (0.8, 1.2):
-        spec = own(modulus)
-        press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
-        sure = designed_copy(DESIGN, modulus_share=0.25, coefficient_share=0.01)
-        found = read_press(sure, press_.image, press_.reference)
-        assert found.force_n == pytest.approx(3.0, abs=0.15)
-        assert found.force_share < 0.06
-
-
-@pytest.mark.slow
-def test_with_neither_known_the_interval_spans_the_force_and_place_and_depth_stay() -> None:
-    spec = own(1.25)
-    press_ = taken(spec, 3.0, 2e-3, 1e-3, known=False)
-    found = read_press(designed_copy(DESIGN), press_.image, press_.reference)
-    assert abs(math.log(found.force_n / 3.0)) < 2 * found.force_share
-    assert found.force_share > 0.1
-    depth_m = press_to_force(spec, 3.0).pose.depth_m
-    assert found.depth_m == pytest.approx(depth_m, abs=5e-5)
 
 
 @pytest.mark.slow
@@ -195,47 +151,10 @@ def test_a_known_weight_tells_what_has_changed_and_names_what_it_is_sure_of(
     assert check.read_n == pytest.approx(2.0 * coefficient, rel=0.05)
 
 
-@pytest.mark.parametrize(("modulus", "coefficient", "read_n"), [(1.0, 1.15, 2.3), (1.15, 1.0, 2.0)])
-def test_a_weight_is_read_as_more_by_as_much_as_the_coefficient_has_grown_and_not_by_the_modulus(
-    monkeypatch, modulus: float, coefficient: float, read_n: float
-) -> None:
-    calibrated, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
-    calibrated = replace(calibrated, covariance=1e-6 * calibrated.covariance)
-    terms = calibrated.terms.copy()
-    terms[:2] += math.log(modulus), math.log(modulus * coefficient)
-    found = PressFound(0.0, 0.0, 2e-3, 2.0, 1e-5, 1e-5, 1e-5, 0.01, 0.004)
-    moved = CopyFit(replace(calibrated, terms=terms), (found,), ())
-    monkeypatch.setattr(palm_weight, "fit_copy", lambda *_, **__: moved)
-    check, _ = check_weight(calibrated, picture, picture, 2.0 / GRAVITY_M_S2)
-    assert check.read_n == pytest.approx(read_n, rel=1e-5)
-    assert check.coefficient_change == pytest.approx(coefficient - 1, abs=1e-5)
-
-
-def test_a_weight_s_estimate_begins_also_where_the_calibrated_copy_reads_its_picture(monkeypatch) -> None:
-    calibrated, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
-    read = PressFound(1e-3, 2e-3, 2e-3, 2.0, 1e-5, 1e-5, 1e-5, 0.01, 0.004)
-    begun = []
-
-    def fit(known, presses, progress, near=None):
-        begun.append((known, presses[0].force_n, near))
-        return CopyFit(known, (read,), ())
-
-    monkeypatch.setattr(palm_weight, "fit_copy", fit)
-    check_weight(calibrated, picture, picture, 2.0 / GRAVITY_M_S2)
-    (first, no_force, _), (_, force_n, near) = begun
-    assert first is calibrated
-    assert no_force is None
-    assert force_n == pytest.approx(2.0)
-    assert near is not None
-    assert near.copy is calibrated
-    assert near.presses == (read,)
-
-
-@pytest.mark.parametrize(("moved_m", "rolled"), [(0.11e-3, False), (-0.3e-3, True), (0.3e-3, True)])
-@pytest.mark.parametrize("way", ["x_m", "y_m"])
-def test_a_weight_that_rolls_between_two_pictures_is_refused(
-    monkeypatch, moved_m: float, rolled: bool, way: str
-) -> None:
+@pytest.mark.parametrize(
+    ("way", "moved_m", "rolled"), [("x_m", 0.11e-3, False), ("x_m", -0.3e-3, True), ("y_m", 0.3e-3, True)]
+)
+def test_a_weight_that_rolls_between_two_pictures_is_refused(monkeypatch, way, moved_m, rolled) -> None:
     known, picture = designed_copy(DESIGN), np.zeros((2, 2, 3), np.uint8)
     later = picture + np.uint8(1)
     first = PressFound(1e-3, -1e-3, 2e-3, 2.0, 2e-5, 2e-5, 1e-5, 0.01, 0.004)
@@ -268,11 +187,10 @@ def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
         designed_copy(DESIGN, modulus_share=0.0)
 
 
-@pytest.mark.parametrize("depth_m", [0.25e-3, 0.45e-3])
-def test_a_light_press_is_seen_in_the_mirror_and_noise_is_not(depth_m: float) -> None:
+def test_a_light_press_is_seen_in_the_mirror_and_noise_is_not() -> None:
     """A press of 0.4 N changes the mirror's picture by 2 to 3 % of white, two untouched frames by 1.2 %."""
     rng, known = np.random.default_rng(3), designed_copy(DESIGN, modulus_share=0.01, coefficient_share=0.01)
-    contacts = (press(DESIGN, Pose(2e-3, 1e-3, one)) for one in (depth_m, -1e-3, -1e-3))
+    contacts = (press(DESIGN, Pose(2e-3, 1e-3, one)) for one in (0.25e-3, -1e-3, -1e-3))
     pressed, rest, again = (render(one, DESIGN, rng, exact=True).image for one in contacts)
     (look,) = _first_looks(known, seen_press(DESIGN, PicturedPress(pressed, rest))).values()
     assert math.hypot(look.place[0] - 2e-3, look.place[1] - 1e-3) < 4e-3
@@ -280,7 +198,7 @@ def test_a_light_press_is_seen_in_the_mirror_and_noise_is_not(depth_m: float) ->
         _first_looks(known, seen_press(DESIGN, PicturedPress(again, rest)))
 
 
-@pytest.mark.parametrize(("off", "fits"), [(0.0110, True), (0.0118, True), (0.0120, False), (0.0127, False)])
+@pytest.mark.parametrize(("off", "fits"), [(0.0118, True), (0.0120, False)])
 def test_a_reading_is_refused_above_the_stated_multiple_of_a_pixel_s_error(
     monkeypatch, off: float, fits: bool
 ) -> None:
@@ -330,7 +248,7 @@ def test_a_picture_of_another_probe_misfits_and_one_of_the_palm_s_ball_does_not(
             refuse_misfit(found)
 
 
-@pytest.mark.parametrize("unit", [1e3, 1 / 9.80665, 1 / 4.44822, 101.97])  # mN, kgf, lbf, gf
+@pytest.mark.parametrize("unit", [1e3, 1 / 4.44822])  # mN, lbf
 def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: float) -> None:
     known = designed_copy(DESIGN)
 
@@ -343,25 +261,6 @@ def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: fl
         refuse_far(known, by(unit))
     refuse_far(known, by(1.8))
     refuse_far(known, by(1 / 1.8))
-
-
-def test_a_reading_s_printed_interval_is_the_one_of_the_logarithm_that_was_counted(
-    monkeypatch, tmp_path: Path, capsys
-) -> None:
-    from palpate.cli.sense import palm_verbs
-    from palpate.sensors.palm.copies import palm_copy_store
-
-    found = PressFound(0.0, 0.0, 2e-3, 3.0, 1e-5, 1e-5, 1e-5, 0.7, 0.004)
-    monkeypatch.setattr(palm_copy_fit, "read_press", lambda *_: found)
-    monkeypatch.setattr(palm_copy_fit, "drift_of", lambda *_: Drift(4.0, 3.0))
-    monkeypatch.setattr(palm_copy_store, "read_copy", lambda _: None)
-    monkeypatch.setattr(palm_copy_store, "read_picture", lambda _: None)
-    monkeypatch.setattr(palm_verbs, "print_found", lambda found, text: print(json.dumps(found)))
-    palm_verbs.read(tmp_path, tmp_path, tmp_path)
-    told = json.loads(capsys.readouterr().out)
-    assert told["force_low_N"] == pytest.approx(3.0 * math.exp(-1.645 * 0.7))  # above 0, as a force is
-    assert told["force_high_N"] == pytest.approx(3.0 * math.exp(1.645 * 0.7))
-    assert told["drift"] == {"statistic": 4.0, "limit": 3.0, "drifted": True}
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:
@@ -386,9 +285,7 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         {"covariance": [[1.0]]},
         {"terms": {}},
         {"preset": "none"},
-        {"widening": {"place": -1.0}},
         {"widening": {"place": 0.5}},  # held-out presses make no interval narrower
-        {"widening": {"place": None}},
         {"widening": {"place": "wide"}},
         {"frame_px": [math.inf, 108]},
         {"terms": record["terms"] | {"lamp": 1e4}},
@@ -396,9 +293,6 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         (tmp_path / "other.json").write_text(json.dumps(record | changed))
         with pytest.raises(InputError):
             read_copy(tmp_path / "other.json")
-    (tmp_path / "other.json").write_text("[" * 100_000)
-    with pytest.raises(InputError):
-        read_copy(tmp_path / "other.json")
     few = dict(list(record["terms"].items())[:22])  # as an earlier format had them
     (tmp_path / "other.json").write_text(json.dumps(record | {"format": "palpate palm copy 2", "terms": few}))
     with refused("unit-format", InputError):
@@ -407,78 +301,46 @@ def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path
         design_for("debug", (100, 100))
 
 
-def test_a_measured_coefficient_makes_a_copy_s_file_of_the_untouched_picture_s_size(
-    tmp_path: Path, capsys, monkeypatch
-) -> None:
-    from palpate.cli.sense import palm_verbs
-
-    monkeypatch.setattr(palm_verbs, "print_found", lambda found, text: print(json.dumps(found)))
-    cv2.imwrite(str(tmp_path / "rest.png"), np.zeros((108, 192, 3), np.uint8))
-    out = tmp_path / "mine.json"
-    palm_verbs.known(tmp_path / "rest.png", out, 1.1 * C, 0.02, 0.25, "debug", 0.0)
-    told, copy = json.loads(capsys.readouterr().out), read_copy(out)
-    assert copy.spec.frame_px == (192, 108)
-    assert copy.coefficient_per_pa == pytest.approx(1.1 * C)
-    assert told["coefficient_share"] == pytest.approx(1.645 * 0.02)
-    with pytest.raises(ExistsError):
-        palm_verbs.known(tmp_path / "rest.png", out, C, 0.02, 0.25, "debug", 0.0)
+def run_of(path: Path, presses: list[dict]) -> Path:
+    """A run of presses, each an image of its number after one of 100 more, untouched."""
+    kinds = {"press": "text", "reference": "flag", "force_N": "number", "x_mm": "number", "y_mm": "number",
+             "indenter": "text", "phase": "text"}  # fmt: skip
+    clock, manifest = ManualClock(), Manifest.new(sensor="palm", labels=kinds)
+    with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
+        for i, told in enumerate(presses, 1):
+            for is_rest in (True, False):
+                clock.sleep(0.1)
+                held = {"x_mm": 0.0, "y_mm": 0.0, "indenter": "sphere:10", "phase": "down", "press": f"{i}"}
+                held |= told | {"reference": is_rest}
+                held |= {"force_N": 0.0, "phase": "reference"} if is_rest else {}
+                writer.frame(np.full((8, 16, 3), 100 * is_rest + i, np.uint8), labels=held)
+    return path
 
 
 def test_presses_of_a_run_are_spread_over_force_and_near_enough_to_the_middle(tmp_path: Path) -> None:
     """Twelve of 1 to 12 N, 2 mm farther out each: of those within 15 mm, least and most and one between."""
-    kinds = {"press": "text", "reference": "flag", "force_N": "number", "x_mm": "number", "y_mm": "number"}
-    clock = ManualClock()
-    with RunWriter.create(
-        tmp_path / "run", Manifest.new(sensor="palm", labels=kinds), clock=clock, overflow="wait"
-    ) as writer:
-        for i in range(1, 13):
-            for is_rest in (True, False):
-                clock.sleep(0.1)
-                place = {"x_mm": 1.2 * i, "y_mm": -1.6 * i}
-                image = np.full((8, 16, 3), 100 * is_rest + i, np.uint8)
-                held = {
-                    "press": f"{i}",
-                    "reference": is_rest,
-                    "force_N": 0.0 if is_rest else float(i),
-                } | place
-                writer.frame(image, labels=held)
-    near = pictured_presses(tmp_path / "run", 3, 0.01, within_m=15e-3)
+    run = run_of(
+        tmp_path / "run", [{"force_N": 1.0 * i, "x_mm": 1.2 * i, "y_mm": -1.6 * i} for i in range(1, 13)]
+    )
+    near = pictured_presses(run, 3, 0.01, within_m=15e-3)
     assert [one.force_n for one in near] == [2.0, 4.0, 7.0]  # 1 N is less than a tenth of 12 N
     assert [int(one.image[0, 0, 0]) for one in near] == [2, 4, 7]
     assert [int(one.reference[0, 0, 0]) for one in near] == [102, 104, 107]
     np.testing.assert_allclose(near[0].place_m, (2.4e-3, -3.2e-3))
-    assert len(pictured_presses(tmp_path / "run", 11, 0.01)) == 11
+    assert len(pictured_presses(run, 11, 0.01)) == 11
     with refused("press-count", InputError):
-        pictured_presses(tmp_path / "run", 7, 0.01, within_m=15e-3)
+        pictured_presses(run, 7, 0.01, within_m=15e-3)
 
 
 def test_presses_by_another_probe_sideways_or_of_another_sign_are_no_copy_s(tmp_path: Path) -> None:
-    kinds = {
-        "press": "text", "reference": "flag", "force_N": "number", "x_mm": "number", "y_mm": "number",
-        "indenter": "text", "phase": "text",
-    }  # fmt: skip
+    def shots(sign: float) -> list[dict]:
+        others = ({}, {"phase": "lateral"}, {"indenter": "sphere:8"}, {"indenter": "punch:8"})
+        return [{"force_N": sign * n} | one for n, one in zip((1.0, 2.0, 3.0, 40.0), others, strict=True)]
 
-    shots = [("sphere:10", "down"), ("sphere:10", "lateral"), ("sphere:8", "down"), ("punch:8", "down")]
-
-    def run_of(name: str, sign: float) -> Path:
-        clock, path = ManualClock(), tmp_path / name
-        manifest = Manifest.new(sensor="palm", labels=kinds)
-        with RunWriter.create(path, manifest, clock=clock, overflow="wait") as writer:
-            for force_n, (indenter, phase) in zip((1.0, 2.0, 3.0, 40.0), shots, strict=True):
-                for is_rest in (True, False):
-                    clock.sleep(0.1)
-                    held = {
-                        "press": f"{force_n}", "reference": is_rest, "x_mm": 0.0, "y_mm": 0.0,
-                        "force_N": 0.0 if is_rest else sign * force_n,
-                        "indenter": indenter, "phase": "reference" if is_rest else phase,
-                    }  # fmt: skip
-                    writer.frame(np.zeros((8, 16, 3), np.uint8), labels=held)
-        return path
-
-    pressed = run_of("pressed", 1.0)
+    pressed = run_of(tmp_path / "pressed", shots(1.0))
     (own_,) = pictured_presses(pressed, 1, 0.01, ball="sphere:10")  # 1 N, though another's press had 40 N
     assert own_.force_n == 1.0
     with refused("indenter-differs", InputError):
         pictured_presses(pressed, 1, 0.01, ball="sphere:12")
     with refused("force-sign", InputError):
-        pictured_presses(run_of("pulled", -1.0), 1, 0.01, ball="sphere:10")
+        pictured_presses(run_of(tmp_path / "pulled", shots(-1.0)), 1, 0.01, ball="sphere:10")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from palpate.sensors.palm.copies.copy_force import log_force
 from palpate.sensors.palm.copies.copy_slopes import picture_slopes
 from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, designed_copy
 from palpate.sensors.palm.copies.press_picture import (
-    away_from_edges,
     backdrop_of,
     exposure_change,
     pictured,
@@ -96,13 +94,15 @@ def test_a_press_s_own_unknowns_draw_an_uneven_membrane_at_its_place() -> None:
     assert math.exp(log_force(known, local)[0]) == pytest.approx(press(uneven, PRESSED).force_n, rel=1e-3)
 
 
-@pytest.mark.parametrize("thickness", [-0.04, 0.0, 0.03])
+@pytest.mark.parametrize("thickness", [-0.04, 0.03])
 def test_a_copy_s_force_is_its_own_spec_s_and_its_slopes_are_differences(thickness: float) -> None:
     known = with_terms(modulus=0.1, product=0.05, thickness=thickness, harder_across=0.04, harder_along=-0.03)
     local = local_of(PRESSED, harder=0.02)
     force, slopes = log_force(known, local)
     tilt = (0.04 * PRESSED.x_m - 0.03 * PRESSED.y_m) / DESIGN.radius_m + 0.02
-    assert force - tilt == pytest.approx(math.log(press(known.as_spec, PRESSED).force_n), abs=1e-3)
+    assert force - tilt == pytest.approx(
+        math.log(press(replace(known.looks, youngs_modulus_pa=known.modulus_pa), PRESSED).force_n), abs=1e-3
+    )
     for k, slope in enumerate(slopes):
         step = 1e-5 * (np.arange(len(slopes)) == k)
         own, of_copy = step[len(TERMS) :], step[: len(TERMS)]
@@ -137,31 +137,6 @@ def moved(known: PalmCopy, local: np.ndarray, share: float, **steps: float) -> t
     of_copy = np.array([steps.get(name, 0.0) for name in TERMS])
     own = np.array([steps.get(name, 0.0) if name not in TERMS else 0.0 for name in LOCAL])
     return replace(known, terms=known.terms + share * of_copy), local + share * own
-
-
-def test_away_from_edges_slopes_tell_how_a_deeper_press_of_a_softer_palm_differs() -> None:
-    """Both look nearly alike; slopes that err by a tenth of either would tell them apart where no eye can."""
-    known, local = with_terms(), local_of(PRESSED)
-    steps = {"product": -0.055, "log_depth": 0.024}
-    ends = [moved(known, local, share, **steps) for share in (0.5, -0.5)]
-    sizes = {}
-    for kept in (away_from_edges(known, local), None):
-        J = picture_slopes(known, local, None, kept)
-        told_ = J[:, AT["product"]] * steps["product"]
-        told_ = told_ + J[:, len(TERMS) + 2] * steps["log_depth"]
-        drawn = shown(*ends[0], None, kept=kept) - shown(*ends[1], None, kept=kept)
-        sizes[kept is None] = float(np.linalg.norm(told_ - drawn) / np.linalg.norm(drawn))
-    assert sizes[False] < 0.15
-    assert sizes[True] > 2 * sizes[False]
-
-
-def test_away_from_edges_a_picture_does_not_jump_as_the_mirror_s_opening_grows_by_a_thousandth() -> None:
-    known, local = with_terms(), local_of(PRESSED)
-    jumps = {}
-    for kept in (away_from_edges(known, local), None):
-        pictures = [shown(*moved(known, local, k, mirror_scale=1e-3), None, kept=kept) for k in range(9)]
-        jumps[kept is None] = max(float(np.abs(b - a).max()) for a, b in pairwise(pictures))
-    assert jumps[False] < 0.25 * jumps[True]
 
 
 def linear_presses(rng: np.random.Generator, count: int, scale: float):
@@ -200,7 +175,7 @@ def test_intervals_are_widened_where_held_out_presses_miss_and_stay_where_they_d
     found = {}
     for scale in (1.0, 10.0):
         factors = []
-        for _ in range(60):
+        for _ in range(30):
             H, known, _, _ = linear_presses(rng, 6, scale)
             errors = standardised(H, np.zeros_like(H), known, list(range(2, 8)))
             factors.append(widening_of(errors, 6).force)
@@ -210,6 +185,12 @@ def test_intervals_are_widened_where_held_out_presses_miss_and_stay_where_they_d
     assert widening_of({"place": [9.0], "depth": [], "force": [9.0]}, 1) == Widening()
 
 
+def test_constants_that_are_known_well_enough_are_not_named() -> None:
+    known = designed_copy(DESIGN, modulus_share=0.05, coefficient_share=0.005)
+    assert unsure_constants(replace(known, covariance=0.1 * known.covariance)) == ()
+
+
+@pytest.mark.slow
 def test_a_modulus_that_thickness_hides_is_named_with_the_press_that_would_tell_it() -> None:
     known = designed_copy(DESIGN, modulus_share=0.05, coefficient_share=0.005)
     hidden = known.covariance.copy()
@@ -225,5 +206,3 @@ def test_a_modulus_that_thickness_hides_is_named_with_the_press_that_would_tell_
     pose = Pose(unsure.x_m, unsure.y_m, unsure.depth_m)
     after = told_by(copy, local_of(pose))
     assert unsure.then_share == pytest.approx(1.645 * math.sqrt(after[0, 0]))
-    sure = replace(known, covariance=0.1 * known.covariance)
-    assert unsure_constants(sure) == ()

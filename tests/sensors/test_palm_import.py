@@ -14,7 +14,7 @@ from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError
+from palpate.core import ImageError, InputError, LabelError, PalpateError
 from palpate.recordings import Run, check
 from palpate.sensors.palm.palm_import import import_palm
 
@@ -100,23 +100,6 @@ def test_photographs_of_a_shot_come_in_the_order_of_their_numbers(folder: Path) 
     assert names.astype(int).tolist() == list(range(MANY))
 
 
-def test_shots_come_by_place_cycle_and_depth(folder: Path) -> None:
-    labels = imported(folder).labels
-    assert labels["press"].unique().tolist() == ["r4c6/1", "r4c6/2", "r10c7/1"]
-    assert labels["shot"].unique().tolist()[:4] == [
-        "r4c6/1/reference/0/0",
-        "r4c6/1/down/100/0",
-        "r4c6/1/down/5000/0",
-        "r4c6/1/up/0/0",
-    ]
-
-
-def test_shots_at_depth_zero_are_references_and_no_others(folder: Path) -> None:
-    labels = imported(folder).labels
-    assert (labels["reference"] == (labels["depth_mm"] == 0.0)).all()
-    assert set(labels["phase"][labels["reference"]]) == {"reference", "up"}
-
-
 @pytest.mark.parametrize("turned", [1.0, -1.0])
 def test_force_is_positive_in_compression_whichever_way_fz_points(folder: Path, turned: float) -> None:
     for path in folder.glob("*.csv"):
@@ -137,38 +120,7 @@ def test_tables_that_disagree_about_the_sign_are_refused(folder: Path) -> None:
     not_imported(folder, LabelError, "r4c6_1.csv", "r10c7_1.csv", "sign")
 
 
-def test_a_column_of_units_is_told_and_the_groups_have_none(folder: Path) -> None:
-    report = import_palm(folder, folder.parent / "run")
-    assert set(report.units) == {
-        "x_mm", "y_mm", "depth_mm", "force_N", "force_x_N", "force_y_N", "force_sd_N", "t_s"
-    }  # fmt: skip
-    assert set(report.unitless) == {"row", "column", "cycle", "frame_in_shot"}
-
-
-def test_one_photograph_a_row_is_read_as_well(folder: Path) -> None:
-    """Photographs named one by one, with Windows' own slashes; a shot's force is the mean of its rows."""
-    shutil.rmtree(folder / "images")
-    for path in folder.glob("*.csv"):
-        path.unlink()
-    (folder / "images").mkdir()
-    lines = []
-    for i, depth in enumerate((0.0, 0.0, 2.0, 2.0)):
-        Image.fromarray(np.full((4, 6), i, np.uint8)).save(folder / "images" / f"{i}.png")
-        lines.append(f"{i},{depth},down,0,0,{-depth - i},0,0,images\\{i}.png")
-    table(folder, "r1c1_1").write_text(HEADER + "\n".join(lines) + "\n")
-    labels = imported(folder).labels
-    assert labels["force_N"].tolist() == [0.5, 0.5, 4.5, 4.5]
-    assert labels["frame_in_shot"].tolist() == [0, 1, 0, 1]
-
-
-def test_the_spread_of_a_single_sample_is_not_made_up(folder: Path) -> None:
-    path = table(folder, "r10c7_1")
-    read = pd.read_csv(path)
-    read.drop_duplicates("image_file").to_csv(path, index=False)
-    assert "force_sd_N" not in imported(folder).labels
-
-
-@pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "Cycle_Indent5mm_r4_3.csv", "notes.csv", "x.CSV"])
+@pytest.mark.parametrize("name", ["Cycle_r4c6_3.csv", "x.CSV"])
 def test_a_table_of_another_name_is_refused(folder: Path, name: str) -> None:
     shutil.copy(table(folder, "r4c6_1"), folder / name)
     not_imported(folder, LabelError, name, "not named as")
@@ -179,15 +131,14 @@ def test_two_tables_of_one_press_are_refused(folder: Path) -> None:
     not_imported(folder, LabelError, "r04c6_1.csv", "same press")
 
 
-@pytest.mark.parametrize("column", HEADER.strip().split(","))
+@pytest.mark.parametrize("column", ["Fz", "image_file"])
 def test_a_missing_column_is_named(folder: Path, column: str) -> None:
     path = table(folder, "r4c6_2")
     pd.read_csv(path).drop(columns=column).to_csv(path, index=False)
     not_imported(folder, LabelError, "r4c6_2.csv", "row 1", repr(column))
 
 
-@pytest.mark.parametrize("value", ["nan", "", "inf", "-inf", "1,5".replace(",", "_"), "much"])
-@pytest.mark.parametrize("column", ["t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm"])
+@pytest.mark.parametrize(("column", "value"), [("t_s", "nan"), ("Fz", "much"), ("x_mm", "1_5"), ("Fx", "")])
 def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
     folder: Path, column: str, value: str
 ) -> None:
@@ -203,9 +154,7 @@ def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
     [
         ("down", "sideways", ("row 2", "'sideways'", "down or up")),
         (",0.1,down", ",5.2,down", ("row 7", "5.2", "0 to 5")),
-        (",0.1,down", ",-0.2,down", ("row 7", "-0.2")),
         (",0.1,down", ",0.3,down", ("row 7", "misfiled")),
-        ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c6_2_down_0.1", ("row 7", "misfiled")),
         ("images/Cycle_r4c6_1_down_0.1", "images/Cycle_r4c7_1_down_0.1", ("row 7", "misfiled")),
         (
             ",42.0,-28.0,images/Cycle_r4c6_1_down_0.1",
@@ -215,10 +164,8 @@ def test_a_cell_that_is_no_finite_number_is_named_by_file_and_row(
         ("images/Cycle_r4c6_1_down_0.000mm", "gone", ("row 2", "'gone'", "copy it there")),
         ("images/Cycle_r4c6_1_down_0.000mm", "", ("row 2", "names no image_file")),
         ("images/Cycle_r4c6_1_down_0.000mm", "../secret", ("row 2", "without '..'")),
-        ("images/Cycle_r4c6_1_down_0.000mm", "images\\..\\..\\secret", ("row 2", "without '..'")),
         ("images/Cycle_r4c6_1_down_0.000mm", "/etc", ("row 2", "stay inside")),
         ("images/Cycle_r4c6_1_down_0.000mm", "D:\\ERP\\images", ("row 2", "stay inside")),
-        ("images/Cycle_r4c6_1_down_0.000mm", "\\\\server\\images", ("row 2", "stay inside")),
         ("images/Cycle_r4c6_1_down_0.000mm", "=1+1", ("row 2", "formula")),
     ],
 )
@@ -292,12 +239,6 @@ def test_no_folder_and_no_tables_are_told(tmp_path: Path) -> None:
         import_palm(tmp_path / "none", tmp_path / "run")
     with refused("no-table", InputError):
         import_palm(tmp_path, tmp_path / "run")
-
-
-def test_a_run_that_exists_is_never_overwritten(folder: Path) -> None:
-    imported(folder)
-    with pytest.raises(ExistsError):
-        imported(folder)
 
 
 def test_the_verb_imports_and_tells_what_it_found(folder: Path) -> None:

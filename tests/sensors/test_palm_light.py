@@ -21,15 +21,6 @@ def planck(wavelength_m, kelvin):
     return wavelength_m**-5 / np.expm1(SECOND_RADIATION_M_K / (wavelength_m * kelvin))
 
 
-def test_a_warmer_lamp_is_redder_and_a_colder_one_bluer():
-    spectrum = fringe_view.spectrum(31)
-    for mired, order in ((40.0, (2, 1, 0)), (-40.0, (0, 1, 2))):
-        tint = lamp_tint(mired, spectrum)
-        assert tuple(np.argsort(tint)) == order
-        assert tint[1] == 1
-    np.testing.assert_array_equal(lamp_tint(0.0, spectrum), np.ones(3))
-
-
 @pytest.mark.parametrize(("before", "after"), [(6500, 4000), (4000, 3000), (5000, 6500)])
 def test_a_shift_in_mired_turns_one_black_body_into_the_other(before, after):
     spectrum = fringe_view.spectrum(31)
@@ -38,12 +29,6 @@ def test_a_shift_in_mired_turns_one_black_body_into_the_other(before, after):
     # Wien's law for Planck's: 2 % at 700 nm and 6500 K
     tint = lamp_tint(1e6 / after - 1e6 / before, spectrum)
     np.testing.assert_allclose(tint, wanted / wanted[1], rtol=0.02)
-
-
-def test_another_lamp_tints_both_regions_alike():
-    tint = lamp_tint(50.0, fringe_view.spectrum(SPEC.bands))
-    for one, other in zip(seen(), seen(lamp_mired=50.0), strict=True):
-        np.testing.assert_allclose(other, one * tint, rtol=1e-6)
 
 
 def test_room_light_adds_the_same_whatever_is_pressed_and_however_bright_the_lamp():
@@ -59,14 +44,6 @@ def test_room_light_adds_the_same_whatever_is_pressed_and_however_bright_the_lam
         wanted = 0.05 * room_light(SPEC.frame_px)[view.window]
         for dark, lit in zip(pairs[::2], pairs[1::2], strict=True):
             np.testing.assert_allclose(lit - dark, np.broadcast_to(wanted, lit.shape), atol=1e-6)
-
-
-def test_room_light_is_brightest_at_the_upper_left_and_falls_gently():
-    shade = room_light(SPEC.frame_px)
-    assert shade[0, 0, 0] == 1
-    assert (np.diff(shade[..., 0], axis=0) < 0).all()
-    assert (np.diff(shade[..., 0], axis=1) < 0).all()
-    assert shade.min() == pytest.approx(0.6)
 
 
 def test_room_light_fills_the_frame_between_the_regions():
@@ -91,7 +68,3 @@ def test_in_other_light_the_fast_way_shows_what_the_exact_one_does(changed):
     rows = (z > 3e-3) & (z < SPEC.thickness_m)
     assert np.sqrt(np.mean((fast[0] - exact[0])[rows] ** 2)) < 1e-2  # as in the lamp's own
     assert np.sqrt(np.mean((fast[1] - exact[1]) ** 2)) < 2e-2  # a contact's sharp edge in pixels of 1 mm
-
-
-def test_light_changes_nothing_that_is_marched():
-    assert replace(SPEC, ambient=0.2, lamp_mired=-30.0).unlit == SPEC.unlit

@@ -15,8 +15,6 @@ from palpate.estimators.networks.onnx_graph import OnnxGraph
 from palpate.sensors.palm.networks.palm_moments import (
     BRIGHT,
     PalmMoments,
-    features_of,
-    fringe_features,
     mirror_moments,
 )
 
@@ -50,27 +48,6 @@ def test_moments_are_the_centre_and_the_spread_of_a_bell_across_and_down():
     assert twice[4] - found[4] == pytest.approx(np.log(2), abs=0.01)
 
 
-def test_what_has_become_darker_counts_among_all_changes_and_not_among_brighter_ones():
-    darker = -blob(0.2, -0.3, 0.15, 0.08)[None]
-    found = mirror_moments(darker)[0]
-    np.testing.assert_allclose(found[:2], (0.2, -0.3), atol=2e-3)
-    np.testing.assert_array_equal(found[5:], 0)
-
-
-def test_a_view_without_change_has_moments_of_nothing_and_no_bad_numbers():
-    np.testing.assert_array_equal(mirror_moments(np.zeros((1, SIDE, SIDE), np.float32)), 0)
-
-
-def test_ordered_intensities_do_not_say_where_they_were(rng):
-    view = rng.normal(0, 30, (1, SIDE, SIDE)).astype(np.float32)
-    mixed = rng.permutation(view.ravel()).reshape(view.shape)
-    one, other = (fringe_features(each)[0, 5:] for each in (view, mixed))
-    np.testing.assert_array_equal(one, other)
-    assert (np.diff(one) <= 0).all()
-    assert (one[0], one[-1]) == (view.max(), view.min())
-    assert (fringe_features(view)[0, :5] != fringe_features(mixed)[0, :5]).any()
-
-
 def test_it_reads_presses_it_has_not_seen_and_nothing_where_labels_are_shuffled(rng):
     data, learn, held = presses(160, rng), np.arange(120), np.arange(120, 160)
     error = np.abs(PalmMoments(40).fit(data, learn, seed=0).predict(data.fetch(held)) - data.values[held])
@@ -96,12 +73,6 @@ def test_the_exported_model_is_the_fitted_one_in_the_order_asked_for(rng, channe
     assert (np.abs(exported[:30] - data.values[:30]).mean(axis=0) < 0.1 * span).all()
 
 
-def test_grey_is_the_same_from_three_equal_channels(rng):
-    grey = presses(6, rng).fetch(np.arange(6))
-    for one, other in zip(features_of(grey), features_of(np.repeat(grey, 3, axis=1)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-3)
-
-
 def test_exported_trees_send_a_feature_on_a_threshold_to_the_side_that_the_forest_sends_it(rng):
     features = rng.integers(0, 8, (300, 3)).astype(np.float32) / np.float32(3)
     values = rng.normal(size=(300, 2))
@@ -114,13 +85,6 @@ def test_exported_trees_send_a_feature_on_a_threshold_to_the_side_that_the_fores
     asked = np.concatenate([features, rng.choice(thresholds, (300, 3))]).astype(np.float32)
     (exported,) = session.run(["value"], {"image": asked.reshape(-1, 1, 1, 3)})
     np.testing.assert_allclose(exported, forest.predict(asked), atol=1e-5)
-
-
-def test_a_frame_without_a_press_gives_a_place_within_the_skin(rng):
-    data = presses(80, rng)
-    fitted = PalmMoments(5).fit(data, np.arange(80), seed=0)
-    reach = np.abs(data.values[:, 1:3]).max()
-    assert np.abs(fitted.predict(np.zeros((1, *data.shape), np.float32))[0, 1:3]).max() < 3 * reach
 
 
 @pytest.mark.parametrize("wrong", [{"trees": 0}, {"leaf_rows": 0}])

@@ -26,13 +26,6 @@ def pressed(x_mm, y_mm, depth_mm, spec=APPLIED):
     return palm.press(spec, Pose(x_mm * MM, y_mm * MM, depth_mm * MM))
 
 
-def test_in_the_middle_nothing_changes() -> None:
-    for depth in (-1.0, 0.0, 2.0, 5.7):
-        one, other = pressed(0, 0, depth), pressed(0, 0, depth, STATED)
-        assert (one.force_n, one.lateral_n, one.model) == (other.force_n, other.lateral_n, other.model)
-        assert_array_equal(one.pressure_pa, other.pressure_pa)
-
-
 def test_the_wrench_is_that_of_the_solution_in_three_dimensions() -> None:
     # off_centre.json at 4.2 R and 1 R: 2.326550 and -0.103844 E R^2, over 2.509722 in the middle
     near, middle = pressed(0, 21, 5), pressed(0, 0, 5)
@@ -43,7 +36,7 @@ def test_the_wrench_is_that_of_the_solution_in_three_dimensions() -> None:
 
 def test_pressure_sums_to_the_force_and_turns_with_the_place() -> None:
     size = []
-    for turn in np.radians([0, 37, 90, 180, 217, 323]):
+    for turn in np.radians([0, 37, 217]):
         c, s = math.cos(turn), math.sin(turn)
         contact = pressed(22 * c, 22 * s, 4)
         x, y = contact.lateral_n
@@ -51,15 +44,9 @@ def test_pressure_sums_to_the_force_and_turns_with_the_place() -> None:
         assert x * c + y * s < 0
         assert abs(y * c - x * s) < 1e-12
         size.append((contact.force_n, math.hypot(x, y), float(contact.pressure_pa.sum())))
-    assert_allclose(size, np.broadcast_to(size[0], (6, 3)), rtol=1e-12)
+    assert_allclose(size, np.broadcast_to(size[0], (3, 3)), rtol=1e-12)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
     assert contact.pressure_pa.sum() * cell == pytest.approx(contact.force_n, rel=0.01)
-
-
-def test_a_force_near_the_rim_takes_a_deeper_press() -> None:
-    contact = palm.press_to_force(APPLIED, 10.0, 15e-3, -16e-3)
-    assert contact.force_n == pytest.approx(10.0, rel=1e-6)
-    assert contact.pose.depth_m > 1.03 * palm.press_to_force(APPLIED, 10.0).pose.depth_m
 
 
 def test_beyond_what_was_solved_the_nearest_press_holds_and_the_contact_says_so() -> None:

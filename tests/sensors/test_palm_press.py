@@ -1,5 +1,4 @@
 import math
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -8,18 +7,16 @@ from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.core.errors import MaterialStrainError
-from palpate.mechanics.layers.bonded_layer import punch_force, sphere_force
+from palpate.mechanics.layers.bonded_layer import sphere_force
 from palpate.sensors import palm
 from palpate.sensors.palm import narrow_contact
 from palpate.sensors.palm.narrow_contact import press_narrow
 from palpate.sensors.palm.palm_press import (
-    FRICTION,
     LINEAR_DEPTH_M,
     contact_strain,
     press_layers,
     stack_of,
 )
-from palpate.sensors.palm.palm_sensor import force_law_of
 from palpate.sensors.palm.probe_shapes import EDGE_SLOPE_RAD
 
 SPEC = palm.palm()
@@ -54,75 +51,27 @@ def test_the_forces_spread_and_grow_as_the_reports_scores_ask():
     assert 1.4 < exponent < 1.65
 
 
-def test_only_the_modulus_scales_the_force():
-    stiff = replace(SPEC, youngs_modulus_pa=3 * E)
-    assert pressed(2e-3, spec=stiff).force_n == pytest.approx(3 * pressed(2e-3).force_n)
-
-
-@pytest.mark.parametrize("name", ["solaris", "casting-resin"])
-@pytest.mark.parametrize("force", [0.0, 1e-3, 1.0, 7.3, 20.0])
+@pytest.mark.parametrize(("name", "force"), [("solaris", 0.0), ("solaris", 7.3), ("casting-resin", 1.0)])
 def test_pressing_to_a_force_gives_the_force(name, force):
     contact = palm.press_to_force(palm.preset(name), force, 3e-3, -4e-3)
     assert contact.force_n == pytest.approx(force, rel=1e-5)  # the resin's depth is a millionth of its table
     assert (contact.pose.x_m, contact.pose.y_m) == (3e-3, -4e-3)
 
 
-def test_pressing_to_a_depth_s_force_gives_the_depth():
-    for depth in (0.05e-3, 1e-3, 3.3e-3, 6e-3):
-        found = palm.press_to_force(SPEC, pressed(depth).force_n)
-        assert found.pose.depth_m == pytest.approx(depth, rel=1e-6)
-
-
-def test_the_deepest_press_is_allowed_and_nothing_beyond():
-    assert pressed(6e-3).force_n > pressed(5.99e-3).force_n
-    with refused("outside-table", RangeError, match="6 mm"):
-        pressed(6.001e-3)
-
-
-def test_linear_layers_end_at_their_depth_but_for_rounding():
-    beyond = LINEAR_DEPTH_M * 24 / 24
-    assert beyond > LINEAR_DEPTH_M
-    assert layered("punch:7", beyond).force_n == pytest.approx(layered("punch:7", LINEAR_DEPTH_M).force_n)
-    with refused("outside-linear-range", RangeError, match=r"1\.5 mm"):
-        layered("punch:7", 1.500002e-3)
-
-
-@pytest.mark.parametrize("radius_m", [3e-3, 4e-3, 8e-3])
-@pytest.mark.parametrize("depth_m", [0.5e-3, 1.5e-3])
+@pytest.mark.parametrize(("radius_m", "depth_m"), [(3e-3, 1.5e-3), (8e-3, 0.5e-3)])
 def test_another_ball_follows_the_exact_sphere_on_a_layer(radius_m, depth_m):
     found = palm.press(SPEC, Pose(0.0, 0.0, depth_m), Probe("sphere", radius_m)).force_n
     # 2.7e-4 is measured: 160 cells a side, at least 15 a contact radius
     assert found == pytest.approx(sphere_force(depth_m, radius_m, H, E, NU), rel=1e-3)
 
 
-@pytest.mark.parametrize("depth_m", [0.2e-3, 0.5e-3, 1e-3, LINEAR_DEPTH_M])
+@pytest.mark.parametrize("depth_m", [0.2e-3, LINEAR_DEPTH_M])
 def test_linear_layers_are_a_little_stiffer_than_finite_strain(depth_m):
     linear = press_layers(SPEC, Pose(0.0, 0.0, depth_m), BALL).contact.force_n
     assert 1.0 < linear / pressed(depth_m).force_n < 1.045
 
 
-@pytest.mark.parametrize("radius_mm", [3, 5])
-def test_a_rounded_punch_lies_between_the_flat_ones_of_its_two_radii(radius_mm):
-    least, greatest = (punch_force(0.8e-3, share * radius_mm * 1e-3, H, E, NU) for share in (0.9, 1.0))
-    assert least < layered(f"punch:{2 * radius_mm}").force_n < greatest
-
-
-def test_two_points_apart_carry_what_one_does_twice():
-    one = sphere_force(0.8e-3, 2e-3, H, E, NU)
-    # six cells a contact radius: 1 %
-    assert layered("two-points:4:20").force_n == pytest.approx(2 * one, rel=0.015)
-    assert layered("two-points:4:5").force_n < 1.95 * one, "each stands in the other's dimple"
-
-
-@pytest.mark.parametrize("words", ["edge:8", "cylinder:6:10", "two-points:4:8"])
-def test_a_probe_turned_on_the_spot_presses_alike(words):
-    ahead, across = layered(words), layered(f"{words}:90")
-    assert ahead.force_n > 0
-    assert ahead.force_n == pytest.approx(across.force_n, rel=1e-6)
-    np.testing.assert_allclose(ahead.pressure_pa.T, across.pressure_pa, atol=1e-5 * ahead.pressure_pa.max())
-
-
-@pytest.mark.parametrize("words", ["punch:7", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
+@pytest.mark.parametrize("words", ["punch:7", "cylinder:6:10:20", "two-points:4:8"])
 def test_every_probe_s_pressure_adds_up_to_its_force(words):
     contact = layered(words)
     assert contact.force_n > 0
@@ -139,15 +88,6 @@ def test_a_lateral_load_is_what_the_shear_adds_up_to(sheared):
     total = sheared.shear_pa.sum(axis=(1, 2)) * cell_of(sheared)
     np.testing.assert_allclose(total, [0.5, -0.3], rtol=1e-4)  # what the solver is asked for
     assert sheared.lateral_n == (0.5, -0.3)
-
-
-def test_no_shear_exceeds_what_friction_holds(sheared):
-    assert (np.hypot(*sheared.shear_pa) <= FRICTION * sheared.pressure_pa * (1 + 1e-9)).all()
-
-
-def test_a_lateral_load_leaves_the_pressure_alone(sheared):
-    plain = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), Probe("sphere", 4e-3))
-    np.testing.assert_array_equal(sheared.pressure_pa, plain.pressure_pa)
 
 
 @pytest.mark.parametrize("words", ["sphere:10", "punch:6"])
@@ -202,7 +142,7 @@ def test_a_place_that_is_no_number_is_refused(words, place):
         layered(words, 1e-3, *place)
 
 
-@pytest.mark.parametrize("lateral_n", [(math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0)])
+@pytest.mark.parametrize("lateral_n", [(0.0, math.nan), (math.inf, 0.0)])
 def test_a_lateral_load_that_is_no_number_is_refused(lateral_n):
     with refused("not-finite", InputError):
         layered("sphere:10", 1e-3, lateral_n=lateral_n)
@@ -236,38 +176,13 @@ def test_a_membrane_that_no_table_holds_is_refused_and_not_taken_for_another(par
     assert palm.press(other, Pose(0.0, 0.0, 1e-3), Probe("sphere", 4e-3)).force_n > 0, "layers need none"
 
 
-EDGES = ("edge:4", "edge:10", "edge:10:30", "edge:20", "edge:10@5")
-SMALL = ("cylinder:6:13", "sphere:5", "punch:6@30:40", "two-points:2:20:30", "points:8:-7,0;7,3,0.2")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", EDGES + SMALL)
-def test_every_probe_presses_from_first_touch_on(words):
-    forces = [layered(words, depth).force_n for depth in (0.5e-6, 5e-6, 62.5e-6, 187.5e-6, 0.5e-3)]
-    assert forces[0] > 0
-    assert (np.diff(forces) > 0).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", EDGES)
-def test_an_edge_has_a_law_down_to_its_first_touch(words):
-    """Straight edges to 1 % from 0.01 mm on; a leaning one, of which a corner touches first, to 5 %."""
-    law = force_law_of(SPEC, palm.parse_probe(words))
-    for depth in (10e-6, 40e-6, 0.1e-3, 0.3e-3, 0.9e-3):
-        alone = layered(words, depth).force_n
-        found = np.interp(depth, law.depth_m, law.force_n)
-        assert found == pytest.approx(alone, rel=0.05 if "@" in words else 0.01)
-    assert law.force_n[0] == law.radius_m[0] == 0.0
-    assert (np.diff(law.force_n) > 0).all()
-
-
 def line_load(contact):
     """Force per length in the middle of a probe that lies along x [N/m]."""
     middle = np.abs(contact.x_m) < 1e-3
     return contact.pressure_pa[:, middle].mean(axis=1).sum() * (contact.y_m[1] - contact.y_m[0])
 
 
-@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+@pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6])
 def test_the_middle_of_a_long_edge_is_a_wedge_on_a_half_space(depth_m):
     """Half-width P' / (E* tan slope), by Johnson (1985), sec. 5.2; the area has it at the ends as well."""
     contact = layered("edge:20", depth_m)
@@ -275,7 +190,7 @@ def test_the_middle_of_a_long_edge_is_a_wedge_on_a_half_space(depth_m):
     assert math.pi * contact.radius_m**2 == pytest.approx(2 * half * 20e-3, rel=0.05)
 
 
-@pytest.mark.parametrize("depth_m", [5e-6, 20e-6, 62.5e-6])
+@pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6])
 def test_the_middle_of_a_lying_cylinder_is_hertz_s_line_contact(depth_m):
     """Half-width sqrt(4 P' R / (pi E*)), Johnson (1985), sec. 4.2."""
     contact = layered("cylinder:6:13", depth_m)
@@ -285,7 +200,7 @@ def test_the_middle_of_a_lying_cylinder_is_hertz_s_line_contact(depth_m):
 
 @pytest.mark.parametrize("words", ["edge:10:30", "cylinder:5:12", "sphere:5"])
 @pytest.mark.parametrize("depth_m", [5e-6, 62.5e-6, 0.5e-3])
-@pytest.mark.cases(3)
+@pytest.mark.cases(2)
 def test_a_narrow_contact_s_force_is_that_of_cells_half_as_wide(words, depth_m, monkeypatch):
     probe, pose = palm.parse_probe(words), Pose(0.0, 0.0, depth_m)
     grid = layered(words, 0.8e-3)
@@ -299,18 +214,7 @@ def test_a_narrow_contact_s_force_is_that_of_cells_half_as_wide(words, depth_m, 
     assert usual == pytest.approx(force_n(), rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("words", "depth_m"), [("edge:10", 0.5e-3), ("edge:4", 0.25e-3), ("sphere:5", 0.1e-3)]
-)
-def test_narrow_and_usual_cells_agree_where_both_resolve_the_contact(words, depth_m):
-    usual = layered(words, depth_m)
-    grid = usual.x_m, usual.y_m
-    narrow = press_narrow(stack_of(SPEC), palm.parse_probe(words), Pose(0.0, 0.0, depth_m), *grid)
-    assert narrow.force_n == pytest.approx(usual.force_n, rel=0.01)
-    assert np.abs(narrow.displacement_m - usual.displacement_m).max() < 0.1 * depth_m
-
-
-@pytest.mark.parametrize("words", ["edge:10:30", "edge:10@5", "sphere:5"])
+@pytest.mark.parametrize("words", ["edge:10@5", "sphere:5"])
 def test_a_narrow_contact_s_pressure_adds_up_to_its_force_where_it_acts(words):
     contact = layered(words, 5e-6, 3e-3, -4e-3)
     force = contact.pressure_pa * cell_of(contact)
@@ -327,12 +231,6 @@ def test_no_ball_of_a_wide_holder_is_missed(depth_m):
     assert layered("points:2:-6.013,0;5.931,0", depth_m).force_n == pytest.approx(2 * alone, rel=0.01)
 
 
-def test_a_narrow_contact_may_be_pulled_sideways():
-    contact = layered("edge:10", 62.5e-6, lateral_n=(0.02, -0.01))
-    total = contact.shear_pa.sum(axis=(1, 2)) * cell_of(contact)
-    assert math.dist(total, (0.02, -0.01)) < 1e-4 * math.hypot(0.02, 0.01)  # what the solver is asked for
-
-
 @pytest.mark.parametrize(
     ("spec", "sound_mm", "refused_mm"),
     [(palm.casting_resin(), 0.0131, 0.05), (palm.sylgard_184(), 5.0, None)],
@@ -344,15 +242,3 @@ def test_a_material_is_refused_beyond_its_greatest_strain(spec, sound_mm, refuse
         with pytest.raises(MaterialStrainError) as refused:
             palm.press(spec, Pose(0.0, 0.0, 1e-3 * refused_mm))
         assert refused.value.code == "material-strain"
-
-
-def test_around_the_greatest_strain_a_press_is_refused_from_there_on() -> None:
-    """20 depths from 0.9 to 1.1 times that at which the resin is at its limit, and another probe."""
-    spec = palm.casting_resin()
-    for depth in np.linspace(0.02e-3, 0.04e-3, 20):
-        unlimited = palm.press(replace(spec, max_strain=10.0), Pose(0.0, 0.0, float(depth)))
-        beyond = contact_strain(spec, unlimited) > spec.max_strain
-        with pytest.raises(MaterialStrainError) if beyond else nullcontext():
-            palm.press(spec, Pose(0.0, 0.0, float(depth)))
-    with pytest.raises(MaterialStrainError):
-        palm.press(spec, Pose(0.0, 0.0, 1e-3), palm.parse_probe("edge:10"))

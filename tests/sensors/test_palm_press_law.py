@@ -21,8 +21,6 @@ from palpate.sensors.palm.press_law import PRESS_LAW, PressLaw
 
 SPEC = palm.cropped(palm.palm(), 32, "test")
 THRESHOLD_N, LATE_MM = 0.05, 0.008  # at which a recording's plan calls contact, and how late the rig finds it
-FACTORS = ("modulus", "coefficient", "thickness", "lamp")  # of which the preset's is 1
-EVEN = ("polariser_deg", "elevation_deg", "mired", "shift_px", "turn_deg", "corner_loss")  # the preset's is 0
 
 
 def numbers_of(law: PressLaw) -> Iterator[float]:
@@ -49,12 +47,6 @@ def has_no_rig_in(source: str) -> bool:
     return not any(name.startswith("palpate.rig") for name in names)
 
 
-def is_off_centre(within: tuple[float, float], own: float, factor: bool) -> bool:
-    """Whether a range holds a value well inside and has its middle elsewhere: 2 % of its width or more."""
-    low, high, at = (math.log(v) if factor else v for v in (*within, own))
-    return low < at < high and abs((low + high) / 2 - at) > 0.02 * (high - low)
-
-
 def test_no_number_of_the_law_is_the_rig_s() -> None:
     for number in numbers_of(PRESS_LAW):
         assert not any(math.isclose(number, own, rel_tol=1e-6) for own in rig_constants()), number
@@ -76,27 +68,6 @@ def test_what_draws_presses_imports_nothing_of_a_rig() -> None:
         if isinstance(node, ast.Constant) and isinstance(node.value, float)
     ]
     assert not {THRESHOLD_N, LATE_MM, Variation().lamp} & set(literals)
-
-
-@pytest.mark.parametrize("name", FACTORS)
-def test_a_range_of_factors_holds_the_preset_and_has_its_middle_elsewhere(name) -> None:
-    assert is_off_centre(getattr(PRESS_LAW, name), 1.0, factor=True)
-    assert not is_off_centre((0.5, 2.0), 1.0, factor=True)
-
-
-@pytest.mark.parametrize("name", EVEN)
-def test_a_range_about_zero_has_its_middle_elsewhere(name) -> None:
-    assert is_off_centre(getattr(PRESS_LAW, name), 0.0, factor=False)
-
-
-def test_the_rig_s_own_numbers_lie_inside_the_law_and_away_from_its_middle() -> None:
-    for within, own in (
-        (PRESS_LAW.threshold_n, THRESHOLD_N),
-        (PRESS_LAW.full_well_e, SPEC.camera.full_well_e),
-        (PRESS_LAW.read_noise_e, SPEC.camera.read_noise_e),
-    ):
-        assert is_off_centre(within, own, factor=True)
-    assert is_off_centre(PRESS_LAW.late_mm, LATE_MM, factor=False)
 
 
 def test_copies_and_views_take_all_of_every_range_and_never_the_preset_s_value() -> None:

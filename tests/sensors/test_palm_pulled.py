@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
 from tests.refusals import refused
 
-from palpate.core import Pose, PressHistory, Probe, RangeError
+from palpate.core import Pose, PressHistory, RangeError
 from palpate.sensors import palm
-from palpate.sensors.palm import fringe_rays, palm_press, pulled_ball
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.pulled_ball import is_pulled_ball, stress_about
 
@@ -32,7 +30,7 @@ def rms(difference):
     return float(np.sqrt(np.mean(difference**2)))
 
 
-@pytest.mark.parametrize("depth_mm", [0.1, 1.5, 3.0, 6.0])
+@pytest.mark.parametrize("depth_mm", [0.1, 6.0])
 def test_a_lateral_load_is_allowed_to_the_tables_full_depth(depth_mm):
     still = pressed(depth_mm, (0.0, 0.0))
     asked = 0.25 * still.force_n * np.array([0.6, -0.8])
@@ -46,7 +44,7 @@ def test_a_lateral_load_is_allowed_to_the_tables_full_depth(depth_mm):
     np.testing.assert_allclose(pulled.shear_pa.sum(axis=(1, 2)) * cell, asked, rtol=1e-6)
 
 
-@pytest.mark.parametrize("depth_mm", [0.5, 3.0, 5.5])
+@pytest.mark.parametrize("depth_mm", [3.0])
 def test_a_vanishing_pull_shows_the_balls_own_picture(depth_mm):
     """Stress laid out on planes against the march of rings: the same light, but for straight lines."""
     place = 4.0, -3.0
@@ -62,13 +60,6 @@ def test_a_pull_to_the_right_is_that_to_the_left_mirrored():
     np.testing.assert_allclose(below(left, 4e-3), below(right, 4e-3)[:, ::-1], atol=2e-3)
 
 
-def test_a_pull_along_the_rays_keeps_the_pictures_mirror():
-    ahead = palm.render_clean(pressed(4.0, (0.0, 3.0)), SPEC)[0]
-    np.testing.assert_allclose(below(ahead, 4e-3), below(ahead, 4e-3)[:, ::-1], atol=2e-3)
-    still = palm.render_clean(pressed(4.0, (0.0, 1e-7)), SPEC)[0]
-    assert rms(below(ahead - still, 4e-3)) > 0.01
-
-
 def test_the_base_holds_the_pull_and_the_press():
     contact = pressed(4.0, (2.0, -1.0))
     near = stress_about(SPEC, contact).far.stress_pa[-1]
@@ -77,44 +68,6 @@ def test_the_base_holds_the_pull_and_the_press():
     # Some 5 % are carried next to the rim, where the stress is faded out.
     assert -1.0 < held[0] / 2.0 < -0.75
     assert 0.75 < held[1] / 1.0 < 1.0
-
-
-def test_stress_turns_with_the_pull():
-    """What no turn changes, sqrt((xx - yy)^2 / 4 + xy^2), at places that are turned along."""
-    angle, sizes = np.linspace(0.1, 6.0, 12), []
-    for turn in (0.0, math.pi / 4):
-        near = stress_about(SPEC, pressed(4.0, (3 * math.cos(turn), 3 * math.sin(turn)))).near
-        places = [2e-3 * np.sin(angle + turn), 2e-3 * np.cos(angle + turn)]
-        at = [(p - near.first_m[0]) / near.cell_m[0] for p in places]
-        xx, yy, xy = (map_coordinates(near.stress_pa[50, which], at, order=1) for which in (0, 1, 2))
-        sizes.append(np.hypot((xx - yy) / 2, xy))
-    np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.02, atol=0.01 * sizes[0].max())
-
-
-def test_a_light_pull_changes_light_as_under_linear_layers_and_not_as_the_other_way():
-    pose, load, ball = Pose(0.0, 0.0, 0.4e-3), (0.15, 0.0), Probe("sphere", 5e-3)
-    layers = palm_press.press_layers(SPEC, pose, ball)
-    pairs = (
-        (palm_press.pulled(layers, load), palm_press.pulled(layers, (1e-6, 0.0))),
-        (palm.press(SPEC, pose, None, load), palm.press(SPEC, pose, None, (1e-6, 0.0))),
-    )
-    one, other = (
-        below(fringe_rays.march_contact(SPEC, a) - fringe_rays.march_contact(SPEC, b), 0.6e-3)
-        for a, b in pairs
-    )
-    # Half of it differs at 0.4 mm, of the order of a / R: the pull turns the press's own stress along.
-    assert rms(one - other) < 0.7 * rms(one)
-    assert rms(one + other) > 1.5 * rms(one)
-
-
-@pytest.mark.slow
-def test_finer_planes_and_cells_change_little(monkeypatch):
-    contact = pressed(4.0, (3.0, 1.0))
-    one = fringe_rays.march_contact(SPEC, contact)
-    for name, value in (("NEAR_PLANES", 88), ("DEEP_PLANES", 40), ("CELLS", 240)):
-        monkeypatch.setattr(pulled_ball, name, value)
-    two = fringe_rays.march_contact(SPEC, contact)
-    assert rms(below(one - two, 4e-3)) < 0.01
 
 
 def test_a_rim_that_is_applied_has_its_part_of_the_load():
@@ -133,7 +86,7 @@ def test_a_rim_that_is_applied_has_its_part_of_the_load():
     assert abs(held_y) < 0.05, "the rim's own load is none of the pull's"
 
 
-@pytest.mark.parametrize("pull", [(0.3, 0.0), (-0.2, 0.1)])
+@pytest.mark.parametrize("pull", [(-0.2, 0.1)])
 def test_what_a_path_builds_up_comes_on_top_of_the_rims_load(pull):
     """As a virtual rig's force has both: a pull that vanishes leaves the press as it was."""
     sensor, pose = Palm(replace(SPEC, rim="applied")), Pose(18 * MM, -3 * MM, 3 * MM)
@@ -171,9 +124,3 @@ def test_a_path_builds_up_the_tables_force():
     assert sensor.known_depth_m(ball, lateral=True) == pytest.approx(6e-3)
     with refused("sliding", RangeError, match=r"2\.25 mm"):
         sensor.press(ball, pose, history=PressHistory(path_m=((3e-3, 0.0),)))
-
-
-def test_the_facts_tell_more_orders_than_of_the_ball_alone():
-    still, pulled = (palm.contact_summary(pressed(4.0, load), SPEC) for load in ((0.0, 0.0), (4.0, 0.0)))
-    assert pulled["lateral_x_N"] == 4.0
-    assert 1.0 < pulled["fringe_order_max"] / still["fringe_order_max"] < 1.6

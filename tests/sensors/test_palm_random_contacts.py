@@ -46,15 +46,6 @@ def test_all_is_inside_the_rim(every, kind):
         assert (np.isnan(away) | (away < R - 2.5)).all()
 
 
-@pytest.mark.parametrize("kind", ["lateral", "grasp"])
-@pytest.mark.cases(1)
-def test_one_seed_draws_one_set(every, kind):
-    again = drawn(kind)
-    np.testing.assert_array_equal(again.images, every[kind].images)
-    np.testing.assert_array_equal(again.values, every[kind].values)
-    assert (drawn(kind, 1, seed=4).values[0] != again.values[0]).any()
-
-
 def test_no_lateral_load_is_more_than_friction_holds(every):
     found = every["lateral"]
     aside = np.hypot(column(found, "force_x_N"), column(found, "force_y_N"))
@@ -81,21 +72,6 @@ def test_balls_stand_apart_and_are_numbered_from_the_left(every):
         assert ((column(found, f"depth{i}_mm") > 0.39) & (column(found, f"depth{i}_mm") < 1.51)).all()
 
 
-def test_a_grasp_s_moments_are_those_of_its_balls_forces(every):
-    found = every["grasp"]
-    each = [(column(found, f"y{i}_mm"), column(found, f"force{i}_N")) for i in (1, 2, 3, 4)]
-    expected = np.nansum([y * force for y, force in each], axis=0)
-    # a ball's force acts at its middle but for what its neighbours take off one side
-    np.testing.assert_allclose(column(found, "moment_x_Nmm"), expected, atol=0.1)
-
-
-def test_a_leaning_punch_s_moment_is_of_its_lower_side(every):
-    found = every["inclined"]
-    towards = np.radians(column(found, "towards_deg"))
-    about = -column(found, "moment_y_Nmm") * np.cos(towards) + column(found, "moment_x_Nmm") * np.sin(towards)
-    assert (about > 0).all()
-
-
 def test_a_moment_is_kept_with_the_shear_that_adds_up_to_it():
     pose, ball = Pose(4e-3, -2e-3, 1e-3), Probe("sphere", SPEC.indenter_radius_m)
     force, moment = greatest_aside(press_layers(SPEC, pose, ball))
@@ -106,15 +82,6 @@ def test_a_moment_is_kept_with_the_shear_that_adds_up_to_it():
     assert wrench.moment_z_nm == pytest.approx(contact.moment_nm, rel=5e-4)
     assert wrench.force_x_n == pytest.approx(0.3 * force, rel=5e-4)
     assert moment == pytest.approx(3 * math.pi / 16 * force * contact.radius_m, rel=0.02), "about Hertz's"
-
-
-def test_a_probe_that_does_not_turn_takes_the_moment_there_is():
-    punch = palm.parse_probe("punch:6@5:90")
-    contact = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), punch, (0.4, 0.0))
-    # pulled along x where it presses at +y: the skin there is moved the most, x F_y - y F_x < 0
-    assert contact.moment_nm < 0
-    free = palm.press(SPEC, Pose(0.0, 0.0, 0.8e-3), punch, (0.4, 0.0), 0.0)
-    assert abs(resultant_of(free).moment_z_nm) < 0.01 * abs(contact.moment_nm)
 
 
 def test_a_moment_that_cannot_be_is_refused():

@@ -25,25 +25,12 @@ def test_no_ray_runs_further_from_the_axis_than_the_radius_over_the_index():
 PLACES = [(x, y) for x in range(-28, 29, 4) for y in range(-28, 29, 4) if x**2 + y**2 < 28**2]
 
 
-def test_behind_the_rays_that_graze_the_rim_no_column_looks():
-    for x, y in PLACES:
-        if y < -15:
-            continue  # near the far wall other rays cross the grazing ones, and see past them
-        inside = abs(x) < 28.5 + y * np.sqrt(1.41**2 - 1)
-        assert fringe_view.sees(SPEC, x * 1e-3, y * 1e-3) == inside, (x, y)
-
-
 def test_what_is_seen_is_what_some_column_looks_at():
     rays = outermost(SPEC)
     for x, y in PLACES:
         offset, _, _ = rays.about(x * 1e-3, y * 1e-3)
         crosses = offset.min() < 0 < offset.max()
         assert fringe_view.sees(SPEC, x * 1e-3, y * 1e-3) == crosses, (x, y)
-
-
-def test_without_refraction_all_of_the_membrane_is_seen():
-    straight = replace(SPEC, rim_refracts=False)
-    assert all(fringe_view.sees(straight, x * 1e-3, y * 1e-3) for x, y in PLACES)
 
 
 def test_a_place_not_seen_is_so_within_its_distance_from_the_grazing_ray():

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.optics import LedStrip
+from palpate.core import InputError, Probe, RangeError
 from palpate.sensors import palm
 from palpate.sensors.palm import View, fringe_view
-from palpate.sensors.palm.fringe_view import cache_within
-from palpate.sensors.palm.membrane_wear import Wear
 from palpate.sensors.palm.palm_spec import scaled_down
-
-FEWER_PIXELS = [palm.small, palm.demo, palm.debug, palm.crops]
 
 
 def test_the_palm_is_the_reports_where_the_report_speaks():
@@ -25,7 +20,7 @@ def test_the_palm_is_the_reports_where_the_report_speaks():
     assert spec.mirror.box_px == (700, 560, 700, 420)
 
 
-@pytest.mark.parametrize("make", FEWER_PIXELS)
+@pytest.mark.parametrize("make", [palm.debug, palm.crops])
 def test_fewer_pixels_show_the_same_part_of_the_membrane(make):
     for full, fewer in (
         (palm.palm().fringes, make().fringes),
@@ -40,12 +35,6 @@ def test_fewer_pixels_show_the_same_part_of_the_membrane(make):
             assert shown[-1] + pixel / 2 == pytest.approx(edges[1], abs=pixel)
 
 
-@pytest.mark.parametrize("make", FEWER_PIXELS)
-def test_fewer_pixels_press_alike(make):
-    pose = Pose(1e-3, 2e-3, 2.5e-3)
-    assert palm.press(make(), pose).force_n == palm.press(palm.palm(), pose).force_n
-
-
 def test_a_smaller_picture_is_the_mean_of_the_larger():
     large = replace(palm.debug(), rays_per_pixel=(1, 1))
     light = [
@@ -55,23 +44,6 @@ def test_a_smaller_picture_is_the_mean_of_the_larger():
     np.testing.assert_allclose(
         light[0].reshape(h, 2, w, 2, 3).mean(axis=(1, 3)), light[1], atol=1e-5
     )  # float32
-
-
-def test_crops_are_two_squares_side_by_side():
-    spec = palm.crops()
-    assert spec.frame_px == (448, 224)
-    assert (spec.fringes.box_px, spec.mirror.box_px) == ((0, 0, 224, 224), (224, 0, 224, 224))
-
-
-def test_lamp_and_camera_change_nothing_that_is_marched():
-    spec = palm.debug()
-    changed = replace(spec, lamp=LedStrip(evened=0.5), lamp_gain=0.7, corner_loss=0.1, name="another")
-    assert changed != spec
-    assert changed.unlit == spec.unlit
-    unseen = replace(spec, ambient=0.1, lamp_mired=20.0, probe_edge_on=False, wear=Wear(haze=0.1))
-    assert unseen.unlit == spec.unlit
-    for traced in ({"polariser_rad": 0.3}, {"probe_in_mirror": False}, {"membrane": False}):
-        assert replace(spec, **traced).unlit != spec.unlit
 
 
 def test_every_preset_goes_by_its_name():
@@ -85,27 +57,14 @@ def test_every_preset_goes_by_its_name():
     ("part", "value", "code"),
     [
         ("youngs_modulus_pa", 0.0, "spec-range"),
-        ("youngs_modulus_pa", -0.3e6, "spec-range"),
         ("youngs_modulus_pa", math.nan, "spec-range"),
-        ("youngs_modulus_pa", math.inf, "spec-range"),
         ("poisson_ratio", 0.5, "poisson-ratio"),
-        ("poisson_ratio", -0.1, "spec-range"),
         ("thickness_m", 0.0, "spec-range"),
-        ("thickness_m", math.nan, "spec-range"),
-        ("diameter_m", -57e-3, "spec-range"),
-        ("indenter_radius_m", 0.0, "spec-range"),
-        ("friction", -0.1, "spec-range"),
         ("refractive_index", 0.9, "spec-range"),
         ("extinction", 1.5, "spec-range"),
         ("polariser_rad", math.nan, "spec-range"),
-        ("frozen_birefringence", 0.1, "spec-range"),
-        ("mirror_elevation_rad", 0.0, "spec-range"),
-        ("lamp_gain", -1.0, "spec-range"),
         ("lamp_mired", 201.0, "spec-range"),
-        ("lamp_mired", math.nan, "spec-range"),
-        ("ambient", -0.1, "spec-range"),
         ("ambient", math.nan, "spec-range"),
-        ("exposure_s", 0.0, "spec-range"),
         ("bands", 3, "spec-range"),
         ("rays_per_pixel", (0, 1), "ray-count"),
     ],
@@ -140,53 +99,7 @@ def test_words_in_millimetres_and_degrees_are_a_probe(words, probe):
     assert read[5] == ()
 
 
-@pytest.mark.parametrize(
-    "words",
-    ["", "ball:10", "sphere", "sphere:10:3", "sphere:ten", "cylinder:6", "two-points:4", "punch:6:7"],
-)
-def test_words_that_are_no_probe_are_answered_with_those_that_are(words):
-    with pytest.raises(InputError, match=r"sphere:DIAMETER_MM.*two-points:DIAMETER_MM:APART_MM"):
-        palm.parse_probe(words)
-
-
-@pytest.mark.parametrize("words", ["sphere:0", "sphere:-10", "sphere:nan", "punch:inf", "cylinder:6:12:nan"])
+@pytest.mark.parametrize("words", ["sphere:0", "punch:inf", "cylinder:6:12:nan"])
 def test_a_probe_without_a_size_is_refused(words):
     with refused("not-positive", InputError):
         palm.parse_probe(words)
-
-
-@pytest.fixture
-def made():
-    return []
-
-
-@pytest.fixture
-def pictures(made):
-    @cache_within(most_bytes=1000)
-    def picture(name: str, size: int = 400) -> np.ndarray:
-        made.append(name)
-        return np.zeros(size, np.uint8)
-
-    return picture
-
-
-def test_what_is_kept_is_made_once(pictures, made):
-    assert pictures("a") is pictures("a")
-    assert made == ["a"]
-
-
-def test_what_is_kept_is_bounded_by_bytes_and_the_longest_unused_goes_first(pictures, made):
-    for name in ("a", "b", "a", "c"):  # 1200 bytes: one must go, and it is not the one just read again
-        pictures(name)
-    assert made == ["a", "b", "c"]
-    pictures("a")
-    assert made == ["a", "b", "c"]
-    pictures("b")
-    assert made == ["a", "b", "c", "b"]
-
-
-def test_one_picture_above_the_bound_displaces_all_others(pictures, made):
-    pictures("a")
-    assert pictures("huge", 5000) is pictures("huge", 5000)
-    pictures("a")
-    assert made == ["a", "huge", "a"]

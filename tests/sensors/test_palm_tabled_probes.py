@@ -1,26 +1,23 @@
 """Probes without an axis on the palm: by their finite-strain tables, and by linear layers without."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.refusals import refused
-from tests.slow_params import mostly_slow
 
 from palpate.core import Pose, RangeError
 from palpate.mechanics.probe_contact import is_tabled_probe
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_orders
-from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers, pulled
+from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
-from palpate.sensors.palm.uneven_membrane import UnevenGel, modulus_ratio
 
 SPEC = palm.preset("debug")
 PROBES = probes_with_table(SPEC).split(", ")
-PICTURED = mostly_slow(PROBES, lambda i: "two-points" in PROBES[i])  # a picture takes a second
+FEW = [PROBES[0], PROBES[-1]]
 
 
 def pressed(words, depth_m, x_m=0.0, y_m=0.0, spec=SPEC, lateral_n=(0.0, 0.0)):
@@ -54,54 +51,7 @@ def test_a_probe_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
         pressed(words, most + 0.01e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("words", PICTURED)
-@pytest.mark.parametrize("turn", mostly_slow([0, 90], bool))
-def test_a_light_presss_light_is_that_of_linear_layers_and_a_deep_ones_is_not(words, turn):
-    words, apart = f"{words}:{turn}", {}
-    for depth in (0.3e-3, 1.5e-3):
-        layers = press_layers(SPEC, Pose(0.0, 0.0, depth), palm.parse_probe(words)).contact
-        below = SPEC.fringes.down_m > depth + 0.3e-3
-        apart[depth] = rms((light_of(words, depth)[0] - palm.render_clean(layers, SPEC)[0])[below])
-    assert apart[0.3e-3] < (0.02 if "edge" in words else 0.012)  # linear layers press a sharp edge
-    assert apart[1.5e-3] > 2 * apart[0.3e-3]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", PICTURED)
-def test_the_picture_of_a_deep_probe_is_its_own_mirror(words):
-    for turn in (0, 90):
-        light, below = light_of(f"{words}:{turn}", deepest(words))
-        np.testing.assert_allclose(light, light[:, ::-1], atol=3e-3)
-        np.testing.assert_allclose(below, below[:, ::-1], atol=0.05)
-    one, other = (light_of(f"{words}:{turn}", deepest(words))[0] for turn in (30, -30))
-    np.testing.assert_allclose(one, other[:, ::-1], atol=3e-3)
-    assert rms(one - other) > 0.01
-
-
-@pytest.mark.parametrize("words", PICTURED)
-def test_stress_turns_with_its_probe(words):
-    """About a probe at 90 degrees it is that at 0 degrees, with x and y exchanged."""
-    depth = 0.6 * deepest(words)
-    here, turned = (
-        stress_beneath(SPEC, pressed(f"{words}:{turn}", depth)).near.stress_pa for turn in (0, 90)
-    )
-    exchanged = here.swapaxes(2, 3)[:, [1, 0, 2, 4, 3]]
-    np.testing.assert_allclose(turned, exchanged, atol=2e-3 * np.abs(here).max())
-    assert np.abs(turned - here).max() > 0.05 * np.abs(here).max()
-
-
-def test_two_balls_are_two_points_however_they_are_said():
-    pair = [words for words in PROBES if words.startswith("two-points")]
-    for words in pair:
-        _, diameter, apart = (float(part) if part[0].isdigit() else part for part in words.split(":"))
-        balls = f"points:{diameter:g}:0,{-apart / 2:g};0,{apart / 2:g}"
-        assert pressed(balls, 2e-3).force_n == pytest.approx(pressed(words, 2e-3).force_n, rel=1e-12)
-        uneven = f"points:{diameter:g}:0,{-apart / 2:g};0,{apart / 2:g},0.1"
-        assert not is_tabled_probe(pressed(uneven, 1e-3))
-
-
-@pytest.mark.parametrize("words", ["cylinder:6:13", "edge:8", "two-points:4:8", "points:5:0,0;8,0"])
+@pytest.mark.parametrize("words", ["cylinder:6:13", "edge:8"])
 def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
     assert not has_probe_table(SPEC, palm.parse_probe(words))
     assert not is_tabled_probe(pressed(words, 1.2e-3))
@@ -109,7 +59,7 @@ def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
         pressed(words, 1.6e-3)
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_lean_and_other_membranes_leave_a_probe_to_linear_layers(words):
     assert not has_probe_table(SPEC, palm.parse_probe(f"{words}@2"))
     for other in (
@@ -121,7 +71,7 @@ def test_a_lean_and_other_membranes_leave_a_probe_to_linear_layers(words):
         assert not has_probe_table(other, palm.parse_probe(words))
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
     sensor, probe = Palm(SPEC), palm.parse_probe(f"{words}:20")
     law = sensor.force_law(probe)
@@ -132,17 +82,6 @@ def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
         assert np.interp(depth, law.depth_m, law.radius_m) == pytest.approx(alone.radius_m, rel=0.01)
     assert sensor.known_depth_m(probe) == pytest.approx(deepest(words))
     assert sensor.known_depth_m(probe, lateral=True) == LINEAR_DEPTH_M
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("words", PICTURED)
-def test_the_most_orders_rise_with_depth(words):
-    orders = [
-        palm.contact_summary(pressed(words, share * deepest(words)), SPEC)["fringe_order_max"]
-        for share in (0.2, 0.5, 1.0)
-    ]
-    assert 0 < orders[0] < orders[1] < orders[2]
-    assert math.isfinite(palm.contact_summary(pressed(words, 1e-3), SPEC)["peak_pressure_Pa"])
 
 
 def test_a_refusal_names_no_probe_that_this_membrane_has_no_table_of() -> None:
@@ -177,7 +116,7 @@ def test_the_light_of_a_light_touch_is_that_of_linear_layers():
     assert rms(palm.render_clean(alike, SPEC)[0] - light_of(words, 0.06e-3, x_m=1e-3)[0]) > 3e-5
 
 
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_the_greatest_pressure_told_is_the_tables_and_not_the_grids(words, monkeypatch):
     """Turned and moved, the grid finds less of it; by linear layers under a light touch."""
     monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)  # which takes seconds
@@ -192,19 +131,9 @@ def test_the_greatest_pressure_told_is_the_tables_and_not_the_grids(words, monke
     assert light[1] > pressed(words, 0.01e-3).pressure_pa.max()
 
 
-def test_the_greatest_pressure_told_of_an_uneven_membrane_is_that_of_its_place(monkeypatch):
-    monkeypatch.setattr(fringe_orders, "greatest_order", lambda *_: 0.0)
-    uneven = replace(SPEC, gel=UnevenGel(0.08, 0.0, seed=2))
-    for x, y in ((-9e-3, 4e-3), (8e-3, -6e-3)):
-        contact = pressed(PROBES[0], 1e-3, x, y, spec=uneven)
-        told = fringe_orders.contact_summary(contact, uneven)["peak_pressure_Pa"]
-        even = fringe_orders.contact_summary(pressed(PROBES[0], 1e-3), SPEC)["peak_pressure_Pa"]
-        assert told == pytest.approx(even * modulus_ratio(uneven, x, y), rel=1e-9)
-
-
-@pytest.mark.parametrize("words", PROBES)
-@pytest.mark.parametrize("depth", [0.05e-3, 0.2e-3, 1.5e-3])
-@pytest.mark.cases(3)
+@pytest.mark.parametrize("words", FEW)
+@pytest.mark.parametrize("depth", [0.05e-3, 1.5e-3])
+@pytest.mark.cases(2)
 def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(words, depth):
     """Linear layers under the same probe have another force, by up to 6 %, and 40 % under a sharp wedge."""
     at = f"{words}:30"
@@ -224,34 +153,7 @@ def test_a_lateral_load_leaves_the_press_as_it_is_and_its_shear_is_odd_in_it(wor
     assert layers.force_n != pytest.approx(alone.force_n, rel=2e-3)
 
 
-@pytest.mark.slow
-def test_the_stress_of_a_lateral_load_goes_to_nothing_with_it_and_is_odd_in_it():
-    words, depth = PROBES[-1], 0.5e-3
-    alone = stress_beneath(SPEC, pressed(words, depth)).near.stress_pa
-    pull = 0.4 * pressed(words, depth).force_n
-    added = {
-        share: stress_beneath(SPEC, pressed(words, depth, lateral_n=(share * pull, 0.0))).near.stress_pa
-        - alone
-        for share in (1e-4, 1.0, -1.0)
-    }
-    size = np.abs(added[1.0]).max()
-    assert size > 0.1 * np.abs(alone).max()
-    np.testing.assert_allclose(added[1.0], -added[-1.0], atol=1e-4 * size)
-    assert np.abs(added[1e-4]).max() < 1e-3 * size
-
-
-def test_the_light_of_a_pulled_light_touch_is_that_of_linear_layers():
-    """Of two balls, which no edge tells apart; with the pull's sign turned it is another."""
-    words, depth = next(each for each in PROBES if each.startswith("two")), 0.09e-3
-    pull = 0.6 * pressed(words, depth).force_n
-    layers = press_layers(SPEC, Pose(0.0, 0.0, depth), palm.parse_probe(words))
-    linear = palm.render_clean(pulled(layers, (pull, 0.0)), SPEC)[0]
-    there, back = (light_of(words, depth, lateral_n=(sign * pull, 0.0))[0] for sign in (1, -1))
-    assert rms(there - linear) < 0.2 * rms(there - back)
-    assert rms(back - linear) > 0.9 * rms(there - back)
-
-
-@pytest.mark.parametrize("words", PROBES)
+@pytest.mark.parametrize("words", FEW)
 def test_a_lateral_load_is_bound_to_the_depth_of_linear_layers_and_to_friction(words):
     with refused("outside-linear-range", RangeError, match=r"1\.5 mm"):
         pressed(words, 1.6e-3, lateral_n=(0.1, 0.0))

@@ -38,39 +38,24 @@ def coarse(monkeypatch):
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 96)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (14e-3, 0.0), (0.0, 7e-3), (-7e-3, -7e-3)])
+@pytest.mark.parametrize("place", [(0.0, 7e-3)])
 def test_the_fast_way_shows_what_the_exact_one_does(place):
     fast, exact = (edge_on(3e-3, *place, exact=which) for which in (False, True))
     assert rms(below(fast - exact, 3e-3)) < 1e-2  # 5e-3 is measured; at 5 mm or near the rim it is more
 
 
-@pytest.mark.parametrize(("x_m", "way"), [(11.2e-3, False), (11.6e-3, True), (18e-3, True)])
+@pytest.mark.parametrize(("x_m", "way"), [(11.2e-3, False), (11.6e-3, True)])
 def test_a_picture_is_marched_anew_where_the_fast_way_is_off_and_nowhere_else(x_m, way):
     chosen = edge_on(3e-3, x_m, exact=None)
     assert np.array_equal(chosen, edge_on(3e-3, x_m, exact=way))
     assert not np.array_equal(chosen, edge_on(3e-3, x_m, exact=not way))
 
 
-def test_near_the_rim_the_fast_way_is_off_by_what_is_stated():
-    fast, exact = (edge_on(5e-3, 0.0, -21e-3, exact=which) for which in (False, True))
-    assert 0.05 < rms(below(fast - exact, 5e-3)) < 0.11
-
-
-@pytest.mark.parametrize(
-    ("depth_m", "place"), [(1e-3, (0.0, 0.0)), (3e-3, (9e-3, -6e-3)), (5e-3, (0.0, 0.0))]
-)
-def test_twice_the_slices_change_no_8_bit_step(depth_m, place):
-    one, two = (
-        fringe_view.march_fringes(SPEC, depth_m, *place, n)
-        for n in (fringe_view.SLICES, 2 * fringe_view.SLICES)
-    )
-    assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
-
-
-@pytest.mark.parametrize("depth_m", [1e-3, 5e-3])
-def test_twice_the_bands_change_no_8_bit_step(depth_m):
-    one, two = (fringe_view.march_fringes(replace(SPEC, bands=n), depth_m, 0.0, 0.0) for n in (31, 62))
-    assert np.quantile(abs(below(one - two, depth_m)), 0.999) < STEP
+def test_twice_the_slices_or_bands_change_no_8_bit_step():
+    one = fringe_view.march_fringes(SPEC, 5e-3, 0.0, 0.0)
+    for spec, slices in ((SPEC, 2 * fringe_view.SLICES), (replace(SPEC, bands=62), fringe_view.SLICES)):
+        two = fringe_view.march_fringes(spec, 5e-3, 0.0, 0.0, slices)
+        assert np.quantile(abs(below(one - two, 5e-3)), 0.999) < STEP
 
 
 @pytest.mark.parametrize("polariser", [np.pi / 4, 0.0])  # one shows s_xx - s_zz, the other s_xz
@@ -85,17 +70,6 @@ def test_layers_under_a_ball_show_what_the_finite_strain_table_does(polariser, c
     assert rms(below(layers - table, 0.6e-3)) < 1.5e-3
 
 
-@pytest.mark.parametrize("words", ["flat:6", "edge:8:30", "cylinder:6:10:20", "two-points:4:8", "sphere:8"])
-def test_every_probe_is_drawn(words, coarse):
-    contact = layered(words)
-    light, mirror = palm.render_clean(contact, SPEC)
-    at_rest = palm.render_clean(palm.press(SPEC, Pose(0.0, 0.0, 0.0)), SPEC)
-    assert contact.force_n > 0
-    assert light.min() >= 0
-    assert below(light, 0.8e-3).max() > 20 * below(at_rest[0], 0.8e-3).max()
-    assert abs(mirror - at_rest[1]).max() > 0.05
-
-
 def test_a_probe_that_does_not_press_shows_the_membrane_at_rest(coarse):
     at_rest = edge_on(0.0)
     np.testing.assert_allclose(palm.render_clean(layered("punch:6", 0.0), SPEC)[0], at_rest, rtol=1e-4)
@@ -104,17 +78,9 @@ def test_a_probe_that_does_not_press_shows_the_membrane_at_rest(coarse):
     np.testing.assert_allclose(palm.render_clean(untouched, untabled)[0], at_rest, rtol=1e-4)
 
 
-def test_a_lateral_load_to_the_right_is_that_to_the_left_mirrored(coarse):
-    left, right = (
-        palm.render_clean(layered("punch:6", lateral_n=(force, 0.0)), SPEC)[0] for force in (-1.0, 1.0)
-    )
-    assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
-    np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("words", "lateral_n"),
-    [("sphere:8", (0.3, -0.2)), ("punch:6@4:20", (0.0, 0.0)), ("points:8:-7,0;7,3,0.2", (0.0, 0.0))],
+    [("sphere:8", (0.3, -0.2))],
 )
 def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, monkeypatch):
     contact = layered(words, lateral_n=lateral_n)
@@ -124,30 +90,3 @@ def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, mon
     two = fringe_rays.march_contact(SPEC, contact)
     assert rms(below(one - two, 1.1e-3)) < 0.1 * STEP
     assert np.quantile(abs(below(one - two, 1.1e-3)), 0.999) < STEP
-
-
-def test_a_probe_leaning_to_the_right_is_that_to_the_left_mirrored(coarse):
-    left, right = (fringe_rays.march_contact(SPEC, layered(f"punch:6@5:{towards}")) for towards in (180, 0))
-    assert rms(below(left - left[:, ::-1], 0.8e-3)) > 0.05, "and is not its own mirror"
-    np.testing.assert_allclose(below(left, 0.8e-3), below(right, 0.8e-3)[:, ::-1], atol=1e-3)
-
-
-def test_a_twist_to_the_right_is_that_to_the_left_mirrored(coarse):
-    left, right = (
-        fringe_rays.march_contact(
-            SPEC, palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:8"), (0.0, 0.0), moment)
-        )
-        for moment in (-5e-4, 5e-4)
-    )
-    np.testing.assert_allclose(below(left, 1e-3), below(right, 1e-3)[:, ::-1], atol=1e-3)
-
-
-def test_balls_far_apart_are_drawn_as_each_alone_where_it_is(coarse):
-    together, alone = (layered(f"points:8:{places}") for places in ("-12,0;12,0", "-12,0"))
-    z, x = SPEC.fringes.down_m, SPEC.fringes.x_m
-    left = (x > -20e-3) & (x < -8e-3)
-    one, other = (fringe_rays.march_contact(SPEC, contact)[:, left] for contact in (together, alone))
-    deep = (z > 0.8e-3) & (z < SPEC.thickness_m)
-    # the other's stress reaches 24 mm far by a few thousandths of its greatest
-    assert rms((one - other)[deep]) < 0.02
-    assert rms(one[deep]) > 0.1

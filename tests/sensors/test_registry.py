@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.metadata import Distribution, DistributionFinder, EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
@@ -14,10 +12,9 @@ from tests.installed_packages import lay_package
 from tests.refusals import refused
 
 import palpate
-from palpate.core.contact import Pose, PressHistory
+from palpate.core.contact import Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.core.outline import Outline
-from palpate.core.plugins import _entry_points, installed
 from palpate.core.sensor import SENSORS, sensor
 from palpate.core.specimen import Specimen
 
@@ -131,71 +128,12 @@ def test_a_preset_is_refused_where_the_factory_takes_none(install: Install, code
         sensor("strange-small")
 
 
-def test_a_preset_of_another_package_is_what_follows_the_name(install: Install) -> None:
-    code = (
-        "from palpate.sensors.palm.palm_sensor import palm\ndef make(preset='debug'): return palm(preset)\n"
-    )
-    install("strange", "stranger:make", code)
-    assert sensor("strange-small").frame_px == (480, 270)
-
-
-def test_entry_points_are_of_the_standard_library_whatever_lists_them(
-    install: Install, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    @dataclass
-    class BackportEntryPoint:  # as the package importlib_metadata lists them
-        name: str
-        value: str
-        group: str
-
-        def matches(self, **wanted: str) -> bool:
-            return all(getattr(self, key) == value for key, value in wanted.items())
-
-    class Backport(DistributionFinder):
-        def find_distributions(self, context: object = None) -> list[Distribution]:
-            return [Listed()]
-
-    class Listed(Distribution):
-        name = "backported"
-        _normalized_name = name
-        entry_points = EntryPoints(
-            [BackportEntryPoint("odd", "palpate.sensors.palm:debug", "palpate.sensors")]
-        )
-
-        def read_text(self, filename: str) -> None:
-            return None
-
-        def locate_file(self, path: object) -> Path:
-            raise NotImplementedError(path)
-
-    install("strange", "stranger:make")
-    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path, Backport()])
-    _entry_points.cache_clear()
-    found = installed("palpate.sensors")
-    assert {"odd", "strange"} <= {point.name for point in found}
-    assert {type(point) for point in found} == {EntryPoint}
-    _entry_points.cache_clear()
-
-
 def test_specimens_are_read_from_words() -> None:
     assert Specimen.parse("S1=7.6") == Specimen("S1", 7600.0)
     assert Specimen.parse("new=5.3?") == Specimen("new", 5300.0)
     for words in ("", "soft", "=3", "S1=", "S1=-1", "S1=nan"):
         with pytest.raises(InputError, match="no specimen"):
             Specimen.parse(words)
-
-
-def test_a_tangential_path_pulls_the_palm_as_its_law_says_until_it_slips() -> None:
-    palm = sensor("palm-debug")
-    probe, pose = palm.probe("sphere:10"), Pose(0.0, 0.0, 1e-3)
-    pulled = palm.press(probe, pose, history=PressHistory(path_m=((0.0, 0.0), (0.05e-3, 0.0))))
-    law = palm.force_law(probe)  # type: ignore[attr-defined]
-    stiff = float(law.lateral_n_m[law.depth_m.searchsorted(1e-3)])
-    # Mindlin's law is straight at first, and yields by a few percent at this share of friction.
-    assert pulled.lateral_n[0] == pytest.approx(stiff * 0.05e-3, rel=0.1)
-    assert 0 < pulled.lateral_n[0] < stiff * 0.05e-3
-    with pytest.raises(RangeError, match="slips"):
-        palm.press(probe, pose, history=PressHistory(path_m=((5e-3, 0.0),)))
 
 
 def test_a_specimen_that_yields_takes_less_force_at_the_same_approach() -> None:

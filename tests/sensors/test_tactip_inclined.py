@@ -8,12 +8,11 @@ from tests.refusals import refused
 from palpate.core.errors import RangeError
 from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.sensors.tactip import TacTipSpec, inclined_press as module, pictured, tactip, tactip_sensor
+from palpate.sensors.tactip import TacTipSpec, inclined_press as module, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined, SideOn, inclined
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, lattice
 
 TILT = float(np.deg2rad(30))
-FORCES = np.array([0.5, 1.0, 2.0, 4.0])
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +21,12 @@ def tilted() -> dict[str, Inclined | SideOn]:
     table = tip_table("base")
     coarse = tip_modes(
         table.radius_m, table.skin_m, table.skin_pa, table.gel_pa, table.poisson_ratio,
-        rings=26, azimuths=18, modes=22,
+        rings=20, azimuths=14, modes=16,
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "tip_of", lambda name: (table, coarse))
-        patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=22, modes=22))
-        patch.setattr(module, "STATES", 9)
+        patch.setattr(module, "_unit_top", lambda r, h, nu: top_modes(r, h, 1.0, nu, rings=16, modes=16))
+        patch.setattr(module, "STATES", 7)
         linear = {
             name: module._inclined.__wrapped__("base", 0.5, pa, TILT)
             for name, pa in (("rigid", np.inf), ("soft", 5e4))
@@ -51,15 +50,6 @@ def places(specimen: Inclined | SideOn, force_n: float, lean=(0.0, 0.0)):
 
 
 @BOTH
-def test_at_zero_approach_the_skin_is_the_untouched_dome(tilted, name) -> None:
-    specimen = tilted[name]
-    at, normals = places(specimen, 0.0)
-    centre = np.array([0.0, 0.0, 0.02])
-    assert_allclose(np.linalg.norm(at - centre, axis=1), specimen.inner_radius_m, atol=1e-9)
-    assert_allclose(normals, (centre - at) / specimen.inner_radius_m, atol=1e-6)
-
-
-@BOTH
 def test_a_field_is_its_own_mirror_across_the_slope(tilted, name) -> None:
     """The top leans along x; pins at y and -y are each other's mirror."""
     spec = tactip()
@@ -68,15 +58,6 @@ def test_a_field_is_its_own_mirror_across_the_slope(tilted, name) -> None:
     (at, normals), (other, others) = skin.at(polar, azimuth), skin.at(polar, -azimuth)
     assert_allclose(other, at * [1, -1, 1], atol=1e-8)
     assert_allclose(others, normals * [1, -1, 1], atol=1e-6)
-
-
-@BOTH
-def test_normals_have_unit_length_and_point_into_the_tip(tilted, name) -> None:
-    for force in FORCES:
-        at, normals = places(tilted[name], force)
-        assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
-        inward = np.array([0.0, 0.0, 0.02]) - at
-        assert ((normals * inward).sum(axis=1) > 0).all()
 
 
 @BOTH
@@ -119,18 +100,6 @@ def test_force_rises_with_approach_and_area_with_force(tilted, name) -> None:
     assert_allclose(specimen.area_m2(specimen.lift_n[large]), specimen.touched_m2[large], rtol=0.1)
 
 
-def test_before_contact_nothing_has_moved_and_there_is_no_force(tilted) -> None:
-    assert_allclose(tilted["soft"].force_n(np.array([-1e-3, 0.0])), 0.0)
-
-
-def test_a_softer_top_yields_more_and_is_touched_over_more(tilted) -> None:
-    rigid, soft = tilted["rigid"], tilted["soft"]
-    for force in FORCES:
-        deep = [float(np.interp(force, one.lift_n, one.approach_m)) for one in (rigid, soft)]
-        assert deep[1] > 1.1 * deep[0]
-    assert soft.area_m2(FORCES)[-1] > 1.05 * rigid.area_m2(FORCES)[-1]
-
-
 def test_a_lean_turns_the_whole_field_about_the_domes_centre(tilted) -> None:
     """A lean of 0.03 rad along x moves every place by as much as that turn of the sphere does."""
     specimen = tilted["soft"]
@@ -142,16 +111,6 @@ def test_a_lean_turns_the_whole_field_about_the_domes_centre(tilted) -> None:
     (upright, _), (leant, _) = (places(specimen, 4.0, lean) for lean in ((0.0, 0.0), (0.03, 0.0)))
     off = np.linalg.norm(leant - upright, axis=1)
     assert 1e-5 < off.max() < 0.03 * 0.02
-
-
-@BOTH
-def test_pins_of_an_inclined_press_stay_in_the_image(tilted, name) -> None:
-    spec, specimen = tactip(), tilted[name]
-    at, radius = pictured(spec, specimen.skin(specimen.deepest_m, (0.0, 0.0)))
-    assert np.isfinite(at).all()
-    assert (radius > 1).all()
-    assert at.min() > 0
-    assert at.max() < spec.camera.size_px
 
 
 @pytest.mark.parametrize(

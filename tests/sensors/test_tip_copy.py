@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import ImageError, InputError, RangeError
-from palpate.estimators.unit_fit import GRAVITY_M_S2, changed_since, correlated_pairs, untold_terms
+from palpate.estimators.unit_fit import GRAVITY_M_S2
 from palpate.mechanics.axisymmetric.tip_family import tip_between
 from palpate.recordings.exchange.press_folder import write_press, write_specimens
 from palpate.recordings.exchange.press_import import import_press
@@ -92,16 +92,11 @@ def test_five_known_forces_tell_stiffness_ratio_lever_camera_and_the_stage_s_zer
 
 def test_forces_and_depths_of_new_presses_are_read_and_intervals_hold_them(tip, fitted) -> None:
     rng = np.random.default_rng(12)
-    for force_n in (0.7, 2.7, 3.9):
+    for force_n in (0.7, 3.9):
         read = read_plate_press(fitted.copy, pressed(tip, force_n, rng))
         assert abs(read.force_n - force_n) < 0.02 * force_n + 0.01
         assert abs(math.log(read.force_n / force_n)) < 3 * read.force_share < 0.1
         assert abs(read.depth_mm - 1e3 * tip.depth_m(force_n)) < 3 * read.depth_sd_mm < 0.2
-
-
-def test_the_design_alone_cannot_tell_the_force_and_says_so(tip) -> None:
-    read = read_plate_press(DESIGN, pressed(tip, 2.0, np.random.default_rng(13)))
-    assert read.force_share > 0.2
 
 
 def test_slopes_are_those_of_the_rows(presses) -> None:
@@ -123,9 +118,13 @@ def test_slopes_are_those_of_the_rows(presses) -> None:
             assert_allclose(row.slopes @ step, (low.off - high.off) / 2, rtol=2e-3, atol=1e-7)
 
 
-def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_named(
-    presses, fitted
-) -> None:
+def test_a_press_without_a_force_leaves_the_stiffness_untold(presses) -> None:
+    alone = fit_tip_copy(DESIGN, [replace(presses[2], force_n=None, position_m=None)], advise=False)
+    assert "stiffness" in alone.untold
+
+
+@pytest.mark.slow
+def test_a_stage_s_position_is_what_would_help_without_one(presses, fitted) -> None:
     blind = fit_tip_copy(DESIGN, [replace(one, position_m=None) for one in presses])
     assert "stage-position" in [one.press for one in blind.helpful]
     assert all(one.ratio < 0.9 and one.term in COPY_TERMS for one in blind.helpful)
@@ -133,8 +132,6 @@ def test_a_stage_s_position_is_what_would_help_without_one_and_untold_terms_are_
         fitted.copy.told["edge_rad"]["standard_deviation"]
         < 0.9 * (blind.copy.told["edge_rad"]["standard_deviation"])
     )
-    alone = fit_tip_copy(DESIGN, [replace(presses[2], force_n=None, position_m=None)], advise=False)
-    assert "stiffness" in alone.untold
     assert "stiffness" not in blind.untold
 
 
@@ -289,22 +286,3 @@ def test_another_number_of_pins_or_size_of_frames_is_refused(tip) -> None:
         pins_between(rest, image[:-1], 127)
     with refused("force-range", RangeError):
         tip.depth_m(1e3)
-
-
-def test_terms_known_before_and_after_are_told_apart() -> None:
-    before, after = np.diag([1.0, 4.0, 1.0]), np.array([[0.01, 0.0, 0.0], [0.0, 3.9, 0.0], [0.0, 0.0, 0.01]])
-    after[0, 2] = after[2, 0] = 0.0099
-    assert untold_terms("abc", before, after) == ("b",)
-    assert correlated_pairs("abc", after) == (("a", "c"),)
-    rng = np.random.default_rng(0)  # a change is found as in its own least squares
-    A, C, D = rng.standard_normal((6, 2)), np.diag([0.04, 0.02]), np.diag([0.5, 0.0])
-    y = A @ np.array([0.7, 0.1])
-    now = np.linalg.inv(A.T @ A + np.linalg.inv(C + D))
-    moved = now @ A.T @ y
-    change, variance = changed_since(moved, D, C, now)
-    spread = np.sqrt(np.maximum(np.diag(variance), 0.0))
-    both = np.concatenate([A, A[:, :1]], axis=1)
-    prior = np.diag([1 / 0.04, 1 / 0.02, 1 / 0.5])
-    H = np.linalg.inv(both.T @ both + prior)
-    assert_allclose([change[0], spread[0]], [(H @ both.T @ y)[2], math.sqrt(H[2, 2])])
-    assert_allclose([change[1], spread[1]], 0, atol=1e-12)

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 from oracles import Oracle
 from palpate.mechanics.axisymmetric.disc_table import TabulatedPress
-from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable, shipped
+from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable
 from palpate.mechanics.layers.bonded_layer import sphere_force
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ DEPTHS = (0.2, 0.33, 0.6, 1.0, 1.2)
 
 def presses(depths: tuple[float, ...] = DEPTHS) -> Iterator[TabulatedPress]:
     """Every shipped table at these depths [R]."""
-    for name in shipped():
+    for name in SphereTable.shipped():
         for depth in depths:
             yield SphereTable.load(name).at(depth)
 
@@ -105,7 +105,7 @@ def exponent(thickness: int) -> float:
 def between(part: str) -> float:
     """What the table reads between its depths against what was solved there."""
     errors = []
-    for name in shipped():
+    for name in SphereTable.shipped():
         with np.load(REPOSITORY / "tests" / "mechanics" / f"between-{name}.npz") as solved:
             for depth, wanted in zip(solved["depth"], solved[part], strict=True):
                 p = SphereTable.load(name).at(float(depth))

@@ -1,4 +1,8 @@
-"""Probe and pose on an elastomer: what they do to it."""
+"""Contact mechanics of probes on elastomers.
+
+Errors of this package: `InputError` for a wrong kind, shape, or non-finite value; `RangeError` for a value
+outside a law's or table's range, which the message names.
+"""
 
 from palpate.mechanics.axisymmetric.sphere_table import (
     EdgeCorrection,

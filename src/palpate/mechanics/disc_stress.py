@@ -1,8 +1,7 @@
 """Stress of a disc pressed across its diameter, in closed form.
 
-Two opposite point loads P along y at (0, R) and (0, -R), plane stress, thickness t; each is Flamant's load of
-a half-plane, and a uniform tension P / (pi R t) frees the rim. With a = R - y, b = R + y and the squared
-distances p = x^2 + a^2, q = x^2 + b^2 to the loads,
+Two opposite point loads P along y at (0, R) and (0, -R), plane stress, thickness t. With a = R - y, b = R +
+y, p = x^2 + a^2, q = x^2 + b^2,
 
     s_xx = -2P/(pi t) (a x^2 / p^2 + b x^2 / q^2 - 1/2R)
     s_yy = -2P/(pi t) (a^3 / p^2 + b^3 / q^2 - 1/2R)
@@ -21,14 +20,9 @@ Points = Float[ndarray, "*n"]
 
 
 def disc_stress(x: Points, y: Points) -> tuple[Points, Points, Points]:
-    """s_xx, s_yy and s_xy of a disc of radius 1, in units of P / (pi R t).
+    """Return s_xx, s_yy, s_xy of a disc of radius 1 loaded at y = 1 and -1, in units of P / (pi R t).
 
-    Args:
-        x: across the load, in radii.
-        y: along the load, in radii; the loads are at y = 1 and -1.
-
-    Returns:
-        The three stresses; not a number outside the disc and at the loads. At the centre 1, -3 and 0.
+    NaN outside the disc and at the loads; 1, -3, 0 at the centre.
     """
     a, b = 1 - y, 1 + y
     inside = (x**2 + y**2 <= 1) & (x**2 + (1 - np.abs(y)) ** 2 > 0)
@@ -41,6 +35,6 @@ def disc_stress(x: Points, y: Points) -> tuple[Points, Points, Points]:
 
 
 def disc_difference(x: Points, y: Points) -> tuple[Points, Points]:
-    """s1 - s2 over that of the centre, 8 P / (pi D t), and the angle of s1 from x towards y [rad]."""
+    """Return s1 - s2 over that of the centre, 8 P / (pi D t), and the angle of s1 from x towards y [rad]."""
     xx, yy, xy = disc_stress(x, y)
     return np.hypot(xx - yy, 2 * xy) / 4, np.arctan2(2 * xy, xx - yy) / 2

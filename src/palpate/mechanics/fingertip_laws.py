@@ -1,25 +1,13 @@
-"""Named models of a fingertip on a rigid flat, and what each says of one on a soft flat.
+"""Models of a fingertip on a rigid flat, and on elastic flats.
 
-A fingertip is two curves over force: how far it is pressed in, and the area that touches. There are
+    hertz            elastic ball, to a contact radius of half its own
+    exponential      F = b (exp(m d) - 1), A = k F^n with n from 0 to 2/3
+    finite-strain    gel hemisphere under a skin, scaled from the tables of `tip_table`
 
-    hertz            an elastic ball; to a contact radius of half its own
-    exponential      F = b (exp(m d) - 1), A = k F^n
-    finite-strain    a gel hemisphere under a skin, from the tables of `tip_table`, drawn to another size
-
-Pawluk and Howe found the exponential in presses of a flat probe to 2 N; Xydas and Kao found that the radius
-of contact of soft fingers grows as a power 0 to 1/3 of force, so that n is 0 to 2/3, where 2/3 is Hertz's.
-Their constants b, m, k and n differ between people and have no defaults here: fit them to the finger at hand,
-or take them from a table of your own. The press of a rigid ball into a disc (`sphere_table`) is no finger:
-ball in flat and flat on ball are the same at small strain alone.
-
-On a soft flat two compositions are given, and neither is exact beyond Hertz:
-
-* `on_flat` takes the finger at each force as that ball of Hertz which has its approach and area there; of a
-  ball of Hertz it makes `Body.against`, exactly. Of the four tabulated tips, at 0.5 to 2 N on cylinders of 60
-  kPa and more that were solved at finite strain, it is off by at most 5 % in approach and 11 % in area.
-* `in_series` adds displacements at equal force, each part as if it met something rigid. It is exact where a
-  rigid plate lies between the two. For a ball and a flat that touch it is too soft by
-  (1 + e^(2/3)) / (1 + e)^(2/3), e the ratio of their moduli: up to 2^(1/3), 26 %, where the two are equal.
+On a soft flat neither composition is exact beyond Hertz: `on_flat` replaces the finger at each force by the
+Hertz ball with its approach and area (error at most 5 % in approach and 11 % in area for the tabulated tips
+at 0.5 to 2 N); `in_series` adds displacements at equal force, up to 26 % too soft for a ball and flat of
+equal moduli.
 
 References: D. T. V. Pawluk, R. D. Howe, J. Biomech. Eng. 121 (1999) 178, doi:10.1115/1.2835100; N. Xydas,
 I. Kao, Int. J. Robotics Res. 18 (1999) 941, doi:10.1177/02783649922066673.
@@ -39,8 +27,8 @@ from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive
 from palpate.mechanics.half_space.hertz_pairs import Body
 
-EXPONENTIAL_TO_N = 2.0  # Pawluk and Howe's presses
-HERTZ_EXPONENT = 2 / 3  # of area over force; soft fingers lie below
+EXPONENTIAL_TO_N = 2.0  # maximum force of Pawluk and Howe's presses
+HERTZ_EXPONENT = 2 / 3  # exponent of area over force
 
 Forces = Float[ndarray, "*n"]
 Law = Callable[[Forces], Forces]
@@ -48,14 +36,12 @@ Law = Callable[[Forces], Forces]
 
 @dataclass(frozen=True, slots=True)
 class Fingertip:
-    """A fingertip on a rigid flat, or on what `on_flat` and `in_series` put under it.
+    """A fingertip on a flat.
 
     Attributes:
-        name: of the model.
-        greatest_n: it is known from 0 to here [N].
-        source: where it is from, in words, with its constants.
-        approach: displacement since first touch [m] over force [N]; ask `approach_m`, which checks.
-        area: that touches [m^2] over force [N]; ask `area_m2`.
+        greatest_n: Maximum force of the model [N].
+        source: Origin and constants, in words.
+        approach, area: Unchecked laws; use `approach_m` and `area_m2`.
     """
 
     name: str
@@ -65,15 +51,11 @@ class Fingertip:
     area: Law
 
     def approach_m(self, force_n: float | Forces) -> Forces:
-        """Displacement at a force [m].
-
-        Raises:
-            RangeError: the force lies outside what the model is known for.
-        """
+        """Displacement at a force [m]."""
         return self._of(self.approach, force_n)
 
     def area_m2(self, force_n: float | Forces) -> Forces:
-        """Area at a force [m^2]; RangeError as of `approach_m`."""
+        """Contact area at a force [m^2]."""
         return self._of(self.area, force_n)
 
     def _of(self, law: Law, force_n: float | Forces) -> Forces:
@@ -88,7 +70,7 @@ class Fingertip:
 
 
 def hertz_fingertip(ball: Body) -> Fingertip:
-    """An elastic ball on a rigid flat, to a contact radius of half its own."""
+    """Return an elastic ball on a rigid flat, to a contact radius of half its own."""
     if not ball.radius_m < math.inf:
         raise RangeError(
             "a fingertip of infinite radius; give a finite one, in mm, such as 15", code="not-finite"
@@ -110,17 +92,14 @@ def exponential_fingertip(
     area_exponent: float,
     greatest_n: float = EXPONENTIAL_TO_N,
 ) -> Fingertip:
-    """F = b (exp(m d) - 1) and A = k F^n; constants of a finger, to be given.
+    """Return F = b (exp(m d) - 1) and A = k F^n with the constants of a finger.
 
     Args:
         scale_n: b [N].
         rate_per_m: m [1/m].
         area_at_1n_m2: k, the area at 1 N [m^2].
         area_exponent: n, above 0 and at most 2/3.
-        greatest_n: to which the constants were fitted, at most 2 N [N].
-
-    Raises:
-        RangeError: a constant that no finger has.
+        greatest_n: Maximum fitted force, at most 2 N.
     """
     positive("the exponential's scale b", scale_n, "N")
     positive("the exponential's rate m", rate_per_m, "1/m")
@@ -149,20 +128,12 @@ def exponential_fingertip(
 
 
 def finite_strain_fingertip(tip: str, radius_m: float, gel_pa: float) -> Fingertip:
-    """A tabulated tip at finite strain, drawn to another radius and other moduli.
-
-    Lengths go as the radius and forces as gel modulus times radius squared; skin and gel keep the table's
-    proportions in thickness and modulus. The table's bodies are neo-Hookean, so that they soften or stiffen
-    by shape alone: tissue stiffens more.
+    """Return a tabulated tip at finite strain, scaled to a radius and gel modulus.
 
     Args:
-        tip: one of `tip_table.shipped_tips`.
-        radius_m: of the hemisphere [m].
-        gel_pa: Young's modulus of what is under the skin [Pa].
-
-    Raises:
-        InputError: no tip has that name.
-        RangeError: a radius or modulus that is not above 0.
+        tip: Name of the tip, see `tip_table.shipped_tips`.
+        radius_m: Radius of the hemisphere [m].
+        gel_pa: Young's modulus under the skin [Pa]; the skin keeps the table's proportions.
     """
     positive("the fingertip's radius", radius_m, "m")
     positive("the fingertip's Young's modulus", gel_pa, "Pa")
@@ -182,20 +153,19 @@ def finite_strain_fingertip(tip: str, radius_m: float, gel_pa: float) -> Fingert
 
 
 def _within(force: Forces, greatest_n: float) -> Forces:
-    """Forces without the rounding above the table's last."""
+    """Force without rounding above the table's last."""
     return np.asarray(np.minimum(force, greatest_n))
 
 
 def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
-    """The fingertip on an elastic flat, taken at each force as the ball of Hertz that it is like there.
+    """Return the fingertip on an elastic flat, as the equivalent Hertz ball at each force.
 
-    Approach and area d, A on something rigid tell R = A / (pi d) and E_f = 3 F / (4 sqrt(R d^3)). On a flat
-    both grow by (1 + E_f / E_o)^(2/3), R being the same. It is known to where its area is the finger's
-    greatest on something rigid, so that a ball of Hertz keeps its contact below half its radius.
+    Approach and area d, A on a rigid flat give R = A / (pi d) and E_f = 3 F / (4 sqrt(R d^3)); on a flat both
+    grow by (1 + E_f / E_o)^(2/3). The range ends at the finger's maximum area on a rigid flat.
 
     Args:
-        tip: on a rigid flat.
-        flat_pa: the flat's Young's modulus over 1 - nu^2; infinite for a rigid one [Pa].
+        tip: Fingertip on a rigid flat.
+        flat_pa: Flat's Young's modulus over 1 - nu^2 [Pa], possibly infinite.
     """
     if not flat_pa > 0:
         raise RangeError(f"a flat of {flat_pa:g} Pa; give more than 0 Pa", code="not-positive")
@@ -229,12 +199,8 @@ def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
 
 
 def in_series(tip: Fingertip, below: Law, what: str) -> Fingertip:
-    """The fingertip on a rigid plate with something that yields under it: displacements add, area stays.
-
-    Args:
-        tip: on a rigid flat.
-        below: displacement of what is under the plate [m] over force [N].
-        what: it is, in words.
+    """Return the fingertip on a rigid plate over a body with displacement `below` [m] by force: displacements
+    add.
     """
     return Fingertip(
         tip.name,

@@ -1,10 +1,7 @@
-"""A light touch of a rigid probe without an axis, by linear layers on cells of its own size.
+"""Light touch of a rigid non-axisymmetric probe by linear layers, which the tables' bricks do not resolve.
 
-The bricks of `probe_table` do not resolve it. So the probe of the table, its edges rounded alike, is pressed
-into a linear layer on a box that just holds where probe and flat skin overlap: contact is nowhere else. The
-box shrinks with the depth, and its cells with it.
-
-Lengths are in thicknesses h of the layer, stresses in its Young's modulus E, forces in E h^2.
+The probe is pressed into a linear layer on a box around its overlap with the flat surface. Lengths are in
+thicknesses h of the layer, stresses in its Young's modulus E, forces in E h^2.
 """
 
 from __future__ import annotations
@@ -20,26 +17,22 @@ from palpate.core import Field, Float, ndarray
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 
-WEDGE_SLOPE = math.radians(30)
-"""Of both sides of a wedge against the skin."""
-ACROSS = 32  # cells across the box: twice as many change force by 3e-4 and greatest pressure by 2 %
-MAX_LIGHT = 0.03
-"""Depth to which a press counts as light [h]."""
-MIN_LIGHT = MAX_LIGHT / 3**4
-"""Least depth that is solved [h]. Below it a press is like that, force and area by powers of the depth."""
-LAW_DEPTHS = MIN_LIGHT * 3.0 ** np.arange(5)  # between which force, area and greatest pressure are powers
+WEDGE_SLOPE = math.radians(30)  # slope of both sides of a wedge
+ACROSS = 32  # cells across the box
+MAX_LIGHT = 0.03  # maximum depth of a light press [h]
+MIN_LIGHT = MAX_LIGHT / 3**4  # minimum solved depth [h]; power laws below
+LAW_DEPTHS = MIN_LIGHT * 3.0 ** np.arange(5)  # solved depths of the power laws [h]
 
 Knots = Float[ndarray, " n"]
 
 
 @dataclass(frozen=True, slots=True)
 class RoundedBody:
-    """A rigid probe as its table has it, x along its length; lengths in h.
+    """A tabled rigid probe, x along its length; lengths in h.
 
     Attributes:
-        shape: "cylinder", "edge" or "two-points".
-        radius, length: as of `core.Probe`.
-        rounding: radius of its rounded edges; 0 of balls.
+        shape: "cylinder", "edge", or "two-points".
+        rounding: Edge radius; 0 for balls.
     """
 
     shape: str
@@ -48,16 +41,12 @@ class RoundedBody:
     rounding: float
 
     def height(self, x: Float[ndarray, "#ny #nx"], y: Float[ndarray, "#ny #nx"]) -> Field:
-        """Height of its underside over its lowest point, infinite where it has none ``[ny nx]``.
-
-        Args:
-            x, y: along and across it; a row and a column, or both at each place.
-        """
+        """Height of the underside over its lowest point at (along, across); infinite where there is none."""
         along, across = np.abs(x), np.abs(y)
         if self.shape == "two-points":
             return _over(self.radius, self.radius, np.hypot(along - self.length / 2, across))
         past = np.maximum(along - self.length / 2 + self.rounding, 0.0)
-        left = np.sqrt(np.maximum(self.rounding**2 - past**2, 0.0))  # of the rounding, so far along
+        left = np.sqrt(np.maximum(self.rounding**2 - past**2, 0.0))  # remaining radius of the rounding
         if self.shape == "cylinder":
             found = _over(self.radius, self.radius - self.rounding + left, across)
         else:
@@ -66,7 +55,7 @@ class RoundedBody:
         return np.where(past <= self.rounding, found, np.inf)
 
     def reach(self, depth: float) -> tuple[float, float]:
-        """Distances along and across to which it overlaps with the flat skin at a depth below `MAX_LIGHT`."""
+        """Extent along and across of the overlap with the flat surface at a depth below `MAX_LIGHT`."""
         if self.shape == "two-points":
             return self.length / 2 + _chord(self.radius, depth), _chord(self.radius, depth)
         along = self.length / 2 - self.rounding + _chord(self.rounding, depth)
@@ -77,12 +66,12 @@ class RoundedBody:
         return along, _chord(self.rounding, min(depth, tip)) + flank
 
     def sharpest(self, depth: float) -> float:
-        """Half of the length along x over which its contact's end falls to nothing."""
+        """Half length along x over which the contact's end vanishes."""
         return _chord(self.rounding or self.radius, depth)
 
 
 def _over(top: float, radius: float | ndarray, away: ndarray) -> ndarray:
-    """Height of a circle's underside at a distance from its middle, which lies so high."""
+    """Height of a circle's underside, with its centre at `top`."""
     left = np.asarray(radius) ** 2 - away**2
     return np.where(left >= 0.0, top - np.sqrt(np.maximum(left, 0.0)), np.inf)
 
@@ -93,13 +82,7 @@ def _chord(radius: float, depth: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightTouch:
-    """A press in the probe's own frame.
-
-    Attributes:
-        x, y: columns and rows of cells, which need not be square.
-        pressure: on them ``[ny nx]``.
-        force, area: of the press.
-    """
+    """A press in the probe's frame: cells, pressure, force, and contact area."""
 
     x: Float[ndarray, " nx"]
     y: Float[ndarray, " ny"]
@@ -110,10 +93,12 @@ class LightTouch:
 
 @lru_cache(maxsize=64)
 def light_touch(body: RoundedBody, poisson_ratio: float, depth: float) -> LightTouch:
-    """Press a body into a bonded linear layer, `MIN_LIGHT` to `MAX_LIGHT` deep; less deep as at the least."""
+    """Press a body into a bonded linear layer to a depth up to `MAX_LIGHT`; depths below `MIN_LIGHT` are
+    raised to it.
+    """
     solved = max(depth, MIN_LIGHT)
     (along, across), side = body.reach(solved), body.sharpest(solved)
-    share = 2 if body.rounding else 1  # contact falls off in less than a rounded end, and in all of a ball
+    share = 2 if body.rounding else 1  # contact vanishes in less than a rounded end
     x, y = _cells(along, 2 * math.ceil(along * ACROSS / (2 * share * side))), _cells(across, ACROSS)
     layer, gap = Stack((ElasticLayer(1.0, 1.0, poisson_ratio),)), body.height(x[None, :], y[:, None])
     found = press_stack(layer, gap, x, y, depth_m=solved)
@@ -121,20 +106,19 @@ def light_touch(body: RoundedBody, poisson_ratio: float, depth: float) -> LightT
 
 
 def _cells(half: float, count: int) -> Knots:
-    """Centres of so many equal cells from -half to half, and of one beyond either end."""
+    """Centres of equal cells from -half to half, and one beyond either end."""
     return (np.arange(count + 2) - (count + 1) / 2) * (2 * half / count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightLaw:
-    """Force, area and greatest pressure over the depth, by powers between those that were solved."""
+    """Force, area, and maximum pressure over depth, by power laws between solved depths."""
 
     powers: PchipInterpolator
     first: Float[ndarray, " 3"]
     rate: Float[ndarray, " 3"]
 
     def __call__(self, depth: Knots) -> Float[ndarray, "3 n"]:
-        """At depths from 0 to `MAX_LIGHT`."""
         at = np.log(np.maximum(depth, 1e-300) / MIN_LIGHT)[:, None]
         below = self.first + self.rate * np.minimum(at, 0.0)
         found = np.where(at < 0.0, below, self.powers(np.maximum(at[:, 0], 0.0)))
@@ -143,7 +127,7 @@ class LightLaw:
 
 @lru_cache(maxsize=16)
 def light_law(body: RoundedBody, poisson_ratio: float) -> LightLaw:
-    """The law of a body, from presses at `LAW_DEPTHS`; it is kept."""
+    """Return the law of a body from presses at `LAW_DEPTHS` (cached)."""
     touches = [light_touch(body, poisson_ratio, float(depth)) for depth in LAW_DEPTHS]
     logs = np.log([(one.force, one.area, one.pressure.max()) for one in touches])
     powers = PchipInterpolator(np.log(LAW_DEPTHS / MIN_LIGHT), logs)

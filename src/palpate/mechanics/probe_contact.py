@@ -1,11 +1,7 @@
-"""A rigid probe without an axis on a bonded layer: a light press by linear layers, a deep one by its table.
+"""A rigid non-axisymmetric probe on a bonded layer: linear layers for light presses, tables for deep ones.
 
-To the depth from which a table holds, `LIGHT`, linear layers press the probe (`light_touch`), from three
-times that its finite-strain table does; between, both do, and their force, area, pressure, surface and stress
-are added by shares, which change smoothly. There the two differ by 2 % in force; the table's bricks, which
-are few under a light press, have the greatest pressure of an edge or a cylinder 12 to 27 % lower.
-
-In the probe's own frame x points along its length, y across, z into the layer.
+Between `LIGHT` and three times that depth force, area, pressure, surface, and stress are blended; they differ
+by 2 % in force there. In the probe's frame x points along its length, y across, z into the layer.
 """
 
 from __future__ import annotations
@@ -22,26 +18,26 @@ from palpate.mechanics.light_touch import MAX_LIGHT, RoundedBody, light_law, lig
 from palpate.mechanics.probe_table import SAME, ProbeTable, own_frame
 
 LIGHT = MAX_LIGHT / 3
-"""Depth to which linear layers press alone [h]; to `MAX_LIGHT` they and the table do."""
+"""Depth up to which linear layers alone are used [h]; up to `MAX_LIGHT` both are blended."""
 TOUCHES = 0.02
-"""Share of the grid's greatest pressure below which straight lines between knots or cells are no contact."""
+"""Pressure over the maximum below which interpolated values do not count as contact."""
 
 Knots = Float[ndarray, " n"]
 
 
 def is_tabled_probe(contact: Contact) -> bool:
-    """Tell whether a contact is of a probe without an axis that has a table."""
+    """Return whether a contact is of a tabled non-axisymmetric probe."""
     return contact.solution is ContactSolution.PROBE_TABLE
 
 
 def share_of_table(depth: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
-    """How much of a press at a depth [h] is the table's; what is left is linear layers'."""
+    """Return the table's fraction of a press at a depth [h]; the rest is linear layers."""
     way = np.clip((np.asarray(depth) - LIGHT) / (MAX_LIGHT - LIGHT), 0.0, 1.0)
     return np.asarray(way**2 * (3 - 2 * way))
 
 
 def probe_law(table: ProbeTable, depth: Knots) -> Float[ndarray, "3 n"]:
-    """Force [E h^2], area [h^2] and greatest pressure [E] at depths from 0 to the table's greatest [h]."""
+    """Return force [E h^2], area [h^2], and maximum pressure [E] at depths of the table [h]."""
     share, light = share_of_table(depth), np.minimum(depth, MAX_LIGHT)
     deep = table.law_at(np.clip(depth, table.depth[0], table.greatest_depth))
     if np.all(share == 1.0):
@@ -59,24 +55,18 @@ def press_probe(
     x_m: Float[ndarray, " nx"],
     y_m: Float[ndarray, " ny"],
 ) -> Contact:
-    """Press a probe into a bonded layer: lightly by linear layers, deeper by its table, at finite strain.
+    """Press a probe into a bonded layer.
 
     Args:
-        table: for which `probe_table_for` gave the probe.
-        probe: turned anyhow about z.
-        pose: where, and how deep, from 0 to the table's depth.
-        youngs_modulus_pa: of the layer [Pa].
-        thickness_m, radius_m: of the layer [m].
-        x_m, y_m: columns and rows of the contact's grid, which holds all of it [m].
+        table: Table from `probe_table_for`.
+        probe: Probe, at any turn about z.
+        pose: Position and depth, 0 to the table's.
+        youngs_modulus_pa, thickness_m, radius_m: Modulus and size of the layer.
+        x_m, y_m: Columns and rows of the contact's grid, which must contain it [m].
 
     Returns:
-        The contact. Its pressure is that normal to the skin and sums to the force over the area seen from
-        above. Its radius is that of a disc of the contact's area. Its touching cells are two or three across,
-        or more.
-
-    Raises:
-        InputError: a light contact reaches beyond the grid.
-        RangeError: the depth lies outside the table, or the contact reaches over the rim.
+        Contact with the pressure normal to the surface, scaled to the force, and the radius of a disc of
+        equal area.
     """
     h, E = thickness_m, youngs_modulus_pa
     if not 0.0 <= pose.depth_m <= table.greatest_depth * h * (1 + SAME):
@@ -96,7 +86,7 @@ def press_probe(
     if share < 1.0 and depth > 0.0:
         light = light_pressure(table, probe, pose, h, x_m, y_m)
         pressure += (1 - share) * light
-        # The skin lies nowhere above the probe, which cells wider than the contact do not show by themselves.
+        # The surface must not lie above the probe, which coarse cells do not ensure.
         sunk = _sunk(table, light, x_m / h, y_m / h)
         surface += (1 - share) * np.maximum(sunk, depth - _body(table).height(along, across))
     force, area, _ = probe_law(table, np.array([depth]))[:, 0]
@@ -128,12 +118,12 @@ def light_pressure(
     x_m: Float[ndarray, " nx"],
     y_m: Float[ndarray, " ny"],
 ) -> Field:
-    """Pressure of linear layers under a light press, of which `press_probe` takes its share [E].
+    """Return the pressure of linear layers under a light press [E].
 
     Args:
-        table, probe, pose: of a depth above 0 to `MAX_LIGHT`.
-        thickness_m: of the layer [m].
-        x_m, y_m: columns and rows of a grid that holds all of the contact [m].
+        table, probe, pose: Press to a depth above 0, up to `MAX_LIGHT`.
+        thickness_m: Thickness of the layer [m].
+        x_m, y_m: Columns and rows of a grid that contains the contact [m].
     """
     body, depth = _body(table), pose.depth_m / thickness_m
     touch = light_touch(body, table.poisson_ratio, depth)
@@ -146,7 +136,7 @@ def light_pressure(
 
 
 def _sunk(table: ProbeTable, pressure: Field, x: Float[ndarray, " nx"], y: Float[ndarray, " ny"]) -> Field:
-    """Displacement of a linear layer's top under a pressure; all lengths in its thickness."""
+    """Displacement of a linear layer's top under a pressure, in thicknesses."""
     grid = Cells(len(x), len(y), round(float(x[1] - x[0]), 9), round(float(y[1] - y[0]), 9))
     return normal_influence(Stack((ElasticLayer(1.0, 1.0, table.poisson_ratio),)), grid).apply(0, pressure)
 

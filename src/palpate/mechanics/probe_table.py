@@ -1,14 +1,9 @@
-"""A rigid probe without an axis pressed deep into a bonded layer: tables at finite strain.
+"""Tables at finite strain of rigid non-axisymmetric probes pressed deep into a bonded layer.
 
-Lying cylinders, edges and two balls have two planes of symmetry; a table holds a quarter of a square of the
-layer. Lengths in its thickness h and stresses in Young's moduli E make one table serve any membrane of the
-same proportions. The material is that of `axisymmetric.disc_table`, the base is bonded, the sides and the top
-around the contact are free, and the probe has no friction. Edges of the probe's body are rounded, by
-`rounding`. Solved by `tools/probe_tables.py`; `tools/probe_study.json` holds what its mesh costs.
-
-The first depths are those of few bricks; `probe_contact` presses by linear layers there.
-
-In the probe's own frame x points along its length, y across, z into the layer.
+Two planes of symmetry leave a quarter of a square of the layer. Lengths are in its thickness h, stresses in
+Young's moduli E. The material is that of `axisymmetric.disc_table`; the base is bonded, top and sides are
+free, without friction; edges are rounded by `rounding`. Solved by `tools/probe_tables.py`; mesh errors are in
+`tools/probe_study.json`. In the probe's frame x points along its length, y across, z into the layer.
 """
 
 from __future__ import annotations
@@ -29,13 +24,12 @@ from palpate.core.errors import InputError
 from palpate.core.parsing import parser
 
 FOLDER = resources.files("palpate.mechanics") / "tables"
-SAME = 1e-6  # relative: two lengths that differ by rounding only
+SAME = 1e-6  # relative tolerance for rounding
 STRESSES = ("xx", "yy", "zz", "yz", "xz", "xy")  # Voigt's order
 FADES = (0.75, 0.95)
-"""Shares of the square's half side from where to where what is far from the probe fades out: it is that of a
-square's rim, and would stand where there is no rim under a press elsewhere."""
+"""Range over which the stress fades out, in half sides: the table's rim is not where the membrane's is."""
 ODD_ALONG = np.array([0, 0, 0, 0, 1, 1])
-"""Whether each stress changes sign with x; and with y: `ODD_ACROSS`."""
+"""Whether each stress is odd in x (`ODD_ALONG`) or y (`ODD_ACROSS`)."""
 ODD_ACROSS = np.array([0, 0, 0, 1, 0, 1])
 
 Knots = Float[ndarray, " n"]
@@ -47,11 +41,11 @@ class PressedLayer:
     """The layer at one depth of a probe; lengths in h, stresses in E.
 
     Attributes:
-        depth, force, area, peak_pressure: of the press; the area is that of the contact seen from above.
-        x, y, zeta: knots of the quarter; zeta is 0 at the deformed top and 1 at the base.
-        surface: z of the deformed top ``[ny nx]``, positive where pressed in.
-        pressure: normal pressure on the top ``[ny nx]``, which sums to the force over the area from above.
-        stress: Cauchy stress in the order of `STRESSES` ``[6 m ny nx]``.
+        depth, force, area, peak_pressure: Press; the area is seen from above.
+        x, y, zeta: Knots of the quarter; zeta is 0 at the deformed top and 1 at the base.
+        surface: z of the deformed top, positive where pressed in.
+        pressure: Normal pressure on the top, which sums to the force over the area from above.
+        stress: Cauchy stress in the order of `STRESSES`.
     """
 
     depth: float
@@ -66,13 +60,13 @@ class PressedLayer:
     stress: Float[ndarray, "6 m ny nx"]
 
     def share_at(self, x: ndarray, y: ndarray) -> ndarray:
-        """How much of the table is left where it fades out: 1 about the probe, 0 at the sides."""
+        """Fade-out factor: 1 around the probe, 0 at the sides."""
         start, end = FADES
         out = np.clip((np.hypot(x, y) / self.x[-1] - start) / (end - start), 0, 1)
         return np.asarray(1 - out**2 * (3 - 2 * out))
 
     def on_top(self, values: Plane, x: ndarray, y: ndarray) -> ndarray:
-        """Values of the top at places of the whole layer, 0 beyond its sides."""
+        """Interpolate a field of the top over the whole layer, 0 beyond it."""
         read = RegularGridInterpolator((self.y, self.x), values, bounds_error=False, fill_value=0.0)
         return np.asarray(read(np.stack([np.abs(y), np.abs(x)], axis=-1)))
 
@@ -82,15 +76,11 @@ class ProbeTable:
     """A probe pressed step by step; lengths in h, stresses in E, forces in E h^2.
 
     Attributes:
-        shape: of the probe: "cylinder", "edge" or "two-points".
-        radius, length: of the probe, as of `core.Probe`.
-        rounding: radius of its rounded edges; 0 of balls.
-        poisson_ratio, half_side: of the layer.
-        depth: ascending, from the first that was solved, above 0.
-        force, area, peak_pressure: at each depth.
-        x, y, zeta: as of `PressedLayer`.
-        surface_amount, surface_mode: surface and pressure are their product ``[d k]``, ``[k 2 ny nx]``.
-        stress_amount, stress_mode: of the stress, likewise ``[d l]``, ``[l 6 m ny nx]``.
+        shape: "cylinder", "edge", or "two-points".
+        rounding: Edge radius; 0 for balls.
+        depth: Ascending, from the first solved depth.
+        surface_amount, surface_mode: Factors of surface and pressure, ``[d k]`` and ``[k 2 ny nx]``.
+        stress_amount, stress_mode: Factors of the stress, ``[d l]`` and ``[l 6 m ny nx]``.
     """
 
     shape: str
@@ -114,18 +104,18 @@ class ProbeTable:
     @classmethod
     @parser("probe table", InputError, max_bytes=MAX_ARRAY_BYTES)
     def open(cls, path: Path) -> ProbeTable:
-        """A table from an .npz file written by `tools/probe_tables.py`."""
+        """Load an .npz file written by `tools/probe_tables.py`."""
         with np.load(path, allow_pickle=False) as file:
             values: dict[str, Any] = {key: file[key] if file[key].ndim else file[key].item() for key in file}
         return cls(**values)
 
     @property
     def greatest_depth(self) -> float:
-        """The deepest press of the table [h]."""
+        """Maximum depth [h]."""
         return float(self.depth[-1])
 
     def fits(self, probe: Probe, thickness_m: float) -> bool:
-        """Tell whether a probe, upright, is the table's in a layer of a thickness."""
+        """Whether an upright probe is the table's in a layer of this thickness."""
         own = (self.radius * thickness_m, self.length * thickness_m)
         return probe.tilt_rad == 0.0 and probe.shape == self.shape and all(
             math.isclose(a, b, rel_tol=SAME, abs_tol=SAME * thickness_m)
@@ -133,11 +123,7 @@ class ProbeTable:
         )  # fmt: skip
 
     def at(self, depth: float) -> PressedLayer:
-        """The layer at one depth [h].
-
-        Raises:
-            RangeError: the depth lies outside the table.
-        """
+        """The layer at one depth [h]."""
         least, most = float(self.depth[0]), self.greatest_depth
         if not least * (1 - SAME) <= depth <= most * (1 + SAME):
             raise RangeError(
@@ -148,19 +134,18 @@ class ProbeTable:
         force, area, peak = map(float, self._law(depth))
         top = np.tensordot(self._amounts[0](depth), self.surface_mode, axes=1)
         stress = np.tensordot(self._amounts[1](depth), self.stress_mode, axes=1)
-        stress[ODD_ALONG > 0, :, :, 0] = 0.0  # a plane of symmetry's, where a table may hold what one side's
-        stress[ODD_ACROSS > 0, :, 0, :] = 0.0  # bricks have, before the other side's is taken from it
+        stress[ODD_ALONG > 0, :, :, 0] = 0.0  # zero on planes of symmetry
+        stress[ODD_ACROSS > 0, :, 0, :] = 0.0
         pressure = np.maximum(top[1], 0.0)
         summed = 4.0 * np.trapezoid(np.trapezoid(pressure, self.x, axis=1), self.y)
         knots, pressure = (self.x, self.y, self.zeta), pressure * (force / summed)
         return PressedLayer(depth, force, area, peak, *knots, top[0], pressure, stress)
 
     def law_at(self, depth: Knots) -> Float[ndarray, "3 n"]:
-        """Force [E h^2], area [h^2] and greatest pressure [E] at depths within the table [h]."""
+        """Force [E h^2], area [h^2], and maximum pressure [E] at depths within the table [h]."""
         return np.asarray(self._law(depth).T)
 
     def force_at(self, depth: Knots) -> Knots:
-        """The forces alone [E h^2]."""
         return np.asarray(self.law_at(depth)[0])
 
     @cached_property
@@ -177,7 +162,7 @@ class ProbeTable:
 
 @lru_cache(maxsize=1)
 def probe_tables() -> tuple[ProbeTable, ...]:
-    """All that come with palpate."""
+    """Return all shipped tables."""
     files = sorted(p.name for p in FOLDER.iterdir() if p.name.startswith("probe-"))
     return tuple(ProbeTable.open(Path(str(FOLDER / name))) for name in files)
 
@@ -185,14 +170,7 @@ def probe_tables() -> tuple[ProbeTable, ...]:
 def probe_table_for(
     probe: Probe, thickness_m: float, radius_m: float, friction: float, poisson_ratio: float
 ) -> ProbeTable | None:
-    """The table of a probe on a membrane; None if there is none.
-
-    Args:
-        probe: what presses.
-        thickness_m, radius_m: of the membrane, which is no narrower than the table's square [m].
-        friction: Coulomb's coefficient between probe and skin; tables are without.
-        poisson_ratio: of the membrane.
-    """
+    """Return the table of a probe on a membrane of this size and material; None if there is none."""
     if friction != 0.0:
         return None
     for table in probe_tables():
@@ -203,7 +181,7 @@ def probe_table_for(
 
 
 def own_frame(probe: Probe, pose: Pose, x_m: ndarray, y_m: ndarray) -> tuple[ndarray, ndarray]:
-    """Places along and across a probe that is turned about its middle [m]."""
+    """Return coordinates along and across a turned probe [m]."""
     c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
     x, y = x_m - pose.x_m, y_m - pose.y_m
     return c * x + s * y, c * y - s * x

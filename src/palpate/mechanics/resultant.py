@@ -1,4 +1,4 @@
-"""The resultant of a contact's tractions: three forces and three moments about one point."""
+"""Resultant of a contact's tractions: three forces and three moments about one point."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from palpate.mechanics.layers.surface_grid import cells
 
 
 class Resultant(NamedTuple):
-    """Force and moment of the probe on the skin, in the sensor's frame.
+    """Force and moment of the probe on the surface, in the sensor's frame.
 
     Attributes:
-        force_x_n, force_y_n, force_z_n: z into the skin [N].
-        moment_x_nm, moment_y_nm, moment_z_nm: right-handed about the axes through the point [N m].
+        force_x_n, force_y_n, force_z_n: Force, z into the surface [N].
+        moment_x_nm, moment_y_nm, moment_z_nm: Right-handed moments about the point [N m].
     """
 
     force_x_n: float
@@ -28,17 +28,7 @@ class Resultant(NamedTuple):
 
 
 def resultant_of(contact: Contact, about_m: tuple[float, float] = (0.0, 0.0)) -> Resultant:
-    """Sums of pressure and shear over the contact's grid, and of their moments r x q.
-
-    The tractions act at z = 0, where the surface was at rest.
-
-    Args:
-        contact: with its pressure and its shear, if it has any.
-        about_m: point (x, y) of the surface at rest [m]; by default the membrane's centre.
-
-    Raises:
-        InputError: a grid that is not regular, or a point that is not finite.
-    """
+    """Return the resultant about a point (x, y) of the rest surface [m], by default the membrane's centre."""
     if not all(map(math.isfinite, about_m)):
         raise InputError(f"moments about {about_m} m; give two finite numbers in m, x and y")
     cell = cells(contact.x_m, contact.y_m).area_m2

@@ -1,37 +1,18 @@
-"""Viscoelastic skins, and a rigid sphere pressed into one and drawn out again (Ting's law).
+"""Viscoelastic membranes as Prony series, and the indentation of one by a rigid sphere (Ting's law).
 
-A skin is a Prony series, with the Kelvin-Voigt skin as a named baseline:
+    E(t) = E_inf + sum_i E_i exp(-t / tau_i),    P_i(t) = int_0^t E_i exp(-(t - s)/tau_i) dx(s),
 
-    E(t) = E_inf + sum_i E_i exp(-t / tau_i),
-
-linear and with a constant Poisson's ratio. A history is straight between its samples; then each branch
-
-    P_i(t) = int_0^t E_i exp(-(t - s)/tau_i) dx(s)
-
-steps on exactly, P <- exp(-dt/tau) P + E (tau/dt) (1 - exp(-dt/tau)) dx, for steps of any length.
-
-Under a sphere, with K = 4 sqrt(R) / (3 (1 - nu^2)), a depth d(t) that rises and then falls gives
+with constant Poisson's ratio; for histories that are linear between samples P_i is updated exactly. Under a
+sphere, with K = 4 sqrt(R) / (3 (1 - nu^2)), a depth d(t) that rises and then falls gives
 
     F = K int_0^{t1} E(t - s) d(d^{3/2})/ds ds,      a = sqrt(R d(t1)),
 
-t1 = t while the depth rises. Once it falls, t1 is the earlier time whose contact was as wide:
+with t1 = t during loading, and int_{t1}^t E(t - s) d'(s) ds = 0 during unloading. Any other history is
+integrated over elements 0 < x < a_max (method of dimensionality reduction),
 
-    int_{t1}^t E(t - s) d'(s) ds = 0,
+    F = 2 int chi dx,    chi (1 - nu^2) = int E(t - s) du(x, s) >= 0,    u = d - x^2/R under load.
 
-and the contact is lost, at a depth that is still positive, when no such t1 is left. (To integrate to t on the
-way back too, as the loading law does, gives tension that no contact without adhesion can bear.)
-
-Any other history, with holds on the way back or several presses, goes element by element. The force is
-2 int chi dx over elements at 0 < x < a_max, each sinking by u = d - x^2/R while it bears a load and relaxing
-freely otherwise:
-
-    chi (1 - nu^2) = int E(t - s) du(x, s) >= 0.
-
-This is the method of dimensionality reduction; for one press it is Ting's law, and it holds as long as the
-contact is a disc.
-
-A history of depth is taken as straight between its samples. Valid to a/R = 0.5, for small strain, without
-friction or adhesion; what lies outside raises RangeError.
+Valid to a/R = 0.5, for small strain, without friction or adhesion.
 
 References: R. M. Christensen, Theory of Viscoelasticity (1982), ch. 1, Academic Press;
 T. C. T. Ting, J. Appl. Mech. 33 (1966) 845, doi:10.1115/1.3625192;
@@ -57,12 +38,9 @@ class Prony:
     """A relaxation modulus.
 
     Attributes:
-        equilibrium_pa: E_inf, which is left after a long time; positive [Pa].
-        moduli_pa: E_i of the branches, positive [Pa].
-        times_s: their relaxation times tau_i, positive [s].
-
-    Raises:
-        RangeError: a modulus or time is not positive, or they do not pair up.
+        equilibrium_pa: E_inf, positive [Pa].
+        moduli_pa: E_i, positive [Pa].
+        times_s: tau_i, positive [s].
 
     Example:
         >>> skin = Prony(0.2e6, (0.1e6,), (0.5,))
@@ -87,25 +65,22 @@ class Prony:
 
     @property
     def instantaneous_pa(self) -> float:
-        """E(0) = E_inf + sum E_i [Pa]."""
+        """E(0) [Pa]."""
         return self.equilibrium_pa + math.fsum(self.moduli_pa)
 
     def relaxation(self, time_s: Float[ndarray, ...] | float) -> Float[ndarray, ...]:
-        """E(t) [Pa] at times t >= 0 after a step of strain."""
+        """E(t) [Pa] at times t >= 0."""
         t = _not_negative("time", time_s, "s")
         return np.asarray(self.equilibrium_pa + np.exp(-t[..., None] / self._times) @ self._moduli)
 
     def compliance(self, time_s: Float[ndarray, ...] | float) -> Float[ndarray, ...]:
-        """Creep J(t) [1/Pa]: strain at times t >= 0 after a step of stress, over that stress.
-
-        The branches' stresses q obey q' = -(1 - E 1^T / E(0)) q / tau under a held load.
-        """
+        """Creep compliance J(t) [1/Pa] at times t >= 0."""
         t = _not_negative("time", time_s, "s")
         weights, rates = self.retardation()
         return np.asarray(1 / self.equilibrium_pa - np.exp(-t[..., None] * rates) @ weights)
 
     def retardation(self) -> tuple[Float[ndarray, " m"], Float[ndarray, " m"]]:
-        """Weights [1/Pa] and rates [1/s] of the creep J(t) = 1/E_inf - sum w_i exp(-r_i t)."""
+        """Weights [1/Pa] and rates [1/s] of J(t) = 1/E_inf - sum w_i exp(-r_i t)."""
         E, E0 = self._moduli, self.instantaneous_pa
         root = np.sqrt(E / self._times)
         # with q = sqrt(E tau) v the rates are symmetric
@@ -116,12 +91,12 @@ class Prony:
         return weights * start / self.equilibrium_pa, values
 
     def storage(self, angular_frequency: float) -> float:
-        """E'(omega) [Pa] under a sinusoidal strain at omega [rad/s]."""
+        """E'(omega) [Pa] at an angular frequency [rad/s]."""
         x2 = np.square(_positive_frequency(angular_frequency) * self._times)
         return self.equilibrium_pa + float(np.sum(self._moduli * x2 / (1 + x2)))
 
     def loss(self, angular_frequency: float) -> float:
-        """E''(omega) [Pa] under a sinusoidal strain at omega [rad/s]."""
+        """E''(omega) [Pa] at an angular frequency [rad/s]."""
         x = _positive_frequency(angular_frequency) * self._times
         return float(np.sum(self._moduli * x / (1 + x**2)))
 
@@ -131,7 +106,7 @@ class Prony:
         return math.pi * self.loss(angular_frequency) * strain_amplitude**2
 
     def branches(self, time_s: History, signal: History) -> Branches:
-        """P_i(t_n) [Pa times the signal] of a signal that rests before its first sample."""
+        """P_i(t_n) [Pa times the signal] of a signal at rest before its first sample."""
         steps = _steps(time_s, signal)
         x = steps[:, None] / self._times
         fall = np.exp(-x)
@@ -142,7 +117,7 @@ class Prony:
         return stress
 
     def stress(self, time_s: History, strain: History) -> History:
-        """Stress [Pa] under a history of strain that starts from rest at 0 strain."""
+        """Stress [Pa] under a history of strain that starts at 0."""
         if strain[0] != 0.0:
             raise RangeError(f"the first strain is {strain[0]:g}, not 0; start the history at rest")
         return np.asarray(self.equilibrium_pa * strain + self.branches(time_s, strain).sum(axis=1))
@@ -154,44 +129,6 @@ class Prony:
     @property
     def _times(self) -> Float[ndarray, " m"]:
         return np.array(self.times_s, dtype=float)
-
-
-@dataclass(frozen=True, slots=True)
-class KelvinVoigt:
-    """A spring beside a dashpot, sigma = E eps + eta eps': a baseline that others use.
-
-    Its stress is infinite at a step of strain and does not relax while the strain is held; so it refuses
-    histories with a step or a hold, which is how a rig presses. ``Prony`` has both.
-
-    Attributes:
-        modulus_pa: E, positive [Pa].
-        viscosity_pa_s: eta, positive [Pa s].
-    """
-
-    modulus_pa: float
-    viscosity_pa_s: float
-
-    def __post_init__(self) -> None:
-        positive("the modulus", self.modulus_pa, "Pa")
-        positive("the viscosity", self.viscosity_pa_s, "Pa s")
-
-    def stress(self, time_s: History, strain: History) -> History:
-        """Stress [Pa] under a smooth history of strain; the rate is taken from central differences.
-
-        Raises:
-            RangeError: the history has a step or a hold, or fewer than 3 samples, or is not finite.
-        """
-        _steps(time_s, strain)
-        if len(time_s) < 3:
-            raise RangeError(f"{len(time_s)} samples give no rate of strain; give 3 or more")
-        if strain[0] != 0.0 or np.any(np.diff(strain) == 0.0):
-            raise RangeError(
-                "the history starts with a step or holds the strain; a Kelvin-Voigt skin has infinite stress "
-                "at a step and does not relax in a hold: use a Prony series",
-                code="no-step-response",
-            )
-        rate = np.gradient(strain, time_s, edge_order=2)
-        return np.asarray(self.modulus_pa * strain + self.viscosity_pa_s * rate)
 
 
 def _steps(time_s: History, signal: History) -> Float[ndarray, " steps"]:
@@ -220,10 +157,10 @@ def _positive_frequency(angular_frequency: float) -> float:
     return angular_frequency
 
 
-MIN_SUBSTEPS = 8  # of each step, along which d^(3/2) and the force are taken as straight
-MAX_SHARE = 1e-3  # of the history's duration, and of its greatest depth, that one of them takes
-ELEMENTS = 400  # from the centre to the widest contact
-HALVINGS = 60  # of the bracket of t1: to the last digit
+MIN_SUBSTEPS = 8  # minimum parts of each step
+MAX_SHARE = 1e-3  # maximum part of the history's duration and depth
+ELEMENTS = 400  # elements from the centre to the maximum contact radius
+HALVINGS = 60  # bisections of t1
 
 Times = Float[ndarray, " k"]
 
@@ -233,12 +170,9 @@ class Indentation:
     """Force and contact radius over a history of depth.
 
     Attributes:
-        time_s: samples [s].
-        depth_m: at them [m].
-        force_n: positive in compression, never negative [N].
-        radius_m: of the contact, 0 where there is none [m].
-        loss_j: work done by the probe less what came back, the area of the loop if it closes; integrated
-            between the samples too, where the force is not straight [J].
+        force_n: Never negative [N].
+        radius_m: Contact radius, 0 without contact [m].
+        loss_j: Net work of the probe, the area of a closed loop [J].
     """
 
     time_s: History
@@ -251,18 +185,14 @@ class Indentation:
 def ting(
     time_s: History, depth_m: History, radius_m: float, skin: Prony, poisson_ratio: float
 ) -> Indentation:
-    """Force and contact radius while the depth rises once, with or without holds, and then falls.
+    """Return force and contact radius for a depth that rises once, with or without holds, and then falls.
 
     Args:
-        time_s: increasing [s].
-        depth_m: from 0, never above R/4 [m]; below 0 the sphere is in the air.
-        radius_m: of the sphere [m].
-        skin: its relaxation modulus.
-        poisson_ratio: of the skin, 0 to 0.5, constant in time.
-
-    Raises:
-        RangeError: the depth does not rise and then fall, is held on the way back so long that the contact
-            would grow again (use ``press``), is beyond a/R = 0.5, or an argument is out of range.
+        time_s: Increasing times [s].
+        depth_m: Depth from 0, at most R/4 [m]; negative in the air.
+        radius_m: Radius of the sphere [m].
+        skin: Relaxation modulus.
+        poisson_ratio: Constant, 0 to 0.5.
 
     Example:
         >>> t = np.linspace(0, 2, 101)
@@ -297,14 +227,14 @@ def ting(
 
 
 class _Remembered:
-    """A signal and what a skin's branches have left of it, at its samples and between them."""
+    """A signal and its branches, at its samples and between them."""
 
     def __init__(self, skin: Prony, time_s: Times, signal: History) -> None:
         self.time_s, self.signal, self.branches = time_s, signal, skin.branches(time_s, signal)
         self._skin, self._taus = skin, np.array(skin.times_s)
 
     def left(self, t1: Times, later: Times) -> tuple[Times, Branches]:
-        """The signal at t1; and P_i that its history up to t1 has left at later times."""
+        """The signal at t1, and P_i that its history up to t1 leaves at later times."""
         t, signal = self.time_s, self.signal
         j = np.minimum(np.searchsorted(t, t1, side="right") - 1, len(t) - 2)
         part = (t1 - t[j])[:, None] / self._taus
@@ -321,7 +251,7 @@ class _Remembered:
 
 
 def _times_as_wide(depth: _Remembered, top: int) -> tuple[Times, Bool[ndarray, " k"]]:
-    """The earlier time t1 whose contact was as wide, of each sample; and where the contact is lost."""
+    """The earlier time t1 of equal contact radius for each sample, and where contact is lost."""
     t, back = depth.time_s, top + 1
     low, high = np.full(len(t) - back, t[0]), np.full(len(t) - back, t[top])
     apart = depth.gained(low, back) <= 0.0
@@ -335,13 +265,8 @@ def _times_as_wide(depth: _Remembered, top: int) -> tuple[Times, Bool[ndarray, "
 def press(
     time_s: History, depth_m: History, radius_m: float, skin: Prony, poisson_ratio: float
 ) -> Indentation:
-    """Force and contact radius under any history of depth; arguments as for ``ting``, and slower.
-
-    The force errs by about 1e-5 of its greatest and the radius by 1/800 of its greatest, however few the
-    samples of a history are.
-
-    Raises:
-        RangeError: the contact becomes a ring, the depth is beyond a/R = 0.5, or an argument is out of range.
+    """Return force (error about 1e-5) and contact radius (1/800) under any history of depth; arguments as for
+    `ting`.
     """
     _check(time_s, depth_m, radius_m)
     reduced_modulus(1.0, poisson_ratio)
@@ -359,7 +284,7 @@ def press(
         rigid = d[n + 1] - height
         faded, stiff = fall * q, gain.sum()
         rest = faded.sum(axis=0) - stiff * u
-        free = -rest / (skin.equilibrium_pa + stiff)  # where it comes to, unloaded
+        free = -rest / (skin.equilibrium_pa + stiff)  # unloaded position
         touching = rigid > free
         after = np.where(touching, rigid, free)
         q, u = faded + gain * (after - u), after
@@ -383,10 +308,7 @@ def _check(time_s: History, depth_m: History, radius_m: float) -> None:
 
 
 def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times, Int[ndarray, " n"]]:
-    """Times and depths of the same straight pieces in short parts, and where among them the samples are.
-
-    First touches between samples are among them, and so the depth over the skin is straight between them too.
-    """
+    """The history in short linear parts, and the indices of its samples."""
     before, after, steps = depth_m[:-1], depth_m[1:], np.diff(time_s)
     through = np.sign(before) * np.sign(after) < 0.0
     touches = (time_s[:-1] + steps * before / np.where(through, before - after, 1.0))[through]
@@ -396,6 +318,5 @@ def _subdivide(time_s: History, depth_m: History) -> tuple[Times, Times, Int[nda
     lasting = np.diff(ends) / (ends[-1] - ends[0])
     parts = np.maximum(MIN_SUBSTEPS, np.ceil(np.maximum(moved, lasting) / MAX_SHARE - 1e-9)).astype(int)
     at = np.append(0, np.cumsum(parts))
-    # rounding may make two of them one
     fine = np.unique(np.interp(np.arange(at[-1] + 1), at, ends))
     return fine, np.interp(fine, time_s, depth_m), np.searchsorted(fine, time_s)

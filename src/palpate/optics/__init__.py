@@ -1,4 +1,8 @@
-"""Stress and light to images."""
+"""Optics: from stress and light to images.
+
+Errors of this package: `InputError` for shapes that do not fit and values that are not finite; `RangeError`
+for values outside their range.
+"""
 
 from palpate.optics.axisymmetric_march import (
     AxisymmetricField,

@@ -1,8 +1,7 @@
-"""The compiled loops that sample an axisymmetric table; `axisymmetric_march` has the law and calls them.
+"""Compiled loops that sample an axisymmetric table for `axisymmetric_march`.
 
-Lengths are in units of the table's last radius, stress in Pa. Graded knots are found from a list of the
-interval in which each of many equal steps begins. A ray that stays in the skin and in the table, as most do,
-takes a short loop; one that may cross the surface takes a careful one.
+Lengths are in units of the table's last radius. Graded knots are found through a lookup of equal steps. Rays
+that stay in the membrane and the table take a fast loop.
 """
 
 import math
@@ -18,7 +17,7 @@ from palpate.optics.march_kernels import FAST, ONE, TINY, add_light, f32, march_
 @numba.njit(inline="always", **FAST)
 @no_type_check
 def _place(at, knots, start, per_step):
-    """Interval and share of `at` among graded knots; `start` names the interval at equal steps."""
+    """Interval and fraction of `at` among graded knots; `start` is the lookup."""
     last = knots.size - 2
     i = start[min(max(int(at * per_step), 0), start.size - 1)]
     while i < last and at >= knots[i + 1]:
@@ -36,7 +35,7 @@ def _surface(r, r_knots, r_start, r_per_step, surface):
 @numba.njit(inline="always", **FAST)
 @no_type_check
 def _read(z, r, table):
-    """s_rr - s_tt, s_tt - s_zz and 2 s_rz at depth z and radius r of the skin."""
+    """s_rr - s_tt, s_tt - s_zz, and 2 s_rz at depth z and radius r."""
     r_knots, r_start, r_per_step, z_knots, z_start, z_per_step, surface, thickness, stress = table
     m, w = _place(r, r_knots, r_start, r_per_step)
     top = surface[m] + w * (surface[m + 1] - surface[m])
@@ -52,11 +51,7 @@ def _read(z, r, table):
 @numba.njit(**FAST)
 @no_type_check
 def _sample_deep(rays, j, i, slices, table, frozen, difference, shear):
-    """Slices of ray j, in the skin and in the table all along, into column i.
-
-    The law is in `axisymmetric_march`. Lengths are in units of the table's last radius. The angle
-    atan(y / scale) turns by equal steps.
-    """
+    """Slices of ray j, entirely in the membrane and the table, into column i."""
     offset, scale = rays[0, j], rays[4, j]
     first, last = math.atan(rays[2, j] / scale), math.atan(rays[3, j] / scale)
     step = (last - first) / slices
@@ -88,7 +83,7 @@ def _sample_deep(rays, j, i, slices, table, frozen, difference, shear):
 @numba.njit(**FAST)
 @no_type_check
 def _sample_any(rays, j, i, slices, table, frozen, difference, shear, inside):
-    """The same for a ray that may cross the surface or leave the table."""
+    """Slices of a ray that may cross the surface or leave the table."""
     r_knots, r_start, r_per_step, _, _, _, surface, thickness, _ = table
     offset, scale = rays[0, j], rays[4, j]
     first, last = math.atan(rays[2, j] / scale), math.atan(rays[3, j] / scale)
@@ -109,7 +104,7 @@ def _sample_any(rays, j, i, slices, table, frozen, difference, shear, inside):
         length, share = y_next - y_edge, ONE
         if z > thickness or (below < 0 and above < 0):
             share = f32(0)
-        elif below < 0 or above < 0:  # only a part is in the skin, its surface taken as straight
+        elif below < 0 or above < 0:  # partly inside, with a straight surface
             share = max(below, above) / abs(above - below)
             y = y_next - length * share / 2 if above > 0 else y_edge + length * share / 2
         length *= share
@@ -149,7 +144,7 @@ def _sample_tile(start, n, rays, slices, table, frozen, difference, shear, insid
 @numba.njit(**FAST)
 @no_type_check
 def march_rays(first, last, rays, slices, table, frozen, half_phase, real, imag, weight, light, inside):
-    """Rays [5 n] first to last, with frozen [2 n], into light [c n] (zeros) and inside [2 n]."""
+    """March rays [5 n] first to last, with frozen stress [2 n], into light [c n] (zeros) and inside [2 n]."""
     bands = half_phase.size
     room = np.empty(TILE, f32)
     difference, shear = np.empty((slices, TILE), f32), np.empty((slices, TILE), f32)

@@ -1,14 +1,11 @@
-"""Light through a table of stress around an axis: the exact path past a round contact, ray by ray.
+"""Light through an axisymmetric table of stress, ray by ray.
 
-A ray runs along y past the axis of symmetry at the signed offset s, at one depth z. Where it is at distance
-r = sqrt(s^2 + y^2), with cos = s / r, it sees
+A ray along y at signed offset s and depth z sees, at r = sqrt(s^2 + y^2) with cos = s / r,
 
     s_xx - s_zz = (s_rr - s_tt) cos^2 + (s_tt - s_zz),      2 s_xz = 2 s_rz cos.
 
-Its slices are equal steps of atan(y / scale), finest at the axis. What of a slice lies above the skin's
-deformed surface is cut off, the surface taken as straight across the slice. The table is read bilinearly in
-(r, zeta), zeta running from the deformed surface to the bottom, so that the dimple is a line of the table and
-not a step.
+Slices are equal steps of atan(y / scale); parts above the deformed surface are cut off. The table is bilinear
+in (r, zeta), with zeta from the deformed surface to the bottom.
 """
 
 from __future__ import annotations
@@ -27,14 +24,14 @@ Numbers = Float[ndarray, "5 *n"]
 
 @dataclass(frozen=True, slots=True)
 class AxisymmetricField:
-    """Stress in a pressed layer, symmetric about an axis, in the deformed body.
+    """Axisymmetric stress in a pressed layer, in the deformed body.
 
     Attributes:
-        r_m: distances from the axis [m], ascending from 0.
-        zeta: shares of the way from the deformed surface to the bottom, ascending from 0 to 1.
-        surface_m: z of the deformed surface at each r [m]; positive in the dimple.
-        thickness_m: z of the bottom [m]; (r, z) has zeta = (z - surface) / (thickness - surface).
-        stress_pa: Cauchy rr, tt, zz and rz [Pa], positive in tension.
+        r_m: Radii, ascending from 0 [m].
+        zeta: Relative depths from the deformed surface to the bottom, from 0 to 1.
+        surface_m: z of the deformed surface at each r, positive in the dimple [m].
+        thickness_m: z of the bottom [m].
+        stress_pa: Cauchy rr, tt, zz, rz, positive in tension [Pa].
     """
 
     r_m: Float[ndarray, " n"]
@@ -65,14 +62,13 @@ class AxisymmetricField:
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """Straight rays along y; the five arrays broadcast to one shape.
+    """Straight rays along y; the arrays broadcast to one shape.
 
     Attributes:
         offset_m: s, the ray's x less the axis's [m].
-        depth_m: z [m]; negative above the surface at rest.
-        start_m: y where the ray enters the skin [m], 0 being nearest to the axis.
-        end_m: y where it leaves [m], beyond the start.
-        scale_m: positive [m]; slices are equal steps of atan(y / scale).
+        depth_m: z; negative above the rest surface [m].
+        start_m, end_m: y of entry and exit, 0 being nearest to the axis [m].
+        scale_m: Scale of the slices, positive [m].
     """
 
     offset_m: Along
@@ -94,27 +90,21 @@ class Rays:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the rays together."""
         return np.broadcast_shapes(*(getattr(self, part.name).shape for part in fields(self)))
 
     def broadcast(self) -> Numbers:
-        """All numbers of all rays [m]."""
         return np.stack([np.broadcast_to(getattr(self, part.name), self.shape) for part in fields(self)])
 
 
-FINEST = 4096  # equal steps that look up graded knots
+FINEST = 4096  # steps of the lookup of graded knots
 Bands = Float[ndarray, " k"]
 Weights = Float[ndarray, "k c"]
 Amplitudes = Complex[ndarray, "k 4"]
 
 
 class MarchedRays(NamedTuple):
-    """Light of rays that were marched, and how much of the skin each crossed.
-
-    Attributes:
-        light: transmitted fraction in each channel, between ideal polarisers.
-        skin_m: length inside the skin [m]; 0 where a ray runs in air, or below the bottom.
-        outside_m: length inside the skin but beyond the table [m], where no stress was counted.
+    """Transmitted fraction in each channel, length inside the membrane [m], and its part beyond the table
+    [m].
     """
 
     light: Float32[ndarray, "*n c"]
@@ -132,25 +122,21 @@ def march_axisymmetric(
     frozen_pa: tuple[Along | float, Along | float] = (0.0, 0.0),
     threads: int | None = None,
 ) -> MarchedRays:
-    """Carry the light of each ray through the table, sampling it on the way.
+    """March the light of each ray through the table.
 
     Args:
-        field: the table.
-        rays: where they run.
+        field: Table.
+        rays: Rays.
         half_phase: pi C / lambda of each band [1/(Pa m)]; see `StressOpticLaw.half_phase`.
-        weight: of each band in each channel, as in `Spectrum.weight`; the identity for every band by itself.
-        amplitude: of the polariscope in each band; see `plane_amplitude` and `circular_amplitude`.
-        slices: on the whole ray. From the surface at rest downwards 64 keep 999 of 1000 pixels within one
-            8-bit step up to 5 fringes; rows above it, through a bulge, want 128.
-        frozen_pa: s_xx - s_zz and 2 s_xz that stand for residual birefringence, even along each ray: a number
-            of each, or one a ray; see `frozen_stress`.
-        threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
-
-    Returns:
-        Light and lengths. Memory beyond the rays and the result is a few 10 kB a thread.
+        weight: Weight of each band in each channel, as in `Spectrum.weight`.
+        amplitude: Polariscope in each band; see `plane_amplitude` and `circular_amplitude`.
+        slices: Number per ray; 64 suffice up to 5 fringes below the rest surface, 128 through a bulge.
+        frozen_pa: s_xx - s_zz and 2 s_xz of residual birefringence, uniform along each ray; see
+            `frozen_stress`.
+        threads: Number of threads; None for all processors or NUMBA_NUM_THREADS.
     """
     _check_march(half_phase, weight, amplitude, slices, frozen_pa)
-    from palpate.optics import axisymmetric_kernels  # here: compiling is for those who march
+    from palpate.optics import axisymmetric_kernels  # deferred: compiles kernels
 
     unit = field.r_m[-1]
     paths = rays.broadcast().reshape(5, -1) / unit
@@ -179,7 +165,7 @@ def _each(frozen_pa: tuple[Along | float, Along | float], rays: Rays) -> Float32
 
 
 def _table(field: AxisymmetricField) -> tuple[ndarray | np.float32, ...]:
-    """The kernel's table: single precision, lengths in units of the last radius, radius first."""
+    """The kernel's table: single precision, lengths in the last radius, radius first."""
     unit = field.r_m[-1]
     rr, tt, zz, rz = field.stress_pa
     stress = np.stack([rr - tt, tt - zz, 2 * rz, 0 * rz], axis=-1).swapaxes(0, 1)

@@ -1,7 +1,5 @@
-"""A colour camera's response: uneven light, photons that come one by one, read-out, raw codes, 8-bit picture.
-
-Every pixel has all three channels: no mosaic of colour filters is modelled, nor a matrix from the camera's
-colours to sRGB's. Both are what a real camera adds to this.
+"""Response of a color camera: vignetting, shot and read noise, raw codes, and 8-bit images; without color
+mosaic and matrix.
 """
 
 from __future__ import annotations
@@ -18,13 +16,13 @@ LinearImage = Float[ndarray, "h w 3"]
 
 @dataclass(frozen=True, slots=True)
 class CameraResponse:
-    """Numbers by which light becomes codes; they are assumed, of the order of industrial cameras.
+    """Camera parameters, assumed and typical of industrial cameras.
 
     Attributes:
-        full_well_e: electrons of the greatest code [electrons].
-        read_noise_e: standard deviation of the read-out [electrons].
-        bits: of the converter, 1 to 16.
-        exposure: share of the full well that light 1 fills in the most sensitive channel; above 1 clips.
+        full_well_e: Electrons of the maximum code.
+        read_noise_e: Standard deviation of the read noise [electrons].
+        bits: 1 to 16.
+        exposure: Fraction of the full well filled by light 1 in the most sensitive channel.
     """
 
     full_well_e: float = 15_000.0
@@ -45,12 +43,12 @@ class CameraResponse:
 
 @dataclass(frozen=True, slots=True)
 class AutoExposure:
-    """A camera that chooses each frame's exposure so that its mean light comes near a target, in whole steps.
+    """Automatic exposure towards a mean light, in whole steps.
 
     Attributes:
-        target: mean light over the frame and its channels that it aims at, 1 being white.
-        steps_per_stop: of the exposure, in a factor of 2; 3 are thirds of a stop.
-        max_stops: by which it changes the exposure at most, either way.
+        target: Mean light, 1 being white.
+        steps_per_stop: Steps in a factor of 2.
+        max_stops: Maximum change, either way.
     """
 
     target: float
@@ -66,7 +64,7 @@ class AutoExposure:
             )
 
     def gain(self, linear: LinearImage) -> float:
-        """Factor by which the next frame of this light is exposed longer, a whole number of steps."""
+        """Exposure factor for this light, a whole number of steps."""
         mean = float(np.mean(linear))
         stops = np.log2(self.target / mean) if mean > 0 else self.max_stops
         stops = np.clip(stops, -self.max_stops, self.max_stops)
@@ -76,13 +74,13 @@ class AutoExposure:
 def raw_codes(
     linear: LinearImage, sensitivity: Float[ndarray, " 3"], camera: CameraResponse, rng: np.random.Generator
 ) -> UInt16[ndarray, "h w 3"]:
-    """One noisy exposure as the converter writes it, unbalanced.
+    """Return one noisy exposure as raw codes, without white balance.
 
     Args:
-        linear: balanced light, 1 at white, not negative.
-        sensitivity: of the channels; see `Spectrum`.
-        camera: its numbers.
-        rng: the only source of chance.
+        linear: Balanced light, 1 at white, not negative.
+        sensitivity: Sensitivity of the channels; see `Spectrum`.
+        camera: Camera parameters.
+        rng: Source of noise.
     """
     if not (np.min(linear, initial=0.0) >= 0 and np.isfinite(linear).all()):
         raise InputError("light must be finite and not negative; look for NaN in the stress or the lamp")
@@ -94,7 +92,7 @@ def raw_codes(
 def develop(
     codes: UInt16[ndarray, "h w 3"], sensitivity: Float[ndarray, " 3"], camera: CameraResponse
 ) -> UInt8[ndarray, "h w 3"]:
-    """Raw codes to 8-bit sRGB: balanced, the exposure divided out, clipped at white."""
+    """Convert raw codes to 8-bit sRGB: balanced, exposure divided out, clipped at white."""
     white = (2**camera.bits - 1) * camera.exposure * sensitivity
     return encode_srgb(codes / white)
 
@@ -105,12 +103,12 @@ Electrons = Float[ndarray, "*n"]
 def uneven_light(
     height: int, width: int, corner_loss: float, centre: tuple[float, float] = (0.5, 0.5)
 ) -> Float32[ndarray, "h w"]:
-    """Light over the image, fixed to the camera: 1 at the centre, falling with the square of the distance.
+    """Return vignetting: 1 at the centre, falling with the square of the distance.
 
     Args:
-        height, width: of the image [px].
-        corner_loss: share of the light lost at half the image's diagonal from the centre, 0 to 1.
-        centre: of the light, in shares of the height and of the width.
+        height, width: Image size [px].
+        corner_loss: Fraction lost at half the image's diagonal, 0 to 1.
+        centre: Centre in fractions of height and width.
     """
     if not 0.0 <= corner_loss <= 1.0:
         raise RangeError(f"corner loss {corner_loss} lies outside 0 to 1")
@@ -121,16 +119,7 @@ def uneven_light(
 
 
 def electrons(mean: Electrons, read_noise_e: float, rng: np.random.Generator) -> Float32[ndarray, "*n"]:
-    """One exposure: shot and read noise together as one Gaussian of variance mean + read^2.
-
-    The first two moments are exact. The third, which a Gaussian lacks, is mean / (mean + read^2)^1.5 standard
-    deviations cubed: below 0.15 from 45 electrons on.
-
-    Args:
-        mean: expected electrons, not negative.
-        read_noise_e: standard deviation of the read-out [electrons].
-        rng: the only source of chance.
-    """
+    """Return one exposure of expected electrons: Gaussian noise of variance mean + read^2."""
     spread = np.sqrt(mean + np.float32(read_noise_e**2), dtype=np.float32)
     spread *= rng.standard_normal(mean.shape, dtype=np.float32)
     spread += mean
@@ -138,6 +127,6 @@ def electrons(mean: Electrons, read_noise_e: float, rng: np.random.Generator) ->
 
 
 def quantise(counts: Electrons, full_well_e: float, bits: int) -> UInt16[ndarray, "*n"]:
-    """The converter's codes: 0 at no electrons, 2^bits - 1 at the full well, clipped at both ends."""
+    """Return the converter's codes: 0 at no electrons, 2^bits - 1 at the full well, clipped."""
     top = 2**bits - 1
     return np.clip(np.rint(counts * np.float32(top / full_well_e)), 0, top).astype(np.uint16)

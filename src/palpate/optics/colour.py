@@ -1,8 +1,4 @@
-"""Spectra to colour: a white LED, a camera's three channels, and sRGB's curve.
-
-The curves are plain Gaussians with named numbers, assumed and not measured: they have the shape of a phosphor
-LED and of a colour camera, and belong to no product.
-"""
+"""Spectra to color: a white LED, three camera channels, and sRGB. The Gaussian spectra are assumed."""
 
 from __future__ import annotations
 
@@ -17,21 +13,19 @@ Banded = Float[ndarray, "k *n"]
 Tone = Literal["srgb", "linear"]
 
 SECOND_RADIATION_M_K = 1.438777e-2
-"""Planck's c2 = hc/k [m K]."""
+"""c2 = hc/k [m K]."""
 
-MIN_BANDS = 31  # fewer cost more than 0.006 in intensity at four fringe orders
+MIN_BANDS = 31  # minimum for an intensity error of 0.006 at four fringe orders
 
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Spectrum of the light as the camera weighs it, in bands of equal width.
+    """Spectrum of the light as weighted by the camera, in bands of equal width.
 
     Attributes:
-        wavelength_m: centres of the bands ``[k]`` [m].
-        weight: share of each band in each balanced channel ``[k 3]``; each channel sums to 1, so that the
-            bare lamp is white.
-        sensitivity: what each channel gets of the bare lamp before balancing, over what the most sensitive
-            gets ``[3]``; raw codes are as unequal as this.
+        wavelength_m: Band centres [m].
+        weight: Weight of each band in each balanced channel; each channel sums to 1.
+        sensitivity: Unbalanced channels over the most sensitive one.
     """
 
     wavelength_m: Float[ndarray, " k"]
@@ -47,15 +41,13 @@ def assumed_camera(
     camera_peaks_nm: tuple[float, float, float] = (600.0, 540.0, 460.0),
     camera_widths_nm: tuple[float, float, float] = (35.0, 40.0, 30.0),
 ) -> Spectrum:
-    """A phosphor white LED seen by an RGB camera, white-balanced; every number is assumed.
+    """Return a phosphor white LED seen by a white-balanced RGB camera; all values are assumed.
 
     Args:
-        bands: over 400 to 700 nm, at least 31.
-        led_peaks_nm: of the blue die and of the phosphor [nm].
-        led_widths_nm: their standard deviations [nm].
-        phosphor_share: the phosphor's peak over the die's.
-        camera_peaks_nm: of red, green and blue [nm].
-        camera_widths_nm: their standard deviations [nm].
+        bands: Number from 400 to 700 nm, at least 31.
+        led_peaks_nm, led_widths_nm: Peaks and standard deviations of blue die and phosphor [nm].
+        phosphor_share: Phosphor's peak over the die's.
+        camera_peaks_nm, camera_widths_nm: Peaks and standard deviations of red, green, and blue [nm].
     """
     if bands < MIN_BANDS:
         raise InputError(f"{bands} bands are too few for interference colours; use {MIN_BANDS} or more")
@@ -69,14 +61,12 @@ def assumed_camera(
 
 
 def spectral_to_linear(light: Banded, spectrum: Spectrum) -> Float[ndarray, "... 3"]:
-    """Transmitted fraction in each band to linear RGB, 1 where all light passes."""
+    """Convert the transmitted fraction in each band to linear RGB."""
     return np.asarray(np.einsum("k...,kc->...c", light, spectrum.weight))
 
 
 def encode_srgb(linear: Float[ndarray, "*n"]) -> UInt8[ndarray, "*n"]:
-    """Linear 0 to 1 to 8-bit sRGB; what lies outside is clipped.
-
-    Reference: IEC 61966-2-1:1999.
+    """Encode linear 0 to 1 as 8-bit sRGB, clipped (IEC 61966-2-1:1999).
 
     Example:
         >>> encode_srgb(np.array([0.0, 0.5, 1.0])).tolist()
@@ -88,7 +78,9 @@ def encode_srgb(linear: Float[ndarray, "*n"]) -> UInt8[ndarray, "*n"]:
 
 
 def linear_light(codes: Float[ndarray, "*n"] | UInt8[ndarray, "*n"], tone: Tone) -> Float[ndarray, "*n"]:
-    """Linear light, 0 to 1, of 8-bit codes: the inverse of `encode_srgb`; "linear" takes codes as light."""
+    """Return linear light, 0 to 1, of 8-bit codes: the inverse of `encode_srgb`, or codes as light for
+    "linear".
+    """
     v = np.asarray(codes / 255)
     if tone == "linear":
         return v
@@ -100,14 +92,14 @@ def _bell(nm: Float[ndarray, " k"], peak: float, width: float) -> Float[ndarray,
 
 
 def lamp_tint(mired: float, spectrum: Spectrum) -> Float32[ndarray, " 3"]:
-    """Each channel's light under a warmer or colder lamp, over that of the lamp the camera is balanced to.
+    """Return each channel's light under a warmer or colder lamp over the balanced one, with green unchanged.
 
-    The lamp's spectrum is multiplied by exp(-c2 m / lambda), which moves a black body of any temperature T to
-    1 / (1/T + m), in Wien's approximation. Green is kept, as an exposure set anew would.
+    The spectrum is multiplied by exp(-c2 m / lambda), which moves a black body from T to 1 / (1/T + m)
+    (Wien).
 
     Args:
-        mired: m, the change of 1e6 K over the colour temperature; positive is warmer.
-        spectrum: of lamp and camera.
+        mired: m, the change of 1e6 K over the color temperature; positive is warmer.
+        spectrum: Lamp and camera.
     """
     filtered = np.exp(-SECOND_RADIATION_M_K * mired * 1e-6 / spectrum.wavelength_m) @ spectrum.weight
     return np.asarray(filtered / filtered[1], dtype=np.float32)

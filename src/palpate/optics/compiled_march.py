@@ -1,9 +1,4 @@
-"""The march of `march.py`, compiled: every ray and band of an image in milliseconds.
-
-It multiplies the same unit quaternions in single precision, a tile of rays at a time, so that an image needs
-no array of bands x rays. Against the plain march in double precision the light differs by less than 1e-5
-where no slice turns the phase by more than a few radians, and the slices had better not.
-"""
+"""The march of `march.py`, compiled in single precision; light differs by less than 1e-5 for fine slices."""
 
 from __future__ import annotations
 
@@ -16,9 +11,9 @@ import numpy as np
 
 from palpate.core import Complex, Float, Float32, InputError, ndarray
 
-PIECES = 4  # of the rays a thread, so that one late thread holds up little
-TILE = 64  # rays that the kernels march together; 31 bands x 4 float32 of them are 32 kB
-MIN_RAYS = 2048  # in a piece: fewer cost more to hand out than to march
+PIECES = 4  # pieces per thread, for load balance
+TILE = 64  # rays marched together; 31 bands x 4 float32 are 32 kB
+MIN_RAYS = 2048  # minimum rays per piece
 
 Slices = Float[ndarray, "s *n"]
 Spectral = Float32[ndarray, "k *n"]
@@ -33,19 +28,16 @@ def march_colour(
     even: bool = False,
     threads: int | None = None,
 ) -> Float32[ndarray, "*n c"]:
-    """Light of each ray through its slices, summed over the bands.
+    """Return the light of each ray through its slices, summed over the bands.
 
     Args:
-        difference: (s_xx - s_zz) dy of each slice [Pa m]. Contiguous float32 is used without a copy.
+        difference: (s_xx - s_zz) dy of each slice [Pa m].
         shear: 2 s_xz dy of each slice [Pa m].
         half_phase: pi C / lambda of each band [1/(Pa m)]; see `StressOpticLaw.half_phase`.
-        weight: of each band in each channel, as in `Spectrum.weight`.
-        amplitude: of the polariscope in each band; see `plane_amplitude`.
-        even: the slices are the half of a ray that is even about its midpoint, as in `march_even`.
-        threads: to share the rays; None for as many as there are processors, or as NUMBA_NUM_THREADS says.
-
-    Returns:
-        Transmitted fraction of each channel, 1 where all light passes if the channel's weights sum to 1.
+        weight: Weight of each band in each channel, as in `Spectrum.weight`.
+        amplitude: Polariscope in each band; see `plane_amplitude`.
+        even: Whether slices are the half of a symmetric ray, as in `march_even`.
+        threads: Number of threads; None for all processors or NUMBA_NUM_THREADS.
     """
     check_bands(half_phase, weight, amplitude)
     if difference.shape != shear.shape or difference.ndim < 2 or len(difference) < 1:
@@ -53,7 +45,7 @@ def march_colour(
             f"slices of shapes {difference.shape} and {shear.shape}; give two equal ones [slices, rays]",
             code="shape",
         )
-    from palpate.optics import march_kernels  # here: compiling is for those who march
+    from palpate.optics import march_kernels  # deferred: compiles kernels
 
     shape = difference.shape[1:]
     u, v = (_rows(part) for part in (difference, shear))
@@ -64,7 +56,6 @@ def march_colour(
         march_kernels.march_stack(first, last, u, v, even, *optics, light)
 
     in_threads(piece, u.shape[1], threads)
-    # the sum over a ray's slices carries any NaN or infinity through to its light
     if not np.isfinite(light).all():
         raise InputError("some slice is not a finite number of Pa m; look for NaN or infinity in the stress")
     return np.ascontiguousarray(light.T).reshape(*shape, -1)
@@ -78,7 +69,7 @@ def march_spectral(
     even: bool = False,
     threads: int | None = None,
 ) -> Spectral:
-    """Light of each ray in each band; arguments and errors as in `march_colour`."""
+    """Return the light of each ray in each band; arguments as in `march_colour`."""
     each = np.eye(len(half_phase))
     return np.moveaxis(march_colour(difference, shear, half_phase, each, amplitude, even, threads), -1, 0)
 
@@ -86,7 +77,7 @@ def march_spectral(
 def check_bands(
     half_phase: Float[ndarray, " k"], weight: Float[ndarray, "k c"], amplitude: Complex[ndarray, "k 4"]
 ) -> None:
-    """Refuse bands that do not fit each other or are not numbers."""
+    """Reject bands that do not fit each other or are not finite."""
     k = len(half_phase)
     if k < 1 or weight.ndim != 2 or len(weight) != k or amplitude.shape != (k, 4):
         raise InputError(
@@ -98,7 +89,7 @@ def check_bands(
 
 
 def kernel_bands(half_phase: ndarray, weight: ndarray, amplitude: ndarray) -> tuple[ndarray, ...]:
-    """The bands as the kernels take them: half phases, amplitudes' two parts, weights."""
+    """Return the kernels' bands: half phases, parts of the amplitudes, weights."""
     parts = (half_phase, amplitude.real, amplitude.imag, weight)
     return tuple(np.ascontiguousarray(part, dtype=np.float32) for part in parts)
 
@@ -112,7 +103,7 @@ def in_threads(piece: Callable[[int, int], None], rays: int, threads: int | None
     if pieces < 2:
         piece(0, rays)
         return
-    # whole tiles, so that every ray is computed alike whatever the threads
+    # whole tiles, so that results do not depend on the number of threads
     ends = np.minimum(np.linspace(0, -(-rays // TILE), pieces + 1).astype(int) * TILE, rays).tolist()
     with ThreadPoolExecutor(count) as pool:
         for task in [pool.submit(piece, a, b) for a, b in pairwise(ends)]:

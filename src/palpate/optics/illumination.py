@@ -1,4 +1,4 @@
-"""The lamp behind the skin: a strip of LEDs and a diffuser, and what the lens loses towards the corners."""
+"""Lamp behind the membrane: a strip of LEDs with a diffuser, and the lens's vignetting."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ Places = Float[ndarray, " n"]
 
 @dataclass(frozen=True, slots=True)
 class LedStrip:
-    """Equal LEDs in a row along x behind a diffuser. All numbers are assumed; none belongs to a product.
+    """Equal LEDs in a row along x behind a diffuser; values are assumed.
 
     Attributes:
-        pitch_m: from LED to LED [m].
-        count: of LEDs; the row's middle is at x = 0.
+        pitch_m, count: Spacing [m] and number of LEDs, centred on x = 0.
         height_m: z of the row [m].
-        distance_m: from the LEDs to the diffuser [m].
-        evened: share of the light that the diffuser spreads evenly, 0 to 1.
-        slope_per_m: relative change of the LEDs' light along x, as from a voltage drop [1/m].
+        distance_m: Distance from the diffuser [m].
+        evened: Fraction of light the diffuser spreads evenly, 0 to 1.
+        slope_per_m: Relative change of light along x [1/m].
     """
 
     pitch_m: float = 8e-3
@@ -48,26 +47,19 @@ class LedStrip:
 
     @property
     def places_m(self) -> Places:
-        """Places of the LEDs along x [m]."""
+        """Positions of the LEDs along x [m]."""
         return (np.arange(self.count) - (self.count - 1) / 2) * self.pitch_m
 
     @property
     def gain(self) -> Places:
-        """Each LED's light; 1 in the strip's middle."""
+        """Light of each LED; 1 in the middle."""
         return 1 + self.slope_per_m * self.places_m
 
 
 def strip_light(
     strip: LedStrip, x_m: Float[ndarray, " w"], z_m: Float[ndarray, " h"]
 ) -> Float[ndarray, "h w"]:
-    """Light on the diffuser, 1 at its brightest in view.
-
-    Each LED radiates by Lambert's law onto the parallel diffuser: (1 + rho^2 / d^2)^-2 at rho beside it.
-
-    Args:
-        strip: the lamp.
-        x_m, z_m: columns and rows on the diffuser [m].
-    """
+    """Return the light on the diffuser at columns and rows [m], 1 at its maximum; each LED is Lambertian."""
     rho2 = (x_m[:, None] - strip.places_m) ** 2 + (z_m[:, None, None] - strip.height_m) ** 2
     direct = (1 + rho2 / strip.distance_m**2) ** -2 @ strip.gain
     light = (1 - strip.evened) * direct + strip.evened * direct.mean()
@@ -77,12 +69,6 @@ def strip_light(
 def backlight(
     strip: LedStrip, x_m: Float[ndarray, " w"], z_m: Float[ndarray, " h"], corner_loss: float = 0.0
 ) -> Float32[ndarray, "h w"]:
-    """The lamp as the camera sees it: the strip's light times the lens's loss towards the corners.
-
-    Args:
-        strip: the lamp.
-        x_m, z_m: columns and rows on the diffuser [m].
-        corner_loss: see `uneven_light`.
-    """
+    """Return the lamp as the camera sees it, with vignetting; see `uneven_light`."""
     lens = uneven_light(len(z_m), len(x_m), corner_loss)
     return (strip_light(strip, x_m, z_m) * lens).astype(np.float32)

@@ -1,7 +1,4 @@
-"""What lies between light and a file that a virtual camera leaves out: the lens's blur and distortion, JPEG.
-
-All three are off by default. The lens acts on light, before noise; JPEG on the finished picture.
-"""
+"""Lens blur and distortion, applied to light before noise, and JPEG compression; off by default."""
 
 from __future__ import annotations
 
@@ -23,13 +20,12 @@ Map = Float32[ndarray, "h w"]
 
 @dataclass(frozen=True, slots=True)
 class ImageChain:
-    """A lens, and how pictures are kept.
+    """Lens and compression.
 
     Attributes:
-        blur_px: standard deviation of the lens's point spread, taken for Gaussian [px].
-        distortion: by how much farther from the middle a thing is seen than without it, as a share, at the
-            frame's corner; it falls as the square of the distance. Negative for barrel distortion.
-        jpeg_quality: 1 to 100, with colour at half the resolution; None for pictures kept as they are.
+        blur_px: Standard deviation of the Gaussian point spread [px].
+        distortion: Relative radial displacement at the frame's corner; negative for barrel distortion.
+        jpeg_quality: 1 to 100, with 4:2:0 color; None for no compression.
     """
 
     blur_px: float = 0.0
@@ -46,14 +42,9 @@ class ImageChain:
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise RangeError(f"a JPEG of quality {self.jpeg_quality}; 1 to 100, or None")
 
-    @property
-    def has_lens(self) -> bool:
-        """Whether light is changed at all."""
-        return self.blur_px > 0 or self.distortion != 0
-
 
 def through_lens(light: Light, chain: ImageChain) -> Light:
-    """Light on the sensor behind the lens, of the whole frame."""
+    """Return the whole frame's light behind the lens."""
     if chain.distortion:
         across, down = _seen_from(light.shape[1], light.shape[0], chain.distortion)
         light = np.asarray(
@@ -66,11 +57,7 @@ def through_lens(light: Light, chain: ImageChain) -> Light:
 
 @lru_cache(maxsize=8)
 def _seen_from(width: int, height: int, distortion: float) -> tuple[Map, Map]:
-    """Places (x, y) of the undistorted picture that each pixel shows [px].
-
-    A point at distance r from the middle, in halves of the diagonal, is seen at r (1 + k r^2); this inverts
-    it by Newton's steps.
-    """
+    """Positions (x, y) of the undistorted image that each pixel shows [px]."""
     middle = (width - 1) / 2, (height - 1) / 2
     half = math.hypot(*middle)
     x, y = np.meshgrid(np.arange(width) - middle[0], np.arange(height) - middle[1])
@@ -83,11 +70,7 @@ def _seen_from(width: int, height: int, distortion: float) -> tuple[Map, Map]:
 
 
 def as_kept(image: UInt8[ndarray, "h w 3"], chain: ImageChain) -> UInt8[ndarray, "h w 3"]:
-    """The picture as it is read again from its file.
-
-    Raises:
-        InputError: the picture cannot be coded.
-    """
+    """Return the image after compression."""
     if chain.jpeg_quality is None:
         return image
     done, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, chain.jpeg_quality])

@@ -1,9 +1,7 @@
-"""Polarised light through slices of birefringence whose axes turn along the ray.
+"""Polarised light through slices of birefringence whose axes rotate along the ray.
 
-Each slice is a linear retarder, exp(i (u s3 + v s1)) in Pauli's matrices, with u and v half the phase of
-s_xx - s_zz and of 2 s_xz. The product of slices is a unit quaternion q0 + i (q1 s3 + q2 s1 + q3 s2). A ray
-through a field that is even along it comes out with q3 = 0: met backwards the stack is the same, so the whole
-is one linear retarder, though neither its axis nor its order is that of the summed stress.
+Each slice is a linear retarder exp(i (u s3 + v s1)) in Pauli matrices, with u and v half the phase of s_xx -
+s_zz and 2 s_xz. The product is a unit quaternion q0 + i (q1 s3 + q2 s1 + q3 s2); for a symmetric ray q3 = 0.
 
 Reference: H. Aben and C. Guillemet, Photoelasticity of Glass, Springer (1993), on integrated photoelasticity.
 """
@@ -21,9 +19,8 @@ Slices = Float[ndarray, "s *n"]
 
 
 class Retarder(NamedTuple):
-    """The unitary q0 + i (q1 s3 + q2 s1 + q3 s2) of a ray; q0^2 + q1^2 + q2^2 + q3^2 = 1.
-
-    `q1` is the part along the axes x and z, `q2` the part along their diagonals, `q3` the rotation.
+    """The unitary q0 + i (q1 s3 + q2 s1 + q3 s2): `q1` along the axes x and z, `q2` along their diagonals,
+    `q3` rotation.
     """
 
     q0: Summed
@@ -32,7 +29,7 @@ class Retarder(NamedTuple):
     q3: Summed
 
     def then(self, after: Retarder) -> Retarder:
-        """This one first, `after` next."""
+        """This retarder first, `after` next."""
         p0, p1, p2, p3 = self
         a0, a1, a2, a3 = after
         return Retarder(
@@ -43,19 +40,13 @@ class Retarder(NamedTuple):
         )
 
     def backwards(self) -> Retarder:
-        """The same slices met in the opposite order."""
+        """The same slices in the opposite order."""
         return self._replace(q3=-self.q3)
 
 
 def graded_slices(scale_m: Float[ndarray, "*n"], count: int) -> tuple[ndarray, ndarray]:
-    """Slices along a ray from its midpoint to infinity, finest where the stress is.
-
-    Args:
-        scale_m: distance over which the stress changes on each ray [m].
-        count: slices on the half ray.
-
-    Returns:
-        Midpoints y > 0 and thicknesses dy [m], each ``[count *n]``: equal steps of the angle atan(y / scale).
+    """Return midpoints y > 0 and thicknesses dy of slices on half a ray [m], in equal steps of atan(y /
+    scale).
     """
     if count < 1:
         raise InputError(f"{count} slices make no ray; give 1 or more")
@@ -65,15 +56,12 @@ def graded_slices(scale_m: Float[ndarray, "*n"], count: int) -> tuple[ndarray, n
 
 
 def march(difference: Slices, shear: Slices, per_stress: float) -> Retarder:
-    """Carry polarised light through slices in order.
+    """March polarised light through slices in order; second order in the slices' thickness.
 
     Args:
         difference: (s_xx - s_zz) dy of each slice [Pa m].
         shear: 2 s_xz dy of each slice [Pa m].
-        per_stress: pi C / lambda [1/(Pa m)]: half the phase, in radians, of one Pa m.
-
-    Returns:
-        The ray's retarder. Second order in the slices' thickness.
+        per_stress: pi C / lambda [1/(Pa m)].
     """
     total = _slice(difference[0], shear[0], per_stress)
     for a, b in zip(difference[1:], shear[1:], strict=True):
@@ -82,7 +70,7 @@ def march(difference: Slices, shear: Slices, per_stress: float) -> Retarder:
 
 
 def march_even(difference: Slices, shear: Slices, per_stress: float) -> Retarder:
-    """The same for a whole ray whose stress is even about its midpoint, from the half with y > 0."""
+    """March a whole symmetric ray from its half with y > 0."""
     half = march(difference, shear, per_stress)
     return half.backwards().then(half)
 

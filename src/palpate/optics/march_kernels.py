@@ -1,12 +1,8 @@
-"""Compiled inner loops of `compiled_march` and `axisymmetric_march`, which alone call them.
+"""Compiled inner loops of `compiled_march` and `axisymmetric_march`.
 
-Rays go in tiles whose quaternions stay in the processor's first cache; the innermost loop runs over the
-contiguous rays of a tile, so that the compiler turns it into vector instructions. With h the half phase of a
-slice, cos h and sin(h)/h are even in h: polynomials of h^2 need neither a root nor a division. Slices beyond
-|h| = pi/2, rare where the slices are fine enough to be right, go through a range reduction in double
-precision.
-
-Kernels release the interpreter's lock and take a range of rays, so that plain threads share one image.
+Rays go in tiles that fit the first cache, with vectorized inner loops. cos h and sin(h)/h are polynomials of
+h^2; slices beyond |h| = pi/2 use a range reduction in double precision. Kernels release the GIL and take a
+range of rays.
 """
 
 import math
@@ -17,14 +13,14 @@ import numpy as np
 
 from palpate.optics.compiled_march import TILE
 
-SHORT = np.float32((math.pi / 2) ** 2)  # greatest h^2 of the polynomials; error below 4e-8
+SHORT = np.float32((math.pi / 2) ** 2)  # maximum h^2 of the polynomials, for an error of 4e-8
 
 f32, f64 = np.float32, np.float64
 C2, C4, C6, C8, C10, C12 = (f32((-1) ** i / math.factorial(2 * i)) for i in range(1, 7))
 S2, S4, S6, S8, S10 = (f32((-1) ** i / math.factorial(2 * i + 1)) for i in range(1, 6))
 ONE, TWO, TINY = f32(1), f32(2), f32(1e-30)
 
-LAX = {"nsz", "arcp", "contract", "afn", "reassoc"}  # all of fastmath but what would let NaN vanish
+LAX = {"nsz", "arcp", "contract", "afn", "reassoc"}  # fastmath without flags that drop NaN
 FAST = {"nogil": True, "fastmath": LAX, "error_model": "numpy", "cache": True}
 
 
@@ -78,7 +74,7 @@ def _add_slice(u, v, n, half_phase, peak, q0, q1, q2, q3):
 @numba.njit(**FAST)
 @no_type_check
 def _peak(difference, shear, start, n, room):
-    """The greatest u^2 + v^2 of a tile's slices."""
+    """Maximum u^2 + v^2 of a tile's slices."""
     room[:] = 0
     for s in range(difference.shape[0]):
         u, v = difference[s, start : start + n], shear[s, start : start + n]
@@ -91,7 +87,7 @@ def _peak(difference, shear, start, n, room):
 @numba.njit(**FAST)
 @no_type_check
 def march_tile(difference, shear, start, n, half_phase, room, q0, q1, q2, q3):
-    """The quaternions of rays start to start + n of the slices [s _]."""
+    """Compute the quaternions of rays start to start + n of the slices [s _]."""
     q0[:] = 1
     q1[:] = 0
     q2[:] = 0
@@ -105,7 +101,7 @@ def march_tile(difference, shear, start, n, half_phase, room, q0, q1, q2, q3):
 @numba.njit(**FAST)
 @no_type_check
 def add_light(q0, q1, q2, q3, n, even, real, imag, weight, room, light):
-    """Sum the bands' transmitted fraction of n rays into light [c n]; `even` rays are doubled first."""
+    """Add the bands' transmitted fraction of n rays to light [c n]; `even` rays are doubled first."""
     for k in range(real.shape[0]):
         r0, r1, r2, r3 = real[k]
         i0, i1, i2, i3 = imag[k]
@@ -121,7 +117,7 @@ def add_light(q0, q1, q2, q3, n, even, real, imag, weight, room, light):
             w, d, e, r = p0[i], p1[i], p2[i], p3[i]
             one = r0 * w + r1 * d + r2 * e + r3 * r
             two = i0 * w + i1 * d + i2 * e + i3 * r
-            room[i] = (one * one + two * two) / (w * w + d * d + e * e + r * r)  # 1 below, but for rounding
+            room[i] = (one * one + two * two) / (w * w + d * d + e * e + r * r)  # normalized against rounding
         for c in range(weight.shape[1]):
             if weight[k, c] != 0:
                 for i in range(n):
@@ -131,7 +127,7 @@ def add_light(q0, q1, q2, q3, n, even, real, imag, weight, room, light):
 @numba.njit(**FAST)
 @no_type_check
 def march_stack(first, last, difference, shear, even, half_phase, real, imag, weight, light):
-    """Rays first to last of slices [s n] into light [c n], which holds zeros; all float32."""
+    """March rays first to last of slices [s n] into light [c n], which holds zeros; all float32."""
     bands = half_phase.size
     room = np.empty(TILE, f32)
     q0, q1 = np.empty((bands, TILE), f32), np.empty((bands, TILE), f32)

@@ -1,8 +1,7 @@
-"""Polariscopes: what passes polariser, sample and analyser, without or with quarter-wave plates.
+"""Polariscopes: transmission through polariser, sample, and analyser, with or without quarter-wave plates.
 
-The amplitude behind the analyser is linear in the sample's quaternion: q -> c0 q0 + c1 q1 + c2 q2 + c3 q3,
-with four complex numbers that hold the whole polariscope, plates before and behind the sample included. Light
-is the squared modulus, so a march needs no more than these numbers of any polariscope.
+The amplitude behind the analyser is linear in the sample's quaternion, c0 q0 + c1 q1 + c2 q2 + c3 q3, with
+four complex numbers per polariscope; the light is its squared modulus.
 """
 
 from __future__ import annotations
@@ -21,53 +20,35 @@ UNITS = np.array([np.eye(2), 1j * np.diag([1, -1]), [[0, 1j], [1j, 0]], [[0, 1],
 
 
 def single_retarder(order: Light, axis_rad: Light, polariser_rad: float) -> Light:
-    """Transmitted fraction of one linear retarder, sin^2(2 (theta - psi)) sin^2(pi N).
-
-    Exact where the stress axes do not turn along the ray, as under a point load at nu = 1/2. Under a Hertz
-    contact they turn, and this is only the first order: see `march`.
-
-    Args:
-        order: fringe order N.
-        axis_rad: theta, the retarder's axis from x towards z [rad].
-        polariser_rad: psi, the polariser's direction from x towards z [rad].
-
-    Returns:
-        Fraction of the polarised light that passes, 0 to 1.
+    """Return sin^2(2 (theta - psi)) sin^2(pi N) of one retarder of order N at axis theta, polariser psi, from
+    x towards z [rad].
     """
     return np.asarray(np.sin(2 * (axis_rad - polariser_rad)) ** 2 * np.sin(np.pi * order) ** 2)
 
 
 def linear_retarder(order: Points, axis_rad: Points) -> Retarder:
-    """A plate of fringe order N whose axis of larger index lies at `axis_rad` from x towards z."""
+    """Return a plate of fringe order N whose axis of larger index lies at `axis_rad` from x towards z."""
     half, twice = np.broadcast_arrays(np.pi * np.asarray(order), 2 * np.asarray(axis_rad))
     s = np.sin(half)
     return Retarder(np.cos(half), s * np.cos(twice), s * np.sin(twice), np.zeros(half.shape))
 
 
 def dark_field(ray: Retarder, polariser_rad: float) -> Light:
-    """Transmitted fraction of a marched ray between crossed ideal polarisers, 0 to 1."""
+    """Return the transmitted fraction of a marched ray between crossed ideal polarisers."""
     linear = ray.q2 * np.cos(2 * polariser_rad) - ray.q1 * np.sin(2 * polariser_rad)
     return np.asarray(linear**2 + ray.q3**2)
 
 
 def circular_dark_field(ray: Retarder) -> Light:
-    """Transmitted fraction between crossed circular polarisers, ideal at this wavelength, 0 to 1.
-
-    For a single retarder it is sin^2(delta/2) whatever its axis.
+    """Return the transmitted fraction between crossed ideal circular polarisers; sin^2(delta/2) for one
+    retarder.
     """
     return np.asarray(ray.q1**2 + ray.q2**2)
 
 
 def plane_amplitude(polariser_rad: float, bands: int, light_field: bool = False) -> Complex[ndarray, "k 4"]:
-    """The four numbers of a plane polariscope, the same in every band.
-
-    Args:
-        polariser_rad: from x towards z [rad].
-        bands: k.
-        light_field: analyser along the polariser instead of across it.
-
-    Raises:
-        InputError: no band, or an angle that is not a number.
+    """Return the four numbers of a plane polariscope in each band; `light_field` aligns the analyser with the
+    polariser.
     """
     if bands < 1 or not np.isfinite(polariser_rad):
         raise InputError(
@@ -84,20 +65,17 @@ def circular_amplitude(
     light_field: bool = False,
     axis_error_rad: float = 0.0,
 ) -> Complex[ndarray, "k 4"]:
-    """The four numbers, in each band, of a circular polariscope with plates exact at one wavelength.
+    """Return the four numbers of a circular polariscope in each band.
 
-    Polariser, plate at +45 degrees to it, sample, plate at -45 degrees, analyser. The plates' retardance
-    falls as 1/lambda; being crossed they cancel at every wavelength where nothing lies between them.
+    Polariser, plate at +45 degrees to it, sample, plate at -45 degrees, analyser. Retardance falls as
+    1/lambda.
 
     Args:
-        wavelength_m: of the bands [m].
-        quarter_wave_m: where the plates are exact [m].
-        polariser_rad: from x towards z [rad].
-        light_field: analyser along the polariser instead of across it.
-        axis_error_rad: by which the second plate is turned too far [rad].
-
-    Raises:
-        RangeError: a wavelength is not positive, or an angle is not a number.
+        wavelength_m: Bands [m].
+        quarter_wave_m: Wavelength at which the plates are exact [m].
+        polariser_rad: From x towards z [rad].
+        light_field: Whether the analyser is along the polariser.
+        axis_error_rad: Excess rotation of the second plate [rad].
     """
     if not (np.all(wavelength_m > 0) and quarter_wave_m > 0):
         raise RangeError("wavelengths must be positive; give metres, such as 550e-9")
@@ -112,19 +90,18 @@ def circular_amplitude(
 
 
 def through(ray: Retarder, amplitude: Amplitude) -> Light:
-    """Transmitted fraction of a marched ray through any polariscope, at one wavelength."""
+    """Return the transmitted fraction of a marched ray through a polariscope, at one wavelength."""
     return np.asarray(abs(sum(c * q for c, q in zip(amplitude, ray, strict=True))) ** 2)
 
 
 def jones(ray: Retarder) -> Jones:
-    """The 2 x 2 matrix of a retarder, acting on the amplitudes along x and z."""
+    """Return the Jones matrix of a retarder, for the amplitudes along x and z."""
     return np.asarray(np.tensordot(np.stack(ray, axis=-1), UNITS, axes=1))
 
 
 def mueller(ray: Retarder) -> Float[ndarray, "*k 4 4"]:
-    """The Mueller matrix of a retarder in the basis I, Q (x against z), U (diagonals), V.
-
-    Its sign of V follows from exp(i phase) growing with the index, Im(E_x* E_z) > 0 being V > 0.
+    """Return the Mueller matrix of a retarder in the basis I, Q (x against z), U (diagonals), V (Im(E_x* E_z)
+    > 0).
     """
     pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])
     J = jones(ray)
@@ -133,12 +110,7 @@ def mueller(ray: Retarder) -> Float[ndarray, "*k 4 4"]:
 
 
 def with_leak(light: Light, extinction: float) -> Light:
-    """Transmitted fraction when the polarisers are not perfect: e + (1 - e) I.
-
-    Args:
-        light: transmitted fraction between ideal polarisers.
-        extinction: e, crossed over parallel transmission of the pair, 0 to 1.
-    """
+    """Return the transmitted fraction of imperfect polarisers, e + (1 - e) I, of extinction e from 0 to 1."""
     if not 0.0 <= extinction <= 1.0:
         raise RangeError(f"extinction {extinction} lies outside 0 to 1; film polarisers have 0.0001 to 0.01")
     return extinction + (1 - extinction) * light

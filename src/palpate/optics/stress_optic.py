@@ -1,4 +1,4 @@
-"""Stress to birefringence: Maxwell's stress-optic law in the plane across the ray."""
+"""Stress-optic law: from stress to birefringence in the plane across the ray."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import numpy as np
 
 from palpate.core import Float, RangeError, ndarray
 
-ASSUMED_DISPERSION_M2 = 1e-14  # C 3 % larger at 400 nm and 1 % smaller at 700 nm than at 550 nm; not measured
+ASSUMED_DISPERSION_M2 = 1e-14  # C is 3 % larger at 400 nm than at 550 nm (assumed)
 
 Summed = Float[ndarray, "*n"]
 
 
 @dataclass(frozen=True, slots=True)
 class StressOpticLaw:
-    """n1 - n2 = C (s1 - s2), with Cauchy's form for how C changes with wavelength.
+    """n1 - n2 = C (s1 - s2), with Cauchy dispersion.
 
     Attributes:
         coefficient_per_pa: C at the reference wavelength [1/Pa].
-        dispersion_m2: D in C(l) = C (1 + D (1/l^2 - 1/l0^2)) [m^2]; 0 is no dispersion. Of silicones none was
-            found published; `ASSUMED_DISPERSION_M2` has the size to try how much it matters.
+        dispersion_m2: D in C(l) = C (1 + D (1/l^2 - 1/l0^2)) [m^2]; unpublished for silicones, see
+            `ASSUMED_DISPERSION_M2`.
         reference_wavelength_m: l0 [m].
     """
 
@@ -40,16 +40,12 @@ class StressOpticLaw:
             raise RangeError(f"reference wavelength {self.reference_wavelength_m} m must be positive")
 
     def at(self, wavelength_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """C [1/Pa] at each wavelength [m]."""
+        """C at each wavelength [1/Pa]."""
         bend = 1 / wavelength_m**2 - 1 / self.reference_wavelength_m**2
         return self.coefficient_per_pa * (1 + self.dispersion_m2 * bend)
 
     def half_phase(self, wavelength_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Half the phase, in radians, that 1 Pa m makes at each wavelength: pi C / lambda [1/(Pa m)].
-
-        Raises:
-            RangeError: a wavelength is not positive, or the dispersion turns C negative there.
-        """
+        """Half the phase per Pa m at each wavelength: pi C / lambda [1/(Pa m)]."""
         if not np.all(wavelength_m > 0):
             raise RangeError("every wavelength must be positive; give metres, such as 550e-9")
         coefficient = self.at(wavelength_m)
@@ -64,36 +60,29 @@ class StressOpticLaw:
 def fringe_order(
     difference: Summed, shear: Summed, coefficient_per_pa: float, wavelength_m: float
 ) -> Float[ndarray, "*n"]:
-    """Fringe order N = C |int (s1 - s2) dy| / lambda of a ray along y whose stress axes do not turn.
+    """Return the fringe order N = C |int (s1 - s2) dy| / lambda of a ray whose stress axes do not rotate.
 
     Args:
         difference: int (s_xx - s_zz) dy [Pa m].
         shear: int 2 s_xz dy [Pa m].
         coefficient_per_pa: C [1/Pa].
-        wavelength_m: in vacuum [m].
-
-    Returns:
-        N, dimensionless and not negative; one order is one wavelength of retardance.
+        wavelength_m: Vacuum wavelength [m].
     """
     return np.asarray(coefficient_per_pa * np.hypot(difference, shear) / wavelength_m)
 
 
 def stress_axis(difference: Summed, shear: Summed) -> Float[ndarray, "*n"]:
-    """Angle of the larger principal stress from x towards z [rad], -pi/2 to pi/2."""
+    """Return the angle of the larger principal stress from x towards z, -pi/2 to pi/2 [rad]."""
     return np.asarray(np.arctan2(shear, difference) / 2)
 
 
 def frozen_stress(birefringence: float, axis_rad: float, law: StressOpticLaw) -> tuple[float, float]:
-    """A uniform residual birefringence as the stress that would make it; added to every slice of a march.
+    """Return s_xx - s_zz and 2 s_xz [Pa] equivalent to a uniform residual birefringence.
 
     Args:
-        birefringence: n1 - n2 at the law's reference wavelength; over a path L it alone makes the order
-            N = (n1 - n2) L / lambda. It is taken to disperse like the skin's C.
-        axis_rad: of the larger index, from x towards z [rad].
-        law: of the skin.
-
-    Returns:
-        s_xx - s_zz and 2 s_xz [Pa].
+        birefringence: n1 - n2 at the reference wavelength, dispersing like C.
+        axis_rad: Axis of the larger index from x towards z [rad].
+        law: Stress-optic law.
     """
     if not (np.isfinite(birefringence) and np.isfinite(axis_rad)):
         raise RangeError(f"birefringence {birefringence} and axis {axis_rad} rad must be finite numbers")

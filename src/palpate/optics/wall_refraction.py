@@ -1,10 +1,8 @@
-"""A round skin seen edge-on through its own rim: each image column's ray inside, for a telecentric camera.
+"""Refraction at the round rim of a disc seen edge-on by a telecentric camera.
 
-The camera looks along -y, so every ray leaves along +y. At the rim it meets the wall at asin(x/R) to the
-normal outside and asin(x/(nR)) inside, by Snell's law, and turns by their difference. All stays in a
-horizontal plane. Inside, the ray passes the disc's axis at b = x/n: the disc is a cylindrical lens that
-magnifies n times and shows only |b| < R/n. By symmetry the ray turns once more where it enters at the far
-wall: the lamp must be wide enough to send light there, at twice the turn, which is taken for granted.
+The camera looks along -y. At the rim a ray has the angles asin(x/R) outside and asin(x/(nR)) inside, and
+turns by their difference. Inside it passes the axis at b = x/n: a cylindrical lens of magnification n that
+shows |b| < R/n. The lamp is assumed wide enough for twice the turn.
 """
 
 from __future__ import annotations
@@ -20,14 +18,13 @@ Columns = Float[ndarray, " w"]
 
 @dataclass(frozen=True, slots=True)
 class ColumnRays:
-    """The ray of each image column inside the skin; 0 and not visible where a column misses it.
+    """Ray of each image column inside the membrane; 0 and not visible where it misses.
 
     Attributes:
         impact_m: b, signed distance from the disc's axis, positive to the right of the light's path [m].
-        turn_rad: phi; the light runs along (sin phi, cos phi) in (x, y) [rad].
-        half_chord_m: half the path inside [m]; the middle is nearest to the disc's axis.
-        transmission: of both walls, the mean of both polarisations.
-        visible: the column looks into the skin.
+        turn_rad: phi; light runs along (sin phi, cos phi) in (x, y).
+        half_chord_m: Half the path inside [m].
+        transmission: Both walls, averaged over polarisations.
     """
 
     impact_m: Columns
@@ -37,11 +34,8 @@ class ColumnRays:
     visible: Bool[ndarray, " w"]
 
     def about(self, x0_m: float, y0_m: float) -> tuple[Columns, Columns, Columns]:
-        """The rays as an upright axis at (x0, y0) sees them [m].
-
-        Returns:
-            Signed offset of each ray from the axis, and where it enters and leaves the skin, 0 being nearest
-            to the axis. The offset's direction is (cos phi, -sin phi).
+        """Signed offset from an upright axis at (x0, y0), along (cos phi, -sin phi), and entry and exit from
+        the nearest point [m].
         """
         if not np.isfinite(x0_m + y0_m):
             raise InputError(f"the axis at ({x0_m}, {y0_m}) m must be finite numbers")
@@ -52,21 +46,12 @@ class ColumnRays:
 
 
 def round_rim(x_m: Columns, radius_m: float, index: float) -> ColumnRays:
-    """Rays through the bare round rim of a disc in air.
+    """Return rays through the bare round rim of a disc in air.
 
     Args:
-        x_m: of the columns, measured from the disc's axis across the camera's view [m].
-        radius_m: R of the disc [m].
-        index: n of the skin over that around it, 1 or more; silicones have 1.40 to 1.43, and 1 switches
-            refraction off.
-
-    Returns:
-        The rays; at grazing columns the transmission falls to 0. Fresnel's loss is averaged over the two
-        polarisations: that they differ turns the polarisation of rays near the rim, by less than 1 degree
-        for |x| < R/2 at n = 1.41, and is left out.
-
-    Raises:
-        RangeError: radius not positive, index below 1, or a column that is not a number.
+        x_m: Columns from the disc's axis [m].
+        radius_m: R [m].
+        index: Relative refractive index, at least 1, which disables refraction.
     """
     _check(x_m, radius_m, index)
     visible = abs(x_m) < radius_m
@@ -82,12 +67,7 @@ def round_rim(x_m: Columns, radius_m: float, index: float) -> ColumnRays:
 
 
 def fresnel(outside_rad: Columns, inside_rad: Columns, index: float) -> tuple[Columns, Columns]:
-    """Share of light that one wall lets pass, upright (s) and level (p) polarisation.
-
-    Args:
-        outside_rad: angle to the normal outside [rad].
-        inside_rad: the refracted one [rad].
-        index: inside over outside.
+    """Return the transmission of one wall for s and p polarisation, at angles outside and inside [rad].
 
     Reference: M. Born and E. Wolf, Principles of Optics, sec. 1.5.2, doi:10.1017/CBO9781139644181.
     """

@@ -1,9 +1,7 @@
-"""A linear elastic body of revolution under any load on its surface, one Fourier mode at a time.
+"""Linear elastic body of revolution under any surface load, one Fourier mode at a time.
 
-With displacements U cos m t, W cos m t (along r and z) and V sin m t (around), loads that are even about
-the plane t = 0 come apart into modes m = 0, 1, 2, ... that do not know of each other, and each is a problem
-in the meridian half-plane. Cells are biquadratic and carry their own linear dilatation (Q2/P-1), which keeps
-a nearly incompressible gel from locking.
+With displacements U cos m t, W cos m t (along r and z) and V sin m t (around), loads even about t = 0
+decouple into modes m = 0, 1, 2, ... in the meridian half-plane. Cells are Q2/P-1 against volumetric locking.
 
 Reference: E. L. Wilson, Structural analysis of axisymmetric solids, AIAA Journal 3 (1965) 2269,
 doi:10.2514/3.3356.
@@ -22,7 +20,7 @@ from skfem import CellBasis, ElementQuad2, MeshQuad, MeshQuad2
 
 from palpate.core import Float, InputError, Int, ndarray
 
-GAUSS_ORDER = 5  # three points a direction
+GAUSS_ORDER = 5  # three points per direction
 
 Knots = Float[ndarray, " _"]
 Nodes = Int[ndarray, " _"]
@@ -31,20 +29,15 @@ Nodes = Int[ndarray, " _"]
 def tensor_mesh(
     first: Knots, second: Knots, place: Callable[[Float[ndarray, "2 k"]], Float[ndarray, "2 k"]] = lambda x: x
 ) -> MeshQuad2:
-    """Cells between knots along two coordinates, whose nodes a function then puts where they belong."""
+    """Return cells between knots along two coordinates, mapped by a function."""
     flat = MeshQuad2.from_mesh(MeshQuad.init_tensor(first, second))
     return MeshQuad2(place(flat.doflocs), flat.t)
 
 
 @dataclass(frozen=True)
 class RevolvedBody:
-    """A mesh of the meridian half-plane (r, z) [m] and what holds it.
-
-    Attributes:
-        mesh: of biquadratic cells.
-        youngs_modulus_pa: of every cell [Pa].
-        poisson_ratio: of all, below 1/2.
-        fixed: nodes that do not move.
+    """Mesh of the meridian half-plane (r, z) [m] with modulus per cell [Pa], Poisson's ratio, and fixed
+    nodes.
     """
 
     mesh: MeshQuad2
@@ -58,16 +51,8 @@ class RevolvedBody:
         return np.asarray(self.mesh.doflocs.T)
 
     def compliance(self, mode: int, loaded: Nodes, read: Nodes) -> Float[ndarray, "a 3 b 3"]:
-        """Amplitudes of displacement at the read nodes, for unit amplitudes of load at the loaded ones.
-
-        Args:
-            mode: m, 0 or more.
-            loaded: nodes where a force acts, spread around the axis as cos m t along r and z and as sin m t
-                around it, its amplitude per radian.
-            read: nodes whose displacement is wanted.
-
-        Returns:
-            (U, V, W) [m] by (r, around, z) [N/rad]. In mode 0 what is around the axis is zero.
+        """Amplitudes (U, V, W) [m] at read nodes by unit loads (r, around, z) [N/rad] of a mode at loaded
+        nodes.
         """
         if mode < 0:
             raise InputError(f"mode {mode}; modes around the axis are 0, 1, 2, ...")
@@ -84,7 +69,7 @@ class RevolvedBody:
         return motion.reshape(n, 3, len(loaded), 3)[read]
 
     def _free(self, mode: int) -> Nodes:
-        """Degrees of freedom, 3 n + (0 for U, 1 for V, 2 for W), that a mode moves."""
+        """Free degrees of freedom of a mode, 3 n + (0 for U, 1 for V, 2 for W)."""
         fixed = [3 * self.fixed, 3 * self.fixed + 1, 3 * self.fixed + 2]
         axis = np.flatnonzero(np.isclose(self.places_m[:, 0], 0.0, atol=1e-9))
         if mode == 0:
@@ -102,7 +87,7 @@ class RevolvedBody:
         w = r * basis.dx
         B = self._strains(mode, r)
         cells, q = w.shape
-        parts = np.array([2, 2, 2, 1, 1, 1])[:, None] * B  # twice the energy of shear strains, over mu
+        parts = np.array([2, 2, 2, 1, 1, 1])[:, None] * B  # twice the shear energy over mu
         weighted = np.swapaxes((w[..., None, None] * parts).reshape(cells, q * 6, 27), 1, 2)
         K = mu * (weighted @ B.reshape(cells, q * 6, 27))
         dilatation = B[:, :, :3].sum(axis=2)

@@ -1,14 +1,8 @@
-"""A probe pressed on a viscous body: its elastic law at the modulus that the body's creep leaves it.
+"""A probe pressed on a viscoelastic body, by its elastic law at an effective modulus.
 
-Elastic bodies in series touch by a law d(F, E), E of the one that creeps. Under a force F(t) it yields as
-
-    C(t) = int_0^t J(t - s) dF(s),      J the creep compliance of its Prony series,
-
-so that its modulus is in effect E_eff(t) = F(t) / C(t), and d(t) = d(F(t), E_eff(t)) is solved for F at every
-sample. Of two of Hertz's bodies this is exact as long as the contact does not shrink (Lee and Radok's law,
-the elastic one adding its own yield); it is exact in the limits of fast and of slow for any law. For others,
-such as a tip at finite strain, it takes the contact's shape at F and E_eff for that of its whole history
-(quasi-linear viscoelasticity).
+With the elastic law d(F, E) and the creep C(t) = int_0^t J(t - s) dF(s), E_eff(t) = F(t) / C(t), and
+d(t) = d(F(t), E_eff(t)) is solved for F at every sample: exact for Hertz contacts that do not shrink (Lee and
+Radok), and quasi-linear viscoelasticity otherwise.
 
 References: E. H. Lee and J. R. M. Radok, J. Appl. Mech. 27 (1960) 438, doi:10.1115/1.3644020; Y. C. Fung,
 Biomechanics (1993), ch. 7, doi:10.1007/978-1-4757-2257-4.
@@ -22,22 +16,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import brentq
 
-from palpate.core import Float, ndarray
 from palpate.mechanics.viscoelastic import Prony
 
-Series = Float[ndarray, " n"]
 Approach = Callable[[float, float], float]
-"""Approach [m] at a force [N] and a modulus [Pa]; it rises with the force."""
+"""Approach [m] by force [N] and modulus [Pa], rising with the force."""
 
 
 @dataclass
 class CreepingPress:
-    """A press as it goes on, sample by sample.
+    """A press, sample by sample.
 
     Attributes:
-        approach_m: the elastic law.
-        body: what creeps.
-        most_n: greatest force that the law knows; larger ones are taken for it [N].
+        approach_m: Elastic law.
+        body: Viscoelastic body.
+        most_n: Maximum force of the law, to which larger ones are limited [N].
     """
 
     approach_m: Approach
@@ -51,12 +43,12 @@ class CreepingPress:
         self.leave()
 
     def leave(self) -> None:
-        """The probe has left; the body begins anew."""
+        """Reset after the probe has left."""
         self.force_n, self.modulus_pa = 0.0, self.body.instantaneous_pa
         self._held = np.zeros(len(self._rates))
 
     def to(self, depth_m: float, step_s: float) -> float:
-        """Force at the next sample, a time later [N]."""
+        """Force at the next sample [N]."""
         if depth_m <= 0.0:
             self.leave()
             return 0.0
@@ -80,13 +72,3 @@ class CreepingPress:
         self._held = faded + gain * (force - self.force_n)
         self.modulus_pa, self.force_n = force / yielded(force), force
         return force
-
-
-def creeping_press(
-    approach_m: Approach, body: Prony, most_n: float, depth_m: Series, step_s: float
-) -> tuple[Series, Series]:
-    """Force [N] and modulus in effect [Pa] at samples of a depth, the first before contact or at it."""
-    press = CreepingPress(approach_m, body, most_n)
-    states = [(press.to(float(d), step_s), press.modulus_pa) for d in depth_m]
-    force, modulus = np.array(states).T
-    return force, modulus

@@ -1,12 +1,8 @@
-"""A bonded elastomer disc under a rigid body of revolution, solved step by step at finite strain: its tables.
+"""Tables of a bonded elastomer disc under a rigid axisymmetric indenter, solved at finite strain.
 
-A table holds a nearly incompressible neo-Hookean disc, W = mu/2 (tr C - 3) - mu ln J + lambda/2 (J - 1)^2,
-with nu = 0.49, its base bonded, its side and its top around the contact free. Lengths in the indenter's
-radius R and stresses in Young's moduli E make one table serve any R and E. What presses, and by which powers
-of the depth force, contact and pressure begin, is the table's own: `SphereTable`, `PunchTable`.
-
-Between thicknesses every number is a parabola through three tables over 1 / thickness, each at the same
-depth, radius and share of the way down.
+The disc is neo-Hookean, W = mu/2 (tr C - 3) - mu ln J + lambda/2 (J - 1)^2, with nu = 0.49, bonded base, and
+free side and top. Lengths are in indenter radii R, stresses in Young's moduli E. Other thicknesses are
+interpolated by a parabola through three tables over 1 / thickness. See `SphereTable` and `PunchTable`.
 """
 
 from __future__ import annotations
@@ -35,10 +31,9 @@ from palpate.core import (
 from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.parsing import parser
 
-SAME = 1e-6  # relative: two lengths or coefficients that differ by rounding only
-MAX_APART = 1.15  # of two solved thicknesses, between which one is drawn: their ratio
-"""With which the model of a contact of a table begins."""
-NEAREST = 3  # tables of other thicknesses that one between them is drawn from
+SAME = 1e-6  # relative tolerance for rounding
+MAX_APART = 1.15  # maximum ratio of solved thicknesses for interpolation
+NEAREST = 3  # tables in the interpolation over thickness
 
 Knots = Float[ndarray, " n"]
 Fields = tuple[Knots, Float[ndarray, "4 m n"]]
@@ -47,7 +42,7 @@ AnyTable = TypeVar("AnyTable", bound="DiscTable")
 
 @dataclass(frozen=True)
 class TabulatedPress:
-    """The disc at one depth; the attributes are those of `DiscTable`, in its units."""
+    """The disc at one depth, in the units of `DiscTable`."""
 
     depth: float
     force: float
@@ -62,16 +57,15 @@ class TabulatedPress:
 
     @cached_property
     def top_load(self) -> Knots:
-        """Vertical load on the top per area seen from above [E], positive in compression; sums to the force.
-
-        Without friction this is the pressure, since a surface's tilt lengthens it as it turns the pressure.
+        """Vertical load per area seen from above [E], which sums to the force; without
+        friction the pressure.
         """
         slope = np.gradient(self.surface, self.r)
         return np.asarray(slope * self.stress[3, 0] - self.stress[2, 0]) * (self.r < self.contact_radius)
 
     @cached_property
     def top_friction(self) -> Knots:
-        """Friction of the sphere on the skin along the surface, outwards positive [E]."""
+        """Friction of the sphere along the surface, outwards positive [E]."""
         slope = np.gradient(self.surface, self.r)
         rr, _, zz, rz = self.stress[:, 0]
         along = (slope * (rr - zz) + (slope**2 - 1.0) * rz) / (1.0 + slope**2)
@@ -83,19 +77,17 @@ class DiscTable:
     """A disc pressed step by step; lengths in R, stresses in E, forces in E R^2, z into the layer.
 
     Attributes:
-        thickness, disc_radius, poisson_ratio: of the disc.
-        friction: Coulomb's coefficient.
-        depth: ascending from 0.
-        force, contact_radius, peak_pressure: at each depth; the pressure is the greatest -n.s.n of the top.
-        r: spatial radius, graded, from 0 to disc_radius.
-        zeta: 0 at the deformed top, 1 at the base, graded.
+        depth: Ascending from 0.
+        peak_pressure: Maximum -n.s.n of the top.
+        r: Spatial radius, from 0 to disc_radius.
+        zeta: 0 at the deformed top, 1 at the base.
         surface: z of the deformed top at r, positive where pressed in.
-        stress: Cauchy stress rr, tt, zz, rz at (r, zeta), where z = surface + zeta (thickness - surface).
+        stress: Cauchy stress rr, tt, zz, rz at (r, zeta), with z = surface + zeta (thickness - surface).
     """
 
     INDENTER: ClassVar[str] = ""
     POWERS: ClassVar[tuple[float, float, float]] = (1.0, 0.0, 0.0)
-    """Of the depth, by which force, contact radius and greatest pressure begin."""
+    """Exponents of depth of force, contact radius, and maximum pressure at first touch."""
     PRESSED: ClassVar[type[TabulatedPress]] = TabulatedPress
 
     thickness: float
@@ -111,27 +103,54 @@ class DiscTable:
     surface: Float32[ndarray, "d n"]
     stress: Float32[ndarray, "d 4 m n"]
 
+    @classmethod
+    def of_disc(cls: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> AnyTable:
+        """The shipped table of a disc (thickness over indenter radius `ratio`), or one interpolated from the
+        nearest.
+        """
+        near = _solved_near(cls, ratio, friction, poisson_ratio)
+        if len(near) == 1:
+            return near[0]
+        if near:
+            solved = tuple(t.thickness for t in near)
+            return _between(cls, solved, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
+        choices = "; ".join(
+            f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}"
+            for t in map(cls.load, cls.shipped())
+        )
+        raise RangeError(
+            f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
+            f"{poisson_ratio:g}; choose a {cls.INDENTER} radius R and a friction among: {choices}"
+            f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other",
+            code="no-table",
+        )
+
+    @classmethod
+    def holds(cls, ratio: float, friction: float, poisson_ratio: float) -> bool:
+        """Whether `of_disc` has a table."""
+        return bool(_solved_near(cls, ratio, friction, poisson_ratio))
+
     @property
     def greatest_depth(self) -> float:
-        """The deepest press of the table [R]."""
+        """Maximum depth [R]."""
         return float(self.depth[-1])
 
     @classmethod
     def shipped(cls) -> tuple[str, ...]:
-        """Names of the tables that come with palpate, as "sphere-h2-mu0": thickness 2 R, friction 0."""
+        """Names of the shipped tables, as "sphere-h2-mu0": thickness 2 R, friction 0."""
         names = (p.name for p in resources.files("palpate.mechanics").joinpath("tables").iterdir())
         own = (name for name in names if name.startswith(f"{cls.INDENTER}-") and name.endswith(".npz"))
         return tuple(sorted(name.removesuffix(".npz") for name in own))
 
     @classmethod
     def load(cls: type[AnyTable], name: str) -> AnyTable:
-        """A shipped table, read once."""
+        """Load a shipped table (cached)."""
         return _loaded(cls, name)  # type: ignore[arg-type]  # mypy takes no class for hashable
 
     @classmethod
     @parser("disc table", InputError, max_bytes=MAX_ARRAY_BYTES)
     def open(cls: type[AnyTable], path: Path) -> AnyTable:
-        """A table from an .npz file written by `tools/press_tables.py` or `tools/punch_tables.py`."""
+        """Load an .npz file written by `tools/press_tables.py` or `tools/punch_tables.py`."""
         with np.load(path, allow_pickle=False) as file:
             values: dict[str, Any] = {key: file[key] if file[key].ndim else float(file[key]) for key in file}
         return cls(**values)
@@ -153,11 +172,11 @@ class DiscTable:
         return self.PRESSED(float(depth), force, radius, pressure, *fields, self.thickness, self.disc_radius)
 
     def contact_radius_at(self, depth: float) -> float:
-        """The contact's radius at a depth of the table, as `at` gives it [R]."""
+        """Contact radius at a depth [R]."""
         return float(depth ** self.POWERS[1] * self._ratios[1](depth))
 
     def force_at(self, depth: Knots) -> Knots:
-        """Forces at many depths [R], as `at` gives them one by one [E R^2]."""
+        """Forces at many depths [R] [E R^2]."""
         if not np.all((depth >= 0.0) & (depth <= self.greatest_depth * (1.0 + SAME))):
             raise RangeError(
                 f"depths of {np.min(depth):g} to {np.max(depth):g} R; the table was solved from 0 to "
@@ -168,7 +187,7 @@ class DiscTable:
 
     @cached_property
     def _ratios(self) -> tuple[PchipInterpolator, PchipInterpolator, PchipInterpolator]:
-        """Force, contact radius and pressure over their powers of the depth, from `_first` at first touch."""
+        """Force, contact radius, and pressure over their powers of depth, from `_first` at first touch."""
         d = self.depth[1:]
         rest = (self.force[1:], self.contact_radius[1:], self.peak_pressure[1:])
         force, radius, pressure = (
@@ -178,7 +197,7 @@ class DiscTable:
         return force, radius, pressure
 
     def _first(self) -> tuple[float, float, float]:
-        """What these ratios are at first touch: as at the first depth that was solved."""
+        """These ratios at first touch: those at the first solved depth."""
         first = (self.force[1], self.contact_radius[1], self.peak_pressure[1])
         force, radius, pressure = (
             float(value / self.depth[1] ** power) for value, power in zip(first, self.POWERS, strict=True)
@@ -200,7 +219,7 @@ class DiscTable:
         return (1.0 - share) * low[0] + share * high[0], (1.0 - share) * low[1] + share * high[1]
 
     def _brought(self, k: int, depth: float, F: float, a: float, p: float) -> Fields:
-        """Depth k's fields brought to another depth: surface as the depth, stress as the force."""
+        """Depth k's fields scaled to another depth: surface with depth, stress with force."""
         return (
             self.surface[k].astype(float) * (depth / self.depth[k]),
             self.stress[k].astype(float) * (F / self.force[k]),
@@ -215,44 +234,8 @@ def _loaded(kind: type[AnyTable], name: str) -> AnyTable:
         return kind.open(path)
 
 
-def disc_table_for(kind: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> AnyTable:
-    """The shipped table of a disc, or one drawn from those of the nearest thicknesses.
-
-    Args:
-        kind: of the table.
-        ratio: thickness over the indenter's radius.
-        friction: Coulomb's coefficient.
-        poisson_ratio: of the disc.
-
-    Raises:
-        RangeError: no table of this friction and Poisson's ratio, or a thickness outside those solved; or
-            between them, where fewer than three were.
-    """
-    near = _solved_near(kind, ratio, friction, poisson_ratio)
-    if len(near) == 1:
-        return near[0]
-    if near:
-        solved = tuple(t.thickness for t in near)
-        return _between(kind, solved, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
-    tables = [kind.load(name) for name in kind.shipped()]
-    choices = "; ".join(
-        f"{t.thickness:g} R with friction {t.friction:g}, Poisson's ratio {t.poisson_ratio:g}" for t in tables
-    )
-    raise RangeError(
-        f"no table is solved for a disc {ratio:g} R thick with friction {friction:g} and Poisson's ratio "
-        f"{poisson_ratio:g}; choose a {kind.INDENTER} radius R and a friction among: {choices}"
-        f"; or a thickness between two that are within {100 * (MAX_APART - 1):.0f} % of each other",
-        code="no-table",
-    )
-
-
-def is_disc_tabled(kind: type[DiscTable], ratio: float, friction: float, poisson_ratio: float) -> bool:
-    """Whether `disc_table_for` has one; arguments as there."""
-    return bool(_solved_near(kind, ratio, friction, poisson_ratio))
-
-
 def _solved_near(kind: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> list[AnyTable]:
-    """The table of a disc, or the three that one between them is drawn from, or none."""
+    """The table of a disc, the three that it is interpolated from, or none."""
     tables = [kind.load(name) for name in kind.shipped()]
     asked = friction, poisson_ratio
     alike = [t for t in tables if np.allclose((t.friction, t.poisson_ratio), asked, rtol=SAME, atol=SAME)]
@@ -268,8 +251,8 @@ def _solved_near(kind: type[AnyTable], ratio: float, friction: float, poisson_ra
 def _stress_at_shares_of(
     kind: type[DiscTable], own: float, other: float, friction: float, poisson_ratio: float
 ) -> Float[ndarray, "d 4 m n"]:
-    """Stress of one solved thickness at another's shares of the way down; of all that is drawn from both."""
-    table, at = (disc_table_for(kind, h, friction, poisson_ratio) for h in (own, other))
+    """Stress of one solved thickness at another's relative depths."""
+    table, at = (kind.of_disc(h, friction, poisson_ratio) for h in (own, other))
     return np.asarray(PchipInterpolator(table.zeta, table.stress.astype(float), axis=2)(at.zeta))
 
 
@@ -281,8 +264,8 @@ def _between(
     friction: float,
     poisson_ratio: float,
 ) -> AnyTable:
-    """A table of a thickness that was not solved, by Lagrange's polynomial over 1 / thickness."""
-    tables = [disc_table_for(kind, h, friction, poisson_ratio) for h in thicknesses]
+    """Table of an unsolved thickness, by Lagrange interpolation over 1 / thickness."""
+    tables = [kind.of_disc(h, friction, poisson_ratio) for h in thicknesses]
     inverse = 1 / np.array(thicknesses)
     weights = [
         float(np.prod([(1 / ratio - other) / (own - other) for other in inverse if other != own]))
@@ -320,7 +303,7 @@ def pressed_contact(
     x_m: Float[ndarray, " nx"],
     y_m: Float[ndarray, " ny"],
 ) -> Contact:
-    """The contact of a table's press, moved to its place; arguments as of `press_finite_strain`."""
+    """Return the contact of a table's press at a pose; arguments as of `press_finite_strain`."""
     R, E = probe.radius_m, youngs_modulus_pa
     check_fits(table, pose, R, disc_radius_m)
     at = table.at(min(pose.depth_m / R, table.greatest_depth))
@@ -346,7 +329,7 @@ def pressed_contact(
 
 
 def check_fits(table: DiscTable, pose: Pose, R: float, disc_radius_m: float) -> None:
-    """Raise a RangeError where a press is deeper or wider than the table, or reaches over the rim."""
+    """Reject presses that are deeper or wider than the table, or reach over the rim."""
     if not 0.0 <= pose.depth_m <= table.greatest_depth * R * (1.0 + SAME):
         raise RangeError(
             f"depth {pose.depth_m * 1e3:g} mm of a {table.INDENTER} of radius {R * 1e3:g} mm lies outside "

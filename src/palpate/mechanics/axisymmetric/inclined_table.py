@@ -1,29 +1,29 @@
-"""A hemispherical tip pressed along its axis on an inclined cylinder: tables solved at finite strain.
+"""Tables at finite strain of a hemispherical tip pressed along its axis on an inclined cylinder, without
+friction.
 
-Solved in three dimensions by `tools/inclined_tables.py`, without friction, tip and cylinder at finite
-strain as in `tip_table`. Shipped is the tip "base" at 30 degrees on cylinders of 0.035 MPa and stiffer, at
-45 degrees on such of 0.2419 MPa and stiffer, up to a rigid plate. On softer ones at 45 degrees the contact
-runs off the top. The cells see a contact's edge a little too far in; by how much is taken from presses at 0
-degrees, which have a table of their own, and made good.
-
-Between forces they are read as `tip_table` is; between moduli by a smooth curve over the head-on approach at
-`COMPARED_N`, along which head-on presses hardly bend (area as its ratio to the head-on one); between tilts
-they are not.
-
-The tip's axis is z, upwards to its base; the top's normal leans from z towards -x by the tilt.
+Solved in three dimensions by `tools/inclined_tables.py`: the tip "base" at 30 degrees on cylinders of 0.035
+MPa and stiffer, and at 45 degrees on 0.2419 MPa and stiffer. The edge's mesh error is corrected by head-on
+presses. Moduli are interpolated over the head-on approach at `COMPARED_N` (area as a ratio to the head-on
+one), tilts are not. The tip's axis is z, up to its base; the top's normal is tilted from z towards -x.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from palpate.core import Bool, Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, ForceColumns, HeadOnPress, TipTable, tip_table
+from palpate.mechanics.axisymmetric.tip_table import (
+    ForceColumns,
+    HeadOnPress,
+    TipTable,
+    from_rest,
+    loaded,
+    tip_table,
+)
 
 SAME_TILT = 1e-6  # rad
 COMPARED_N = 3.0
@@ -37,12 +37,11 @@ class SidePress(ForceColumns):
     """One tip on one inclined specimen, at the table's forces; SI.
 
     Attributes:
-        force_n: along the tip's axis, from 0 [N].
-        approach_m: of the tip's base along its axis since first touch [m].
-        area_m2: of the contact, on the top's plane [m^2].
-        across_rad, aside_rad: of places on the skin's inside, at (cos b cos a, sin b, -cos b sin a) from the
-            dome's centre; a from 0 to pi, b from 0 to pi / 2 [rad].
-        moved_m: how far these have moved ``[f a b 3]``: x, y, z, the tip's base at rest [m].
+        force_n: Force along the tip's axis [N].
+        area_m2: Contact area on the top's plane [m^2].
+        across_rad, aside_rad: Points of the skin's inside at (cos b cos a, sin b, -cos b sin a); a from 0 to
+            pi, b from 0 to pi / 2 [rad].
+        moved_m: Displacement of these points ``[f a b 3]`` [m].
     """
 
     force_n: Levels
@@ -55,17 +54,14 @@ class SidePress(ForceColumns):
     columns = ("approach_m", "area_m2", "moved_m")
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Force at approaches, 0 before first touch, the greatest beyond the table [N]."""
+        """Force at approaches, limited to the table [N]."""
         return self.force_within(np.clip(approach_m, 0.0, self.approach_m[-1]))
 
 
 @dataclass(frozen=True)
 class InclinedTable:
-    """One tip on the specimens of every tilt; see `SidePress` for the columns.
-
-    Attributes:
-        head_on: the same tip on the same specimens, upright.
-        columns: ``[tilts specimens forces ...]``, NaN of specimens that were not solved at a tilt.
+    """One tip on the specimens of every tilt; columns ``[tilts specimens forces ...]`` with NaN for unsolved
+    ones.
     """
 
     head_on: TipTable
@@ -78,25 +74,21 @@ class InclinedTable:
 
     @cached_property
     def solved(self) -> Bool[ndarray, "t s"]:
-        """Which specimens there are at which tilt."""
+        """Which specimens are solved at which tilt."""
         return np.isfinite(self.columns["approach_m"][:, :, -1])
 
     @cached_property
     def softest_pa(self) -> Float[ndarray, " t"]:
-        """Young's modulus of the softest specimen at every tilt [Pa]."""
+        """Softest specimen at every tilt [Pa]."""
         return np.array([self.specimen_pa[there].min() for there in self.solved])
 
     def holds(self, specimen_pa: float, tilt_rad: float) -> bool:
-        """Whether a press on a specimen, `inf` for a rigid plate [Pa], at a tilt [rad] is in the table."""
+        """Whether a press on a specimen, `inf` for rigid [Pa], at a tilt [rad] is tabled."""
         same = np.isclose(self.tilt_rad, tilt_rad, rtol=0, atol=SAME_TILT)
         return bool((same & (specimen_pa >= self.softest_pa * (1 - 1e-9))).any())
 
     def press(self, specimen_pa: float, tilt_rad: float) -> SidePress:
-        """The tip on a specimen of a Young's modulus, `inf` for a rigid plate [Pa], at a tilt [rad].
-
-        Raises:
-            RangeError: a tilt or modulus that is not in the table.
-        """
+        """The tip on a specimen, `inf` for rigid [Pa], at a tilt [rad]."""
         if not self.holds(specimen_pa, tilt_rad):
             each = zip(self.softest_pa, np.rad2deg(self.tilt_rad).round(6), strict=True)
             raise RangeError(
@@ -126,18 +118,16 @@ class InclinedTable:
 
 
 def _place(upright: HeadOnPress) -> float:
-    """Head-on approach, by which a specimen has its place among the table's [m]."""
+    """Head-on approach, the coordinate of a specimen in the table [m]."""
     return float(upright.at("approach_m", np.array([COMPARED_N]))[0])
 
 
 @cache
 def inclined_table(name: str) -> InclinedTable | None:
-    """The table of a tip; None where there is none."""
-    path = resources.files("palpate.mechanics") / FOLDER / f"inclined-{name}.npz"
-    if not path.is_file():
+    """Return the table of a tip; None if there is none."""
+    data = loaded(f"inclined-{name}.npz")
+    if not data:
         return None
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
     in_si = {
         "approach_m": 1e-3 * data["approach_mm"],
         "area_m2": 1e-6 * data["area_mm2"],
@@ -146,17 +136,12 @@ def inclined_table(name: str) -> InclinedTable | None:
     return InclinedTable(
         tip_table(name), np.deg2rad(data["tilt_deg"]), 1e6 * data["specimen_mpa"],
         np.concatenate([[0.0], data["force_n"]]), data["across_rad"], data["aside_rad"],
-        {name: _from_rest(values) for name, values in in_si.items()},
+        {name: from_rest(values, axis=2) for name, values in in_si.items()},
     )  # fmt: skip
 
 
 def _summed(steps: Float[ndarray, "3 t s f a b"]) -> Float[ndarray, "t s f a b 3"]:
-    """Motions from their steps from force to force and from place to place, as which they take less room."""
+    """Displacements from their stored differences."""
     for axis in (3, 4, 5):
         steps = np.cumsum(steps, axis=axis)
     return np.moveaxis(steps, 0, -1)
-
-
-def _from_rest(values: Float[ndarray, "t s f *n"]) -> Float[ndarray, "t s g *n"]:
-    """A column with the untouched tip before its first force."""
-    return np.concatenate([np.zeros_like(values[:, :, :1]), values], axis=2)

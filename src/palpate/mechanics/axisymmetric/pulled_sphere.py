@@ -1,20 +1,11 @@
-"""A rigid sphere, pressed deep into a bonded disc and pulled aside, to first order in the pull.
+"""A rigid sphere pressed deep into a bonded disc and pulled laterally, to first order in the pull.
 
-The disc, its material and the press without friction are those of `sphere_table`. About the pressed state
-the sphere is moved along x at constant depth; skin that touches sticks to it, and slips where its traction
-along the surface would exceed Coulomb's coefficient times the pressure. What the pull adds has one
-harmonic,
-
-    rr, tt, zz, rz and the surface's depth times cos t,      rt, tz times sin t,
-
-t being the angle from the pull, about the sphere's axis where it is now. It is proportional to the force Q
-of the pull, and of its share Q / (mu P) depends how far slip has come in. The tangent is the pressed
-state's own, so that depth is not small; the pull is. Against a sphere dragged in three dimensions with
-nothing left out (`tools/dragged_sphere.py`) the force is right to 3 % under friction 0.3 and 1, 0.3 to 1.2
-R deep, to `MAX_SHIFT`. The stress is of first order.
-
-The table holds modes of these fields on knots that grow with the contact, and how much of each a thickness,
-depth and share take. Made by `tools/pulled_sphere_table.py`.
+About the frictionless pressed state of `sphere_table` the sphere moves along x at constant depth; the surface
+sticks to it, or slips where traction exceeds Coulomb friction. The added fields have one harmonic: rr, tt,
+zz, rz, and the surface's depth times cos t, rt and tz times sin t, with t from the pull about the sphere's
+present axis. They are proportional to the pull Q, and depend on Q / (mu P) through slip. Against
+three-dimensional solutions (`tools/dragged_sphere.py`) the force is accurate to 3 % up to `MAX_SHIFT`. The
+table has modes on knots that scale with the contact; made by `tools/pulled_sphere_table.py`.
 """
 
 from __future__ import annotations
@@ -34,41 +25,41 @@ from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
 
 TABLE = resources.files("palpate.mechanics") / "tables" / "pulled_sphere.npz"
 STRESSES = ("rr", "tt", "zz", "rz", "rt", "tz")
-MAX_SHIFT = 0.45  # R of the sphere along the skin, to which the first order was held against three dimensions
-FULL = 0.98  # of friction: the greatest share that was solved; held to where all slips
-BETWEEN = 2.5  # R: up to this thickness those between two solved ones are drawn from all
-REACHED = 5.4  # R, the last radius, clear of the rim's corner
+MAX_SHIFT = 0.45  # maximum shift of the verified first order [R]
+FULL = 0.98  # maximum solved fraction of friction
+BETWEEN = 2.5  # maximum interpolated thickness [R]
+REACHED = 5.4  # last radius [R]
 NEAR = np.concatenate([np.linspace(0.0, 0.7, 11), np.arange(15, 27) * 0.05, [1.4, 1.55, 1.75, 2.0]])
-FAR, DOWN = 16, 24  # knots outside two contact radii, and down to the base
-FIRST = 0.06  # contact radii under the top: about the first knot
+FAR, DOWN = 16, 24  # knots beyond two contact radii, and down to the base
+FIRST = 0.06  # depth of the first knot, in contact radii
 
 
 Knots = Float[ndarray, " n"]
 
 
 def radii_of(contact_radius: float) -> Knots:
-    """Spatial radii at which a contact's fields are held [R]."""
+    """Return the radii of a contact's fields [R]."""
     far = np.geomspace(2.0 * contact_radius, REACHED, FAR + 1)[1:]
     return np.concatenate([NEAR * contact_radius, far])
 
 
 def shares_down(contact_radius: float, depth: float, thickness: float) -> Knots:
-    """Shares of the way from the top to the base at which they are held."""
+    """Return the relative depths of a contact's fields."""
     even = np.linspace(0.0, 1.0, DOWN + 1)
-    first = 1.0 / (DOWN + (thickness - depth) / (FIRST * contact_radius))  # below that of equal steps
+    first = 1.0 / (DOWN + (thickness - depth) / (FIRST * contact_radius))
     stretch = brentq(lambda b: np.sinh(b * even[1]) / np.sinh(b) - first, 1e-6, 40.0)
     return np.sinh(stretch * even) / np.sinh(stretch)
 
 
 class PulledStress(NamedTuple):
-    """What a pull adds; amplitudes of the harmonic, lengths in R, stresses in E.
+    """Fields added by a pull: amplitudes of the harmonic, lengths in R, stresses in E.
 
     Attributes:
-        r: spatial radius about the sphere's axis where it is now.
+        r: Radius about the sphere's present axis.
         zeta: 0 at the deformed top, 1 at the base.
-        stress: of `STRESSES` [6 m n].
-        surface: depth of the top.
-        shift: of the sphere along the pull, from where it was pressed.
+        stress: `STRESSES` [6 m n].
+        surface: Depth of the top.
+        shift: Shift of the sphere along the pull.
     """
 
     r: Knots
@@ -83,12 +74,11 @@ class PulledSphereTable:
     """Pulls of a sphere of radius R on a disc of modulus E; forces in E R^2.
 
     Attributes:
-        thickness, depth, share: axes: of the disc [R], of the press [R], of friction.
-        stiffness: force over shift while all sticks, over Mindlin's 8 a G / (2 - nu) ``[h d]``.
-        shift: over the same force's without slip ``[h d s]``.
-        amount: of every mode ``[h d s k]``.
-        mode: of stress and surface, over `scale` ``[k values]``.
-        scale: of each value, times a^2 / Q of stress and a / Q of the surface.
+        thickness, depth, share: Axes: disc [R], press [R], fraction of friction.
+        stiffness: Stiffness without slip over Mindlin's 8 a G / (2 - nu).
+        shift: Shift over that without slip.
+        amount, mode, scale: Factors of stress and surface; `scale` is times a^2 / Q of stress and a / Q of
+            the surface.
     """
 
     thickness: Float[ndarray, " h"]
@@ -101,13 +91,7 @@ class PulledSphereTable:
     scale: Float[ndarray, " v"]
 
     def at(self, press: TabulatedPress, force: float, friction: float) -> PulledStress:
-        """What a pull of a force adds to a press.
-
-        Args:
-            press: without friction.
-            force: Q, 0 to friction times the press's force [E R^2].
-            friction: Coulomb's coefficient.
-        """
+        """Fields added by a pull of a force [E R^2] to a frictionless press."""
         a, most = press.contact_radius, friction * press.force
         share = min(force / most, FULL)
         amount, slack = self._at(press.thickness, press.depth, share)
@@ -118,35 +102,35 @@ class PulledSphereTable:
         return PulledStress(r, zeta, stress, values[-len(r) :] * (force / a), shift)
 
     def stiffness_at(self, press: TabulatedPress) -> float:
-        """Force over shift while all sticks [E R]."""
+        """Stiffness without slip [E R]."""
         ratio = self.stiffness_ratio(np.array([press.depth]), press.thickness)
         return float(ratio[0]) * mindlin_stiffness(press.contact_radius)
 
     def stiffness_ratio(self, depth: Knots, thickness: float) -> Knots:
-        """The same at many depths [R], over that of a half-space."""
+        """Stiffness without slip over a half-space's at many depths [R]."""
         over = CubicSpline(np.sqrt(self.depth), self.stiffness[self._row(thickness)], axis=1)
         return self._mixed(over(np.sqrt(np.maximum(depth, self.depth[0]))), thickness)
 
     def covers(self, thickness: float) -> bool:
-        """Whether pulls on a disc of a thickness were solved, or are drawn from others [R]."""
+        """Whether a disc's thickness [R] is solved or interpolated."""
         return bool(np.isclose(self.thickness, thickness, rtol=SAME).any()) or bool(
             self.thickness[0] <= thickness <= BETWEEN
         )
 
     def force_of(self, press: TabulatedPress, shift: float, friction: float) -> float:
-        """Force that a shift along the skin builds up, at most `FULL` of friction [E R^2]."""
+        """Force of a shift, at most `FULL` of friction [E R^2]."""
         most = FULL * friction * press.force
         if not self.shift_of(press, most, friction) > shift:
             return most
         return float(brentq(lambda f: self.shift_of(press, f, friction) - shift, 0.0, most, xtol=1e-12))
 
     def shift_of(self, press: TabulatedPress, force: float, friction: float) -> float:
-        """How far a force takes the sphere along [R]."""
+        """Shift of a force [R]."""
         share = min(force / (friction * press.force), FULL)
         return force / self.stiffness_at(press) * self._at(press.thickness, press.depth, share)[1]
 
     def _row(self, thickness: float) -> ndarray:
-        """Rows of the thicknesses that one is drawn from."""
+        """Rows of the thicknesses in the interpolation."""
         own = np.isclose(self.thickness, thickness, rtol=SAME)
         if own.any():
             return np.flatnonzero(own)
@@ -162,7 +146,7 @@ class PulledSphereTable:
         return between
 
     def _mixed(self, values: ndarray, thickness: float) -> ndarray:
-        """By Lagrange's polynomial over 1 / thickness."""
+        """Lagrange interpolation over 1 / thickness."""
         rows = 1.0 / self.thickness[self._row(thickness)]
         weight = [np.prod([(1 / thickness - o) / (x - o) for o in rows if o != x]) for x in rows]
         return np.tensordot(weight, values, axes=1)
@@ -177,13 +161,13 @@ class PulledSphereTable:
 
 
 def mindlin_stiffness(contact_radius: float, poisson_ratio: float = 0.49) -> float:
-    """8 a G / (2 - nu) of a half-space [E R]."""
+    """Return 8 a G / (2 - nu) of a half-space [E R]."""
     return 4.0 * contact_radius / ((1.0 + poisson_ratio) * (2.0 - poisson_ratio))
 
 
 @lru_cache(maxsize=1)
 def pulled_sphere_table() -> PulledSphereTable:
-    """The shipped table, read once."""
+    """Return the shipped table (cached)."""
     with resources.as_file(TABLE) as path, np.load(path, allow_pickle=False) as file:
         return PulledSphereTable(**{name: file[name].astype(float) for name in file.files})
 
@@ -195,25 +179,18 @@ def pulled(
     pull_n: tuple[float, float],
     friction: float,
 ) -> Contact:
-    """A pressed contact with a pull on top, that came in one go.
+    """Return a pressed contact with a monotonic pull.
 
     Args:
-        contact: of a sphere, pressed by the table without friction; its pose is where the sphere is now.
-        press: that of the table.
-        youngs_modulus_pa: of the disc, by which the contact's force is that of the press [Pa].
-        pull_n: force of the sphere on the skin along x and y [N].
-        friction: Coulomb's coefficient.
+        contact: Contact of a sphere by the frictionless table, at the sphere's present pose.
+        press: The table's press.
+        youngs_modulus_pa: Modulus for which the contact's force is the press's [Pa].
+        pull_n: Force of the sphere on the surface along x and y [N].
+        friction: Coulomb coefficient.
 
     Returns:
-        The contact. Its shear is what the pull adds to the load along x and y per area seen from above,
-        friction and turned pressure together. It is made to sum to the pull by one factor, as the table holds
-        too little of the edge, which stands upright under a deep press: 1.03 to 1.09 to 0.8 R deep, up to
-        1.3 at 1.1 R and 1.5 at 1.2 R, so much too high inside. Its pressure and its edge stay as they were,
-        as under Cattaneo and Mindlin; in three dimensions the pressure's centre moves by up to 0.02 R
-        against the sphere's.
-
-    Raises:
-        RangeError: nothing presses, all slips, or the pull takes the sphere beyond `MAX_SHIFT`.
+        Contact whose shear is the load added by the pull per area seen from above, scaled to sum to it (a
+        factor of 1.03 to 1.09 to 0.8 R deep, up to 1.5 at 1.2 R). Pressure and edge are unchanged.
     """
     Q, most = math.hypot(*pull_n), friction * contact.force_n
     R = contact.probe.radius_m
@@ -241,10 +218,10 @@ def pulled(
         for part in _top_load(press, added)
     )
     along, aside = out * cos**2 - around * sin**2, (out + around) * sin * cos
-    if not along.any():  # a contact smaller than a cell
+    if not along.any():  # contact smaller than a cell
         along = (r < r.min() * (1 + SAME)).astype(float)
     cell = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
-    # The edge's stress is smoothed, and the sum is known.
+    # The table smooths the edge's stress, but the sum is known.
     exact = Q / (float(along.sum()) * cell) if Q > 0.0 else 0.0
     e = np.array(pull_n) / (Q or 1.0)
     lean = np.interp(r, added.r, added.surface, right=0.0) * cos * R
@@ -259,7 +236,7 @@ def pulled(
 
 
 def angle_from(x: ndarray, y: ndarray, pull: tuple[float, float]) -> tuple[ndarray, ndarray]:
-    """Cosine and sine of the angle of places from a pull, in the sense from x to y; 1 and 0 on the axis."""
+    """Return cosine and sine of the angle of points from a pull, from x to y; 1 and 0 on the axis."""
     away, Q = np.hypot(x, y), math.hypot(*pull) or 1.0
     scale = np.where(away > 0.0, away, 1.0) * Q
     cos, sin = (x * pull[0] + y * pull[1]) / scale, (y * pull[0] - x * pull[1]) / scale

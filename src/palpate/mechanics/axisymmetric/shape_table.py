@@ -1,28 +1,27 @@
-"""A hemispherical tip pressed head-on on a domed cylinder or a bonded layer, beside its table of flat ones.
+"""Tables of a hemispherical tip pressed head-on on a domed cylinder or a bonded layer.
 
-A domed cylinder is the flat tables' one with a cap of a sphere of radius R on top, rigid or soft; a layer of
-thickness h lies bonded on a rigid base and is wider than any contact. Both are nearly incompressible
-neo-Hookean solids without friction, as in `tip_table`, and were solved by `tools/specimen_tables.py` on
-coarser cells.
-
-What is kept is the difference that the shape makes: of a dome from the flat cylinder of the same modulus, of
-a layer from a rigid plate, both on those cells. It is added to the flat table, so that R without end gives
-back that table and h = 0 the rigid plate. Differences are read by cubic splines, over 1/R and log h, and over
-1 / (1 + E / E0) as there; places on the skin and their energies are kept along the few directions in which
-they differ.
+The tables hold differences from the flat tables of `tip_table`: of a dome of radius R from the flat cylinder
+of equal modulus, and of a layer of thickness h from a rigid plate, with splines over 1/R or log h, and 1 / (1
++ E / E0). Solved by `tools/specimen_tables.py`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, TipTable, softness_share, tip_table
+from palpate.mechanics.axisymmetric.tip_table import (
+    HeadOnPress,
+    TipTable,
+    from_rest,
+    loaded,
+    softness_share,
+    tip_table,
+)
 
 SCALARS = ("approach_m", "flattening_m", "radius_m", "angle_rad")
 FIELDS = ("inside_m", "energy_pa")
@@ -33,12 +32,8 @@ Grid = Float[ndarray, "k e f *n"]
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """Differences over a family of shapes.
-
-    Attributes:
-        shape: coordinate of the shapes, rising: 1/R [1/m] or log h of h in m.
-        modulus_pa: Young's moduli, inf among them [Pa].
-        columns: of `HeadOnPress`, ``[shapes moduli forces ...]``.
+    """Differences over a family of shapes (1/R [1/m] or log h) and moduli [Pa]: columns ``[shapes moduli
+    forces ...]``.
     """
 
     shape: Float[ndarray, " k"]
@@ -61,12 +56,7 @@ class ShapeGrid:
 
 @dataclass(frozen=True)
 class ShapeTable:
-    """One tip on domes and layers.
-
-    Attributes:
-        flat: the tip on flat cylinders.
-        domes, layers: what their shapes change.
-    """
+    """One tip on domes and layers: its flat table, and the differences."""
 
     flat: TipTable
     domes: ShapeGrid
@@ -74,24 +64,18 @@ class ShapeTable:
 
     @property
     def least_radius_m(self) -> float:
-        """Least radius of a dome [m]."""
+        """Minimum radius of a dome [m]."""
         return float(1 / self.domes.shape[-1])
 
     @property
     def thickness_m(self) -> tuple[float, float]:
-        """Least and greatest of a layer [m]."""
+        """Minimum and maximum thickness of a layer [m]."""
         low, high = np.exp(self.layers.shape[[0, -1]])
         return float(low), float(high)
 
     def dome(self, radius_m: float, modulus_pa: float) -> HeadOnPress:
-        """The tip on a domed cylinder.
-
-        Args:
-            radius_m: of the dome, inf for a flat top [m].
-            modulus_pa: Young's, inf for a rigid one [Pa].
-
-        Raises:
-            RangeError: a smaller radius or modulus than was solved.
+        """The tip on a domed cylinder of a radius, inf for flat [m], and Young's modulus,
+        inf for rigid [Pa].
         """
         if not radius_m >= self.least_radius_m * (1 - 1e-9):
             raise RangeError(
@@ -102,15 +86,7 @@ class ShapeTable:
         return self._changed(modulus_pa, self.domes.at(1 / radius_m, modulus_pa))
 
     def layer(self, thickness_m: float, modulus_pa: float) -> HeadOnPress:
-        """The tip on a bonded layer.
-
-        Args:
-            thickness_m: of the layer [m].
-            modulus_pa: Young's [Pa].
-
-        Raises:
-            RangeError: a thickness or modulus that was not solved.
-        """
+        """The tip on a bonded layer of a thickness [m] and Young's modulus [Pa]."""
         low, high = self.thickness_m
         if not low * (1 - 1e-9) <= thickness_m <= high * (1 + 1e-9):
             raise RangeError(
@@ -135,21 +111,15 @@ class ShapeTable:
 
 @cache
 def shape_table(name: str) -> ShapeTable:
-    """The table of a tip on other shapes.
-
-    Raises:
-        InputError: there is none of this tip.
-    """
+    """Return the table of a tip on other shapes."""
     flat = tip_table(name)
-    path = resources.files("palpate.mechanics") / FOLDER / f"shapes-{name}.npz"
-    if not path.is_file():
+    data = loaded(f"shapes-{name}.npz")
+    if not data:
         raise InputError(
             f"the tip {name!r} has been solved on flat cylinders only; spheres and layers are of "
             "the tip 'base'",
             code="no-table",
         )
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
     domes = _grid("dome", data, data["dome_curvature_per_mm"] * 1e3)
     return ShapeTable(flat, domes, _grid("layer", data, np.log(1e-3 * data["layer_mm"])))
 
@@ -161,6 +131,5 @@ def _grid(family: str, data: dict[str, ndarray], shape: Float[ndarray, " k"]) ->
         if name in FIELDS:
             modes = data[f"{name}_modes"]
             values = np.tensordot(values, modes, axes=1)
-        start = np.zeros_like(values[:, :, :1])
-        columns[name] = TO_SI.get(name, 1.0) * np.concatenate([start, values], axis=2)
+        columns[name] = TO_SI.get(name, 1.0) * from_rest(values, axis=2)
     return ShapeGrid(shape, 1e6 * data[f"{family}_mpa"], columns)

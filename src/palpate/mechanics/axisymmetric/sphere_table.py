@@ -1,16 +1,11 @@
-"""A rigid sphere pressed deep into a bonded elastomer disc, centred or not: tables solved at finite strain.
+"""Tables at finite strain of a rigid sphere pressed deep into a bonded elastomer disc, and their edge
+correction.
 
-The sphere slides without friction, or with Coulomb's at one coefficient. Material, units and what is drawn
-between thicknesses are those of `disc_table`. Solved by `tools/press_tables.py`; `tools/mesh_study.json`
-holds what its mesh costs.
-
-Between depths d the scalars are read as F / d^(3/2), a / d^(1/2) and p / d^(1/2), which start at Hertz's
-values and bend little. While the edge of the contact crosses more than a knot between two depths, the fields
-are drawn out with it (a similar contact, as under Hertz) before they are mixed.
-
-The ball is in the middle of its disc. Nearer to the free rim the disc gives way more, and pushes the ball
-sideways: `edge_correction` holds both, solved in three dimensions by `tools/off_centre.py`, without friction,
-at finite strain, for the tables' discs; `tables/off_centre.json` holds the forces.
+Frictionless, or with one coefficient of Coulomb friction. Material, units, and interpolation are those of
+`disc_table`. Solved by `tools/press_tables.py`; mesh errors are in `tools/mesh_study.json`. Scalars are
+interpolated as F / d^(3/2), a / d^(1/2), and p / d^(1/2), starting at Hertz's values; fields are stretched
+with the contact's edge. Near the free rim `edge_correction` holds the loss of force and the lateral push,
+from three-dimensional solutions by `tools/off_centre.py`.
 """
 
 from __future__ import annotations
@@ -29,21 +24,19 @@ from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, nd
 from palpate.mechanics.axisymmetric.disc_table import (
     DiscTable,
     Fields,
-    disc_table_for,
-    is_disc_tabled,
     pressed_contact,
 )
 from palpate.mechanics.half_space.hertz import GRID_POINTS, grid_around, positive
 
-DRAWN_TO = 2.0  # contact radii from the centre within which a field follows the contact's edge
+DRAWN_TO = 2.0  # distance within which fields scale with the contact, in contact radii
 
 
 @dataclass(frozen=True)
 class SphereTable(DiscTable):
-    """A sphere pressed step by step; attributes and units as of `DiscTable`.
+    """A sphere pressed step by step; see `DiscTable`.
 
-    Against solving a depth itself, halfway between the table's: force within 0.03 %, contact radius and
-    greatest pressure within 0.1 %, stress within 0.1 % rms and, at the contact's edge, 3 % of the greatest.
+    Interpolation errors: force 0.03 %, contact radius and maximum pressure 0.1 %, stress 0.1 % rms and 3 % at
+    the edge.
 
     Example:
         >>> table = SphereTable.load("sphere-h2-mu0")
@@ -60,7 +53,7 @@ class SphereTable(DiscTable):
         return 4.0 / 3.0 * E, 1.0, 2.0 * E / math.pi
 
     def _brought(self, k: int, depth: float, F: float, a: float, p: float) -> Fields:
-        """Depth k's fields brought to another depth: like the contact near it, like the force afar."""
+        """Depth k's fields scaled to another depth: like the contact near it, like the force far away."""
         away = np.hypot(self.r, self.zeta[:, None] * self.thickness) / (DRAWN_TO * a)
         share = 1.0 / (1.0 + away**4)
         stretch = 1.0 + (self.contact_radius[k] / a - 1.0) * share
@@ -71,11 +64,6 @@ class SphereTable(DiscTable):
         surface = np.interp(r[0], self.r, self.surface[k])
         factor = share[0] * depth / self.depth[k] + (1.0 - share[0]) * F / self.force[k]
         return surface * factor, np.moveaxis(field((zeta, r)), -1, 0) * scale
-
-
-def shipped() -> tuple[str, ...]:
-    """Names of the tables of a sphere; see `DiscTable.shipped`."""
-    return SphereTable.shipped()
 
 
 def press_finite_strain(
@@ -89,28 +77,21 @@ def press_finite_strain(
     x_m: Float[ndarray, " nx"] | None = None,
     y_m: Float[ndarray, " ny"] | None = None,
 ) -> Contact:
-    """Press a rigid sphere into a bonded disc, at finite strain.
-
-    An off-centre press is the centred one moved; the rim was 5.7 R away when it was solved.
+    """Press a rigid sphere into a bonded disc, at finite strain; off-centre presses are the centred one
+    moved.
 
     Args:
-        probe: a sphere and its radius R [m].
-        pose: where, over a disc centred on the origin, and how deep [m].
-        youngs_modulus_pa: of the disc at small strain [Pa].
-        thickness_m: of the disc; a shipped multiple of R [m].
-        disc_radius_m: of the disc, 5.7 R or more [m].
-        friction: Coulomb's coefficient, one of the shipped.
-        poisson_ratio: of the disc; that of the tables, 0.49.
-        x_m, y_m: columns and rows of the surface grid [m]; by default 81 points over 1.5 R to each side.
+        probe: Sphere of radius R.
+        pose: Position over a disc centred on the origin, and depth [m].
+        youngs_modulus_pa: Small-strain modulus [Pa].
+        thickness_m: Thickness of the disc [m].
+        disc_radius_m: Radius of the disc, at least 5.7 R [m].
+        friction: Coulomb coefficient, one of the shipped.
+        poisson_ratio: That of the tables, 0.49.
+        x_m, y_m: Columns and rows of the grid [m]; by default 81 points over 1.5 R to each side.
 
     Returns:
-        The contact. Its pressure is the vertical load per area seen from above, so that it sums to the force;
-        without friction it is the pressure normal to the skin. Its shear is friction alone.
-
-    Raises:
-        InputError: the probe is not a sphere, or the pose is not a finite position.
-        RangeError: no table is solved for this thickness, friction or Poisson's ratio, the depth lies beyond
-            the table, or the contact would reach over the disc's rim.
+        Contact with the vertical load per area seen from above as pressure, and friction as shear.
     """
     if probe.shape != "sphere":
         raise InputError(
@@ -123,45 +104,29 @@ def press_finite_strain(
     positive("the disc's radius", disc_radius_m, "m")
     around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
     x, y, _ = grid_around(pose, around, x_m, y_m)
-    table = table_for(thickness_m / R, friction, poisson_ratio)
+    table = SphereTable.of_disc(thickness_m / R, friction, poisson_ratio)
     return pressed_contact(table, probe, pose, E, disc_radius_m, x, y)
 
 
-def table_for(ratio: float, friction: float, poisson_ratio: float) -> SphereTable:
-    """The sphere's table of a disc; see `disc_table_for`."""
-    return disc_table_for(SphereTable, ratio, friction, poisson_ratio)
-
-
-def is_tabled(ratio: float, friction: float, poisson_ratio: float) -> bool:
-    """Whether `table_for` has one; arguments as there."""
-    return is_disc_tabled(SphereTable, ratio, friction, poisson_ratio)
-
-
 OFF_CENTRE = resources.files("palpate.mechanics") / "tables" / "off_centre.json"
-SLACK = 1e-3  # a place named in whole millimetres may lie a hair beyond
-_FINE = 61  # offsets, beside the solved ones, at which the smooth curve through these is kept
+SLACK = 1e-3  # tolerance for positions in whole millimetres
+_FINE = 61  # additional offsets of the smooth curve
 
 
 class EdgeCorrection(NamedTuple):
-    """A press off the centre over the same press in the centre.
-
-    Attributes:
-        force_ratio: its force over the centred one's.
-        side_ratio: the force with which the disc pushes the ball outwards, over the centred press's
-            normal force.
-    """
+    """Force of an off-centre press, and outward push on the ball, over the centred normal force."""
 
     force_ratio: float
     side_ratio: float
 
 
 def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrection:
-    """Correction of a centred press for a place nearer to the rim.
+    """Return the correction of a centred press near the rim.
 
     Args:
-        offset: of the ball from the disc's axis, to 4.7 R: 23.5 mm under a ball of 5 mm [R].
-        depth: 0 to 1 R.
-        thickness: of the disc: 2 or 4 R.
+        offset: Distance of the ball from the disc's axis, to 4.7 R [R].
+        depth: 0 to 1 [R].
+        thickness: 2 or 4 [R].
 
     Example:
         >>> round(edge_correction(4.2, 1.0, 2.0).force_ratio, 3)
@@ -179,21 +144,14 @@ def edge_correction(offset: float, depth: float, thickness: float) -> EdgeCorrec
 
 
 class EdgeReach(NamedTuple):
-    """Greatest offset of the ball from the disc's axis and greatest depth that were solved, both in R."""
+    """Maximum solved offset from the disc's axis, and depth [R]."""
 
     offset: float
     depth: float
 
 
 def edge_reach(thickness: float) -> EdgeReach:
-    """How far out and how deep presses off the centre were solved.
-
-    Args:
-        thickness: of the disc: 2 or 4 R.
-
-    Raises:
-        RangeError: another thickness.
-    """
+    """Return the solved range for a disc's thickness of 2 or 4 R."""
     offset, depth = (float(axis[-1]) for axis in _corrections(thickness).grid)
     return EdgeReach(offset, depth)
 
@@ -201,15 +159,8 @@ def edge_reach(thickness: float) -> EdgeReach:
 def edge_correction_held(
     offset: Float[ndarray, " n"], depth: Float[ndarray, " n"], thickness: float
 ) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"]]:
-    """Force ratio and side ratio of many presses; beyond `edge_reach` those of the nearest solved press hold.
-
-    Args:
-        offset: of the ball from the disc's axis [R].
-        depth: of the press; below 0 as at 0 [R].
-        thickness: of the disc: 2 or 4 R.
-
-    Raises:
-        RangeError: another thickness.
+    """Return force and push ratios of many presses, those of the nearest solved press beyond `edge_reach`
+    [R].
     """
     table, reach = _corrections(thickness), edge_reach(thickness)
     at = np.clip(offset, 0.0, reach.offset), np.clip(depth, 0.0, reach.depth)
@@ -229,7 +180,7 @@ def _corrections(thickness: float) -> RegularGridInterpolator:
 
 @lru_cache(maxsize=1)
 def _off_centre() -> dict[float, RegularGridInterpolator]:
-    """Both ratios over offset and depth, by thickness; at no depth those of the least one solved."""
+    """Both ratios over offset and depth, by thickness; at no depth those of the smallest solved one."""
     rows = json.loads(OFF_CENTRE.read_text(encoding="utf-8"))["presses"]
     return {
         h: _curves([row for row in rows if row["thickness"] == h]) for h in {row["thickness"] for row in rows}

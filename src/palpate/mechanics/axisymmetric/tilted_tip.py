@@ -1,21 +1,12 @@
 """A hemispherical tip, gel under a skin, pressed along its axis on an inclined cylinder, with friction.
 
-The tip's axis is z, upwards to its base; it moves down. The specimen's top is a plane whose normal leans
-from z towards -x by the tilt, so that the tip first touches on its side +x, at that angle. Both bodies yield
-by their Fourier modes (`axisymmetric_fem`), linearly: displacements are small, but gaps are those of the true
-sphere. All is even about the plane y = 0, so that half of the cells are kept.
+The tip's axis is z, up to its base. The top's normal is tilted from z towards -x, so the tip touches on its
+side +x. Both bodies are linear (`axisymmetric_fem`), with gaps of the true sphere; all is even about y = 0.
+Errors against finite strain are in `docs/decisions/0011-*.md`. Contact and Coulomb friction on cells,
 
-What linearity costs against finite strain, measured head-on, is in `docs/decisions/0011-*.md`.
+    f_n >= 0,  g >= 0,  f_n g = 0;    |f_t| <= mu f_n,  slip against f_t where |f_t| = mu f_n, else none,
 
-Unilateral contact with Coulomb friction on any pair of linear bodies, cell by cell until nothing changes.
-
-With C the compliance of the pair, f the forces on cells (normal, two tangential), and the gap and slip of the
-cells affine in f, the forces answer to
-
-    f_n >= 0,  g >= 0,  f_n g = 0;    |f_t| <= mu f_n,  slip against f_t where |f_t| = mu f_n, else none
-
-Each cell in turn takes the force that satisfies this while the others stand still; sweeps go on until no
-cell's force changes (non-linear block Gauss-Seidel).
+are solved by nonlinear block Gauss-Seidel.
 
 Reference: M. Jean, The non-smooth contact dynamics method, Computer Methods in Applied Mechanics and
 Engineering 177 (1999) 235, doi:10.1016/S0045-7825(98)00383-1.
@@ -34,7 +25,7 @@ from palpate.core import Float, Int, RangeError, ndarray
 from palpate.mechanics.axisymmetric.axisymmetric_fem import RevolvedBody, tensor_mesh
 
 SWEEPS = 4000
-CHANGE = 1e-6  # of the greatest force on a cell: less is rest
+CHANGE = 1e-6  # convergence relative to the maximum cell force
 
 
 def solve_friction(
@@ -44,17 +35,14 @@ def solve_friction(
     friction: float,
     start: Float[ndarray, "n 3"],
 ) -> Float[ndarray, "n 3"]:
-    """Forces on the cells (normal, two tangential) [N] for which contact and friction hold.
+    """Return forces on the cells (normal, two tangential) that satisfy contact and friction [N].
 
     Args:
-        compliance: displacement that opens the gap and slides, by forces [m/N]; symmetric.
-        gap: without any force [m]; negative where the bodies would overlap.
-        slip: tangential motion of the cells since they last rested, without any force now [m].
-        friction: Coulomb's coefficient; 0 for none.
-        start: forces to begin with, e.g. those of the last state [N].
-
-    Raises:
-        RangeError: friction below 0, or no rest after many sweeps.
+        compliance: Opening and sliding by forces [m/N]; symmetric.
+        gap: Gap without force, negative for overlap [m].
+        slip: Tangential motion since the last state without force [m].
+        friction: Coulomb coefficient.
+        start: Initial forces [N].
     """
     if not friction >= 0:
         raise RangeError(f"friction is {friction}; Coulomb's coefficient is 0 or more")
@@ -98,24 +86,22 @@ def _sweep(C, gap, slip, friction, force, most, change):
     return most
 
 
-FACET = np.array([1.0, 4.0, 1.0]) / 6  # an even pressure on a facet, on its ends and middle
+FACET = np.array([1.0, 4.0, 1.0]) / 6  # weights of an even pressure on ends and middle of a facet
 PATCH = np.array([[0.0, 0.0], *(0.7 * np.array([np.cos(a), np.sin(a)]) for a in np.arange(6) * np.pi / 3)])
-WITHIN = np.deg2rad(56.0)  # of the first touch: cells farther away never touch
+WITHIN = np.deg2rad(56.0)  # angle from the first touch within which cells may touch
 
 Cells = Int[ndarray, " n"]
 
 
 @dataclass(frozen=True)
 class TipModes:
-    """Compliance of a tip under loads on the cells of its skin, mode by mode.
+    """Compliance of a tip under loads on the cells of its skin, mode by mode [m/N rad].
 
     Attributes:
-        radius_m: of the hemisphere [m].
-        polar_rad: ends of the rings of cells, from the axis ``[rings + 1]``.
-        azimuths: cells in a half ring.
-        skin: mean displacement (r, around, z) of a ring of cells by forces on another [m/N rad].
-        pins: displacement of places on the skin's inside by the same [m/N rad].
-        pins_rad: polar angle of these.
+        polar_rad: Ends of the rings of cells.
+        azimuths: Cells in a half ring.
+        skin: Mean displacement (r, around, z) of rings by forces on others.
+        pins, pins_rad: Displacement of points on the skin's inside, and their polar angles.
     """
 
     radius_m: float
@@ -128,7 +114,7 @@ class TipModes:
 
 @dataclass(frozen=True)
 class TopModes:
-    """Compliance of a specimen's top ``[modes radii 3 radii 3]`` under point-wise rings of load [m/N rad]."""
+    """Compliance of a specimen's top ``[modes radii 3 radii 3]`` under rings of load [m/N rad]."""
 
     radii_m: Float[ndarray, " radii"]
     top: Float[ndarray, "m radii 3 radii 3"]
@@ -137,7 +123,7 @@ class TopModes:
 def facet_modes(
     body: RevolvedBody, facets: Int[ndarray, "rings 3"], pins: Cells, modes: int
 ) -> tuple[Float[ndarray, "m rings 3 rings 3"], Float[ndarray, "m places 3 rings 3"]]:
-    """Compliances of facets, and of other nodes, under even pressure on facets."""
+    """Return compliances of facets, and of other nodes, under even pressure on facets."""
     skin_nodes, where = np.unique(facets, return_inverse=True)
     spread = np.zeros((len(facets), len(skin_nodes)))
     np.add.at(spread, (np.arange(len(facets))[:, None], where.reshape(facets.shape)), FACET)
@@ -156,10 +142,10 @@ class TiltedPress:
     """One state of a press.
 
     Attributes:
-        approach_m: along the tip's axis, since first touch [m].
-        force_n: on the tip, by cell of the half y > 0, along the specimen's normal, up its slope, and y [N].
-        lift_n: the vertical part of the force on the whole tip [N].
-        area_m2: of the whole contact [m^2].
+        approach_m: Approach along the tip's axis [m].
+        force_n: Force by cell of the half y > 0, along the specimen's normal, up its slope, and y [N].
+        lift_n: Vertical force on the whole tip [N].
+        area_m2: Whole contact area [m^2].
     """
 
     approach_m: float
@@ -170,12 +156,8 @@ class TiltedPress:
 
 @dataclass(frozen=True)
 class TiltedContact:
-    """A tip above an inclined specimen, None for a rigid plate.
-
-    Attributes:
-        tip, top: the bodies' compliances.
-        tilt_rad: of the specimen's normal from the tip's axis, 0 to 50 degrees.
-        friction: Coulomb's coefficient.
+    """A tip above an inclined specimen (None for a rigid plate), at a tilt of 0 to 50
+    degrees, with friction.
     """
 
     tip: TipModes
@@ -207,7 +189,7 @@ class TiltedContact:
 
     @property
     def _touch(self) -> Float[ndarray, 3]:
-        """Direction from the centre to where the tip first touches."""
+        """Direction from the centre to the first touch."""
         return np.array([np.sin(self.tilt_rad), 0.0, -np.cos(self.tilt_rad)])
 
     @property
@@ -218,14 +200,14 @@ class TiltedContact:
 
     @cached_property
     def cell_area_m2(self) -> Float[ndarray, " n"]:
-        """Area of every cell that may touch, projected on the specimen's plane [m^2]."""
+        """Area of every cell, projected on the specimen's plane [m^2]."""
         ring, azimuth = self.cells
         strip = -np.diff(np.cos(self.tip.polar_rad)) * np.pi / self.tip.azimuths
         return self.tip.radius_m**2 * strip[ring] * (self._outward[ring, azimuth] @ self._touch)
 
     @cached_property
     def compliance(self) -> Float[ndarray, "n 3 n 3"]:
-        """Opening and sliding of cells by unit forces on others, in the specimen's axes [m/N]."""
+        """Opening and sliding of cells by unit forces, in the specimen's axes [m/N]."""
         both = self._tip_compliance()
         return both if self.top is None else both + self._top_compliance(self.top)
 
@@ -247,11 +229,11 @@ class TiltedContact:
         return np.einsum("xi,nai->nxa", self.axes, cylindrical)
 
     def _top_compliance(self, top: TopModes) -> Float[ndarray, "n 3 n 3"]:
-        """The specimen's part, each cell spread over a patch as large as it is."""
+        """The specimen's part, with each cell spread over a patch of its size."""
         at = self.places_on_top_m[:, None] + np.sqrt(self.cell_area_m2 / np.pi)[:, None, None] * PATCH
         rho, psi = np.hypot(at[..., 0], at[..., 1]), np.arctan2(at[..., 1], at[..., 0])
         hat = _hats(top.radii_m, rho) / len(PATCH)
-        # the specimen's own axes are (up the slope, y, its normal); its loads are those on the tip, reversed
+        # specimen axes: up the slope, y, normal; loads are those on the tip, reversed
         c, s, o = np.cos(psi), np.sin(psi), np.zeros_like(psi)
         turn = np.stack(
             [np.stack([o, o, o + 1], -1), np.stack([c, -s, o], -1), np.stack([s, c, o], -1)], axis=-2
@@ -267,7 +249,7 @@ class TiltedContact:
 
     @cached_property
     def places_on_top_m(self) -> Float[ndarray, "n 2"]:
-        """Places of the cells above the specimen, up the slope and y, from the specimen's axis [m]."""
+        """Positions of the cells above the specimen, up the slope and y [m]."""
         ring, azimuth = self.cells
         return self.tip.radius_m * self._outward[ring, azimuth] @ self.axes[1:].T
 
@@ -278,7 +260,7 @@ class TiltedContact:
         return self.tip.radius_m * (1.0 - self._outward[ring, azimuth] @ self._touch)
 
     def through(self, approaches_m: Float[ndarray, " k"]) -> list[TiltedPress]:
-        """States at ascending approaches, each from the last, since friction remembers [m]."""
+        """States at ascending approaches, each from the last, since friction is history-dependent [m]."""
         n = len(self.clearance_m)
         C = self.compliance
         force, rest = np.zeros((n, 3)), np.zeros((n, 2))
@@ -288,7 +270,6 @@ class TiltedContact:
             base = approach * down
             gap = self.clearance_m + base[0]
             force = solve_friction(C, gap, base[1:] - rest, self.friction, force)
-            # from here on, what sticks stays where it is now
             rest = base[1:] + np.einsum("iajb,jb->ia", C, force)[:, 1:]
             lift = 2.0 * float((force @ self.axes[:, 2]).sum())
             area = 2.0 * float(self.cell_area_m2[force[:, 0] > 0].sum())
@@ -296,7 +277,7 @@ class TiltedContact:
         return states
 
     def pins_moved_m(self, press: TiltedPress) -> Float[ndarray, "places azimuths 3"]:
-        """Displacement (r, around, z) of the skin's inside at cells' azimuths, the tip's base at rest [m]."""
+        """Displacement (r, around, z) of the skin's inside at the cells' azimuths [m]."""
         ring, azimuth = self.cells
         theta = self._azimuth[azimuth]
         turn = self._from_cylindrical(theta)
@@ -322,13 +303,12 @@ def _per_pair(mode: int) -> float:
 
 
 def _rotate(C: Float[ndarray, "n 3 n 3"], turn: Float[ndarray, "n 3 3"]) -> Float[ndarray, "n 3 n 3"]:
-    """Express a compliance along other axes."""
     half = np.einsum("nxa,namb->nxmb", turn, C)
     return np.einsum("myb,nxmb->nxmy", turn, half)
 
 
 def _hats(knots: Float[ndarray, " k"], at: Float[ndarray, "n p"]) -> Float[ndarray, "n p k"]:
-    """Weights of the knots in linear interpolation; beyond the last, the last."""
+    """Weights of linear interpolation, constant beyond the last knot."""
     j = np.clip(np.searchsorted(knots, at) - 1, 0, len(knots) - 2)
     t = np.clip((at - knots[j]) / (knots[j + 1] - knots[j]), 0.0, 1.0)
     weights = np.zeros((*at.shape, len(knots)))
@@ -337,9 +317,9 @@ def _hats(knots: Float[ndarray, " k"], at: Float[ndarray, "n p"]) -> Float[ndarr
     return weights
 
 
-CORE = 0.05  # of the radius, fixed, so that no cell shrinks to the centre
-FINE_TO = np.deg2rad(84.0)  # polar angle up to which cells are even
-TOP_FINE_TO = 0.85  # of a cylinder's radius
+CORE = 0.05  # radius of the fixed core over the tip's
+FINE_TO = np.deg2rad(84.0)  # polar angle of even cells
+TOP_FINE_TO = 0.85  # extent of even cells over a cylinder's radius
 
 
 def tip_modes(
@@ -353,14 +333,14 @@ def tip_modes(
     azimuths: int = 24,
     modes: int = 32,
 ) -> TipModes:
-    """Compliance of a hemisphere whose equator and core are fixed.
+    """Return the compliance of a hemisphere with fixed equator and core.
 
     Args:
-        radius_m, skin_m: of the hemisphere; thickness of its skin [m].
+        radius_m, skin_m: Radius, and thickness of the skin [m].
         skin_pa, gel_pa: Young's moduli [Pa].
-        poisson_ratio: of both.
-        rings, azimuths: cells of the skin from the axis to 84 degrees, and around half of it.
-        modes: around the axis.
+        poisson_ratio: Of both.
+        rings, azimuths: Cells from the axis to 84 degrees, and around half of it.
+        modes: Number of Fourier modes.
     """
     if not (0 < skin_m < 0.5 * radius_m and skin_pa > 0 and gel_pa > 0 and 0 < poisson_ratio < 0.5):
         raise RangeError(
@@ -411,14 +391,7 @@ def top_modes(
     rings: int = 30,
     modes: int = 32,
 ) -> TopModes:
-    """Compliance of a cylinder's top, whose base is bonded.
-
-    Args:
-        radius_m, height_m: of the cylinder [m].
-        youngs_pa, poisson_ratio: of its material [Pa].
-        rings: cells along the radius.
-        modes: around the axis.
-    """
+    """Return the compliance of a cylinder's top with bonded base; `rings` are cells along the radius."""
     if not (min(radius_m, height_m, youngs_pa) > 0 and 0 < poisson_ratio < 0.5):
         raise RangeError(
             f"a cylinder of {1e3 * radius_m:g} mm radius and {1e3 * height_m:g} mm height, {youngs_pa:g} Pa, "
@@ -438,6 +411,6 @@ def top_modes(
 
 
 def _along(order: Float[ndarray, " n"], which: ndarray) -> Int[ndarray, " k"]:
-    """Nodes of a row, in order along it."""
+    """Nodes of a row, in order."""
     nodes = np.flatnonzero(which)
     return nodes[np.argsort(order[nodes])]

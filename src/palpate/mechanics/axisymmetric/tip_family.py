@@ -1,11 +1,8 @@
-"""A tip whose skin and gel are of any stiffness between those of the shipped tables, on a rigid plate.
+"""A tip with any modulus ratio of skin and gel between the shipped tables, on a rigid plate.
 
-All shipped tips are of one size, so that a press is told by two numbers: by how far the tip is pushed in, and
-by the ratio of the moduli of skin and gel; the force is in proportion to both moduli together. A tip between
-the tables has at each depth its shape, and the logarithms of its force and of its moduli, on a polynomial of
-the ratio's logarithm through all tables. Solved by `tools/tip_tables.py --plate`, as the tables are, to one
-depth. Against tips solved anew at ratios between the tables, from 14 to 45, shapes are off by 2 um and forces
-by 0.5 %; between 1 and 10, where no table stands, at 3.5 by 3 % of force.
+Shapes, and logarithms of force and moduli, are polynomials of the log ratio through all tables at each depth.
+Solved by `tools/tip_tables.py --plate`. Interpolation errors: 2 um and 0.5 % of force for ratios from 14 to
+45, 3 % at 3.5.
 """
 
 from __future__ import annotations
@@ -13,26 +10,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib import resources
 
 import numpy as np
 
 from palpate.core import Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, HeadOnPress, tip_table
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, from_rest, loaded, skin_columns, tip_table
 
 PLATE = "plate.npz"
 
 
 @dataclass(frozen=True)
 class TipBetween:
-    """A tip on a rigid plate.
-
-    Attributes:
-        radius_m, skin_m: of the dome, and the thickness of its skin [m].
-        skin_pa, gel_pa: Young's moduli; any others of the same ratio have the same shapes, and forces in
-            proportion [Pa].
-        press: of the tip with these moduli on the plate.
-    """
+    """A tip on a rigid plate; forces are proportional to the moduli at equal ratio."""
 
     radius_m: float
     skin_m: float
@@ -42,21 +31,14 @@ class TipBetween:
 
 
 def ratio_range() -> tuple[float, float]:
-    """Least and greatest ratio of skin's and gel's modulus that there are tables of."""
+    """Return the minimum and maximum tabled modulus ratio."""
     logs = _plate().log_ratio
     return math.exp(float(logs.min())), math.exp(float(logs.max()))
 
 
 @lru_cache(maxsize=256)
 def tip_between(log_ratio: float) -> TipBetween:
-    """The tip of a ratio of moduli.
-
-    Args:
-        log_ratio: natural logarithm of the skin's modulus over the gel's.
-
-    Raises:
-        RangeError: a ratio beyond the tables'.
-    """
+    """Return the tip of a natural log ratio of skin and gel moduli (cached)."""
     low, high = ratio_range()
     if not low * (1 - 1e-9) <= math.exp(log_ratio) <= high * (1 + 1e-9):
         raise RangeError(
@@ -78,7 +60,7 @@ def tip_between(log_ratio: float) -> TipBetween:
 
 @dataclass(frozen=True)
 class _Plate:
-    """Tips at the same depths, the untouched first; see `HeadOnPress` for the columns ``[tips d ...]``."""
+    """Tips at the same depths, the untouched first; columns of `HeadOnPress` ``[tips d ...]``."""
 
     approach_m: Float[ndarray, " d"]
     log_ratio: Float[ndarray, " k"]
@@ -89,22 +71,8 @@ class _Plate:
 
 @cache
 def _plate() -> _Plate:
-    path = resources.files("palpate.mechanics") / FOLDER / PLATE
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
-    rest = tip_table("base").press(math.inf).inside_m[0]
-
-    def from_rest(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
-        start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
-        return np.concatenate([start, values], axis=1)
-
-    columns = {
-        "flattening_m": from_rest(1e-3 * data["flattening_mm"]),
-        "radius_m": from_rest(1e-3 * data["radius_mm"]),
-        "angle_rad": from_rest(data["angle_rad"]),
-        "inside_m": from_rest(1e-3 * data["inside_mm"], rest),
-        "energy_pa": from_rest(1e6 * data["energy_mpa"]),
-    }
+    data = loaded(PLATE)
+    columns = skin_columns(data, tip_table("base").press(math.inf).inside_m[0])
     return _Plate(
         np.append(0.0, 1e-3 * data["approach_mm"]),
         np.log(data["skin_mpa"] / data["gel_mpa"]),
@@ -115,7 +83,6 @@ def _plate() -> _Plate:
 
 
 def _weights(knots: Float[ndarray, " k"], at: float) -> Float[ndarray, " k"]:
-    """Lagrange's polynomials through the knots."""
     away = [np.delete(knots, i) for i in range(len(knots))]
     return np.array(
         [np.prod((at - others) / (knot - others)) for knot, others in zip(knots, away, strict=True)]

@@ -1,13 +1,9 @@
-"""A hemispherical tip pressed head-on on an elastic cylinder: tables solved at finite strain, read between.
+"""Tables at finite strain of a hemispherical tip pressed head-on on an elastic cylinder.
 
-Tip and specimen are nearly incompressible neo-Hookean solids (nu = 0.48) without friction between them; the
-tip's equator and the specimen's base are held. Solved by `tools/tip_tables.py`; its `--check mesh` has
-areas within 0.3 %, approach and flattening within 0.02 % of those on cells two thirds the size.
-
-Every table is of one tip on cylinders of one size and nine Young's moduli, the stiffest rigid, at forty
-forces up to 5.5 N. Between moduli E it is read by a smooth curve over 1 / (1 + E / E0), which runs from 0 for
-a rigid plate to 1 for none; between forces by one over the cube root of force, in which young contact is
-straight.
+Tip and specimen are neo-Hookean (nu = 0.48) without friction; equator and base are fixed. Solved by
+`tools/tip_tables.py`, with mesh errors of 0.3 % in area and 0.02 % in approach and flattening. Each table has
+one tip on nine moduli, the stiffest rigid, at forty forces up to 5.5 N; interpolation is over 1 / (1 + E /
+E0) and the cube root of force.
 """
 
 from __future__ import annotations
@@ -22,25 +18,21 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.mechanics.axisymmetric.disc_table import SAME
 
-TURNING_PA = 6e4  # E0: about the tip's own stiffness, so that the curve bends evenly
+TURNING_PA = 6e4  # E0, about the tip's stiffness
 FOLDER = "tip_tables"
 
 Levels = Float[ndarray, " f"]
 
 
 class ForceColumns:
-    """Columns of a table over force, read between its rows: smooth in the cube root of force.
-
-    Attributes:
-        columns: names of those that can be read.
-    """
+    """Columns of a table over force, interpolated in its cube root; `columns` names them."""
 
     columns: tuple[str, ...]
     force_n: Levels
     approach_m: Levels
 
     def at(self, column: str, force_n: Float[ndarray, " k"]) -> Float[ndarray, k * n]:
-        """A column of the table at other forces."""
+        """A column at other forces."""
         force = np.asarray(force_n, np.float64)
         if force.size and not (force.min() >= 0 and force.max() <= self.force_n[-1]):
             raise RangeError(
@@ -53,7 +45,7 @@ class ForceColumns:
     def force_within(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Force at approaches inside the table [N]."""
         force = np.asarray(self._cube_root_of_force(approach_m)) ** 3
-        return np.minimum(force, self.force_n[-1])  # which a root's cube may pass by a rounding
+        return np.minimum(force, self.force_n[-1])  # against rounding
 
     @cached_property
     def _curves(self) -> dict[str, PchipInterpolator]:
@@ -70,14 +62,12 @@ class HeadOnPress(ForceColumns):
     """One tip on one specimen, at the table's forces; SI.
 
     Attributes:
-        force_n: forces, from 0 [N].
-        approach_m: of the tip's base since first touch [m].
-        flattening_m: of the tip: how far its apex is pushed in [m].
-        radius_m: of the contact [m].
-        angle_rad: polar angle on the tip of the contact's edge [rad].
-        polar_rad: of places on the skin's inside, from the axis to the equator [rad].
-        inside_m: where these are ``[f n 2]``: (r, z) from the untouched apex, the tip's base at rest [m].
-        energy_pa: strain energy density of the skin there ``[f n]`` [J/m^3].
+        approach_m: Displacement of the tip's base since first touch [m].
+        flattening_m: Displacement of the tip's apex [m].
+        radius_m, angle_rad: Contact radius [m], and polar angle of its edge on the tip.
+        polar_rad: Points of the skin's inside, from the axis to the equator.
+        inside_m: Their (r, z) from the undeformed apex ``[f n 2]`` [m].
+        energy_pa: Strain energy density of the skin there [J/m^3].
     """
 
     force_n: Levels
@@ -93,7 +83,6 @@ class HeadOnPress(ForceColumns):
 
     @property
     def area_m2(self) -> Levels:
-        """Area of the contact [m^2]."""
         return np.pi * self.radius_m**2
 
     def force_at(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
@@ -108,7 +97,7 @@ class HeadOnPress(ForceColumns):
 
 @dataclass(frozen=True)
 class TipTable:
-    """One tip on every specimen; see `HeadOnPress` for the columns, ``[specimens forces ...]``."""
+    """One tip on every specimen; columns of `HeadOnPress` ``[specimens forces ...]``."""
 
     radius_m: float
     skin_m: float
@@ -123,7 +112,7 @@ class TipTable:
     polar_rad: Float[ndarray, " n"]
 
     def press(self, specimen_pa: float) -> HeadOnPress:
-        """The tip on a specimen of any Young's modulus, `inf` for a rigid plate [Pa]."""
+        """The tip on a specimen of a Young's modulus, `inf` for rigid [Pa]."""
         if not specimen_pa >= self.specimen_pa[0] * (1 - 1e-9):
             raise RangeError(
                 f"a specimen of {specimen_pa:g} Pa; the table holds {self.specimen_pa[0]:g} Pa and stiffer"
@@ -139,25 +128,38 @@ class TipTable:
 
 
 def softness_share(specimen_pa: float) -> float:
-    """1 / (1 + E / E0): 0 for a rigid plate, 1 for none."""
+    """Return 1 / (1 + E / E0): 0 for a rigid plate."""
     return 1.0 / (1.0 + specimen_pa / TURNING_PA)
 
 
 def shipped_tips() -> tuple[str, ...]:
-    """Names of the tips there are tables of."""
+    """Return the names of the tabled tips."""
     folder = resources.files("palpate.mechanics") / FOLDER
     names = (path.name for path in folder.iterdir() if path.name.startswith("tip-"))
     return tuple(sorted(name.removeprefix("tip-").removesuffix(".npz") for name in names))
 
 
+def loaded(name: str) -> dict[str, ndarray]:
+    """Return the arrays of a shipped file; empty without such a file."""
+    path = resources.files("palpate.mechanics") / FOLDER / name
+    if not path.is_file():
+        return {}
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        return {key: arrays[key].astype(np.float64) for key in arrays.files}
+
+
+def from_rest(values: ndarray, first: ndarray | float = 0.0, axis: int = 1) -> ndarray:
+    """Return values with the untouched tip's before the first along an axis."""
+    start = np.broadcast_to(first, (*values.shape[:axis], 1, *values.shape[axis + 1 :]))
+    return np.concatenate([start, values], axis=axis)
+
+
 @cache
 def tip_table(name: str) -> TipTable:
-    """The table of a tip."""
+    """Return the table of a tip (cached)."""
     if name not in shipped_tips():
         raise InputError(f"no tip {name!r}; there are {', '.join(shipped_tips())}", code="unknown-name")
-    path = resources.files("palpate.mechanics") / FOLDER / f"tip-{name}.npz"
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        data = {key: arrays[key].astype(np.float64) for key in arrays.files}
+    data = loaded(f"tip-{name}.npz")
     radius_mm, skin_mm, skin_mpa, gel_mpa, nu = data["tip"]
     r_mm, h_mm = data["specimen"]
     return TipTable(
@@ -170,16 +172,15 @@ def tip_table(name: str) -> TipTable:
 
 
 def _columns(data: dict[str, ndarray], radius_m: float, skin_m: float) -> dict[str, ndarray]:
-    """The table's columns in SI, the untouched tip before the first force."""
+    """Columns in SI, with the untouched tip before the first force."""
     phi, inner = data["polar_rad"], radius_m - skin_m
     rest = np.stack([inner * np.sin(phi), radius_m - inner * np.cos(phi)], axis=-1)
+    return {"approach_m": from_rest(1e-3 * data["approach_mm"])} | skin_columns(data, rest)
 
-    def from_rest(values: ndarray, first: ndarray | float = 0.0) -> ndarray:
-        start = np.broadcast_to(first, (len(values), 1, *values.shape[2:]))
-        return np.concatenate([start, values], axis=1)
 
+def skin_columns(data: dict[str, ndarray], rest: Float[ndarray, "n 2"]) -> dict[str, ndarray]:
+    """Return the columns of contact and skin in SI, with the untouched tip first."""
     return {
-        "approach_m": from_rest(1e-3 * data["approach_mm"]),
         "flattening_m": from_rest(1e-3 * data["flattening_mm"]),
         "radius_m": from_rest(1e-3 * data["radius_mm"]),
         "angle_rad": from_rest(data["angle_rad"]),

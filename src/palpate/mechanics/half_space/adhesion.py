@@ -1,18 +1,15 @@
-"""A rigid sphere that sticks to an elastic half-space: Johnson, Kendall and Roberts (JKR); no friction.
+"""Adhesive contact of a rigid sphere and an elastic half-space: Johnson, Kendall, and Roberts (JKR).
 
-With w the work of adhesion and E* the reduced modulus,
+With work of adhesion w and reduced modulus E*,
 
     F = 4 E* a^3 / (3 R) - sqrt(8 pi w E* a^3),    d = a^2 / R - sqrt(2 pi w a / E*),
 
-and under a held load the sphere comes off at F = -(3/2) pi w R.
+and pull-off under a dead load at F = -(3/2) pi w R. Valid for Tabor's parameter (R w^2 / (E*^2 z0^3))^(1/3)
+above 5 and a/R up to 0.5.
 
-Valid for soft, large spheres: Tabor's parameter (R w^2 / (E*^2 z0^3))^(1/3), the stretch at pull-off over the
-range z0 of the surface forces, above 5. Small strain, and a paraboloid for the sphere: a/R up to 0.5.
-What lies outside is refused by a RangeError that names the range.
-
-Reference: K. L. Johnson, K. Kendall, A. D. Roberts, Proc. R. Soc. A 324 (1971) 301,
-doi:10.1098/rspa.1971.0141; on the range, K. L. Johnson, J. A. Greenwood, J. Colloid Interface Sci. 192 (1997)
-326, doi:10.1006/jcis.1997.4984.
+References: K. L. Johnson, K. Kendall, A. D. Roberts, Proc. R. Soc. A 324 (1971)
+301, doi:10.1098/rspa.1971.0141; K. L. Johnson, J. A. Greenwood, J. Colloid Interface Sci. 192 (1997) 326,
+doi:10.1006/jcis.1997.4984.
 """
 
 from __future__ import annotations
@@ -25,17 +22,17 @@ from scipy.optimize import brentq
 from palpate.core import RangeError
 from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive, reduced_modulus
 
-JKR_ABOVE = 5.0  # Tabor's parameter; below, surface forces act outside the contact too
+JKR_ABOVE = 5.0  # minimum of Tabor's parameter
 
 
 @dataclass(frozen=True, slots=True)
 class AdhesiveSphere:
-    """A sphere that sticks to a half-space.
+    """An adhesive sphere on a half-space.
 
     Attributes:
-        work_of_adhesion_j_m2: w, 0 or more; silicone rubber has about 0.05 [J/m^2].
-        radius_m: R, positive [m].
-        youngs_modulus_pa, poisson_ratio: of the half-space [Pa], 0 to 0.5.
+        work_of_adhesion_j_m2: w, 0 or more; about 0.05 for silicone rubber [J/m^2].
+        radius_m: R [m].
+        youngs_modulus_pa, poisson_ratio: Half-space [Pa], 0 to 0.5.
 
     Example:
         >>> round(AdhesiveSphere(0.05, 5e-3, 0.3e6, 0.49).pull_off_force_n * 1e3, 3)
@@ -58,28 +55,27 @@ class AdhesiveSphere:
 
     @property
     def pull_off_force_n(self) -> float:
-        """The force -(3/2) pi w R [N] at which it comes off under a held load; negative, for it is a pull."""
+        """Force -(3/2) pi w R at which contact is lost under a dead load [N]."""
         return -1.5 * math.pi * self.work_of_adhesion_j_m2 * self.radius_m
 
     @property
     def pull_off_depth_m(self) -> float:
-        """Depth [m] at which it comes off a stiff stage; negative, for the skin is drawn up."""
+        """Depth at which contact is lost on a stiff stage, negative [m]."""
         return self.depth_from_radius(self._least_radius)
 
     def force_from_radius(self, contact_radius_m: float) -> float:
-        """Force [N] on a contact of radius a, positive in compression."""
+        """Force on a contact of radius a, positive in compression [N]."""
         a, w, E = self._in_range(contact_radius_m), self.work_of_adhesion_j_m2, self._reduced_modulus
         return 4.0 * E * a**3 / (3.0 * self.radius_m) - math.sqrt(8.0 * math.pi * w * E * a**3)
 
     def depth_from_radius(self, contact_radius_m: float) -> float:
-        """Depth [m] of a contact of radius a; negative where the skin is drawn up."""
+        """Depth of a contact of radius a [m]."""
         a, w, E = self._in_range(contact_radius_m), self.work_of_adhesion_j_m2, self._reduced_modulus
         return a**2 / self.radius_m - math.sqrt(2.0 * math.pi * w * a / E)
 
     def radius_from_force(self, force_n: float) -> float:
-        """Contact radius a [m] under a force, the stable branch.
-
-        a^3 = 3 R / (4 E*) [F + 3 pi w R + sqrt(6 pi w R F + (3 pi w R)^2)]; w = 0 is Hertz's.
+        """Stable contact radius under a force [m]: a^3 = 3 R / (4 E*) [F + 3 pi w R + sqrt(6 pi w R F + (3 pi
+        w R)^2)].
         """
         w, R, E = self.work_of_adhesion_j_m2, self.radius_m, self._reduced_modulus
         least = self.pull_off_force_n
@@ -92,11 +88,7 @@ class AdhesiveSphere:
         return self._in_range(math.cbrt(max(cubed, 0.0)))
 
     def radius_from_depth(self, depth_m: float) -> float:
-        """Contact radius a [m] at a held depth, on the branch that is stable then, of a contact already made.
-
-        Raises:
-            RangeError: the depth is below `pull_off_depth_m`, or beyond a/R = 0.5.
-        """
+        """Stable contact radius at a fixed depth of an existing contact [m]."""
         a_least, a_greatest = self._least_radius, MAX_SLOPE * self.radius_m
         least, greatest = self.depth_from_radius(a_least), self.depth_from_radius(a_greatest)
         if not least - 1e-12 * abs(least) <= depth_m <= greatest * (1 + 1e-12):
@@ -113,16 +105,10 @@ class AdhesiveSphere:
         )
 
     def force_from_depth(self, depth_m: float) -> float:
-        """Force [N] at a held depth; see `radius_from_depth`."""
         return self.force_from_radius(self.radius_from_depth(depth_m))
 
     def tabor_parameter(self, range_m: float) -> float:
-        """(R w^2 / (E*^2 z0^3))^(1/3); JKR's law holds above 5 (``JKR_ABOVE``).
-
-        Args:
-            range_m: z0, over which the surface forces act, some tenths of a nanometre for molecular contact
-                [m].
-        """
+        """Tabor's parameter for surface forces of range z0 [m]; JKR holds above 5 (``JKR_ABOVE``)."""
         positive("the range of the surface forces", range_m, "m")
         return math.cbrt(self.radius_m * (self.work_of_adhesion_j_m2 / self._reduced_modulus) ** 2) / range_m
 
@@ -132,7 +118,7 @@ class AdhesiveSphere:
 
     @property
     def _least_radius(self) -> float:
-        """Contact radius [m] at which d(a) is least: 2 a / R = sqrt(pi w / (2 E* a))."""
+        """Contact radius at which d(a) is minimal: 2 a / R = sqrt(pi w / (2 E* a)) [m]."""
         w, R = self.work_of_adhesion_j_m2, self.radius_m
         return self._in_range(math.cbrt(math.pi * w * R**2 / (8.0 * self._reduced_modulus)))
 

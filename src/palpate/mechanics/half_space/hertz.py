@@ -1,18 +1,13 @@
-"""Hertz's contact of a rigid sphere on an elastic half-space, and at nu = 1/2 the stress below it.
+"""Hertz contact of a rigid sphere on an elastic half-space, and the stress below it for nu = 1/2.
 
-Small strain, no friction, no adhesion; valid to a/R = 0.5, which every conversion enforces by a RangeError.
-The sphere is taken as a paraboloid: at the limit the exact sphere's force at the same depth is 2.5 % lower.
+Small strain, no friction, no adhesion, a/R up to 0.5, where the paraboloid's force is 2.5 % above the
+sphere's. For nu = 1/2 the stress that birefringence measures follows from one Newtonian potential V (Johnson
+3.11),
 
-At nu = 1/2 the stress that birefringence sees is z times the Hessian of one Newtonian potential V, that of a
-disc whose surface density is the pressure (Johnson 3.11 with 1 - 2 nu = 0):
-
-    s_xx - s_zz = -(z / 2 pi) (V_xx - V_zz),      2 s_xz = -(z / pi) V_xz.
-
-For Hertz's pressure V is a segment of point charges at complex depths z + i t with a parabolic density,
-
+    s_xx - s_zz = -(z / 2 pi) (V_xx - V_zz),      2 s_xz = -(z / pi) V_xz,
     V = c  int_{-a}^{a} (a^2 - t^2) / sqrt(r^2 + (z + i t)^2) dt,      c = pi p0 / (2 a),
 
-whose derivatives are elementary in w = z + i a, S = sqrt(r^2 + w^2), q = w + S.
+with elementary derivatives in w = z + i a, S = sqrt(r^2 + w^2), q = w + S.
 
 Reference: K. L. Johnson, Contact Mechanics (1985), ch. 3 and 4, doi:10.1017/CBO9781139171731.
 """
@@ -25,7 +20,7 @@ import numpy as np
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 
-MAX_SLOPE = 0.5  # a/R; beyond it the paraboloid is no longer the sphere
+MAX_SLOPE = 0.5  # maximum a/R of the paraboloid
 GRID_POINTS = 81
 MODEL = "Hertz: rigid sphere, elastic half-space, small strain, no friction, no adhesion, a/R <= 0.5"
 
@@ -33,7 +28,7 @@ Points = Float[ndarray, "..."]
 
 
 def reduced_modulus(youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """E* = E / (1 - nu^2) of a half-space under a rigid body [Pa]."""
+    """Return E* = E / (1 - nu^2) [Pa]."""
     positive("Young's modulus", youngs_modulus_pa, "Pa")
     if not 0.0 <= poisson_ratio <= 0.5:
         raise RangeError(
@@ -44,7 +39,7 @@ def reduced_modulus(youngs_modulus_pa: float, poisson_ratio: float) -> float:
 
 
 def greatest_depth(radius_m: float) -> float:
-    """Depth [m] at which the contact radius reaches half the sphere's radius.
+    """Return the depth at which a/R = 0.5 [m].
 
     Example:
         >>> greatest_depth(5e-3)
@@ -55,18 +50,14 @@ def greatest_depth(radius_m: float) -> float:
 
 
 def contact_radius(depth_m: float, radius_m: float) -> float:
-    """Contact radius a = sqrt(R d) [m].
-
-    Args:
-        depth_m: approach past first touch, 0 to R/4 [m].
-        radius_m: radius of the sphere [m].
+    """Return the contact radius a = sqrt(R d) at a depth of 0 to R/4 [m].
 
     Example:
         >>> round(contact_radius(1e-3, 5e-3) * 1e3, 7)
         2.236068
     """
     limit = greatest_depth(radius_m)
-    if not 0.0 <= depth_m <= limit * (1 + 1e-12):  # a rounding above the limit is the limit
+    if not 0.0 <= depth_m <= limit * (1 + 1e-12):  # rounding above the limit is accepted
         raise RangeError(
             f"depth {depth_m:g} m of a sphere of radius {radius_m:g} m lies outside 0 to {limit:g} m, where "
             f"Hertz's law holds (a/R <= {MAX_SLOPE}); press less deeply or use a larger sphere",
@@ -78,7 +69,7 @@ def contact_radius(depth_m: float, radius_m: float) -> float:
 def force_from_depth(
     depth_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Normal force F = 4/3 E* sqrt(R) d^(3/2) [N], positive in compression.
+    """Return the normal force F = 4/3 E* sqrt(R) d^(3/2) [N].
 
     Example:
         >>> round(force_from_depth(1e-3, 5e-3, 0.3e6, 0.49), 7)
@@ -91,18 +82,18 @@ def force_from_depth(
 def depth_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth d = (3F / (4 E* sqrt(R)))^(2/3) [m]."""
+    """Return the depth d = (3F / (4 E* sqrt(R)))^(2/3) [m]."""
     if not (force_n >= 0.0 and math.isfinite(force_n)):
         raise RangeError(f"force {force_n} N is not 0 or more; Hertz's contact only pushes")
     positive("the sphere's radius", radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     depth_m = math.pow(3.0 * force_n / (4.0 * E * math.sqrt(radius_m)), 2.0 / 3.0)
-    contact_radius(depth_m, radius_m)  # refuses what lies beyond the law
+    contact_radius(depth_m, radius_m)  # checks the range
     return depth_m
 
 
 def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
-    """Depth d = a^2 / R [m] of a contact of radius a."""
+    """Return the depth d = a^2 / R [m]."""
     positive("the sphere's radius", radius_m, "m")
     if not 0.0 <= contact_radius_m <= MAX_SLOPE * radius_m * (1 + 1e-12):
         raise RangeError(
@@ -113,7 +104,7 @@ def depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
 
 
 def peak_pressure(depth_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """Pressure at the centre p0 = (2 E* / pi) sqrt(d / R) [Pa]."""
+    """Return the pressure at the centre p0 = (2 E* / pi) sqrt(d / R) [Pa]."""
     a = contact_radius(depth_m, radius_m)
     return 2.0 * reduced_modulus(youngs_modulus_pa, poisson_ratio) / math.pi * a / radius_m
 
@@ -129,18 +120,13 @@ def press(
     """Press a rigid sphere into a half-space.
 
     Args:
-        probe: a sphere and its radius [m].
-        pose: where, and how deep; depth 0 is first touch and gives no contact.
-        youngs_modulus_pa, poisson_ratio: of the skin [Pa], 0 to 0.5.
-        x_m, y_m: columns and rows of the surface grid in the sensor's frame [m]; by default 81 points each,
-            over one sphere's radius to each side of the pose.
+        probe: Sphere.
+        pose: Position and depth.
+        youngs_modulus_pa, poisson_ratio: Half-space [Pa], 0 to 0.5.
+        x_m, y_m: Columns and rows of the grid [m]; by default 81 points over one radius to each side.
 
     Returns:
-        The contact: exact pressure and surface displacement, inside the contact and around it.
-
-    Raises:
-        InputError: the probe is not a sphere.
-        RangeError: depth or material lies outside the law's range.
+        Contact with exact pressure and surface displacement.
     """
     if probe.shape != "sphere":
         raise InputError(f"Hertz's law is for a sphere, got probe shape {probe.shape!r}; use shape 'sphere'")
@@ -159,11 +145,7 @@ def grid_around(
     x_m: Float[ndarray, " nx"] | None,
     y_m: Float[ndarray, " ny"] | None,
 ) -> tuple[Float[ndarray, " nx"], Float[ndarray, " ny"], Float[ndarray, "ny nx"]]:
-    """Columns, rows and distances from the pose [m]; around the pose where no columns or rows are given.
-
-    Raises:
-        InputError: the pose is not a finite position.
-    """
+    """Return columns, rows, and distances from the pose [m], by default around the pose."""
     if not (math.isfinite(pose.x_m) and math.isfinite(pose.y_m)):
         raise InputError(
             f"the pose ({pose.x_m}, {pose.y_m}) m is not a finite position; give numbers in metres"
@@ -174,14 +156,14 @@ def grid_around(
 
 
 def pressure(r: Points, a: float, p0: float) -> Points:
-    """Pressure p0 sqrt(1 - r^2/a^2) [Pa] at distance r [m] from the centre; zero outside and when a is 0."""
+    """Return the pressure p0 sqrt(1 - r^2/a^2) at distance r [Pa]; zero outside."""
     if a == 0.0:
         return np.zeros_like(r)
     return np.asarray(p0 * np.sqrt(np.maximum(1.0 - (r / a) ** 2, 0.0)))
 
 
 def surface_displacement(r: Points, a: float, radius_m: float) -> Points:
-    """Surface displacement into the skin [m] at distance r [m]: Johnson (3.42) inside, its sequel outside."""
+    """Return the surface displacement at distance r [m]: Johnson (3.42)."""
     if a == 0.0:
         return np.zeros_like(r)
     outside = np.maximum(r, a)
@@ -191,21 +173,13 @@ def surface_displacement(r: Points, a: float, radius_m: float) -> Points:
 
 
 def positive(name: str, value: float, unit: str) -> None:
-    """Refuse what is not a positive, finite number.
-
-    Raises:
-        RangeError: names the quantity, its value and its unit.
-    """
+    """Reject values that are not positive and finite."""
     if not (value > 0.0 and math.isfinite(value)):
         raise RangeError(f"{name} is {value} {unit}; give a positive number of {unit}", code="not-positive")
 
 
 def in_skin(*places_m: RayPoints) -> None:
-    """Refuse places that are not finite, and a depth, the last of them, above the surface.
-
-    Raises:
-        RangeError: some are.
-    """
+    """Reject points that are not finite or, by the last coordinate, above the surface."""
     if not (all(np.isfinite(place).all() for place in places_m) and np.all(np.asarray(places_m[-1]) >= 0)):
         raise RangeError(
             "the skin lies at finite places with z >= 0 m; a negative z is in the air above it",
@@ -221,18 +195,15 @@ RayPoints = Float[ndarray, "..."] | float
 def secondary_stress(
     x_m: RayPoints, y_m: RayPoints, z_m: RayPoints, contact_radius_m: float, peak_pressure_pa: float
 ) -> tuple[Points, Points]:
-    """The two stresses that a ray along y sees, below a Hertz contact at the origin; nu = 1/2.
+    """Return s_xx - s_zz and 2 s_xz [Pa] on a ray along y below a Hertz contact at the origin, for nu = 1/2.
 
     Args:
-        x_m: across the ray [m].
-        y_m: along the ray [m].
-        z_m: into the skin, not negative [m]; the three shapes broadcast.
-        contact_radius_m: a, positive [m].
+        x_m, y_m, z_m: Points across the ray, along it, and into the half-space [m]; shapes broadcast.
+        contact_radius_m: a [m].
         peak_pressure_pa: p0 [Pa].
 
     Returns:
-        s_xx - s_zz and 2 s_xz [Pa], positive in tension. The relative rounding error is about 1e-16 (rho/a)^2
-        at a distance rho from the contact.
+        Stresses, positive in tension, with relative rounding about 1e-16 (rho/a)^2 at distance rho.
     """
     positive("contact radius", contact_radius_m, "m")
     in_skin(z_m)

@@ -1,13 +1,11 @@
-"""Two elastic spheres in Hertz's contact, and pairs of objects that one cue cannot tell apart.
+"""Hertz contact of two elastic spheres, and pairs of objects that one cue cannot distinguish.
 
-With 1/E = 1/E1 + 1/E2 and 1/R = 1/R1 + 1/R2 of two bodies, E_i = Young's modulus over 1 - nu_i^2,
+With 1/E = 1/E1 + 1/E2, 1/R = 1/R1 + 1/R2, and E_i = Young's modulus over 1 - nu_i^2,
 
-    P = 4/3 E sqrt(R) d^(3/2)      what force and displacement tell: E sqrt(R)
-    A = pi (3 R P / 4 E)^(2/3)     what force and contact area tell: E / R
+    P = 4/3 E sqrt(R) d^(3/2)      force and displacement determine E sqrt(R)
+    A = pi (3 R P / 4 E)^(2/3)     force and contact area determine E / R
 
-So objects under one finger feel alike to the arm where E sqrt(R) is equal, and alike to the skin where E / R
-is. Equations (1) and (2) of the softness display's report name these two rightly, but print their right-hand
-sides exchanged; here they stand resolved. A partner that would have to be hollow raises RangeError.
+Equations (1) and (2) of the softness display's report print the right-hand sides exchanged.
 
 References: K. L. Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; E. P. Scilingo,
 M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010) 109,
@@ -28,11 +26,8 @@ Values = float | Float[ndarray, "*n"]
 
 @dataclass(frozen=True)
 class Body:
-    """A sphere, or both spheres of a contact as one.
-
-    Attributes:
-        modulus_pa: Young's modulus over 1 - nu^2 [Pa].
-        radius_m: positive; infinite for a flat [m].
+    """A sphere, or the equivalent of a pair: Young's modulus over 1 - nu^2 [Pa], and radius, infinite for a
+    flat [m].
     """
 
     modulus_pa: float
@@ -45,7 +40,7 @@ class Body:
             )
 
     def against(self, other: Body) -> Body:
-        """The two in contact, as one on a rigid flat."""
+        """The pair in contact, as one body on a rigid flat."""
         return Body(
             1 / (1 / self.modulus_pa + 1 / other.modulus_pa), 1 / (1 / self.radius_m + 1 / other.radius_m)
         )
@@ -64,19 +59,19 @@ class Body:
 
 
 def alike_to_the_arm(one: Body, finger: Body, modulus_pa: float) -> Body:
-    """The object of another modulus with the same force over displacement under this finger."""
+    """Return the object of another modulus with equal force over displacement under this finger."""
     E1, E2 = one.against(finger).modulus_pa, Body(modulus_pa, 1.0).against(finger).modulus_pa
     return _partner(modulus_pa, (E1 / E2) ** 2 * one.against(finger).radius_m, finger)
 
 
 def alike_to_the_skin(one: Body, finger: Body, modulus_pa: float) -> Body:
-    """The object of another modulus with the same contact area over force under this finger."""
+    """Return the object of another modulus with equal contact area over force under this finger."""
     E1, E2 = one.against(finger).modulus_pa, Body(modulus_pa, 1.0).against(finger).modulus_pa
     return _partner(modulus_pa, E2 / E1 * one.against(finger).radius_m, finger)
 
 
 def _partner(modulus_pa: float, together_m: float, finger: Body) -> Body:
-    """The object that makes this radius together with the finger."""
+    """Object that has this radius together with the finger."""
     curvature = 1 / together_m - 1 / finger.radius_m
     if not curvature > 0:
         raise RangeError(

@@ -1,17 +1,11 @@
-"""A rigid sphere, flat punch or cone on an elastic half-space: Sneddon's laws, no friction, no adhesion.
+"""Rigid sphere, flat punch, or cone on an elastic half-space: Sneddon's laws, without friction or adhesion.
 
-With f(r) the punch's height over its tip, every law here follows from one function on 0 <= t <= a,
+With the punch's height f(r) over its tip, on 0 <= t <= a,
 
-    g(t) = d - t int_0^t f'(r) / sqrt(t^2 - r^2) dr,      F = 2 E* int_0^a g dt,
+    g(t) = d - t int_0^t f'(r) / sqrt(t^2 - r^2) dr,      F = 2 E* int_0^a g dt,      g(a) = 0 without an
+    edge: sphere  g = d - t atanh(t/R),     flat punch  g = d,     cone  g = d - (pi/2) t cot(alpha).
 
-and g(a) = 0 where the punch has no edge:
-
-    sphere  g = d - t atanh(t/R),     flat punch  g = d,     cone  g = d - (pi/2) t cot(alpha).
-
-The sphere is exact, not a paraboloid, so it needs no limit on a/R but the equator. The material stays linear:
-the strain is small only while the slope of the punch is (a/R or cot(alpha) below about 0.3), and beyond that
-these laws are the exact solution of a linear problem, not of rubber. Outside its range a law
-raises RangeError.
+The sphere is exact, not a paraboloid; strain is small for slopes (a/R, cot(alpha)) below about 0.3.
 
 Reference: I. N. Sneddon, Int. J. Eng. Sci. 3 (1965) 47, doi:10.1016/0020-7225(65)90019-4.
 """
@@ -38,14 +32,14 @@ Points = Float[ndarray, "..."]
 
 
 def sphere_depth_from_radius(contact_radius_m: float, radius_m: float) -> float:
-    """Depth d = a atanh(a/R) [m] of a sphere of radius R whose contact has radius a."""
+    """Return the depth d = a atanh(a/R) [m]."""
     return contact_radius_m * math.atanh(_slope(contact_radius_m, radius_m))
 
 
 def sphere_force_from_radius(
     contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force F = E* [(a^2 + R^2) atanh(a/R) - a R] [N], positive in compression."""
+    """Return the force F = E* [(a^2 + R^2) atanh(a/R) - a R] [N]."""
     s = _slope(contact_radius_m, radius_m)
     if s < SERIES_BELOW:
         shape = float(np.sum(4 * TERMS / (4 * TERMS**2 - 1) * s ** (2 * TERMS + 1)))
@@ -55,7 +49,7 @@ def sphere_force_from_radius(
 
 
 def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
-    """Contact radius a [m], from a atanh(a/R) = d.
+    """Return the contact radius a [m], from a atanh(a/R) = d.
 
     Example:
         >>> round(sphere_radius_from_depth(1e-3, 5e-3) * 1e3, 4)
@@ -70,7 +64,7 @@ def sphere_radius_from_depth(depth_m: float, radius_m: float) -> float:
 def sphere_radius_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Contact radius a [m] under a force [N]."""
+    """Return the contact radius of a sphere under a force [m]."""
     positive("the sphere's radius", radius_m, "m")
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
     limit = sphere_force_from_radius(MAX_RADIUS * radius_m, radius_m, youngs_modulus_pa, poisson_ratio)
@@ -86,7 +80,7 @@ def sphere_radius_from_force(
 def sphere_force_from_depth(
     depth_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force [N] of a sphere pressed to a depth [m].
+    """Return the force of a sphere at a depth [N].
 
     Example:
         >>> round(sphere_force_from_depth(1e-3, 5e-3, 0.3e6, 0.49), 4)
@@ -99,7 +93,7 @@ def sphere_force_from_depth(
 def sphere_depth_from_force(
     force_n: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth [m] of a sphere under a force [N]."""
+    """Return the depth of a sphere under a force [m]."""
     a = sphere_radius_from_force(force_n, radius_m, youngs_modulus_pa, poisson_ratio)
     return sphere_depth_from_radius(a, radius_m)
 
@@ -107,7 +101,9 @@ def sphere_depth_from_force(
 def sphere_pressure(
     r_m: Points, contact_radius_m: float, radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> Points:
-    """Pressure p = -(E*/pi) int_r^a g'(t) / sqrt(t^2 - r^2) dt [Pa] at distance r [m]; zero outside."""
+    """Return the pressure p = -(E*/pi) int_r^a g'(t) / sqrt(t^2 - r^2) dt at distance r
+    [Pa]; zero outside.
+    """
     E, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), radius_m
     if _slope(contact_radius_m, R) == 0.0:
         return np.zeros_like(r_m)
@@ -125,7 +121,7 @@ def sphere_pressure(
 def punch_force(
     depth_m: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force F = 2 a E* d [N] of a flat-ended cylinder of radius a pressed to a depth of at most a/2.
+    """Return the force F = 2 a E* d [N] of a flat-ended cylinder at a depth of at most a/2.
 
     Example:
         >>> round(punch_force(1e-3, 3e-3, 0.3e6, 0.49), 4)
@@ -139,7 +135,7 @@ def punch_force(
 def punch_depth(
     force_n: float, punch_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth d = F / (2 a E*) [m] of a flat-ended cylinder of radius a."""
+    """Return the depth d = F / (2 a E*) of a flat-ended cylinder [m]."""
     positive("the punch's radius", punch_radius_m, "m")
     stiffness = 2.0 * punch_radius_m * reduced_modulus(youngs_modulus_pa, poisson_ratio)
     limit = stiffness * MAX_PUNCH_DEPTH * punch_radius_m
@@ -148,7 +144,7 @@ def punch_depth(
 
 
 def cone_radius(depth_m: float, half_angle_rad: float) -> float:
-    """Contact radius a = (2/pi) d tan(alpha) [m]; alpha from the cone's axis to its side."""
+    """Return the contact radius a = (2/pi) d tan(alpha) [m], alpha from the cone's axis to its side."""
     _within("depth", depth_m, math.inf, "m", "a contact")
     return 2.0 / math.pi * depth_m * _tangent(half_angle_rad)
 
@@ -156,7 +152,7 @@ def cone_radius(depth_m: float, half_angle_rad: float) -> float:
 def cone_force(
     depth_m: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Force F = (2/pi) E* d^2 tan(alpha) [N]."""
+    """Return the force F = (2/pi) E* d^2 tan(alpha) [N]."""
     a = cone_radius(depth_m, half_angle_rad)
     return reduced_modulus(youngs_modulus_pa, poisson_ratio) * a * depth_m
 
@@ -164,7 +160,7 @@ def cone_force(
 def cone_depth(
     force_n: float, half_angle_rad: float, youngs_modulus_pa: float, poisson_ratio: float
 ) -> float:
-    """Depth [m] of a cone under a force [N]."""
+    """Return the depth of a cone under a force [m]."""
     _within("force", force_n, math.inf, "N", "a contact without adhesion")
     stiffness = 2 / math.pi * reduced_modulus(youngs_modulus_pa, poisson_ratio) * _tangent(half_angle_rad)
     return math.sqrt(force_n / stiffness)
@@ -193,7 +189,7 @@ def _within(name: str, value: float, limit: float, unit: str, law: str) -> None:
 
 
 def _root(excess: Callable[[float], float], upper: float) -> float:
-    """Slope a/R at which the excess vanishes; the paraboloid's is always too large and brackets it."""
+    """Slope a/R of zero excess, bracketed by the paraboloid's."""
     if upper == 0.0:
         return 0.0
     top = min(upper * (1 + 1e-9), MAX_RADIUS * (1 + 1e-12))

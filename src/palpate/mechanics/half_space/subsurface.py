@@ -1,27 +1,18 @@
-"""Stress below a Hertz contact, sliding or at rest, at points and summed along rays; any Poisson's ratio.
+"""Stress below a Hertz contact, sliding or at rest, at points and integrated along rays; any Poisson's ratio.
 
-Small strain. Hertz's pressure p0 sqrt(1 - r^2/a^2) is a segment of point forces at complex depths z + i t
-with the density c (a^2 - t^2), c = pi p0 / (2 a). Where a point force has a derivative g of its potential,
-the contact has
+Hertz pressure is a segment of point forces at complex depths z + i t with density c (a^2 - t^2), c = pi p0 /
+(2 a). Where a point force has a derivative g of its potential, the contact has
 
-    c int_{-a}^{a} (a^2 - t^2) g(z + i t) dt = 4 c Im W - 4 c a Re W_z,      W_zzz = g, at w = z + i a.
+    c int_{-a}^{a} (a^2 - t^2) g(z + i t) dt = 4 c Im W - 4 c a Re W_z,      W_zzz = g, at w = z + i a,
 
-All antiderivatives along z of ln(rho + z) are elementary in q = w + S, S = sqrt(r^2 + w^2): at constant r, dw
-= (1 + r^2/q^2) dq / 2, so a power of q or its logarithm integrates to the like. Below, K1, K2, K3, K4 are the
-first to fourth, each the z-derivative of the next, and a prime is the derivative by r divided by r.
+with antiderivatives elementary in q = w + S, S = sqrt(r^2 + w^2). Below, K1 to K4 are the first to fourth,
+each the z-derivative of the next, and a prime is the derivative by r divided by r. Sliding is a traction q_x
+= mu p over the contact (Hamilton's problem), whose effect on the pressure for nu < 1/2 is neglected.
 
-Sliding is a traction q_x = mu p over the whole contact (Hamilton's problem). The pressure stays Hertz's: what
-the traction does to it for nu < 1/2 is left out.
-
-Summed over y, the equations of a laterally infinite half-space become those of plane strain under the summed
-load. So for any Poisson's ratio, int (s_xx, s_zz, s_xz) dy under a Hertz contact is the plane field of the
-parabola int p dy = P0 (1 - x^2/a^2), P0 = (pi/2) p0 a. With zeta = x + i z, Flamant's line loads under it add
-up to
+Integrated over y the field is one of plane strain: with P0 = (pi/2) p0 a and zeta = x + i z,
 
     int (s_xx - s_zz) dy = -(2/pi) z Re K,     int 2 s_xz dy = (2/pi) z Im K,
-    K = int (int p dy)(s) / (zeta - s)^2 ds = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].
-
-Outside its range a law raises RangeError.
+    K = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].
 
 References: K. L. Johnson, Contact Mechanics (1985), sec. 2.2 (Flamant), 3.2 and 3.4,
 doi:10.1017/CBO9781139171731; G. M. Hamilton, Proc. IMechE 197C (1983) 53,
@@ -52,19 +43,18 @@ def hertz_stress(
     poisson_ratio: float,
     friction: float = 0.0,
 ) -> Tensors:
-    """Stress below a Hertz contact at the origin, sliding along x or at rest [Pa].
+    """Return the stress below a Hertz contact at the origin, sliding along x or at rest [Pa].
 
     Args:
-        x_m, y_m: in the sensor's frame [m].
-        z_m: into the skin, not negative [m]; the three shapes broadcast.
-        contact_radius_m: a, positive [m].
-        peak_pressure_pa: p0, positive [Pa].
-        poisson_ratio: of the skin, 0 to 0.5.
-        friction: traction along +x on the skin over pressure, -2 to 2; 0 where nothing slides.
+        x_m, y_m, z_m: Points, z >= 0 [m]; shapes broadcast.
+        contact_radius_m: a [m].
+        peak_pressure_pa: p0 [Pa].
+        poisson_ratio: 0 to 0.5.
+        friction: Traction along +x over pressure, -2 to 2.
 
     Returns:
-        The symmetric tensor ``[... 3 3]``, positive in tension. The relative rounding error is about
-        1e-14 (rho/a)^2 at a distance rho from the contact, and 1e-6 at its edge.
+        Tensor ``[... 3 3]``, positive in tension, with rounding about 1e-14 (rho/a)^2 at distance rho, and
+        1e-6 at the edge.
 
     Example:
         >>> s = hertz_stress(0.0, 0.0, 0.48, 1.0, 1.0, 0.3)
@@ -94,7 +84,7 @@ def hertz_stress(
 
 
 def hertz_potentials(r: Points, z: Points) -> Potentials:
-    """Derivatives of the potentials of a Hertz contact with a = 1 and p0 = 1, at z > 0."""
+    """Return derivatives of a Hertz contact's potentials with a = 1 and p0 = 1, at z > 0."""
     r2, w = np.square(r), z + 1j
     S = np.sqrt(r2 + w**2)
     q = w + S
@@ -123,7 +113,7 @@ def hertz_potentials(r: Points, z: Points) -> Potentials:
 def centreline_stress(
     z_m: Points, contact_radius_m: float, peak_pressure_pa: float, poisson_ratio: float
 ) -> tuple[Points, Points]:
-    """s_rr and s_zz on the axis of a Hertz contact [Pa], positive in tension: Johnson (3.45)."""
+    """Return s_rr and s_zz on the axis of a Hertz contact [Pa]: Johnson (3.45)."""
     reduced_modulus(1.0, poisson_ratio)
     positive("contact radius", contact_radius_m, "m")
     positive("peak pressure", peak_pressure_pa, "Pa")
@@ -135,7 +125,7 @@ def centreline_stress(
 
 
 def greatest_shear(poisson_ratio: float) -> tuple[float, float]:
-    """The greatest shear stress under a Hertz contact, over p0, and its depth, over a.
+    """Return the maximum shear stress under a Hertz contact over p0, and its depth over a.
 
     Example:
         >>> [round(v, 3) for v in greatest_shear(0.5)]
@@ -154,8 +144,8 @@ def _contact(W: Any, W_z: Any) -> Any:
     return 2 * np.pi * (W.imag - W_z.real)  # 4 c = 2 pi p0 / a
 
 
-FAR = 8.0  # contact radii beyond which the closed form loses (r/a)^2 digits, and the series is used
-TERMS = 9  # of the series in (a/zeta)^2; the first left out is below 1e-17 of the sum at FAR
+FAR = 8.0  # distance beyond which the series is used, in contact radii
+TERMS = 9  # terms of the series in (a/zeta)^2, accurate to 1e-17 at FAR
 
 Summed = Float[ndarray, "..."]
 
@@ -163,16 +153,12 @@ Summed = Float[ndarray, "..."]
 def line_integrated_stress(
     x_m: Points, z_m: Points, contact_radius_m: float, peak_pressure_pa: float
 ) -> tuple[Summed, Summed]:
-    """Stress summed along y under a Hertz contact at the origin; any Poisson's ratio.
+    """Return int (s_xx - s_zz) dy and int 2 s_xz dy [Pa m] under a Hertz contact; any Poisson's ratio.
 
     Args:
-        x_m: where the ray passes [m].
-        z_m: how far below the surface, not negative [m].
-        contact_radius_m: a, positive [m].
+        x_m, z_m: Position and depth of the ray [m].
+        contact_radius_m: a [m].
         peak_pressure_pa: p0 [Pa].
-
-    Returns:
-        int (s_xx - s_zz) dy and int 2 s_xz dy [Pa m], positive in tension; both zero at z = 0.
     """
     positive("contact radius", contact_radius_m, "m")
     in_skin(z_m)

@@ -1,20 +1,15 @@
-"""A pressed sphere pulled sideways: it sticks inside a circle and slips around it; small strain.
+"""Partial slip of a pressed sphere under a tangential force, by Cattaneo and Mindlin.
 
-By Cattaneo and Mindlin, under a constant normal force P, Coulomb's friction and a tangential force Q
-below mu P,
+Under constant normal force P, friction mu, and tangential force Q below mu P,
 
     c = a (1 - Q/(mu P))^(1/3),    q(r) = mu p0 [ sqrt(1 - r^2/a^2) - (c/a) sqrt(1 - r^2/c^2) ],
     delta = D [ 1 - (1 - Q/(mu P))^(2/3) ],    D = 3 mu P (2 - nu) / (16 a G),
 
-for a rigid sphere on a half-space. The second root in q stands for 0 outside the stick circle r < c.
+where the second root is 0 outside the stick circle r < c. Valid for a/R up to 0.5. Traction in the slip ring
+is along the pull; its effect on the pressure for nu < 1/2 is neglected.
 
-Valid for a Hertz contact (a/R up to 0.5). The stick circle moves as one, exactly. In the slip ring the
-traction is taken along the pull, from which the slip turns a little where nu > 0; and for nu < 1/2 what the
-traction does to the pressure is left out.
-
-Outside its range a law raises RangeError.
-
-Reference: K. L. Johnson, Contact Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731.
+Reference: K. L. Johnson, Contact
+Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731.
 """
 
 from __future__ import annotations
@@ -30,16 +25,13 @@ Points = Float[ndarray, "..."]
 
 
 def stick_radius(pull_n: float, force_n: float, friction: float, contact_radius_m: float) -> float:
-    """Radius c of the circle that sticks [m].
+    """Return the radius c of the stick circle [m].
 
     Args:
-        pull_n: tangential force Q, 0 to mu P [N].
-        force_n: normal force P, positive [N].
-        friction: coefficient mu, positive.
-        contact_radius_m: a, positive [m].
-
-    Raises:
-        RangeError: an argument is out of its range; at Q = mu P the whole contact slides.
+        pull_n: Tangential force Q, 0 to mu P [N].
+        force_n: Normal force P [N].
+        friction: Coefficient mu.
+        contact_radius_m: a [m].
 
     Example:
         >>> round(stick_radius(0.35, 1.0, 0.4, 2e-3) * 1e3, 9)
@@ -50,7 +42,7 @@ def stick_radius(pull_n: float, force_n: float, friction: float, contact_radius_
 
 
 def tangential_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """dQ/d(delta) = 8 a G / (2 - nu) at the first pull, while all sticks [N/m]."""
+    """Return dQ/d(delta) = 8 a G / (2 - nu) without slip [N/m]."""
     positive("contact radius", contact_radius_m, "m")
     G = reduced_modulus(youngs_modulus_pa, poisson_ratio) * (1.0 - poisson_ratio) / 2.0
     return 8.0 * contact_radius_m * G / (2.0 - poisson_ratio)
@@ -64,7 +56,7 @@ def tangential_displacement(
     youngs_modulus_pa: float,
     poisson_ratio: float,
 ) -> float:
-    """Displacement of the stick circle, and of the sphere with it, along a pull that only grew [m]."""
+    """Return the displacement of the stick circle and the sphere under a monotonic pull [m]."""
     share = _share(pull_n, force_n, friction)
     k = tangential_stiffness(contact_radius_m, youngs_modulus_pa, poisson_ratio)
     log_rest = math.log1p(-share) if share < 1.0 else -math.inf
@@ -72,7 +64,7 @@ def tangential_displacement(
 
 
 def traction(r_m: Points, pull_n: float, force_n: float, friction: float, contact_radius_m: float) -> Points:
-    """Tangential traction q [Pa] on the skin along the pull, at distance r [m]; zero outside the contact."""
+    """Return the tangential traction q along the pull at distance r [Pa]; zero outside the contact."""
     a, c = contact_radius_m, stick_radius(pull_n, force_n, friction, contact_radius_m)
     p0 = 1.5 * force_n / (math.pi * a**2)
     stick = np.sqrt(np.maximum(c**2 - np.square(r_m), 0.0)) / a  # (c/a) sqrt(1 - r^2/c^2)

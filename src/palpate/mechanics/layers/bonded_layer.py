@@ -1,24 +1,21 @@
-"""A sphere or a flat punch on an elastic layer over a rigid base: Hayes's exact law, Dimitriadis's series.
+"""Sphere or flat punch on an elastic layer over a rigid base: Hayes's exact law and Dimitriadis's series.
 
 The layer's surface sinks by u(k) = 2/(E* k) M(kh) p(k) under a pressure p(k) of wavenumber k, where
 
     M = [(3-4nu) sinh 2s - 2s] / [(3-4nu) cosh 2s + 2s^2 + 5-12nu+8nu^2]     bonded to its base,
-    M = (cosh 2s - 1) / (sinh 2s + 2s)                                       sliding on it without friction.
+    M = (cosh 2s - 1) / (sinh 2s + 2s)                                       sliding without friction.
 
-With p(k) = (E*/pi) int_0^a g(t) cos(kt) dt no pressure is left outside the contact, and inside it
+With p(k) = (E*/pi) int_0^a g(t) cos(kt) dt, inside the contact
 
     g(t) - (2/pi) int_0^a g(s) int_0^inf [1 - M(kh)] cos(ks) cos(kt) dk ds = d - { 0            flat punch
                                                                                { t atanh(t/R) sphere,
 
-one smooth integral equation; then F = 2 E* int_0^a g dt, and g(a) = 0 under a sphere. This is the law of
-Hayes et al., exact for small strain, no friction on the surface and a layer much wider than the contact.
-Dimitriadis's law is a series in chi = sqrt(R d)/h, as far as chi^4, with coefficients fitted over nu. Its
-first coefficient is that of the exact law to 0.6 % bonded (0.3 <= nu <= 0.5; 6 % at nu = 0); its second
-leaves out that the contact widens. For the sliding base its first coefficient depends on nu, which the exact
-one does not: at nu = 1/2 it is 19 % too large. Outside its range a law raises RangeError.
+then F = 2 E* int_0^a g dt, and g(a) = 0 under a sphere. Dimitriadis's series in chi = sqrt(R d)/h to chi^4
+has fitted coefficients; for the sliding base at nu = 1/2 its first one is 19 % too large.
 
-References: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3;
-E. K. Dimitriadis et al., Biophys. J. 82 (2002) 2798, doi:10.1016/S0006-3495(02)75620-8.
+References: W. C.
+Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3; E. K. Dimitriadis et al., Biophys.
+J. 82 (2002) 2798, doi:10.1016/S0006-3495(02)75620-8.
 """
 
 from __future__ import annotations
@@ -34,10 +31,10 @@ from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import force_from_depth, positive, reduced_modulus
 from palpate.mechanics.half_space.sneddon import MAX_RADIUS
 
-MAX_RATIO = 10.0  # a/h; there 48 nodes give nine digits
-MAX_STRAIN = 0.2  # d/h; at that depth finite strain lowers the force by some percent
-MAX_CHI = 0.3  # of the series; at nu from 0.3 to 0.5 it errs there by at most 3 % bonded, 5 % sliding
-NODES = 48  # of the contact
+MAX_RATIO = 10.0  # maximum a/h
+MAX_STRAIN = 0.2  # maximum d/h of small strain
+MAX_CHI = 0.3  # maximum chi of the series, with errors up to 3 % bonded and 5 % sliding
+NODES = 48  # nodes over the contact
 LAST_WAVE = 25.0  # s beyond which 1 - M is below 1e-18
 
 Base = Literal["bonded", "sliding"]
@@ -45,12 +42,7 @@ Function = Float[ndarray, " n"]
 
 
 def layer_transfer(s: Function, poisson_ratio: float, base: Base = "bonded") -> Function:
-    """Displacement of a layer over a half-space's, M(s), under a pressure of wavenumber s/h.
-
-    Raises:
-        InputError: the base is neither bonded nor sliding.
-        RangeError: nu lies outside 0 to 0.5.
-    """
+    """Return M(s), a layer's displacement over a half-space's under a pressure of wavenumber s/h."""
     reduced_modulus(1.0, poisson_ratio)
     nu, fall = poisson_ratio, np.exp(-2 * s)  # all divided by e^2s / 2, so that nothing overflows
     if base == "bonded":
@@ -63,7 +55,7 @@ def layer_transfer(s: Function, poisson_ratio: float, base: Base = "bonded") -> 
 
 
 def punch_factor(ratio: float, poisson_ratio: float, base: Base = "bonded") -> float:
-    """Hayes's kappa(a/h, nu): the force on a flat punch over that on a half-space, F / (2 a E* d).
+    """Return Hayes's kappa(a/h, nu): the force on a flat punch over that on a half-space.
 
     Example:
         >>> round(punch_factor(1e-9, 0.5), 6)
@@ -81,7 +73,7 @@ def punch_force(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> float:
-    """Force 2 a E* kappa d [N] of a flat-ended cylinder on a layer."""
+    """Return the force 2 a E* kappa d of a flat-ended cylinder on a layer [N]."""
     positive("the punch's radius", punch_radius_m, "m")
     _strain(depth_m, thickness_m)
     E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
@@ -97,7 +89,7 @@ def sphere_from_radius(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> tuple[float, float]:
-    """Depth [m] and force [N] of a sphere whose contact on a layer has radius a."""
+    """Return depth [m] and force [N] of a sphere whose contact on a layer has radius a."""
     positive("the sphere's radius", radius_m, "m")
     positive("the layer's thickness", thickness_m, "m")
     E, a, R = reduced_modulus(youngs_modulus_pa, poisson_ratio), contact_radius_m, radius_m
@@ -122,7 +114,7 @@ def sphere_force(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> float:
-    """Force [N] of a sphere, no paraboloid, pressed into a layer; exact for small strain."""
+    """Return the force of a sphere pressed into a layer [N]."""
     positive("the sphere's radius", radius_m, "m")
     _strain(depth_m, thickness_m)
     rest = (radius_m, thickness_m, youngs_modulus_pa, poisson_ratio, base)
@@ -151,10 +143,8 @@ def dimitriadis_force(
     poisson_ratio: float,
     base: Base = "bonded",
 ) -> float:
-    """Force [N] of a sphere on a layer by Dimitriadis's series.
-
-    Kept to be compared with what others publish; ``sphere_force`` is exact where this is a series. At chi =
-    0.3 and nu = 1/2 it is 3 % low bonded and 4 % high sliding.
+    """Return the force of a sphere on a layer by Dimitriadis's series, for comparison with
+    publications [N].
     """
     _strain(depth_m, thickness_m)
     hertz = force_from_depth(depth_m, radius_m, youngs_modulus_pa, poisson_ratio)
@@ -168,14 +158,9 @@ def dimitriadis_force(
 
 
 def dimitriadis_factor(chi: float, poisson_ratio: float, base: Base = "bonded") -> float:
-    """Dimitriadis's series in chi = sqrt(R d)/h: force over Hertz's; without a limit on chi.
+    """Return Dimitriadis's series in chi = sqrt(R d)/h: force over Hertz's, without a limit on chi.
 
-    The general formula is used. The bonded short form often quoted for nu = 1/2 has the other sign at its
-    term 0.0975 chi^4, worth 0.1 % at chi = 0.3.
-
-    Raises:
-        InputError: the base is neither bonded nor sliding.
-        RangeError: nu lies outside 0 to 0.5.
+    The often quoted bonded short form for nu = 1/2 has the other sign at its term 0.0975 chi^4.
     """
     reduced_modulus(1.0, poisson_ratio)
     nu = poisson_ratio
@@ -199,7 +184,7 @@ def dimitriadis_factor(chi: float, poisson_ratio: float, base: Base = "bonded") 
 
 @lru_cache(maxsize=256)
 def _system(ratio: float, nu: float, base: Base) -> tuple[Function, Function, Float[ndarray, "n n"]]:
-    """Nodes and weights on 0 to 1, then t = 1 with weight 0, and the equation's inverse there (a = 1)."""
+    """Nodes and weights on 0 to 1, then t = 1 with weight 0, and the inverse of the equation (a = 1)."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     t, weights = np.append((1 + nodes) / 2, 1.0), np.append(weights / 2, 0.0)
     s, ds = np.polynomial.legendre.leggauss(64 + int(16 * ratio))

@@ -1,19 +1,13 @@
-"""Contact of a rigid indenter of any shape with a stack of layers, without friction or adhesion.
+"""Frictionless contact of a rigid indenter of any shape with a stack of layers.
 
-On a grid of cells with pressures p and rigid heights z, the contact at depth d minimises 1/2 p.Gp - p.(d - z)
-over p >= 0: where the indenter presses, the skin takes its shape; elsewhere it lies below. Contacts that are
-apart are solved together.
+On cells with pressures p and rigid heights z, the contact at depth d minimizes 1/2 p.Gp - p.(d - z) over p >=
+0 by constrained, preconditioned conjugate gradients (Polak-Ribiere) on the active cells. Under a given load
+directions have zero sum and the depth is the mean over the contact.
 
-Constrained conjugate gradients: a step goes along the residual of the active cells (those that press, and
-those the indenter is inside of), preconditioned by an approximate inverse of G and made conjugate to the step
-before (Polak and Ribiere's factor, never negative, which restarts by itself where cells come and go); then
-what became negative is cut off. Under a given load every direction has zero sum, and the depth is the mean
-over what presses.
-
-References: I. A. Polonsky and L. M. Keer, Wear 231, 206 (1999), doi:10.1016/S0043-1648(99)00113-1, for
-gradients on changing cells; E. A. H. Vollebregt (2014) for the preconditioner by Fourier transform; for the
-area within the rim's cells V. A. Yastrebov, G. Anciaux and J.-F. Molinari, Tribology International 114, 161
-(2017), doi:10.1016/j.triboint.2017.02.023.
+References: I. A. Polonsky and L. M.
+Keer, Wear 231, 206 (1999), doi:10.1016/S0043-1648(99)00113-1; E. A. H. Vollebregt (2014) for the
+preconditioner; V. A. Yastrebov, G. Anciaux and J.-F. Molinari, Tribology International 114, 161 (2017),
+doi:10.1016/j.triboint.2017.02.023, for the contact area.
 """
 
 from __future__ import annotations
@@ -33,14 +27,14 @@ from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.layers.surface_grid import Cells, cells
 
 STEPS = 1000
-REFRESHED = 10  # steps after which the displacement is summed anew, so that rounding does not gather in it
-RESTING_SHARE = 0.1  # of the indenter, on which a load first rests
+REFRESHED = 10  # steps between recomputations of the displacement, against rounding
+RESTING_SHARE = 0.1  # fraction of the indenter in the initial guess of a load
 
 Linear = Callable[[Field], Field]
 
 
 class SolvedPressure(NamedTuple):
-    """Pressures [Pa], displacement [m], depth [m], steps taken, greatest misfit where it presses [m]."""
+    """Pressures [Pa], displacement [m], depth [m], steps, and maximum misfit in contact [m]."""
 
     pressure: Field
     displacement: Field
@@ -61,12 +55,12 @@ def solve_pressure(
     """Find p >= 0 with compliance(p) = depth - gap where p > 0, and no less elsewhere.
 
     Args:
-        compliance: displacement [m] under pressures [Pa]; linear, symmetric, positive definite.
-        preconditioner: an approximate inverse of it; symmetric, positive definite.
-        gap: heights [m]; infinite where nothing can touch.
-        tolerance: misfit allowed, as a part of the greatest displacement.
-        depth: of the indenter, above the least of the gap [m]; or
-        load: the sum of the pressures, positive [Pa].
+        compliance: Displacement [m] under pressures [Pa]; linear, symmetric, positive definite.
+        preconditioner: Approximate inverse of it; symmetric, positive definite.
+        gap: Heights [m]; infinite where nothing can touch.
+        tolerance: Allowed misfit over the maximum displacement.
+        depth: Depth of the indenter [m]; or
+        load: Sum of the pressures [Pa].
     """
     possible = np.isfinite(gap)
     heights = np.where(possible, gap, 0.0)
@@ -76,7 +70,7 @@ def solve_pressure(
     for step in range(STEPS):
         pressing = p > 0.0
         d = float((u + heights)[pressing].mean()) if depth is None else depth
-        room = u + heights - d  # between skin and indenter; below zero the indenter is inside the skin
+        room = u + heights - d  # negative where the indenter penetrates
         allowed = tolerance * float(np.max(d - heights, where=possible, initial=0.0))
         misfit = float(np.abs(room[pressing]).max(initial=0.0))
         if misfit <= allowed and not np.any(possible & ~pressing & (room < -allowed)):
@@ -110,7 +104,7 @@ def _within(values: Field, active: Mask, fixed_sum: bool) -> Field:
 def _initial_pressure(
     compliance: Linear, gap: Field, possible: Mask, depth: float | None, load: float | None
 ) -> Field:
-    """A plain guess: pressures like the overlap, at the best scale; or the load on the lowest part."""
+    """Pressures proportional to the overlap, or the load on the lowest part."""
     if load is not None:
         resting = gap <= np.quantile(gap[possible], RESTING_SHARE)
         return np.where(resting, load / np.count_nonzero(resting), 0.0)
@@ -119,28 +113,20 @@ def _initial_pressure(
 
 
 MODEL = "rigid indenter, bonded linear elastic layers, small strain, no friction, no adhesion"
-TOLERANCE = (
-    1e-5  # of the greatest displacement asked for: how far the skin may be from the indenter it touches
-)
-MIN_INNER = 0.5  # part of the touching cells with four touching neighbours: four cells a radius
-RIM = (math.pi - 1 + math.log(2)) / 24  # of a cell that each face of the rim counts too much (Yastrebov)
+TOLERANCE = 1e-5  # allowed misfit over the maximum displacement
+MIN_INNER = 0.5  # minimum fraction of contact cells with four touching neighbours: four cells per radius
+RIM = (math.pi - 1 + math.log(2)) / 24  # area correction per rim face, in cells (Yastrebov)
 
 
 @dataclass(frozen=True, slots=True)
 class StackContact:
-    """The contact of an indenter with a stack, on the surface grid, SI.
+    """Contact of an indenter with a stack on the surface grid, SI.
 
     Attributes:
-        x_m, y_m: grid columns and rows [m].
-        pressure_pa: positive in compression ``[ny nx]`` [Pa].
-        displacement_m: surface displacement along z ``[ny nx]`` [m].
-        touching: the cells that press ``[ny nx]``.
-        force_n: sum of pressure times cell [N].
-        area_m2: of the contact [m^2]: the touching cells, less what the rim's cells have outside it.
-        depth_m: approach past first touch [m].
-        stack: what was touched.
-        steps: iterations taken.
-        misfit_m: greatest distance between skin and indenter where they touch [m].
+        area_m2: Contact area, corrected for the rim's cells [m^2].
+        depth_m: Approach past first touch [m].
+        steps: Iterations.
+        misfit_m: Maximum distance between surface and indenter in contact [m].
     """
 
     x_m: Float[ndarray, " nx"]
@@ -156,7 +142,7 @@ class StackContact:
     misfit_m: float
 
     def as_contact(self, probe: Probe, pose: Pose) -> Contact:
-        """The contact as core's Contact; its radius is that of the circle of equal area."""
+        """Convert to a `Contact` with the radius of the circle of equal area."""
         radius_m, surface = math.sqrt(self.area_m2 / math.pi), (self.pressure_pa, self.displacement_m)
         return Contact(
             self.x_m, self.y_m, *surface, self.touching, self.force_n, radius_m, probe, pose, MODEL
@@ -176,23 +162,17 @@ def press_stack(
     """Press a rigid height field into a stack to a depth, or by a force.
 
     Args:
-        stack: the layers.
-        gap_m: height of the indenter over the flat skin at first touch ``[ny nx]`` [m], as of
-            ``palpate.mechanics.layers.indenters``; infinite where it has no lower face.
-        x_m, y_m: columns and rows of a regular grid [m].
-        depth_m: approach past first touch, 0 or more [m]; or
-        force_n: normal force, 0 or more [N].
-        tolerance: allowed misfit of skin and indenter, as a part of the greatest displacement.
+        stack: Layers.
+        gap_m: Height of the indenter over the flat surface at first touch, infinite where it has no lower
+            face [m].
+        x_m, y_m: Columns and rows of a regular grid [m].
+        depth_m: Approach past first touch [m]; or
+        force_n: Normal force [N].
+        tolerance: Allowed misfit over the maximum displacement.
 
     Returns:
-        The contact. The force of a sphere is right to 1e-3, and its area to 1 %, from 10 cells a contact
-        radius on; with 4, the coarsest allowed, to 1 % and 5 %.
-
-    Raises:
-        InputError: the grid is not regular, the gap does not fit it or is no height field, or not exactly one
-            of depth and force is given.
-        RangeError: depth or force is negative, the depth is not within the stack, the contact reaches the
-            border of the grid, or the cells do not resolve the contact or the top layer.
+        Contact. For a sphere the force is accurate to 1e-3 and the area to 1 % with 10 cells per contact
+        radius; with 4, the minimum, to 1 % and 5 %.
     """
     grid = cells(x_m, y_m)
     _check_gap(gap_m, grid)
@@ -223,7 +203,7 @@ def press_stack(
 
 
 def _area(p: Field, grid: Cells) -> float:
-    """Touching cells less RIM at each face to which the pressure falls; at a sharp edge it rises."""
+    """Contact area: cells less RIM at each face to which the pressure falls."""
     faces = 0
     for side in (1, -1):
         for axis in (0, 1):

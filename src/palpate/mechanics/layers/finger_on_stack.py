@@ -1,20 +1,13 @@
-"""An elastic ball pressed on a stack of bonded layers, without friction: exact for small strain.
+"""Frictionless elastic ball on a stack of bonded layers, exact for small strain.
 
-Ball and stack carry one pressure, so that their compliances to its waves add. With the ball as Hertz's
-paraboloid on a half-space, 1/E = 1/E_top + 1/E_ball (each Young's modulus over 1 - nu^2), and C(k) the
-stack's compliance to a wave of pressure,
+Compliances of ball and stack add. With the ball as Hertz's paraboloid, 1/E = 1/E_top + 1/E_ball (Young's
+moduli over 1 - nu^2), and the stack's compliance C(k),
 
     C(k) + 2 / (E_ball k) = 2 M(k) / (E k),        M -> 1 at short waves,
-
-which is the contact of one layer in `bonded_layer` with another M. The pressure p(k) = (E / pi) int_0^a g(t)
-cos(k t) dt vanishes outside of the contact, and inside it
-
     g(t) - (2/pi) int_0^a g(s) int_0^inf [1 - M(k)] cos(k s) cos(k t) dk ds = d - t^2 / R,     g(a) = 0,
 
-so that F = 2 E int_0^a g dt. Of the displacement d the ball takes (E / E_ball) g(0) at the axis, and the
-stack the rest. On a half-space M = 1, g = d - t^2 / R, and all is Hertz's.
-
-The layers reach sideways without end: of a specimen little wider than the contact, they are too stiff.
+as in `bonded_layer`, and F = 2 E int_0^a g dt. The ball takes (E / E_ball) g(0) of the displacement d at the
+axis. Layers are laterally unbounded, hence too stiff for a narrow specimen.
 
 Reference: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3, for one layer.
 """
@@ -31,21 +24,20 @@ from scipy.optimize import brentq
 from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import MAX_SLOPE
 from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.layers.influence import PHASE, panels
 from palpate.mechanics.layers.stack import Stack, surface_compliance
 
-MAX_STRAIN = 0.2  # of the stack's thickness: how deep it may be pressed in
-NODES = 48  # of the contact
-TOP_END = 25.0  # k h of the top layer beyond which 1 - M is below 1e-18
-STACK_START = 1e-4  # k times the stack's thickness, from which panels grow
-PANEL = 16  # Gauss points each
-PHASE = 8.0  # k a over one of them
+MAX_STRAIN = 0.2  # maximum depth over the stack's thickness
+NODES = 48  # nodes over the contact
+TOP_END = 25.0  # k h beyond which 1 - M vanishes
+STACK_START = 1e-4  # k times the stack's thickness of the first panel
 
 Points = Float[ndarray, " n"]
 Waves = Float[ndarray, " k"]
 
 
 class BallPress(NamedTuple):
-    """A press: contact radius [m], displacement of ball against floor [m], force [N], stack's part [m]."""
+    """Contact radius [m], displacement of ball against floor [m], force [N], and the stack's part [m]."""
 
     radius_m: float
     approach_m: float
@@ -55,13 +47,8 @@ class BallPress(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PressCourse:
-    """Presses from first touch on, by rising contact radius; each column ``[n]``, the first row at rest.
-
-    Attributes:
-        radius_m: of the contact [m].
-        approach_m: of the ball against the floor [m].
-        force_n: [N].
-        sunk_m: how deep the stack is pressed in at the axis [m].
+    """Presses by rising contact radius, the first row at rest: contact radius, approach, force, and depth of
+    the stack at the axis.
     """
 
     radius_m: Points
@@ -71,20 +58,11 @@ class PressCourse:
 
     @property
     def area_m2(self) -> Points:
-        """Area of the contact [m^2]."""
         return np.pi * self.radius_m**2
 
 
 def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
-    """Press an elastic ball on a stack until the contact has a radius.
-
-    Args:
-        stack: on a rigid floor or a half-space.
-        ball: its Young's modulus over 1 - nu^2 [Pa], infinite for a rigid one, and its radius [m].
-        radius_m: of the contact, to half the ball's [m].
-
-    Raises:
-        RangeError: the radius lies outside 0 to half the ball's.
+    """Press an elastic ball on a stack to a contact radius, at most half the ball's [m].
 
     Example:
         >>> from palpate.mechanics.layers.stack import ElasticLayer
@@ -105,7 +83,7 @@ def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
     top = stack.layers[0].reduced_modulus_pa
     E, a = 1 / (1 / top + 1 / ball.modulus_pa), radius_m
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    t = a * np.concatenate([[0.0], (1 + nodes) / 2, [1.0]])  # the axis and the rim have no weight
+    t = a * np.concatenate([[0.0], (1 + nodes) / 2, [1.0]])  # axis and rim have no weight
     weights = a * np.concatenate([[0.0], weights / 2, [0.0]])
     k, dk = _waves(stack, a)
     rest = (2 / (top * k) - surface_compliance(stack, k).normal) * E * k / 2  # 1 - M
@@ -118,17 +96,14 @@ def press_to_radius(stack: Stack, ball: Body, radius_m: float) -> BallPress:
 
 
 def press_course(stack: Stack, ball: Body, count: int = 40, until_n: float | None = None) -> PressCourse:
-    """Presses of an elastic ball on a stack, evenly by contact radius.
+    """Press an elastic ball on a stack in even steps of contact radius.
 
     Args:
-        stack: the layers.
-        ball: see `press_to_radius`.
-        count: presses after rest, 2 or more.
-        until_n: force at the last; without, as far as small strain goes: a contact of half the ball's radius,
-            or a stack pressed in by a fifth of its thickness [N].
-
-    Raises:
-        RangeError: a force that is not above 0, or beyond small strain.
+        stack: Layers.
+        ball: Ball, possibly rigid.
+        count: Presses after rest, 2 or more.
+        until_n: Force of the last press [N]; by default the limit of small strain: a contact of half the
+            ball's radius, or a fifth of the stack's thickness.
     """
     widest = MAX_SLOPE * ball.radius_m
     deepest = MAX_STRAIN * stack.thickness_m
@@ -161,17 +136,9 @@ def press_course(stack: Stack, ball: Body, count: int = 40, until_n: float | Non
 
 
 def _waves(stack: Stack, radius_m: float) -> tuple[Waves, Waves]:
-    """Gauss points and weights in k: panels that grow from the longest waves, then follow cos(k a)."""
+    """Gauss points and weights in k on panels that grow from the longest waves, then follow cos(k a)."""
     h = stack.layers[0].thickness_m
     if math.isinf(h):  # a half-space, where 1 - M is 0
         h = radius_m
     total = sum(slab.thickness_m for slab in stack.slabs) or h
-    end, widest = TOP_END / h, PHASE / radius_m
-    growing = np.concatenate([[0.0], np.geomspace(STACK_START / total, end, 60)])
-    edges = [0.0]
-    while edges[-1] < end:
-        coming = growing[np.searchsorted(growing, edges[-1], side="right")]
-        edges.append(min(float(coming), edges[-1] + widest))
-    points, weights = np.polynomial.legendre.leggauss(PANEL)
-    low, half = np.array(edges[:-1])[:, None], np.diff(edges)[:, None] / 2
-    return (low + half * (1 + points)).ravel(), (half * weights).ravel()
+    return panels(STACK_START / total, TOP_END / h, 60, PHASE / radius_m)

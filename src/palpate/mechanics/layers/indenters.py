@@ -1,8 +1,6 @@
-"""Indenters as height fields z(x, y): how far the rigid surface lies above the flat skin at first touch.
+"""Indenters as height fields z(x, y) of the rigid surface over the flat membrane at first touch.
 
-Heights are 0 at the lowest point and grow away from it; where the indenter has no lower face (beyond a
-sphere's equator, beyond the rim of a punch) they are infinite. Pressed in by the depth d, the indenter asks
-for the displacement d - z where it touches. Combine shapes with ``together``, lean them with ``tilt``.
+Heights are 0 at the lowest point and infinite where the indenter has no lower face.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import numpy as np
 from palpate.core import Field, Float, InputError, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import positive
 
-MAX_TILT = math.radians(30)  # beyond it a leaning height field is no longer a rigid turn, to 15 %
+MAX_TILT = math.radians(30)  # limit of tilting a height field as a rigid rotation
 
 Axis = Float[ndarray, " _"]
 Place = tuple[float, float]
@@ -23,12 +21,7 @@ CENTRE: Place = (0.0, 0.0)
 
 
 def sphere(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> Field:
-    """Exact sphere, z = R - sqrt(R^2 - r^2) [m].
-
-    Args:
-        x_m, y_m: columns and rows of the grid [m].
-        radius_m: R, positive [m].
-        centre_m: the lowest point (x, y) [m].
+    """Return an exact sphere, z = R - sqrt(R^2 - r^2), with its lowest point at `centre_m` [m].
 
     Example:
         >>> z = sphere(np.array([0.0, 3e-3, 6e-3]), np.zeros(1), 5e-3)[0]
@@ -40,23 +33,21 @@ def sphere(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> F
 
 
 def paraboloid(x_m: Axis, y_m: Axis, radius_m: float, centre_m: Place = CENTRE) -> Field:
-    """Hertz's z = r^2 / (2 R) [m], R the radius of curvature at the tip [m]."""
+    """Return Hertz's z = r^2 / (2 R) [m]."""
     positive("the tip's radius", radius_m, "m")
     return _from_centre(x_m, y_m, centre_m) ** 2 / (2 * radius_m)
 
 
 def cone(x_m: Axis, y_m: Axis, slope_rad: float, centre_m: Place = CENTRE) -> Field:
-    """Cone, z = r tan(slope) [m]; the slope is that of its side against the skin, 0 to 90 degrees [rad]."""
+    """Return a cone, z = r tan(slope), with the slope of its side against the surface [m]."""
     return _from_centre(x_m, y_m, centre_m) * _slope(slope_rad)
 
 
 def flat_punch(
     x_m: Axis, y_m: Axis, radius_m: float, edge_radius_m: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
-    """Upright cylinder of radius a; its edge is sharp, or rounded by a quarter circle inside a [m].
-
-    Raises:
-        RangeError: a is not positive, or the edge's radius lies outside 0 to a.
+    """Return an upright cylinder with a sharp edge, or one rounded by a quarter circle
+    inside its radius [m].
     """
     positive("the punch's radius", radius_m, "m")
     if not 0.0 <= edge_radius_m <= radius_m:
@@ -73,14 +64,8 @@ def flat_punch(
 def wedge(
     x_m: Axis, y_m: Axis, slope_rad: float, length_m: float, turn_rad: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
-    """Straight edge, z = (distance from its line) tan(slope) [m], cut off square at its ends.
-
-    Args:
-        x_m, y_m: columns and rows of the grid [m].
-        slope_rad: of both sides against the skin, 0 to 90 degrees [rad].
-        length_m: of the edge [m].
-        turn_rad: of the edge from x towards y [rad].
-        centre_m: the middle of the edge (x, y) [m].
+    """Return a straight edge, z = (distance from its line) tan(slope), turned from x towards y and cut square
+    at its ends [m].
     """
     along, across = _along_and_across(x_m, y_m, turn_rad, centre_m)
     return _cut(np.abs(across) * _slope(slope_rad), along, length_m)
@@ -89,19 +74,14 @@ def wedge(
 def lying_cylinder(
     x_m: Axis, y_m: Axis, radius_m: float, length_m: float, turn_rad: float = 0.0, centre_m: Place = CENTRE
 ) -> Field:
-    """Cylinder of radius R on its side, its axis turned from x towards y, cut off square at its ends [m]."""
+    """Return a lying cylinder, turned from x towards y and cut square at its ends [m]."""
     positive("the cylinder's radius", radius_m, "m")
     along, across = _along_and_across(x_m, y_m, turn_rad, centre_m)
     return _cut(_ball(np.abs(across), radius_m), along, length_m)
 
 
 def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float, float, float]]) -> Field:
-    """Equal spheres on one holder, each with its lowest point at (x, y) and so far above the skin [m].
-
-    Raises:
-        InputError: no sphere.
-        RangeError: a height that is negative, or none that is 0: the lowest sphere touches first.
-    """
+    """Return equal spheres on one holder at (x, y, height of the lowest point), the lowest at 0 [m]."""
     heights = [up for _, _, up in places_m]
     if not heights:
         raise InputError("a holder without spheres; give one place (x, y, height) in m or more")
@@ -114,16 +94,12 @@ def balls(x_m: Axis, y_m: Axis, radius_m: float, places_m: Sequence[tuple[float,
 
 
 def together(*gaps_m: Field) -> Field:
-    """Several indenters on one holder: the lowest of their heights."""
+    """Combine several indenters on one holder."""
     return np.minimum.reduce(gaps_m)
 
 
 def tilt(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_rad: float = 0.0) -> Field:
-    """Lean an indenter by an angle along x and along y; its lowest grid point is at height 0 again.
-
-    Raises:
-        RangeError: an angle beyond 30 degrees, where adding a slope is no longer a turn.
-    """
+    """Tilt an indenter by slopes along x and y; its lowest grid point returns to height 0."""
     _check_tilt(slope_x_rad)
     _check_tilt(slope_y_rad)
     sloped = gap_m + math.tan(slope_x_rad) * x_m + math.tan(slope_y_rad) * y_m[:, None]
@@ -131,7 +107,7 @@ def tilt(gap_m: Field, x_m: Axis, y_m: Axis, slope_x_rad: float = 0.0, slope_y_r
 
 
 def lean(gap_m: Field, x_m: Axis, y_m: Axis, tilt_rad: float, turn_rad: float = 0.0) -> Field:
-    """Lean an indenter by one angle; the side that ``turn_rad``, from x towards y, points to is lower."""
+    """Tilt an indenter by one angle; the side at ``turn_rad``, from x towards y, is lower."""
     _check_tilt(tilt_rad)
     slope = math.tan(tilt_rad)
     return tilt(

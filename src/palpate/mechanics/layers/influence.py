@@ -1,16 +1,14 @@
-"""Displacement of a stack's surface at one grid point under a load on one cell of the grid.
+"""Displacement of a stack's surface at grid points under a load on one cell.
 
-A load without images of itself: the grid is padded with zeros to twice its size, so that a product of Fourier
-transforms is the plain sum over cells. The influence of a cell is that of a half-space of the top layer's
-material in closed form (Love's and Cerruti's rectangles), plus what the other layers change, which is smooth
-and round:
+Zero padding to twice the size makes the product of Fourier transforms the plain sum over cells. The influence
+is that of a half-space of the top layer's material in closed form (Love's and Cerruti's rectangles), plus the
+smooth change by the other layers,
 
-    g(r) = 1/(2 pi) int_0^inf [C(k) - C_half(k)] J_n(k r) k dk,   n = 0, and 2 for loads along the surface.
+    g(r) = 1/(2 pi) int_0^inf [C(k) - C_half(k)] J_n(k r) k dk,   n = 0, and 2 for tangential loads,
 
-The bracket falls as exp(-2 k h) with the top layer's thickness h. A cell's mean over that smooth part is
-taken as the factor exp(-k^2 d^2 / 24), right to the fourth order in k d.
+averaged over a cell by the factor exp(-k^2 d^2 / 24).
 
-Reference: A. E. H. Love, Phil. Trans. R. Soc. A 228, 377 (1929), doi:10.1098/rsta.1929.0009; K. L. Johnson,
+References: A. E. H. Love, Phil. Trans. R. Soc. A 228, 377 (1929), doi:10.1098/rsta.1929.0009; K. L. Johnson,
 Contact Mechanics (1985), sec. 3.2 and 3.6, doi:10.1017/CBO9781139171731.
 """
 
@@ -28,10 +26,10 @@ from palpate.core import Field, Float, RangeError, ndarray
 from palpate.mechanics.layers.stack import Compliance, Stack, surface_compliance
 from palpate.mechanics.layers.surface_grid import Cells
 
-CHANGES_END = 13.0  # k h at which exp(-2 k h), times its powers of k h, has fallen below 1e-8
-PHASE = 8.0  # k r over one panel of 16 Gauss points, which then are exact to 1e-12
-PER_LENGTH = 12  # nodes of the radial spline per length over which it changes; its error is below 1e-6
-RADII = 64  # integrated at once, to bound the memory
+CHANGES_END = 13.0  # k h beyond which the change vanishes (1e-8)
+PHASE = 8.0  # maximum k r per panel of 16 Gauss points
+PER_LENGTH = 12  # nodes of the radial spline per characteristic length
+RADII = 64  # radii integrated at once, which bounds the memory
 
 Spectrum = Float[ndarray, "py half"]
 Waves = Float[ndarray, " k"]
@@ -40,19 +38,19 @@ Parts = Callable[[Compliance], tuple[Waves, ...]]
 
 
 class Influence(NamedTuple):
-    """The transforms of the influence on the padded grid [m/Pa], and that grid's shape (rows, columns)."""
+    """Transforms of the influence on the padded grid [m/Pa], and that grid's shape."""
 
     spectra: tuple[Spectrum, ...]
     shape: tuple[int, int]
 
     def apply(self, spectrum: int, load: Field) -> Field:
-        """Displacement [m] on the grid under a load [Pa] on it."""
+        """Displacement [m] under a load [Pa]."""
         ny, nx = load.shape
         wave = fft.rfft2(load, self.shape)
         return fft.irfft2(wave * self.spectra[spectrum], self.shape)[:ny, :nx]
 
     def apply_pair(self, load: Float[ndarray, "2 ny nx"]) -> Float[ndarray, "2 ny nx"]:
-        """Displacements along x and y under loads along both, of the spectra xx, yy and xy."""
+        """Displacements along x and y under loads along both, by the spectra xx, yy, xy."""
         xx, yy, xy = self.spectra
         x, y = fft.rfft2(load, self.shape)
         pair = fft.irfft2(np.stack([xx * x + xy * y, xy * x + yy * y]), self.shape)
@@ -61,7 +59,7 @@ class Influence(NamedTuple):
 
 @lru_cache(maxsize=8)
 def normal_influence(stack: Stack, grid: Cells) -> Influence:
-    """u_z under a pressure: one spectrum."""
+    """Return u_z under pressure: one spectrum."""
     (changes,) = _changes(stack, grid, lambda c: (c.normal,), (0,))
     (over_r,) = _rectangles(grid, lambda x, y, r: (x * np.log(y + r) + y * np.log(x + r),))
     return _transform(grid, over_r / (np.pi * stack.layers[0].reduced_modulus_pa) + changes)
@@ -69,7 +67,7 @@ def normal_influence(stack: Stack, grid: Cells) -> Influence:
 
 @lru_cache(maxsize=4)
 def tangential_influence(stack: Stack, grid: Cells) -> Influence:
-    """Displacement along the surface under a load along it: spectra of xx, yy and xy."""
+    """Return in-plane displacement under in-plane load: spectra of xx, yy, and xy."""
     mu, nu = stack.layers[0].material
     x, y = _offsets(grid)
     turn = 2 * np.arctan2(y, x)
@@ -91,16 +89,13 @@ def tangential_influence(stack: Stack, grid: Cells) -> Influence:
 
 @lru_cache(maxsize=8)
 def normal_preconditioner(stack: Stack, grid: Cells) -> Influence:
-    """Approximate inverse of the normal influence: 1 / C(k) on the grid itself, as if it repeated for ever.
-
-    It steers an iteration and enters no result, so it is read off a table.
-    """
+    """Return an approximate inverse of the normal influence, 1 / C(k) on the periodic grid."""
     return _preconditioner(stack, grid, lambda c: c.normal)
 
 
 @lru_cache(maxsize=4)
 def tangential_preconditioner(stack: Stack, grid: Cells) -> Influence:
-    """Approximate inverse of the tangential influence, for each of the two loads along the surface."""
+    """Return an approximate inverse of the tangential influence, for each load component."""
     return _preconditioner(stack, grid, lambda c: (c.along + c.across) / 2)
 
 
@@ -118,13 +113,13 @@ def _offsets(grid: Cells) -> tuple[Field, Field]:
 
 
 def _rectangles(grid: Cells, corner: Callable[[Field, Field, Field], tuple[Field, ...]]) -> list[Field]:
-    """Integrals over the cell at each offset, from their antiderivative at the cells' corners."""
+    """Integrals over the cell at each offset, from their antiderivative at the corners."""
     x, y = np.meshgrid((np.arange(grid.nx + 1) - 0.5) * grid.dx, (np.arange(grid.ny + 1) - 0.5) * grid.dy)
     return [np.diff(np.diff(F, axis=0), axis=1) for F in corner(x, y, np.hypot(x, y))]
 
 
 def _changes(stack: Stack, grid: Cells, parts: Parts, orders: tuple[int, ...]) -> list[Field]:
-    """Change that the layers below make in the influence of one cell, at each offset."""
+    """Change by the layers below in the influence of one cell, at each offset."""
     h = stack.layers[0].thickness_m
     if len(stack.layers) == 1 and stack.below:
         return [np.zeros((grid.ny, grid.nx)) for _ in orders]
@@ -154,22 +149,28 @@ def _hankel(order: int, weighted: Waves, k: Waves, r: Radii) -> Radii:
 
 
 def _wavenumbers(stack: Stack, reach_m: float) -> tuple[Waves, Waves]:
-    """Gauss points and weights in k: panels that grow from the longest waves, then follow J(k r)."""
+    """Gauss points and weights in k on panels that grow from the longest waves, then follow J(k r)."""
     h = stack.layers[0].thickness_m
     total = sum(slab.thickness_m for slab in stack.slabs)
-    end, widest = CHANGES_END / h, PHASE / reach_m
-    growing = np.concatenate([[0.0], np.geomspace(1e-4 / total, end, 80)])
+    return panels(1e-4 / total, CHANGES_END / h, 80, PHASE / reach_m)
+
+
+def panels(start: float, end: float, count: int, widest: float) -> tuple[Waves, Waves]:
+    """Return Gauss points and weights from 0 to `end`, 16 on each of `count` growing panels from
+    `start`, none wider than `widest`.
+    """
+    growing = np.concatenate([[0.0], np.geomspace(start, end, count)])
     edges = [0.0]
     while edges[-1] < end:
         coming = growing[np.searchsorted(growing, edges[-1], side="right")]
-        edges.append(min(coming, edges[-1] + widest))
+        edges.append(min(float(coming), edges[-1] + widest))
     points, weights = np.polynomial.legendre.leggauss(16)
     low, half = np.array(edges[:-1])[:, None], np.diff(edges)[:, None] / 2
     return (low + half * (1 + points)).ravel(), (half * weights).ravel()
 
 
 def _radii(stack: Stack, reach_m: float) -> Radii:
-    """Nodes in r, a fixed number per length over which the influence changes: r itself, or the layers."""
+    """Nodes in r, a fixed number per length over which the influence changes."""
     h = stack.layers[0].thickness_m
     total = sum(slab.thickness_m for slab in stack.slabs)
     r = [0.0]

@@ -1,21 +1,11 @@
-"""Stress in one bonded layer under a load on its surface, fast: long waves and short ones apart.
+"""Fast stress in one bonded layer under a surface load: long and short waves separately.
 
-As in `stack_field`, a load is a sum of waves, each of which makes stresses on a plane that depend on its
-length alone. Long waves reach far but need few points: they are summed on a wide, coarse grid. Short ones die
-away within a few of their lengths: they are summed in a window about the load. They are told apart by
+Long waves are summed on a wide, coarse grid, short ones in a window around the load, split by
 
-    w(q) = (1 + q^2 + q^4 / 2) exp(-q^2),    q = k / K,
+    w(q) = (1 + q^2 + q^4 / 2) exp(-q^2),    q = k / K.
 
-by which the long part is multiplied and the short one by 1 - w, of the order q^6 at small q, so that its
-field ends with the window. On planes so deep that no short wave arrives, all is long.
-
-Under a given load the stress does not depend on the layer's modulus. Of the six stresses come five, which are
-all that a ray in the plane of the layer sees.
-
-Table of the stress that a wave of load on one bonded layer makes at a depth, over its wavenumber.
-
-The stresses are those in the wave's own axes: k along it, t across it, z into the skin. Under a given load
-they do not depend on the layer's modulus.
+Deep planes have long waves only. Transfer functions, independent of the modulus, are tabled over wavenumber
+in the wave's axes: k along it, t across it, z into the layer.
 """
 
 from __future__ import annotations
@@ -32,8 +22,8 @@ from palpate.core import Complex64, Field, Float, Float32, InputError, Int, Rang
 from palpate.mechanics.layers.stack import LONG_WAVE, Material, Slab, climb
 from palpate.mechanics.layers.surface_grid import block_span, cells
 
-STEP = 0.0155  # k z from one entry of a table to the next: 3e-5 off
-ENTRIES = 1024  # by which tables grow, so that they are shared
+STEP = 0.0155  # step of k z in the table, for an error of 3e-5
+ENTRIES = 1024  # increment of table sizes, so that tables are shared
 
 Table = Float32[ndarray, "nz 8 k"]
 
@@ -41,17 +31,18 @@ Table = Float32[ndarray, "nz 8 k"]
 def transfer(
     z: Float[ndarray, " nz"], thickness: float, nu: float, k: Float[ndarray, "py half"]
 ) -> Float32[ndarray, "nz 8 py half"]:
-    """Stresses that waves of each length make on planes per unit of load, read off a table between entries.
+    """Return stresses per unit load of waves on planes, interpolated in a table.
 
     Args:
-        z: of the planes [m].
-        thickness: of the layer [m].
-        nu: its Poisson's ratio.
-        k: wavenumbers [1/m].
+        z: Planes [m].
+        thickness: Thickness of the layer [m].
+        nu: Poisson's ratio.
+        k: Wavenumbers [1/m].
 
     Returns:
-        By pressure: kk - zz, tt - zz, and i kz. By shear along the wave: kk - zz and tt - zz, both over i,
-        and minus kz. By shear across it: kt over i, and minus tz.
+        By pressure: kk - zz, tt - zz, i kz. By shear along the wave: kk - zz and tt - zz over i, minus kz. By
+            shear
+        across it: kt over i, minus tz.
     """
     step = STEP / max(float(z[-1]), 1e-3 * thickness)
     count = -(-(int(k.max() / step) + 2) // ENTRIES) * ENTRIES
@@ -69,7 +60,7 @@ def transfer(
 def _levels(
     z: Float[ndarray, " nz"], thickness: float, nu: float, k: ndarray
 ) -> list[tuple[ndarray, ndarray, ndarray, ndarray]]:
-    """Transmission to each plane and its motion there, in the plane of the wave and across it."""
+    """Transmission to each plane and its motion, in the plane of the wave and across it."""
     cuts = np.unique([0.0, *z, thickness])
     material = Material(1.0, nu)
     slabs = [Slab(material, float(slab)) for slab in np.diff(cuts)]
@@ -100,9 +91,8 @@ def _table(z: tuple[float, ...], thickness: float, nu: float, step: float, count
 
 
 def mean_transfer(z: Float[ndarray, " nz"], thickness: float, nu: float) -> Float[ndarray, "nz 2"]:
-    """Stress by the wave without direction: xx - zz by pressure, and xz by shear along x.
-
-    It takes the mean over all directions, in which what is odd is gone.
+    """Return the stress by the mean wave, averaged over directions: xx - zz by pressure, and xz by shear
+    along x.
     """
     n = nu / (1 - nu)
     rows = []
@@ -113,25 +103,24 @@ def mean_transfer(z: Float[ndarray, " nz"], thickness: float, nu: float) -> Floa
 
 
 RAY_STRESSES = ("xx-zz", "yy-zz", "xy", "xz", "yz")
-COARSE = 20  # cells of the wide grid to the layer's thickness
-REACH = 5.0  # thicknesses beyond the load at which the stress has died away; half of them to the next image
-FADED = 3.7  # q at which w has fallen to 1e-4
-USED = 0.8  # of the wide grid's shortest waves
-DYING = 5.0  # over K: how far beyond the load the short waves reach
-SHALLOW = 9.0  # k z at which the shortest of the long waves has fallen to 1e-3
-TAPS = 8  # of the wide grid to each side, from which its field is read in the window
+COARSE = 20  # cells of the wide grid per thickness
+REACH = 5.0  # extent beyond the load, in thicknesses
+FADED = 3.7  # q at which w is 1e-4
+USED = 0.8  # used fraction of the wide grid's wavenumbers
+DYING = 5.0  # reach of the short waves beyond the load, over 1 / K
+SHALLOW = 9.0  # k z at which the shortest long wave is 1e-3
+TAPS = 8  # points of the wide grid to each side in the interpolation
 
 Stresses = Float32[ndarray, "planes 5 _ _"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnGrid:
-    """The five stresses of `RAY_STRESSES` on planes over a regular grid.
+    """The stresses of `RAY_STRESSES` on planes over a regular grid.
 
     Attributes:
-        first_m: the first column and row (x, y) [m].
-        cell_m: from column to column and from row to row [m].
-        stress_pa: positive in tension ``[nz 5 ny nx]`` [Pa].
+        first_m: First column and row (x, y) [m].
+        cell_m: Steps along x and y [m].
     """
 
     first_m: tuple[float, float]
@@ -148,22 +137,18 @@ def stress_under(
     y_m: Float[ndarray, " ny"],
     shear_pa: Float[ndarray, "2 ny nx"] | None = None,
 ) -> tuple[OnGrid, OnGrid]:
-    """Stress in a window about a load, and on a wide grid that holds outside the window.
+    """Return the stress in a window around a load, and on a wide grid for the outside.
 
     Args:
-        thickness_m: of the layer, bonded to a rigid floor [m].
-        poisson_ratio: of the layer, below 1/2.
-        depths_m: of the planes, rising from 0 to the thickness [m].
-        pressure_pa: into the skin ``[ny nx]`` [Pa].
-        x_m, y_m: columns and rows of a regular grid [m].
-        shear_pa: load along x and y, the force of the probe on the skin [Pa].
+        thickness_m: Thickness of the layer on a rigid floor [m].
+        poisson_ratio: Below 1/2.
+        depths_m: Planes, rising from 0 to the thickness [m].
+        pressure_pa: Pressure [Pa].
+        x_m, y_m: Columns and rows of a regular grid [m].
+        shear_pa: Traction of the probe on the surface along x and y [Pa].
 
     Returns:
-        Window and wide grid. Five thicknesses beyond the load the wide one ends, and the stress with it.
-
-    Raises:
-        InputError: a load that is not finite, or a grid that is not regular.
-        RangeError: planes that do not rise within the layer, or a material out of range.
+        Window and wide grid, which ends five thicknesses beyond the load.
     """
     grid = cells(x_m, y_m)
     if not np.all(np.isfinite(pressure_pa)) or (shear_pa is not None and not np.all(np.isfinite(shear_pa))):
@@ -192,7 +177,7 @@ def stress_under(
 
 
 def _loaded(pressure_pa: Field) -> tuple[slice, slice]:
-    """The rows and columns that carry load, grown to whole blocks as far as the grid reaches."""
+    """Rows and columns that carry load, grown to whole blocks."""
     at = np.nonzero(pressure_pa)
     if not len(at[0]):
         at = tuple(np.array([n // 2]) for n in pressure_pa.shape)
@@ -201,13 +186,12 @@ def _loaded(pressure_pa: Field) -> tuple[slice, slice]:
 
 
 class _Grid(NamedTuple):
-    """Points about a load's middle: how many and how far apart, along y and x."""
+    """Points around a load's middle: counts and steps along y and x."""
 
     counts: tuple[int, int]
     cell: tuple[float, float]
 
     def axis(self, which: int) -> Float[ndarray, " n"]:
-        """Positions from the middle [m]."""
         return (np.arange(self.counts[which]) - (self.counts[which] - 1) / 2) * self.cell[which]
 
 
@@ -217,7 +201,7 @@ def _on_grid(stress: Stresses, middle: tuple[float, float], grid: _Grid) -> OnGr
 
 
 class _WavePart(NamedTuple):
-    """The waves of one grid: their transfer to each plane, direction and weight."""
+    """Waves of one grid: transfer to each plane, direction, and weight."""
 
     transfer: Float32[ndarray, "nz 8 py half"]
     cos: Float32[ndarray, "py half"]
@@ -227,16 +211,15 @@ class _WavePart(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
-    """All that no load changes.
+    """Everything that is independent of the load.
 
     Attributes:
-        near, far: the window's grid and the wide one.
-        short, long: their waves; the window's on the `shallow` planes alone.
-        shallow: how many planes short waves reach.
-        mean: transfer of the wave without direction to each plane: xx-zz and yy-zz, and xz and yz.
-        into_far: the load's points to the wide grid's waves, along y and x.
-        onto_near: the wide grid's points `around` the window to the window's, along y and x.
-        loaded: shape of the load.
+        short, long: Waves of the window (on the `shallow` planes) and of the wide grid.
+        shallow: Number of planes that short waves reach.
+        mean: Transfer of the mean wave to each plane.
+        into_far: Load points to the wide grid's waves, along y and x.
+        onto_near: Points of the wide grid `around` the window to the window's, along y and x.
+        loaded: Shape of the load.
     """
 
     near: _Grid
@@ -251,7 +234,6 @@ class _Plan:
     loaded: tuple[int, int]
 
     def stresses(self, loads: list[Field]) -> tuple[Stresses, Stresses]:
-        """Stress on the window and on the wide grid."""
         singles = [np.asarray(load, np.float32) for load in loads]
         wide = [self.into_far[0] @ load @ self.into_far[1] for load in singles]
         window = [np.asarray(fft.rfft2(self._pad(load))) for load in singles]
@@ -272,7 +254,6 @@ class _Plan:
         return near, far
 
     def _pad(self, load: Float32[ndarray, "ly lx"]) -> Float32[ndarray, "ny nx"]:
-        """Put a load in the middle of the window."""
         whole = np.zeros(self.near.counts, np.float32)
         top, first = ((n - m) // 2 for n, m in zip(self.near.counts, self.loaded, strict=True))
         whole[top : top + load.shape[0], first : first + load.shape[1]] = load
@@ -280,7 +261,7 @@ class _Plan:
 
 
 def _on_plane(part: _WavePart, plane: int, loads: list[ndarray]) -> Complex64[ndarray, "5 py half"]:
-    """Waves of the five stresses from those of pressure and, if there is any, shear."""
+    """Waves of the five stresses from those of pressure and shear."""
     c, s = part.cos, part.sin
     kk, tt, kz, *rest = part.transfer[plane]
     p = loads[0]
@@ -341,7 +322,7 @@ def _plan(
 
 
 def _counts(least: list[float], like: tuple[int, int]) -> tuple[int, int]:
-    """Numbers that transform fast, as even or odd as those they surround."""
+    """Sizes that transform fast, of the same parity as those they surround."""
     counts = []
     for size, other in zip(least, like, strict=True):
         count = fft.next_fast_len(math.ceil(size), real=True)
@@ -373,7 +354,7 @@ def _short(q: Float[ndarray, "py half"]) -> Float32[ndarray, "py half"]:
 def _read(
     far: Float[ndarray, " n"], near: Float[ndarray, " m"], cell: float
 ) -> tuple[slice, Float[ndarray, "m a"]]:
-    """The part of an axis about another, and the windowed sinc that reads the one at the other's points."""
+    """Part of an axis around another, and windowed sinc weights to its points."""
     first = int(np.searchsorted(far, near[0] - TAPS * cell))
     last = int(np.searchsorted(far, near[-1] + TAPS * cell))
     away = (near[:, None] - far[first:last]) / cell

@@ -1,28 +1,18 @@
-"""A stack of bonded elastic layers, and how a wave of load on its surface moves and crosses it.
+"""Stack of bonded elastic layers, and the transfer of a wave of surface load through it.
 
-Small strain, isotropic linear layers, laterally infinite. A load is a sum of waves exp(i (k_x x + k_y y)).
-Under one of them the motion along the wave and into the skin (k, z) is apart from the motion across it (t),
-and each is linear in a few numbers that depend on k = |k| alone: the surface compliance.
-
-For a wave exp(i k x) let u_k = i U and u_z = W be the motion, and q_k = i k F, q_z = k G the load on the
-upper face of what lies below a plane (minus the stress on it). With s = k z the equations of equilibrium are
-y' = A y for y = (U, W, F, G), in which (A^2 - 1)^2 = 0; across the wave likewise, with A^2 = 1. So with B =
-A^2 - 1
+For a wave exp(i k x) let u_k = i U and u_z = W be the motion, and q_k = i k F, q_z = k G the load on what
+lies below a plane. With s = k z, y' = A y for y = (U, W, F, G), with (A^2 - 1)^2 = 0; across the wave
+likewise, with A^2 = 1. With B = A^2 - 1,
 
     exp(-A s) = cosh s + (s/2) sinh s B - A (sinh s + (s cosh s - sinh s)/2 B).
 
-Let C be the compliance of what lies below a slab, (U, W) = C (F, G). Climbing the slab by exp(-A s) turns
-(C; 1) into (N; D): its upper face has the compliance N D^-1, and the load that arrives below is D^-1 times
-the load above. Both are bounded at any s once exp(s) is taken out of N and D.
+The compliance C of what lies below a slab, (U, W) = C (F, G), is propagated upwards: exp(-A s) turns (C; 1)
+into (N; D), the new compliance is N D^-1, and the transmitted load D^-1 times the load above, both bounded
+for any s. For one bonded layer the normal part is Burmister's M of `bonded_layer`.
 
-For one bonded layer the normal part is the closed form of Burmister,
-
-    u_z / p = 2 (1 - nu^2) / (E k) M(k h),
-    M(s) = [(3 - 4 nu) sinh 2s - 2s] / [(3 - 4 nu) cosh 2s + 2 s^2 + 5 - 12 nu + 8 nu^2].
-
-References: D. M. Burmister, J. Appl. Phys. 16, 89 (1945), doi:10.1063/1.1707558; W. T. Thomson, J. Appl.
-Phys. 21, 89 (1950), doi:10.1063/1.1699629, for the transfer of a state; the compliance in place of the state
-is what keeps it from overflowing.
+References: D. M.
+Burmister, J. Appl. Phys. 16, 89 (1945), doi:10.1063/1.1707558; W. T. Thomson, J. Appl. Phys. 21, 89 (1950),
+doi:10.1063/1.1699629.
 """
 
 from __future__ import annotations
@@ -36,7 +26,7 @@ import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
 
-DEEP = 22.0  # k h beyond which the far face is felt by less than s^2 exp(-2 s) = 4e-17
+DEEP = 22.0  # k h beyond which the far face has no effect (4e-17)
 
 Waves = Float[ndarray, " k"]
 Square = Float[ndarray, "d d"]
@@ -58,11 +48,8 @@ class Slab(NamedTuple):
 
 
 class Level(NamedTuple):
-    """Compliance and transmission of a family of waves at one plane between slabs.
-
-    Attributes:
-        compliance: motion per load there, times k [1/Pa].
-        transmission: load there per load on the surface.
+    """Compliance (motion per load there, times k [1/Pa]) and transmission (load there per surface load) at
+    one plane.
     """
 
     compliance: Squares
@@ -70,29 +57,28 @@ class Level(NamedTuple):
 
 
 def climb(slabs: Sequence[Slab], below: Material | None, k: Waves) -> tuple[list[Level], list[Level]]:
-    """The compliance at every plane, from the base up, and the load that arrives, from the surface down.
+    """Return compliance and transmission at every plane from the surface to the base.
 
     Args:
-        slabs: from the surface downwards.
-        below: the half-space under them; None for a rigid floor.
-        k: wavenumbers [1/m], positive.
+        slabs: Slabs from the surface downwards.
+        below: Half-space under them; None for a rigid floor.
+        k: Wavenumbers, positive [1/m].
 
     Returns:
-        At every plane, from the surface to the base: of the motion along the wave and into the skin (U, W),
-        2 x 2, and of that across the wave, 1 x 1.
+        For motion along the wave and into the layer (U, W), and across the wave.
     """
     in_plane = _climb(slabs, k, _in_plane, half_space, below)
     return in_plane, _climb(slabs, k, _across, half_space_across, below)
 
 
 def half_space(material: Material) -> Float[ndarray, "2 2"]:
-    """Compliance of a half-space in (U, W), times k [1/Pa]: Boussinesq's and Cerruti's."""
+    """Return the compliance of a half-space in (U, W), times k [1/Pa]."""
     mu, nu = material
     return np.array([[1 - nu, 0.5 - nu], [0.5 - nu, 1 - nu]]) / mu
 
 
 def half_space_across(material: Material) -> Float[ndarray, "1 1"]:
-    """Compliance of a half-space across the wave, times k [1/Pa]."""
+    """Return the compliance of a half-space across the wave, times k [1/Pa]."""
     return np.array([[1 / material.mu]])
 
 
@@ -147,17 +133,13 @@ def _upwards(A: Square, s: Waves) -> Squares:
 
 
 Base = Literal["bonded", "half-space"]
-LONG_WAVE = 1e-7  # k times the stack's thickness that stands for k = 0; what is left out is its square
+LONG_WAVE = 1e-7  # k times the stack's thickness that represents k = 0
 
 
 @dataclass(frozen=True, slots=True)
 class ElasticLayer:
-    """One layer of a stack.
-
-    Attributes:
-        thickness_m: positive [m]; ``math.inf`` only for the last layer of a stack on a half-space.
-        youngs_modulus_pa: positive [Pa].
-        poisson_ratio: 0 to below 0.5. At 0.5 a layer between rigid walls has no compliance at all.
+    """One layer: thickness, ``math.inf`` only for the last layer of a half-space [m]; Young's modulus [Pa];
+    Poisson's ratio below 0.5.
     """
 
     thickness_m: float
@@ -182,12 +164,10 @@ class ElasticLayer:
 
     @property
     def endless(self) -> bool:
-        """True where it reaches down without end."""
         return self.thickness_m == math.inf
 
     @property
     def material(self) -> Material:
-        """The layer's shear modulus [Pa] and Poisson's ratio."""
         return Material(self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio)), self.poisson_ratio)
 
     @property
@@ -198,15 +178,11 @@ class ElasticLayer:
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Layers from the surface downwards, perfectly bonded to one another.
+    """Layers from the surface downwards, perfectly bonded.
 
     Attributes:
-        layers: one or more, the touched one first.
-        base: ``"bonded"``: the last layer sticks to a rigid floor. ``"half-space"``: the last layer reaches
-            down without end, and its thickness is ``math.inf``.
-
-    Raises:
-        InputError: no layer, a base of another name, or a thickness that does not fit the base.
+        layers: One or more, the touched one first.
+        base: ``"bonded"`` to a rigid floor, or ``"half-space"``, whose last layer has infinite thickness.
 
     Example:
         >>> skin = Stack((ElasticLayer(1e-3, 0.8e6, 0.49), ElasticLayer(9e-3, 0.2e6, 0.49)))
@@ -234,12 +210,12 @@ class Stack:
 
     @property
     def slabs(self) -> tuple[Slab, ...]:
-        """The layers of finite thickness, as what carries a load from face to face."""
+        """Layers of finite thickness."""
         return tuple(Slab(layer.material, layer.thickness_m) for layer in self.layers if not layer.endless)
 
     @property
     def below(self) -> Material | None:
-        """The half-space below; None on a rigid floor."""
+        """Half-space below; None on a rigid floor."""
         return self.layers[-1].material if self.base == "half-space" else None
 
     @property
@@ -249,11 +225,10 @@ class Stack:
 
 
 class Compliance(NamedTuple):
-    """Motion of the surface under a wave of load, per load [m/Pa]; each ``[k]``.
+    """Surface motion under a wave of load, per load [m/Pa].
 
-    With loads q_k along the wave, q_t across it and p into the skin, and t = z x k:
-
-        u_k = along q_k + i coupled p,     u_t = across q_t,     u_z = -i coupled q_k + normal p.
+    With loads q_k along the wave, q_t across it, p into the surface, and t = z x k:
+    u_k = along q_k + i coupled p,     u_t = across q_t,     u_z = -i coupled q_k + normal p.
     """
 
     along: Waves
@@ -263,21 +238,11 @@ class Compliance(NamedTuple):
 
 
 def surface_compliance(stack: Stack, wavenumber_per_m: Waves) -> Compliance:
-    """Compliance of the surface of a stack under waves of load.
-
-    The load is carried from the bottom upwards as a compliance, which stays bounded for any k h. Relative
-    rounding is below 1e-12 for one layer.
+    """Return the compliance of a stack's surface under waves of load.
 
     Args:
-        stack: the layers.
-        wavenumber_per_m: k = 2 pi / wavelength [1/m]; positive, and 0 too on a rigid floor, where the answer
-            is that of uniaxial strain and of simple shear.
-
-    Returns:
-        The compliances [m/Pa] at each k; the 3 x 3 matrix they make is Hermitian and positive definite.
-
-    Raises:
-        RangeError: k is negative, not finite, or 0 on a half-space, which yields without end.
+        stack: Layers.
+        wavenumber_per_m: 2 pi / wavelength [1/m]; positive, or 0 on a rigid floor (uniaxial strain).
 
     Example:
         >>> layer = Stack((ElasticLayer(10e-3, 0.3e6, 0.49),))

@@ -1,13 +1,9 @@
-"""Displacement and stress inside a stack under a load on its surface, on planes at given depths.
+"""Displacement and stress inside a stack under a surface load, on planes at given depths.
 
-The load is a sum of waves; each reaches a plane as a load there and moves it by the compliance of what lies
-below. The stresses that the plane does not pass on follow from its stretch: with n = nu / (1 - nu),
+The load is a sum of waves (`stack`). In-plane stresses follow from the stretch: with n = nu / (1 - nu), u_k =
+i U along the wave and u_t = V across it,
 
-    s_kk = -2 mu k U / (1 - nu) + n s_zz,     s_tt = -2 mu n k U + n s_zz,     s_kt = i mu k V,
-
-for motions u_k = i U along the wave and u_t = V across it.
-
-The grid is padded with an unloaded margin and then repeats.
+    s_kk = -2 mu k U / (1 - nu) + n s_zz,     s_tt = -2 mu n k U + n s_zz,     s_kt = i mu k V.
 """
 
 from __future__ import annotations
@@ -24,10 +20,10 @@ from palpate.mechanics.layers.surface_grid import Cells, Wave, Waves, cells, spr
 
 MOVES = ("x", "y", "z")
 STRESSES = ("xx", "yy", "zz", "yz", "xz", "xy")  # Voigt's order
-MARGIN = 6.0  # thicknesses of a stack on a rigid floor to the next image
-WIDTHS = 2.0  # of the grid: the greatest margin, which it is on a half-space
+MARGIN = 6.0  # default margin, in thicknesses
+WIDTHS = 2.0  # maximum margin, in grid widths
 
-SAME_PLANE = 1e-9  # of the layers' thickness: a depth so near to an interface lies on it
+SAME_PLANE = 1e-9  # relative distance at which a plane counts as an interface
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +31,8 @@ class StackField:
     """Displacement and stress on planes inside a stack, SI.
 
     Attributes:
-        x_m, y_m: grid columns and rows [m].
-        depths_m: of the planes [m].
-        displacement_m: ``[nz 3 ny nx]`` in the order of ``MOVES`` [m].
-        stress_pa: ``[nz 6 ny nx]`` in the order of ``STRESSES``, positive in tension [Pa]. On a plane between
-            two layers the stresses xx, yy and xy are those of the upper one.
+        displacement_m: In the order of ``MOVES`` [m].
+        stress_pa: In the order of ``STRESSES`` [Pa]; at an interface xx, yy, xy are the upper layer's.
     """
 
     x_m: Float[ndarray, " nx"]
@@ -49,7 +42,7 @@ class StackField:
     stress_pa: Float[ndarray, "nz 6 ny nx"]
 
     def stress(self, name: str) -> Float[ndarray, "nz ny nx"]:
-        """One stress by its name, as of ``STRESSES`` [Pa]."""
+        """One stress by its name in ``STRESSES`` [Pa]."""
         if name not in STRESSES:
             raise InputError(
                 f"no stress is called {name!r}; there are {', '.join(STRESSES)}", code="unknown-name"
@@ -68,26 +61,20 @@ def field_below(
     shear_y_pa: Field | None = None,
     margin_m: float | None = None,
 ) -> StackField:
-    """Displacement and stress on planes under a load on the surface.
+    """Return displacement and stress on planes under a surface load.
 
     Args:
-        stack: the layers.
-        pressure_pa: load into the skin ``[ny nx]``, positive in compression [Pa].
-        x_m, y_m: columns and rows of a regular grid [m].
-        depths_m: of the planes, 0 to the stack's thickness [m].
-        shear_x_pa: load along x, the force of the probe on the skin ``[ny nx]`` [Pa].
-        shear_y_pa: the same along y [Pa].
-        margin_m: unloaded strip to the next image of the grid [m]; by default six thicknesses of the
-            stack, and at most twice the width of the grid.
+        stack: Layers.
+        pressure_pa: Pressure [Pa].
+        x_m, y_m: Columns and rows of a regular grid [m].
+        depths_m: Planes, 0 to the stack's thickness [m].
+        shear_x_pa, shear_y_pa: Traction of the probe on the surface [Pa].
+        margin_m: Unloaded strip to the grid's periodic image [m]; by default six thicknesses, at most twice
+            the width.
 
     Returns:
-        The field. The load is taken as smooth between the grid's points: within a cell of the surface a rim
-        is blurred. With the load in the middle third of the grid, images cost at most 3e-4 of the greatest
-        pressure in the stress, and 0.5 % of the greatest displacement, at the border of the grid.
-
-    Raises:
-        InputError: a grid that is not regular, or a load that does not fit it or is not finite.
-        RangeError: a depth outside the stack, or a negative margin.
+        Field. With the load in the middle third of the grid, images cause errors of at most 3e-4 of the
+        maximum pressure, and 0.5 % of the maximum displacement at the border.
     """
     grid = cells(x_m, y_m)
     nothing = np.zeros((grid.ny, grid.nx))
@@ -137,7 +124,7 @@ def _margin(stack: Stack, grid: Cells, margin_m: float | None) -> float:
 
 
 def _cut_at(stack: Stack, depths: Float[ndarray, " nz"]) -> tuple[list[Slab], list[int]]:
-    """The stack cut into slabs at its interfaces and the planes; and each plane's place among the cuts."""
+    """Slabs between interfaces and planes, and each plane's index."""
     faces = np.concatenate([[0.0], np.cumsum([slab.thickness_m for slab in stack.slabs])])
     nearest = faces[np.abs(depths[:, None] - faces).argmin(axis=1)]
     planes = np.where(np.abs(depths - nearest) <= SAME_PLANE * faces[-1], nearest, depths)
@@ -154,7 +141,7 @@ def _cut_at(stack: Stack, depths: Float[ndarray, " nz"]) -> tuple[list[Slab], li
 def _on_plane(
     material: Material, in_plane: Level, across: Level, waves: Waves, spectra: list[Wave]
 ) -> tuple[list[Wave], list[Wave]]:
-    """The waves of displacement x, y, z and of the six stresses on a plane, from those of the load."""
+    """Waves of displacement x, y, z and of the six stresses on a plane."""
     mu, nu = material
     n = nu / (1 - nu)
     R, CR = in_plane.transmission, in_plane.compliance @ in_plane.transmission
@@ -177,7 +164,7 @@ def _on_plane(
     s_xy = c * s * (s_kk - s_tt) + (c * c - s * s) * s_kt
     s_xz, s_yz = c * s_kz - s * s_tz, s * s_kz + c * s_tz
     u_z = kW / k
-    # The mean wave has no direction: it takes the mean over all of them, in which what is odd is gone.
+    # The mean wave is averaged over directions, which removes odd parts.
     trace = -2 * n * R[:, 1, 1] - 2 * mu * (1 / (1 - nu) + n) * CR[:, 0, 1]
     s_xx[0, 0] = s_yy[0, 0] = waves.mean_wave(trace / 2) * p[0, 0]
     s_zz[0, 0] = waves.mean_wave(-R[:, 1, 1]) * p[0, 0]

@@ -1,13 +1,11 @@
-"""Coulomb friction on a stack: an indenter that presses already is shifted and turned along the surface.
+"""Coulomb friction on a stack: a pressed indenter is shifted and rotated along the surface.
 
-With the pressure p held, tractions q = (q_x, q_y) of the probe on the skin minimise 1/2 q.G q - q.s over |q|
-<= mu p: where the skin sticks it moves by s, elsewhere it lags behind and q has its limit. The probe is
-rigid, so that s = shift + turn (-y, x) about its axis. The motion is made in one go from no shear. The
-displacement that q adds into the skin under the probe, nothing at nu = 1/2 on a half-space, is left out, as
-Cattaneo and Mindlin leave it out.
+With the pressure p fixed, tractions q of the probe minimize 1/2 q.G q - q.s over |q| <= mu p, with the rigid
+motion s = shift + turn (-y, x), made in one step. The normal displacement by q is neglected, as by Cattaneo
+and Mindlin.
 
-References: K. L. Johnson, Contact Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731; for the turn
-J. L. Lubkin, J. Appl. Mech. 18, 183 (1951).
+References: K. L. Johnson, Contact Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731; J.
+L. Lubkin, J. Appl. Mech. 18, 183 (1951), for the rotation.
 """
 
 from __future__ import annotations
@@ -22,38 +20,32 @@ from palpate.mechanics.layers.contact_solver import StackContact
 from palpate.mechanics.layers.influence import tangential_influence, tangential_preconditioner
 from palpate.mechanics.layers.surface_grid import block_span, cells
 
-TOLERANCE = 1e-4  # of the greatest motion: how far sticking skin may lag behind the probe
-FORCE_TOLERANCE = 1e-4  # of the load asked for
-AT_LIMIT = 1 - 1e-9  # of the limit: a traction that rounding alone keeps from it
+TOLERANCE = 1e-4  # allowed slip of sticking cells over the maximum motion
+FORCE_TOLERANCE = 1e-4  # relative tolerance of the load
+AT_LIMIT = 1 - 1e-9  # fraction of the limit that counts as slip
 STEPS = 1000
 SHIFTS = 50
-FIRST, CLOSER = 1e-2, 0.1  # tolerance of the first motion of a load; of the next ones, over what is missing
+FIRST, CLOSER = 1e-2, 0.1  # tolerance of a load's first motion, and of the next ones over the residual
 MIN_FIRM, MAX_FIRM = 1e-3, 1.2
-"""Stiffness along a step over that without slip, between which a secant is one: beyond, the skin has not
-followed the step within the tolerance, or all of it slips."""
-MAX_STEP = 0.5  # of the motion, the next step
-NEARLY = 0.9  # of friction: up to there Mindlin's law of a shifted sphere gives the first guess
+"""Range of stiffness over that without slip in which a secant is accepted."""
+MAX_STEP = 0.5  # maximum step over the motion
+NEARLY = 0.9  # maximum friction fraction of the initial guess by Mindlin's law
 
 Pair = Float[ndarray, "2"]
-Motion = Float[ndarray, "3"]  # shift along x and y, and turn times the contact's radius [m]
-Load = Float[ndarray, "3"]  # force along x and y, and moment over the contact's radius [N]
+Motion = Float[ndarray, "3"]  # shift (x, y), and rotation times the contact radius [m]
+Load = Float[ndarray, "3"]  # force (x, y), and moment over the contact radius [N]
 Fields = Float[ndarray, "2 ny nx"]
 
 
 @dataclass(frozen=True, slots=True)
 class StackShear:
-    """Shear that a motion of the indenter makes along the surface, on the grid of its contact, SI.
+    """Tractions caused by a tangential motion of the indenter, on its contact's grid, SI.
 
     Attributes:
-        contact: the contact that was sheared.
-        friction: coefficient of friction.
-        shear_pa: traction of the probe on the skin along x and y ``[2 ny nx]`` [Pa].
-        sticking: the touching cells that go with the probe ``[ny nx]``; the others slip.
-        force_n: of the probe on the skin along x and y [N].
-        shift_m: of the probe along x and y [m].
-        moment_nm: of the probe on the skin about z through its axis, from x towards y [N m].
-        turn_rad: of the probe about that axis [rad].
-        axis_m: where the axis is (x, y) [m].
+        shear_pa: Traction of the probe on the surface along x and y [Pa].
+        sticking: Contact cells that stick; the others slip.
+        moment_nm: Moment on the surface about z through the axis, from x towards y [N m].
+        axis_m: Position of the axis [m].
     """
 
     contact: StackContact
@@ -68,7 +60,7 @@ class StackShear:
 
     @property
     def displacement_m(self) -> Fields:
-        """Displacement of the surface along x and y, on the whole grid ``[2 ny nx]`` [m]."""
+        """In-plane displacement of the surface [m]."""
         grid = cells(self.contact.x_m, self.contact.y_m)
         return tangential_influence(self.contact.stack, grid).apply_pair(self.shear_pa)
 
@@ -83,22 +75,16 @@ def shear_stack(
     moment_nm: float | None = None,
     axis_m: tuple[float, float] = (0.0, 0.0),
 ) -> StackShear:
-    """Shift and turn the indenter of a contact along the surface, by a motion or by a load.
+    """Shift and rotate the indenter of a contact along the surface, by a motion or by a load.
 
     Args:
-        contact: of the indenter, with some force.
-        friction: Coulomb's coefficient, positive.
-        shift_m: of the probe along x and y [m]; where only a turn is given, none.
-        turn_rad: of the probe about its axis, from x towards y [rad]; where only a shift is given, none. Or
-        force_n: of the probe on the skin along x and y, below friction times the normal force [N]; where only
-            a moment is given, none.
-        moment_nm: about z through the axis [N m]. Where only a force is given, the probe does not turn, and
-            the moment is what that takes.
-        axis_m: of the probe (x, y) [m].
-
-    Raises:
-        InputError: neither a motion nor a load, or both, or one that is not finite.
-        RangeError: a contact without force, a friction that is not positive, or a load at which all slips.
+        contact: Contact with some force.
+        friction: Coulomb coefficient.
+        shift_m: Motion along x and y [m].
+        turn_rad: Rotation about the axis, from x towards y [rad]. Or
+        force_n: Force on the surface along x and y, below the friction limit [N].
+        moment_nm: Moment about the axis [N m]; None for a probe that does not rotate.
+        axis_m: Position of the axis [m].
     """
     if not contact.force_n > 0.0:
         raise RangeError(
@@ -152,19 +138,17 @@ class _Problem:
         self.stiffest = float(self._preconditioner.spectra[0].max())
 
     def displacement(self, q: Fields) -> Fields:
-        """Displacement of the surface [m] under tractions [Pa]."""
         return self._influence.apply_pair(q)
 
     def precondition(self, u: Fields) -> Fields:
-        """Approximate inverse of `displacement`."""
         return np.stack([self._preconditioner.apply(0, part) for part in u])
 
     def load(self, q: Fields) -> Load:
-        """Load of the tractions [N]: the work that they do in each motion of 1 m."""
+        """Load of the tractions [N]: their work in each motion of 1 m."""
         return np.tensordot(self.modes, q, axes=3) * self.grid.area_m2
 
     def check(self, load: Load) -> None:
-        """Refuse what no distribution of friction holds."""
+        """Reject loads beyond friction."""
         force, moment = math.hypot(*load[:2]), abs(load[2]) * self.radius
         greatest = self.friction * self.contact.force_n
         if not force < greatest:
@@ -182,11 +166,7 @@ class _Problem:
             )
 
     def solve(self, motion: Motion, q: Fields, limit: Field, tolerance: float = TOLERANCE) -> Fields:
-        """Tractions [Pa] at a motion, from a guess: conjugate gradients on what may still change.
-
-        A slipping traction turns on a circle. The smaller the circle, the more a turn costs: its bend stands
-        beside the stiffness of the skin.
-        """
+        """Tractions [Pa] at a motion, by conjugate gradients from a guess."""
         target = np.tensordot(motion, self.modes, axes=1)
         allowed = tolerance * float(np.hypot(*target).max())
         q = _limited(q, limit)
@@ -212,7 +192,6 @@ class _Problem:
         raise RangeError(f"the shear did not settle in {STEPS} steps; give a finer grid or another motion")
 
     def result(self, motion: Motion, q: Fields) -> StackShear:
-        """The tractions and what they do."""
         shear = np.zeros((2, *self.contact.touching.shape))
         shear[(slice(None), *self.part)] = q
         sticking = np.zeros(self.contact.touching.shape, bool)
@@ -225,7 +204,7 @@ class _Problem:
 
 
 def _limit_directions(lag: Fields, q: Fields, limit: Field) -> Fields:
-    """Unit vectors along the tractions that are at their limit and would rise; zero elsewhere."""
+    """Unit vectors along tractions at their limit that would rise; zero elsewhere."""
     size = np.hypot(*q)
     outward = np.divide(q, size, out=np.zeros_like(q), where=size > 0.0)
     rising = (size >= limit * AT_LIMIT) & ((lag * outward).sum(axis=0) > 0.0)
@@ -242,7 +221,7 @@ def _limited(q: Fields, limit: Field) -> Fields:
 
 
 def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fields]:
-    """The motion of a load, by Broyden's secants from the stiffness without slip."""
+    """Motion of a load, by Broyden's method from the stiffness without slip."""
     free = slice(3 if turns else 2)
     scale = problem.contact.depth_m
     endless = np.where(problem.touching, np.inf, 0.0)
@@ -258,7 +237,7 @@ def _motion_for(problem: _Problem, load: Load, turns: bool) -> tuple[Motion, Fie
         motion = motion + np.append(step, np.zeros(3 - len(step)))
         try:
             q = problem.solve(motion, q, problem.limit, tolerance)
-        except RangeError:  # a motion without bounds, as where all slips
+        except RangeError:  # unbounded motion, as in full slip
             break
         before, missing = missing, target - problem.load(q)[free]
         off = float(np.linalg.norm(missing)) / size

@@ -1,10 +1,8 @@
-"""The regular grid on a stack's surface, and loads on it as waves.
+"""Regular grid on a stack's surface, and loads on it as waves.
 
-For its waves the grid is padded with an unloaded margin and then repeats, so a sum over waves stands for an
-integral over them. It is a good one but for the mean wave, to which a thick stack yields much and a half-
-space without end. So the mean wave is given what makes sum and integral equal right under a round load of
-Gauss's shape, whose width is small beside the period: the images are taken away at the centre, and what is
-left of them grows as (r / period)^2.
+The grid is padded and periodic, so a sum over waves approximates an integral. The mean wave is corrected so
+that sum and integral agree at the centre of a Gaussian load; the remaining effect of images grows as (r /
+period)^2.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from scipy import fft
 
 from palpate.core import Complex, Field, Float, InputError, Int, ndarray
 
-UNEVEN = 1e-6  # of a step: what may be left of rounding in a grid's positions
+UNEVEN = 1e-6  # relative tolerance of grid steps
 
 
 class Cells(NamedTuple):
@@ -30,25 +28,15 @@ class Cells(NamedTuple):
 
     @property
     def area_m2(self) -> float:
-        """Area of one cell [m^2]."""
         return self.dx * self.dy
 
     @property
     def diagonal_m(self) -> float:
-        """Greatest distance between two cells' centres [m]."""
         return float(np.hypot((self.nx - 1) * self.dx, (self.ny - 1) * self.dy))
 
 
 def cells(x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]) -> Cells:
-    """The cells around the grid's points.
-
-    Args:
-        x_m: columns, rising in equal steps, 3 or more [m].
-        y_m: rows, rising in equal steps, 3 or more [m].
-
-    Raises:
-        InputError: the steps are not equal and positive, or there are too few.
-    """
+    """Return the cells around grid points (columns and rows in equal rising steps, 3 or more) [m]."""
     return Cells(len(x_m), len(y_m), _step("x_m", x_m), _step("y_m", y_m))
 
 
@@ -63,11 +51,11 @@ def _step(name: str, axis_m: Float[ndarray, " n"]) -> float:
     return mean
 
 
-BLOCK = 32  # cells that a part of the grid grows by, so that what is computed for it is shared
+BLOCK = 32  # increment of grid parts, so that cached results are shared
 
 
 def block_span(indices: Int[ndarray, " n"], count: int) -> slice:
-    """The part of an axis that holds some of its cells, grown to whole blocks as far as the axis reaches."""
+    """Return the part of an axis that contains cells, grown to whole blocks."""
     first, last = int(indices.min()), int(indices.max())
     length = min(-(-(last - first + 1) // BLOCK) * BLOCK, count)
     start = min(max((first + last + 1 - length) // 2, 0), count - length)
@@ -80,11 +68,7 @@ Places = Float[ndarray, "v u"]
 def laid_onto(
     values: Places, x: Places, y: Places, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"]
 ) -> Field:
-    """Values at places, summed onto a grid that holds them: each to the four points about it, by distance.
-
-    Raises:
-        InputError: a value that is not 0 lies beyond the grid.
-    """
+    """Distribute values at points to the four surrounding points of a grid by bilinear weights."""
     onto = np.zeros((len(y_m), len(x_m)))
     loaded = values > 0.0
     column, row = (x[loaded] - x_m[0]) / (x_m[1] - x_m[0]), (y[loaded] - y_m[0]) / (y_m[1] - y_m[0])
@@ -103,26 +87,24 @@ def laid_onto(
     return onto
 
 
-MEAN_WAVE = 1e-6  # of the least wavenumber: the one that stands for the mean
-ALIKE = 6  # decimals of (k/dk)^2 up to which waves count as equally long
-GAUSS_WIDTH = 6.0  # dk: where a Gaussian load's waves have fallen to 1/e
-GAUSS_END = 6.0  # of those widths, where they have fallen to 2e-16
+MEAN_WAVE = 1e-6  # mean wave's wavenumber over the smallest
+ALIKE = 6  # decimals of (k/dk)^2 that distinguish wavenumbers
+GAUSS_WIDTH = 6.0  # width of the Gaussian load's spectrum, in dk
+GAUSS_END = 6.0  # end of the spectrum in widths (2e-16)
 
 Wave = Complex[ndarray, "py half"]
 Waveform = Float[ndarray, " k"]
 
 
 class Waves(NamedTuple):
-    """The waves of a padded grid.
+    """Waves of a padded grid.
 
     Attributes:
-        k: the wavenumbers there are, each once, and after them those of the integral [1/m]; the first stands
-            for the mean.
-        share: weights that turn a quantity at these k into that of the mean wave.
-        which: of the wavenumbers at each wave.
-        cos, sin: its direction; both 0 for the mean.
-        grid: rows and columns that are not margin.
-        shape: rows and columns with the margin.
+        k: Distinct wavenumbers of the grid, then those of the integral [1/m]; the first represents the mean.
+        share: Weights that turn values at these k into the mean wave's.
+        which: Index of each wave's wavenumber.
+        cos, sin: Direction; both 0 for the mean.
+        grid, shape: Rows and columns without and with the margin.
     """
 
     k: Waveform
@@ -134,25 +116,24 @@ class Waves(NamedTuple):
     shape: tuple[int, int]
 
     def gather(self, values: Waveform) -> Float[ndarray, "py half"]:
-        """Spread what depends on the wavenumber alone to each wave."""
+        """Distribute values by wavenumber to each wave."""
         return values[self.which]
 
     def mean_wave(self, values: Waveform) -> float:
-        """Value of the mean wave for which the sum over waves is their integral."""
+        """Value of the mean wave for which sum and integral agree."""
         return float(self.share @ values)
 
     def forward(self, load: Field) -> Wave:
-        """The waves of a load on the grid."""
         return fft.rfft2(load, self.shape)
 
     def back(self, wave: Wave) -> Field:
-        """The sum of waves on the grid; rows of the margin are left out before the columns are summed."""
+        """Sum of waves on the grid without the margin."""
         rows, columns = self.grid
         return fft.irfft(fft.ifft(wave, axis=0)[:rows], self.shape[1], axis=1)[:, :columns]
 
 
 def spread(grid: Cells, margin_m: float) -> Waves:
-    """The waves of a grid with a margin, over a period that is alike along x and y."""
+    """Return the waves of a grid with a margin, with equal periods along x and y."""
     period = max(grid.nx * grid.dx, grid.ny * grid.dy) + margin_m
     py, px = (fft.next_fast_len(math.ceil(period / d - 1e-9), real=True) for d in (grid.dy, grid.dx))
     k_x, k_y = 2 * np.pi * fft.rfftfreq(px, grid.dx), 2 * np.pi * fft.fftfreq(py, grid.dy)[:, None]
@@ -163,7 +144,7 @@ def spread(grid: Cells, margin_m: float) -> Waves:
     k[0] = MEAN_WAVE * k[1]
     width = min(GAUSS_WIDTH * math.sqrt(cell), min(k_x.max(), k_y.max()) / GAUSS_END)
     more, rings = _rings(GAUSS_END * width)
-    twice = np.where((k_x > 0.0) & (np.arange(len(k_x)) * 2 != px), 2.0, 1.0)  # of a pair, one is kept
+    twice = np.where((k_x > 0.0) & (np.arange(len(k_x)) * 2 != px), 2.0, 1.0)  # one of each pair is kept
     times = np.bincount(which.ravel(), np.broadcast_to(twice, which.shape).ravel())
     times[0] = 0.0
     every = np.concatenate([k, more])
@@ -172,7 +153,7 @@ def spread(grid: Cells, margin_m: float) -> Waves:
 
 
 def _rings(end: float) -> tuple[Waveform, Waveform]:
-    """Wavenumbers from 0 to an end, crowded to 0, and the areas of the rings they stand for."""
+    """Wavenumbers from 0 to an end, dense near 0, and the areas of their rings."""
     edges = np.concatenate([[0.0], np.geomspace(1e-5 * end, end, 31)])
     points, weights = np.polynomial.legendre.leggauss(8)
     low, half = edges[:-1, None], np.diff(edges)[:, None] / 2

@@ -1,7 +1,3 @@
-"""Layers with a cut from above, which waves cannot have: finite elements across it, waves along it.
-
-`strip_elements` has the elements, `cut_opening` what a jump on the cut does, and the jump that a
-load makes. Each is asked for by its path.
-"""
+"""Layers with a cut from the surface: finite elements across the cut, waves along it."""
 
 __all__: list[str] = []

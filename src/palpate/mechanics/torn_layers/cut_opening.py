@@ -1,28 +1,16 @@
-"""Jump on a cut of finite length under a load on the surface, and the motion that it adds to a plane.
+"""Displacement jump on a cut of finite length under a surface load, and the motion it adds to a plane.
 
-The jump lives on points along the cut and is 0 beyond its ends; between points it is a sum of waves, so that
-the stiffness between two points is the transform of `CutResponse.stiffness` at their distance.
+The cut is the plane x = 0 from the surface to a depth. A jump b = u(0+) - u(0-) makes a balanced field R b;
+motions are odd or even in x. K b is the traction on the faces, and by reciprocity K b = R^T p under a surface
+load p on stress-free faces. Along the cut the stiffness between points is the transform of
+`CutResponse.stiffness`.
 
-At rest the faces are apart by a gap that narrows like an ellipse to both ends. Open faces bear no stress. A
-press mostly closes a cut; faces that meet press on each other without friction and never pull:
+At rest the faces have an elliptic gap. Faces in contact push without friction and never pull,
 
     w = jump across + gap >= 0,    p >= 0,    w p = 0,
 
 by active sets (M. Hintermueller, K. Ito and K. Kunisch, SIAM J. Optim. 13, 865 (2002),
-doi:10.1137/S1052623401383558). Without a contact of the faces all is linear in the load.
-
-What a jump of displacement on a cut does to a stack: its stiffness, motion of the surface and of a plane.
-
-The cut is the plane x = 0 from the surface to a depth. A jump b across it, u(0+) - u(0-), makes a field R b
-that is in balance without load. The stack is alike on both sides, so that for a jump along x the motion along
-x is odd and the others are even; for jumps along y and z the other way round. Each is a motion of half the
-stack that is given b/2 on the cut and 0 below it. Its stiffness is K, K b the traction on the faces, and by
-reciprocity the jump under a load p on the surface of the cut stack, whose faces are free of stress, follows
-from
-
-    K b = R^T p
-
-with R at the surface: no stress of the whole stack is needed.
+doi:10.1137/S1052623401383558).
 """
 
 from __future__ import annotations
@@ -44,26 +32,24 @@ from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.torn_layers.strip_elements import StripMesh, StripStiffness, graded
 
-ALONG_CELL_M = 0.6e-3  # of the jump along the cut
-ALONG_CELLS = 128  # of the period along it: 77 mm
-SOLVED_WAVES = 18  # wavenumbers that are solved; the others lie between
+ALONG_CELL_M = 0.6e-3  # spacing of points along the cut
+ALONG_CELLS = 128  # points of the period along it (77 mm)
+SOLVED_WAVES = 18  # solved wavenumbers; others are interpolated
 FIRST_M, GROWTH, LAST_M = 0.12e-3, 1.14, 6e-3  # widths of elements from the cut outwards
-END_M = 90e-3  # far end: three times the length over which a nearly incompressible stack of 5 mm rings out
-ROW_M = 0.27e-3  # height of elements that the cut crosses; three times that below
-MIN_CUT_SHARE = 0.05  # of the stack's thickness
+END_M = 90e-3  # far end of the mesh
+ROW_M = 0.27e-3  # element height at the cut; three times that below
+MIN_CUT_SHARE = 0.05  # minimum depth over the stack's thickness
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutResponse:
-    """Response to a jump, wave by wave along the cut.
+    """Response to a jump, by wavenumber along the cut.
 
     Attributes:
-        k: wavenumbers ``[k]`` [1/m].
-        x_m: from the cut ``[x]`` [m]; on the far side the motions are odd or even.
-        cut_z_m: depths at which the jump is given, from the surface ``[z]`` [m]; it is 0 at the cut's end.
-        stiffness: between jumps (component, depth), per length along the cut ``[k 3z 3z]`` [Pa], complex and
-            Hermitian.
-        surface, plane: motion x, y, z of the surface and of a plane per jump ``[k 3 x 3z]``, complex.
+        x_m: Distances from the cut [m].
+        cut_z_m: Depths of the jump, 0 at the cut's end [m].
+        stiffness: Hermitian stiffness between jumps (component, depth), per length along the cut [Pa].
+        surface, plane: Motion x, y, z of the surface and of a plane per jump.
     """
 
     k: Float[ndarray, " k"]
@@ -75,16 +61,7 @@ class CutResponse:
 
 
 def strip_mesh(stack: Stack, cut_m: float, finer: float = 1.0) -> StripMesh:
-    """Mesh of a stack with a row's edge at the end of a cut [m].
-
-    Args:
-        stack: on a rigid floor, of finite thickness.
-        cut_m: depth of the cut.
-        finer: elements over those that suffice.
-
-    Raises:
-        InputError: a stack without a floor, or a cut that is not within it.
-    """
+    """Return the mesh of a stack with an edge at a cut's end; `finer` divides the element sizes."""
     total = stack.thickness_m
     if not (total < np.inf and MIN_CUT_SHARE * total <= cut_m < total):
         raise InputError(
@@ -111,7 +88,9 @@ def strip_mesh(stack: Stack, cut_m: float, finer: float = 1.0) -> StripMesh:
 def wave_response(
     strip: StripStiffness, k: float, cut_m: float, plane_m: float
 ) -> tuple[ndarray, ndarray, ndarray]:
-    """Stiffness ``[3z 3z]`` [Pa] and motion of surface and plane ``[3 x 3z]``, V for u_y, of one wave."""
+    """Return stiffness ``[3z 3z]`` [Pa] and motion of surface and plane ``[3 x 3z]``, V for
+    u_y, of one wave.
+    """
     mesh = strip.mesh
     z = mesh.z_m
     cut = z < cut_m * (1 - 1e-9)
@@ -137,13 +116,8 @@ def wave_response(
 
 @lru_cache(maxsize=4)
 def cut_response(stack: Stack, cut_m: float, plane_m: float, finer: float = 1.0) -> CutResponse:
-    """Response of a stack to jumps on a cut at every wave of its period; seconds, then kept in memory.
-
-    Args:
-        stack: on a rigid floor.
-        cut_m: depth of the cut [m].
-        plane_m: depth of the plane [m], a face between layers.
-        finer: elements over those that suffice.
+    """Return the response of a stack to jumps on a cut at every wave of its period (cached); `plane_m` is an
+    interface.
     """
     mesh = strip_mesh(stack, cut_m, finer)
     strip = StripStiffness(mesh)
@@ -165,9 +139,9 @@ def cut_response(stack: Stack, cut_m: float, plane_m: float, finer: float = 1.0)
     )
 
 
-STEP_M = (0.1e-3, 0.15e-3)  # of the plane's grid, from the cut and along it
-REACH_M = 30e-3  # of that grid, from the cut
-SETS = 40  # guesses of where faces meet
+STEP_M = (0.1e-3, 0.15e-3)  # steps of the plane's grid from the cut and along it
+REACH_M = 30e-3  # extent of that grid from the cut
+SETS = 40  # maximum active-set iterations
 FINER = round(ALONG_CELL_M / STEP_M[1])
 
 Points = Float[ndarray, "n 2"]
@@ -177,10 +151,9 @@ class SurfaceCut(NamedTuple):
     """A straight cut from the surface down.
 
     Attributes:
-        x_m, y_m: its middle [m].
-        turn_rad: of its line from x towards y [rad].
-        length_m, depth_m: of the cut [m].
-        gap_m: between its faces at rest, in the middle of its length [m]; infinite for faces that never meet.
+        x_m, y_m: Middle [m].
+        turn_rad: Direction from x towards y [rad].
+        gap_m: Opening at rest in the middle [m]; infinite for faces that never touch.
     """
 
     x_m: float
@@ -192,12 +165,12 @@ class SurfaceCut(NamedTuple):
 
     @property
     def turn(self) -> Float[ndarray, "2 2"]:
-        """Directions across and along the cut, as rows."""
+        """Unit vectors across and along the cut, as rows."""
         c, s = math.cos(self.turn_rad), math.sin(self.turn_rad)
         return np.array([[-s, c], [c, s]])
 
     def local(self, x_m: ndarray, y_m: ndarray) -> tuple[ndarray, ndarray]:
-        """Distances of points across and along the cut from its middle [m]."""
+        """Coordinates across and along the cut [m]."""
         (a, b), (c, d) = self.turn
         x, y = np.asarray(x_m) - self.x_m, np.asarray(y_m) - self.y_m
         return a * x + b * y, c * x + d * y
@@ -208,16 +181,12 @@ class CutOpening:
     """Jump on a cut under a load.
 
     Attributes:
-        cut: where it is.
-        along_m: places on it, from its middle ``[n]`` [m].
-        depths_m: below the surface ``[z]`` [m].
-        jump_m: displacement at the side to which the cut's normal points over that at the other, across the
-            cut, along it and into the skin ``[3 z n]`` [m].
-        closed: where the faces meet ``[z n]``.
-        work_j: load times the motion of the surface that the cut adds [J].
-        pressing_j: the part of it by the forces into the skin [J].
-        added_m: motion that the cut adds to the plane, across and along the cut and into the skin, behind
-            and before it ``[2 3 x s]``, in steps of ``STEP_M`` from the cut and along its period [m].
+        along_m, depths_m: Points on the cut from its middle, and depths [m].
+        jump_m: Displacement jump across, along, and into the layer [m].
+        closed: Where the faces touch.
+        work_j, pressing_j: Work of the load on the added surface motion, and its part by normal forces [J].
+        added_m: Motion added to the plane (across, along, into the layer) on both sides, in steps of
+            ``STEP_M`` [m].
     """
 
     cut: SurfaceCut
@@ -230,12 +199,7 @@ class CutOpening:
     added_m: ndarray
 
     def at(self, x_m: ndarray, y_m: ndarray, side: int = 0) -> Float[ndarray, "3 n"]:
-        """Motion along x, y, z that the cut adds to the plane at places [m].
-
-        Args:
-            x_m, y_m: places [m].
-            side: 1 or -1 to take all places as if they lay before or behind the cut; 0 for their own side.
-        """
+        """Motion added to the plane at points [m]; `side` (1 or -1) forces one side of the cut."""
         across, along = self.cut.local(x_m, y_m)
         before = across >= 0 if side == 0 else np.full(across.shape, side > 0)
         from_cut = np.where(before, np.maximum(across, 0.0), np.maximum(-across, 0.0)) / STEP_M[0]
@@ -250,7 +214,7 @@ class CutOpening:
 
 
 class _Solved(NamedTuple):
-    """Compliance of a cut between its points and depths, and the places of these."""
+    """Compliance of a cut between its points and depths, and their positions."""
 
     compliance: Float[ndarray, "n n"]
     along: Float[ndarray, " n"]
@@ -277,14 +241,14 @@ def _compliance(stack: Stack, plane_m: float, length_m: float, depth_m: float) -
 def cut_opening(
     stack: Stack, cut: SurfaceCut, plane_m: float, places_m: Points, forces_n: Float[ndarray, "3 n"]
 ) -> CutOpening:
-    """Jump and added motion under forces on the surface.
+    """Return jump and added motion under forces on the surface.
 
     Args:
-        stack: on a rigid floor.
-        cut: in it.
-        plane_m: depth of the plane whose motion is told, a face between layers [m].
-        places_m: of the forces ``[n 2]`` [m].
-        forces_n: along x, y and into the skin ``[3 n]`` [N].
+        stack: Stack on a rigid floor.
+        cut: Cut in it.
+        plane_m: Depth of the plane, an interface [m].
+        places_m: Positions of the forces [m].
+        forces_n: Forces along x, y, and into the layer [N].
     """
     response = cut_response(stack, cut.depth_m, plane_m)
     solved = _compliance(stack, plane_m, cut.length_m, cut.depth_m)
@@ -304,7 +268,7 @@ def cut_opening(
 
 
 def rest_gap_m(cut: SurfaceCut, along_m: ndarray) -> ndarray:
-    """Distance of the faces at rest at places from a cut's middle; 0 beyond its ends [m]."""
+    """Return the gap at rest at positions along a cut; 0 beyond its ends [m]."""
     if math.isinf(cut.gap_m):
         return np.full(np.shape(along_m), math.inf)
     share = 1 - (2 * np.asarray(along_m) / cut.length_m) ** 2
@@ -314,7 +278,7 @@ def rest_gap_m(cut: SurfaceCut, along_m: ndarray) -> ndarray:
 def _with_faces_apart(
     compliance: Float[ndarray, "m m"], driving: Float[ndarray, "points jumps"], gap: ndarray, count: int
 ) -> tuple[Float[ndarray, " m"], Bool[ndarray, " w"]]:
-    """Jump in the order of the load, and where faces meet; forces between them push them apart."""
+    """Jump, and where faces touch."""
     free = compliance @ driving.ravel()
     normal = (np.arange(len(driving))[:, None] * driving.shape[1] + np.arange(count)).ravel()
     closed = free[normal] + gap < 0
@@ -341,7 +305,7 @@ def _parity(count: int) -> Float[ndarray, "3 jumps"]:
 def _driving(
     response: CutResponse, cut: SurfaceCut, places_m: Points, forces_n: Float[ndarray, "3 n"]
 ) -> Float[ndarray, "points jumps"]:
-    """Work of the forces on the motion by a unit jump at each point of the period [N]."""
+    """Work of the forces on the motion by a unit jump at each point [N]."""
     across, along = cut.local(*np.asarray(places_m).T)
     (a, b), (c, d) = cut.turn
     x, y, z = forces_n
@@ -361,7 +325,7 @@ def _driving(
 
 
 def _shapes_at(nodes_m: Float[ndarray, " x"], at_m: Float[ndarray, " n"]) -> Float[ndarray, "n x"]:
-    """Values of the elements' quadratic shapes at places; none beyond the last node."""
+    """Values of the elements' quadratic shapes; 0 beyond the last node."""
     sides = nodes_m[::2]
     element = np.clip(np.searchsorted(sides, at_m, side="right") - 1, 0, len(sides) - 2)
     t = 2 * (at_m - sides[element]) / (sides[element + 1] - sides[element]) - 1
@@ -378,7 +342,7 @@ def _grid_shapes(nodes: tuple[float, ...]) -> Float[ndarray, "n x"]:
 
 
 def _added(response: CutResponse, jump: ndarray) -> ndarray:
-    """Motion on the plane's grid behind and before the cut ``[2 3 x s]``."""
+    """Motion on the plane's grid behind and before the cut."""
     at = _grid_shapes(tuple(response.x_m.tolist()))
     sides = []
     for parity in (_parity(len(response.cut_z_m)), np.ones((3, jump.shape[1]))):

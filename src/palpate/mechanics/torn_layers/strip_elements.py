@@ -1,13 +1,12 @@
 """Finite elements across a stack of layers for motion that is a wave along it.
 
-A motion (U, i V, W)(x, z) exp(i k y) on the half strip x > 0, z from the surface down, strains by
+A motion (U, i V, W)(x, z) exp(i k y) on the half strip x > 0 has strains
 
     xx = U,x    yy = -k V    zz = W,z    xy = k U + V,x    yz = k W + V,z    xz = U,z + W,x,
 
-(shear strains of engineering; xy and yz times i), so that the stiffness is real and K0 + k K1 + k^2 K2.
-Rectangles of nine nodes; the change of volume is projected on what is linear within each (Q2-P1), which keeps
-them from locking near Poisson's ratio 1/2 (D. Boffi, F. Brezzi and M. Fortin, Mixed Finite Element Methods
-and Applications, 2013, section 8.6.3, doi:10.1007/978-3-642-36519-5).
+so the stiffness is real and K0 + k K1 + k^2 K2. Elements are Q2-P1 against volumetric locking (D. Boffi, F.
+Brezzi and M. Fortin, Mixed Finite Element Methods and Applications, 2013, section 8.6.3,
+doi:10.1007/978-3-642-36519-5).
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ class StripMesh:
     """Rectangles of nine nodes; node (column, row) has the number column * rows + row.
 
     Attributes:
-        sides_m: of the elements along x, from 0 ``[nx + 1]`` [m].
-        levels_m: of the elements along z, from 0, the surface, to the rigid floor ``[nz + 1]`` [m].
-        mu_pa, lambda_pa: Lame's constants of each row of elements ``[nz]`` [Pa].
+        sides_m: Element sides along x, from 0 [m].
+        levels_m: Element sides along z, from the surface to the rigid floor [m].
+        mu_pa, lambda_pa: Lamé constants of each row [Pa].
     """
 
     sides_m: Columns
@@ -48,12 +47,10 @@ class StripMesh:
 
     @property
     def x_m(self) -> Columns:
-        """Columns of nodes [m]."""
         return _with_middles(self.sides_m)
 
     @property
     def z_m(self) -> Rows:
-        """Rows of nodes [m]."""
         return _with_middles(self.levels_m)
 
     @property
@@ -62,7 +59,7 @@ class StripMesh:
         return 3 * len(self.x_m) * len(self.z_m)
 
     def unknowns(self, column: int, part: int) -> Int[ndarray, " z"]:
-        """U (0), V (1) or W (2) of a column of nodes, from the surface down."""
+        """U (0), V (1), or W (2) of a column of nodes, from the surface down."""
         rows = len(self.z_m)
         return 3 * (column * rows + np.arange(rows)) + part
 
@@ -86,11 +83,7 @@ def _with_middles(edges: ndarray) -> ndarray:
 
 
 def graded(first_m: float, growth: float, last_m: float, end_m: float) -> Columns:
-    """Sides of elements from 0 to an end that grow from a first to a last size [m].
-
-    Raises:
-        InputError: sizes that are not positive or a growth below 1.
-    """
+    """Return element sides from 0 to an end that grow from a first to a last size [m]."""
     if not (0 < first_m <= last_m <= end_m and growth >= 1):
         raise InputError(
             f"elements from {first_m:g} to {last_m:g} m, growing by {growth:g}, up to {end_m:g} m; give "
@@ -104,17 +97,13 @@ def graded(first_m: float, growth: float, last_m: float, end_m: float) -> Column
 
 
 class StripStiffness:
-    """Stiffness of a mesh at any wavenumber along the strip.
-
-    Args:
-        mesh: of the half strip.
-    """
+    """Stiffness of a mesh at any wavenumber along the strip."""
 
     def __init__(self, mesh: StripMesh) -> None:
         self.mesh = mesh
 
     def at(self, k: float) -> Matrix:
-        """Stiffness per length along y, for a wavenumber [1/m]: twice the mean energy is u.K.u."""
+        """Stiffness per length along y at a wavenumber [1/m]."""
         constant, linear, square = self._powers
         return sparse.csc_matrix(constant + k * linear + k**2 * square)
 
@@ -152,7 +141,7 @@ def _shapes(at: float) -> tuple[ndarray, ndarray]:
 
 
 def _element(wide: float, high: float, mu: float, lam: float) -> Sequence[ndarray]:
-    """Stiffness of one rectangle, for the powers 0, 1 and 2 of k."""
+    """Stiffness of one rectangle, for the powers 0, 1, and 2 of k."""
     weights = mu * np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
     stiff = [np.zeros((27, 27)) for _ in range(3)]
     grown, mass = [np.zeros((3, 27)), np.zeros((3, 27))], np.zeros((3, 3))

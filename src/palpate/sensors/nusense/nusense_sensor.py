@@ -1,9 +1,8 @@
-"""NUSense under the contract of every sensor, and the truth of its control points.
+"""NUSense as a `Sensor`, ground truth of its control points, and plans of the thesis's experiments (chapter
+4).
 
-Plans of the thesis's experiments (chapter 4), as fields of a plan's file.
-
-A plan turns round at a force or at the depth that the pad is known to, whichever comes first. Where the
-thesis names no number, such as the speed of a calibration, the usual one of its hysteresis is taken.
+A plan turns around at a force or the pad's known depth, whichever comes first. Speeds that the thesis does
+not state are those of its hysteresis experiment.
 """
 
 from __future__ import annotations
@@ -45,13 +44,13 @@ from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
 from palpate.sensors.nusense.press_levels import PressLevels, goes_straight_down
 from palpate.sensors.nusense.torn_pad import TornMotion, torn_contact, torn_motion, torn_view
 
-SPEED_MM_S = 0.5  # the thesis's hysteresis, section 4.4
+SPEED_MM_S = 0.5  # speed of the hysteresis experiment, section 4.4
 MIDDLE: Mapping[str, Any] = {"kind": "listed", "at_mm": [[0.0, 0.0]]}
 COLUMNS, ROWS, APART_MM = 6, 4, (6.4, 7.0)
 ANGLES_DEG = tuple(range(0, 180, 15))
 EDGE_MM = 25
 FIRM_TAPS: Mapping[str, Any] = {"taps": 8, "tap_N": 4.0}
-"""Of flat and long tips: taps of the usual 0.5 N are too short on them to set the clocks by."""
+"""Taps of flat and long tips; 0.5 N taps are too short on them for clock synchronization."""
 _SWEPT: Mapping[str, Any] = {
     "kind": "swept",
     "speed_mm_s": SPEED_MM_S,
@@ -64,7 +63,7 @@ _SWEPT: Mapping[str, Any] = {
 
 
 def _grid() -> Mapping[str, Any]:
-    """The 24 places: 6 x 4, 6.4 mm apart along x and 7 mm along y."""
+    """24 positions: 6 x 4, 6.4 mm apart along x and 7 mm along y."""
     return {
         "kind": "listed",
         "at_mm": [
@@ -91,7 +90,7 @@ DEFAULT_PLAN: Mapping[str, Any] = {
     "threshold_N": 0.1,
     "reference_frames": 12,
 }
-"""Depth, force and place together, for a calibration of all of them."""
+"""Plan for a calibration of depth, force, and position together."""
 
 PLANS: Mapping[str, Mapping[str, Any]] = {
     "nusense-force": _swept("nusense-force", 8.0, indenters=["flat", "round"], cycles=5, **FIRM_TAPS),
@@ -112,21 +111,21 @@ PLANS: Mapping[str, Mapping[str, Any]] = {
 
 REGION = "pad"
 ABOVE_THE_TILES = 2  # layers
-SOFT_GEL_PA = 0.1e6  # of the preset "soft"
-ARM_M = 0.033e-3  # spread of a place: a third of the arm's repeatability
-BEYOND = 1 + 1e-9  # of the known depth: what rounding may add
+SOFT_GEL_PA = 0.1e6  # gel of the preset "soft"
+ARM_M = 0.033e-3  # standard deviation of a position: a third of the arm's repeatability
+BEYOND = 1 + 1e-9  # tolerance of the known depth for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TileCorners:
-    """True places of the lattice's inner corners, where four tiles meet.
+    """True positions of the lattice's inner corners, where four tiles meet.
 
     Attributes:
-        cells: (column, row) of the tile whose corner at +x and +y it is, from 0 ``[n 2]``.
-        rest_m: on the resting skin, (x, y) from the pad's centre ``[n 2]`` [m].
-        skin_m: where they are now: (x, y, z), z from the resting pattern towards the camera ``[n 3]`` [m].
-        seen_m: (x, y) where their ray meets the resting pattern ``[n 2]`` [m]: what the camera tells of them.
-        places_px: in the image, (x, y) ``[n 2]`` [px].
+        cells: (column, row) of the tile whose corner at +x and +y it is.
+        rest_m: Position on the resting pad from its centre [m].
+        skin_m: Present position, z from the resting pattern towards the camera [m].
+        seen_m: Intersection of the ray with the resting pattern [m].
+        places_px: Position in the image [px].
     """
 
     cells: Int[ndarray, "n 2"]
@@ -141,9 +140,8 @@ class NuSense:
     """NUSense of a spec.
 
     Attributes:
-        spec: every number of it.
-        live: whether a round tip's presses straight down are laid between some that are solved once, and
-            noise is drawn from a table, so that a frame takes a fifth of the time.
+        live: Whether to interpolate straight presses of a round tip and draw noise from a table, which is
+            five times as fast.
     """
 
     spec: NuSenseSpec = field(default_factory=NuSenseSpec)
@@ -172,47 +170,36 @@ class NuSense:
 
     @property
     def moves(self) -> Literal["probe", "sensor"]:
-        """An arm presses the sensor onto indenters."""
         return "sensor"
 
     @property
     def outline(self) -> Outline:
-        """The part that is touched."""
         return Outline.rectangle(*self.spec.effective_m)
 
     @property
     def axes(self) -> ImageAxes:
-        """Axes in the image's middle: x to the right, y upwards."""
+        """Axes in the image's middle: x to the right, y up."""
         scale = self.spec.lens.focal_px[0] / self.spec.camera_m
         return ImageAxes(REGION, (scale, 0.0), (0.0, -scale))
 
     @property
     def default_probe(self) -> str:
-        """The round tip of 5 mm radius."""
         return "round"
 
     def regions(self) -> Mapping[str, Box]:
-        """The part of the frame that shows the pad."""
         window = pad_window(self.spec, (0.0, 0.0))
         return {REGION: (window.left, window.top, window.right - window.left, window.bottom - window.top)}
 
     def probe(self, words: str) -> Probe:
-        """An indenter from words; see `parse_indenter`."""
         return parse_indenter(words)
 
     def specimen(self, words: str) -> Specimen | None:
-        """None: indenters are rigid."""
         parse_indenter(words)
         return None
 
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
     ) -> Contact:
-        """Press a rigid indenter; see `pad_contact`.
-
-        Raises:
-            RangeError: deeper than is known, beside the pad, or a specimen that yields.
-        """
         if not is_rigid(specimen):
             raise RangeError(
                 "NUSense is pressed by rigid indenters; a specimen that yields is not modelled",
@@ -249,26 +236,25 @@ class NuSense:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Depth at the greatest force or the greatest depth, whichever comes first [m]."""
+        """Depth at the maximum force or depth, whichever comes first [m]."""
         if not is_rigid(specimen):
             return 0.0
         return greatest_depth_m(self.spec.layers.stack, probe, self.spec.max_depth_m, self.spec.max_force_n)
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
-        """The camera's frame of the tiles."""
         view = self.view(contact, seating.shift_px)
         image = (exposed_by_table if self.live else exposed)(self.spec, view, rng, seating.light)
         return Frame(image, exposure_s=self.exposure_s, sensor=self.name)
 
     def view(self, contact: Contact, shift_px: tuple[float, float] = (0.0, 0.0)) -> Float[ndarray, "h w 3"]:
-        """The frame without noise [grey levels]."""
+        """Frame without noise [grey levels]."""
         motion, tear = self.motion(contact), self.spec.tear
         if tear is None or isinstance(motion, PatternMotion):
             return clean_view(self.spec, motion if isinstance(motion, PatternMotion) else None, shift_px)
         return torn_view(self.spec, tear, motion, shift_px)
 
     def motion(self, contact: Contact) -> PatternMotion | TornMotion | None:
-        """Motion of the tiles' lower face under a contact; None for a pad at rest."""
+        """Motion of the tiles' lower face; None at rest."""
         if contact.force_n == 0:
             return None
         if self.spec.tear is not None:
@@ -278,7 +264,7 @@ class NuSense:
         return pattern_motion(self.spec.layers.stack, ABOVE_THE_TILES, contact)
 
     def tile_corners(self, contact: Contact, seating: Seating = SEATED) -> TileCorners:
-        """True places of all inner corners of the lattice under a contact."""
+        """True positions of all inner corners under a contact."""
         pattern, D = self.spec.pattern, self.spec.camera_m
         columns, rows = np.meshgrid(np.arange(pattern.columns - 1), np.arange(pattern.rows - 1))
         cells = np.column_stack([columns.ravel(), rows.ravel()])
@@ -291,11 +277,7 @@ class NuSense:
         return TileCorners(cells, rest, skin, seen, seen_px(self.spec, skin, seating.shift_px))
 
     def rectify(self, frame: Frame) -> Frame:
-        """The frame as a pinhole of the same axis and scale sees it.
-
-        Raises:
-            ImageError: a frame of another size.
-        """
+        """Frame of a pinhole camera with the same axis and scale."""
         import cv2
 
         lens = self.spec.lens
@@ -308,7 +290,7 @@ class NuSense:
         return replace(frame, image=image)
 
     def shear_skin(self) -> TiledSkin:
-        """What the reader of shear takes as known of it: pattern, camera, lens and layers."""
+        """Known properties for the shear reader: pattern, camera, lens, and layers."""
         spec = self.spec
         contact = self.press(self.probe(self.default_probe), Pose(0.0, 0.0, spec.max_depth_m / 2))
         moved = pattern_motion(spec.layers.stack, ABOVE_THE_TILES, contact).moved_m
@@ -324,11 +306,10 @@ class NuSense:
         )
 
     def for_live(self) -> NuSense:
-        """The same, drawn from presses that are solved once, with noise from a table."""
         return replace(self, live=True)
 
     def draw_ahead(self, highest_m: float, deepest_m: float) -> None:
-        """Solve the presses that live frames are laid between, and draw one of each kind."""
+        """Solve the presses that live frames interpolate, and render one of each kind."""
         if not self.live:
             return
         probe, rng = self.probe(self.default_probe), np.random.default_rng(0)
@@ -341,25 +322,19 @@ class NuSense:
         return PressLevels(self.spec.layers.stack, ABOVE_THE_TILES, probe, self.known_depth_m(probe))
 
     def default_plan(self) -> Mapping[str, Any]:
-        """Places of the thesis's localisation, pressed in steps by the round tip."""
         return DEFAULT_PLAN
 
     def plans(self) -> Mapping[str, Mapping[str, Any]]:
-        """The thesis's other experiments."""
         return PLANS
 
     def variation(self) -> Mapping[str, Any]:
-        """Memory of the pad, and an arm that repeats to 0.1 mm as the thesis has it, taken as three sigma."""
+        """Relaxation of the pad, and the arm's repeatability of 0.1 mm as three sigma."""
         return {"relaxation": self.spec.relaxation, "place_m": ARM_M, "tilt_rad": (0.0, 0.0)}
 
 
 def nusense(preset: str = "") -> NuSense:
-    """NUSense as designed; "soft" with half the gel's modulus, "torn" with a cut skin, a number for a copy.
-
-    "torn-7" is copy 7 as fabricated with the cut.
-
-    Raises:
-        InputError: another preset.
+    """Return NUSense as designed, "soft" with half the gel's modulus, "torn" with a cut, or unit "7" or
+    "torn-7".
     """
     spec = NuSenseSpec()
     if preset == "soft":

@@ -1,8 +1,8 @@
-"""Every number of NUSense: a layered silicone pad with a tiled layer that a fisheye camera sees from below.
+"""Specification of NUSense: a layered silicone pad with a tiled layer that a fisheye camera sees from below.
 
-Source "N": the thesis "NUSense: Shear Based Robust Optical Tactile Sensor". What it does not tell is marked
-assumed. Moduli of Sorta-Clear 18 are read off its Shore hardness (A 18) by A. N. Gent, Rubber Chem. Technol.
-31, 896 (1958), doi:10.5254/1.3542351.
+Source "N": the thesis "NUSense: Shear Based Robust Optical Tactile Sensor". Other values are assumed. Moduli
+of Sorta-Clear 18 follow from its Shore hardness (A 18) by A. N. Gent, Rubber Chem. Technol. 31, 896 (1958),
+doi:10.5254/1.3542351.
 """
 
 from __future__ import annotations
@@ -16,24 +16,22 @@ from palpate.core import Lens, RangeError
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 
 SORTA_CLEAR_18_PA = 0.66e6
-POISSON = 0.499
-"""Of every silicone: assumed, nearly incompressible."""
+POISSON = 0.499  # Poisson's ratio of every silicone (assumed)
 
 
 @dataclass(frozen=True, slots=True)
 class PadLayers:
-    """Layers of the pad from the outside in, on glass that does not yield.
+    """Layers of the pad from the outside in, on rigid glass.
 
     Attributes:
-        outer_m: of the black Sorta-Clear 18 that is touched [m]. Assumed.
-        colour_m: of the tiled layer below it [m]; its lower face is what the camera sees. Assumed.
-        gel_m: of the soft clear gel RTV27905 [m]. N: 2.2 mm.
-        clear_m: of the clear layer that seals the gel [m]. Assumed.
-        pdms_m: of the PDMS that holds the pad on the glass [m]. Assumed.
-        rubber_pa: Young's modulus of the outer, tiled and clear layers [Pa]: Sorta-Clear 18, by hardness.
-        gel_pa: of the gel [Pa]. Assumed: so soft that 8 N under the round tip are 1.7 mm.
-        pdms_pa: of the PDMS [Pa]. Assumed: Sylgard 184's usual 1.8 MPa.
-        poisson_ratio: of all of them. Assumed.
+        outer_m: Thickness of the black Sorta-Clear 18 [m].
+        colour_m: Thickness of the tiled layer, whose lower face the camera sees [m].
+        gel_m: Thickness of the soft clear gel RTV27905 [m]. N: 2.2 mm.
+        clear_m: Thickness of the clear layer that seals the gel [m].
+        pdms_m: Thickness of the PDMS on the glass [m].
+        rubber_pa: Modulus of outer, tiled, and clear layers [Pa].
+        gel_pa: Modulus of the gel [Pa], for 1.7 mm at 8 N under the round tip.
+        pdms_pa: Modulus of the PDMS [Pa], Sylgard 184's usual 1.8 MPa.
     """
 
     outer_m: float = 0.8e-3
@@ -48,12 +46,11 @@ class PadLayers:
 
     @property
     def pattern_depth_m(self) -> float:
-        """Depth of the tiles' lower face below the touched surface [m]."""
+        """Depth of the tiles' lower face below the surface [m]."""
         return self.outer_m + self.colour_m
 
     @property
     def stack(self) -> Stack:
-        """The layers as the contact mechanics takes them."""
         rows = (
             (self.outer_m, self.rubber_pa),
             (self.colour_m, self.rubber_pa),
@@ -66,16 +63,14 @@ class PadLayers:
 
 @dataclass(frozen=True, slots=True)
 class TilePattern:
-    """Checkerboard of red and yellow tiles about the pad's centre; its sides run along x and y.
+    """Checkerboard of red and yellow tiles around the pad's centre, aligned with x and y.
 
     Attributes:
-        pitch_m: side of a tile [m]. Assumed.
-        columns, rows: of tiles. Assumed: they fill the 50 x 38 mm in which N's pad is touched with 168
-            yellow tiles, where N counts 164 quadrilaterals.
-        offset_m: of the pattern's centre beside the pad's, along x and y [m]; 0 by design.
-        scale: of the pattern as cast over its design.
-        yellow, red: reflectance in the camera's red, green and blue, of 1. Assumed.
-        border: the same of the black rubber around. Assumed.
+        pitch_m: Side of a tile [m].
+        columns, rows: Number of tiles, which fill N's 50 x 38 mm with 168 yellow tiles; N counts 164.
+        offset_m: Offset of the pattern's centre [m].
+        scale: Scale of the pattern as cast over its design.
+        yellow, red, border: Reflectance in the camera's red, green, and blue, 0 to 1.
     """
 
     pitch_m: float = 2.4e-3
@@ -95,16 +90,16 @@ class TilePattern:
 
 @dataclass(frozen=True, slots=True)
 class PadLight:
-    """White light from LEDs through four diffused edges, and what the camera makes of it.
+    """White light through four diffused edges, and the camera's response.
 
     Attributes:
-        level: grey level of a white surface in the pad's middle. Assumed.
-        edge_share: how much brighter it is at an edge, of that level. N: LEDs at four edges; size assumed.
-        edge_m: over which an edge's light fades [m]. Assumed.
-        sides: brightness of the edges at +x, -x, +y, -y over their mean. Assumed.
-        blur_px: standard deviation of the lens blur [px]. Assumed.
-        read_noise: of a pixel in the dark, standard deviation [grey levels]. Assumed.
-        shot_noise: variance that a grey level adds [grey levels]. Assumed.
+        level: Grey level of a white surface in the middle.
+        edge_share: Additional brightness at an edge over that level.
+        edge_m: Decay length of an edge's light [m].
+        sides: Relative brightness of the edges at +x, -x, +y, -y.
+        blur_px: Standard deviation of the lens blur [px].
+        read_noise: Standard deviation in the dark [grey levels].
+        shot_noise: Variance per grey level [grey levels].
     """
 
     level: float = 210.0
@@ -118,17 +113,14 @@ class PadLight:
 
 @dataclass(frozen=True, slots=True)
 class Tear:
-    """A straight cut in the skin, from the touched surface down. N tells that a pad was cut, and no size.
+    """A straight cut from the surface down. N mentions a cut pad without sizes.
 
     Attributes:
-        at_m: middle of the cut, (x, y) from the pad's centre [m]. Assumed: beside a tip in the middle.
-        turn_rad: of its line from x towards y [rad]. Assumed.
-        length_m: of the cut [m]. Assumed.
-        depth_m: of the cut [m]. Assumed: through the black and the tiled layer and 0.3 mm into the gel. One
-            that ends above the tiles' lower face is not seen, and still changes how they move.
-        gap_m: between the faces in the middle of its length, at rest [m]. Assumed: what a blade takes away.
-        behind: reflectance of what is seen through the opening. Assumed: as dark as a probe that no light
-            reaches.
+        at_m: Middle of the cut (x, y) [m].
+        turn_rad: Direction from x towards y [rad].
+        depth_m: Depth [m]; a cut that ends above the tiles' lower face is invisible but moves them.
+        gap_m: Opening in the middle at rest [m].
+        behind: Reflectance seen through the opening.
     """
 
     at_m: tuple[float, float] = (4e-3, 1e-3)
@@ -155,31 +147,22 @@ FISHEYE = Lens(
     math.radians(80.0),
     "nusense-fisheye",
 )
-"""Assumed: 110 degrees across 640 px. N names the camera, a HBVCAM-3M2111WA, and no number of its lens."""
+"""Assumed: 110 degrees across 640 px. N states the camera, a HBVCAM-3M2111WA, without lens data."""
 
 
 @dataclass(frozen=True, slots=True)
 class NuSenseSpec:
-    """The sensor.
-
-    The camera's image has x to the right and the skin's y upwards: it looks at the pattern from below. Rays
-    are straight; what glass and gel bend is taken as part of the lens, as a calibration through them has it.
+    """NUSense. The image has x to the right and y up; refraction is part of the lens.
 
     Attributes:
-        pad_m: size of the pad along x and y [m]. N: 55 x 43 mm.
-        effective_m: of the part that is touched [m]. N: 50 x 38 mm.
-        camera_m: distance of the lens from the resting pattern [m]. N: 55 mm from the elastomer's surface.
-        layers, pattern, light, lens: see there.
-        tear: of the skin; None for a whole pad.
-        rate_hz: frames a second. N: 12.
-        exposure_s: of a frame [s]. Assumed.
-        friction: Coulomb's, of an indenter on the pad. Assumed: the virtual rig's.
-        relaxation: for each branch of the pad's memory its share of the relaxed modulus, and its time [s].
-            Assumed.
-        max_depth_m: deepest press that is answered [m]. Assumed: what small strain bears, see the
-            explanation.
-        max_force_n: largest force that is answered [N]. N: up to 8 N; a press overshoots.
-        name: goes into each frame.
+        pad_m: Size of the pad [m]. N: 55 x 43 mm.
+        effective_m: Size of the touched part [m]. N: 50 x 38 mm.
+        camera_m: Distance of the lens from the resting pattern [m]. N: 55 mm from the elastomer.
+        rate_hz: Frame rate. N: 12.
+        friction: Coulomb coefficient of an indenter on the pad.
+        relaxation: (fraction of the relaxed modulus, time [s]) of each branch.
+        max_depth_m: Maximum depth, limited by small strain [m].
+        max_force_n: Maximum force [N]. N: 8 N.
     """
 
     pad_m: tuple[float, float] = (55e-3, 43e-3)
@@ -216,18 +199,10 @@ class NuSenseSpec:
 
 
 def fabricated(copy: int, spec: NuSenseSpec | None = None) -> NuSenseSpec:
-    """One of many pads made alike: the same number, the same pad.
+    """Return one of many units made alike; the number is the seed.
 
-    Moduli and the pattern's place vary as hand-cast silicone does: moduli of rubber and gel by 10 %,
-    thicknesses by 5 %, the pattern by 0.3 mm and its scale by 0.5 %; standard deviations, assumed, and cut
-    off at twice their size.
-
-    Args:
-        copy: its number, 0 or more.
-        spec: what was designed; None for `NuSenseSpec()`.
-
-    Raises:
-        RangeError: a negative number.
+    Standard deviations (assumed, truncated at two): moduli of rubber and gel 10 %, thicknesses 5 %, pattern
+    0.3 mm and its scale 0.5 %.
     """
     if copy < 0:
         raise RangeError(f"copy {copy}; copies are numbered from 0")

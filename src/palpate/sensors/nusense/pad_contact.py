@@ -1,8 +1,7 @@
-"""Contact of an indenter with the pad: pressure, then friction along the pad.
+"""Contact of an indenter with the pad: pressure, then friction.
 
-The layers are endless along x and y, so a contact is the same at every place and is solved on a grid about
-the probe's axis. Cells are as fine as the contact is narrow, by powers of two of the cells in which the
-pattern's motion is computed.
+The layers are unbounded along x and y, so a contact is solved on a grid around the probe's axis. Cells are
+refined by powers of two for narrow contacts.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from palpate.mechanics.layers.stack_friction import shear_stack
 from palpate.sensors.nusense.pad_indenters import gap_under, is_round, reaches, steepness
 
 PATTERN_CELL_M = 0.4e-3
-HALVINGS = 4  # of that cell, at most
-SIDE = 96  # cells along a round contact's grid
-BLOCK = 32  # by which the grid of a long one grows
-ROOM = 1.15  # of the contact's greatest reach
-LIGHTEST = 1.2  # by which a depth grows that is too light for the cells, until they resolve it
-HELD = 0.98  # of friction: a load beyond it slides
+HALVINGS = 4  # maximum halvings of that cell
+SIDE = 96  # grid side of a round contact, in cells
+BLOCK = 32  # grid increment of a long contact, in cells
+ROOM = 1.15  # grid size over the contact's reach
+LIGHTEST = 1.2  # growth factor of a depth that the cells do not resolve
+HELD = 0.98  # fraction of the friction limit beyond which a load slides
 MODEL = "rigid indenter, bonded linear layers, small strain, Coulomb friction after the normal press"
 
 Columns = Float[ndarray, " nx"]
@@ -34,12 +33,7 @@ Rows = Float[ndarray, " ny"]
 
 
 class RelaxedPress(NamedTuple):
-    """A press of the relaxed pad.
-
-    Attributes:
-        solved: the contact, which is deeper than asked for where cells resolve no lighter one.
-        scale: of the load, over that.
-    """
+    """Press of the relaxed pad, and the load's scale where cells only resolve a deeper one."""
 
     solved: StackContact
     scale: float
@@ -47,7 +41,7 @@ class RelaxedPress(NamedTuple):
 
 @lru_cache(maxsize=64)
 def grid_about(probe: Probe, depth_m: float) -> tuple[Columns, Rows]:
-    """Cells about a probe's axis that hold its contact [m]."""
+    """Return cells around a probe's axis that hold its contact [m]."""
     if is_round(probe):
         half = ROOM * max(reaches(probe, depth_m))
         cell = PATTERN_CELL_M / 2
@@ -64,11 +58,7 @@ def grid_about(probe: Probe, depth_m: float) -> tuple[Columns, Rows]:
 
 @lru_cache(maxsize=128)
 def relaxed_press(stack: Stack, probe: Probe, depth_m: float) -> RelaxedPress:
-    """The relaxed pad at a depth above 0 [m].
-
-    Raises:
-        RangeError: the contact does not fit the grid or the cells at any depth.
-    """
+    """Press the relaxed pad to a depth above 0 [m] (cached)."""
     try:
         return RelaxedPress(_pressed(stack, probe, depth_m), 1.0)
     except RangeError:
@@ -82,7 +72,7 @@ def _pressed(stack: Stack, probe: Probe, depth_m: float) -> StackContact:
 
 
 def _lightest_m(stack: Stack, probe: Probe, depth_m: float) -> float:
-    """The lightest press from a depth on that the cells resolve [m]."""
+    """Smallest resolved depth from a depth on [m]."""
     whole = stack.thickness_m / 4
     trial, last = depth_m, RangeError("no depth")
     while trial < whole:
@@ -96,11 +86,10 @@ def _lightest_m(stack: Stack, probe: Probe, depth_m: float) -> float:
 
 
 def pad_contact(stack: Stack, friction: float, probe: Probe, pose: Pose, history: PressHistory) -> Contact:
-    """The contact of a probe at a pose.
+    """Return the contact of a probe at a pose.
 
-    A remembering pad carries its stiffening times the relaxed tractions at the same displacement: all
-    layers relax alike. The probe is pressed first and shifted then, in one go, to the last place of the path
-    or until it carries the lateral force; a force beyond friction slides, with friction times the pressure.
+    A viscoelastic pad multiplies the relaxed tractions by its stiffening. The probe is pressed, then shifted
+    monotonically to the last point of the path or the lateral force; beyond friction it slides.
     """
     if not pose.depth_m > 0:
         return _nothing(probe, pose, history)
@@ -127,7 +116,7 @@ def pad_contact(stack: Stack, friction: float, probe: Probe, pose: Pose, history
 def _sheared(
     stack: Stack, friction: float, probe: Probe, depth_m: float, relaxed: RelaxedPress, history: PressHistory
 ) -> tuple[Float[ndarray, "2 ny nx"] | None, tuple[float, float], float]:
-    """Shear [Pa], force [N] and moment [N m] of the probe on the pad; nothing for a press straight down."""
+    """Shear [Pa], force [N], and moment [N m] of the probe on the pad."""
     scale = relaxed.scale * history.stiffening
     if history.lateral_n is not None:
         load = (history.lateral_n[0] / scale, history.lateral_n[1] / scale)
@@ -184,7 +173,7 @@ def _nothing(probe: Probe, pose: Pose, history: PressHistory) -> Contact:
 
 
 def greatest_depth_m(stack: Stack, probe: Probe, max_depth_m: float, max_force_n: float) -> float:
-    """The deepest press within a depth and a force [m]."""
+    """Return the maximum depth within a depth and a force limit [m]."""
     if relaxed_press(stack, probe, max_depth_m).solved.force_n <= max_force_n:
         return max_depth_m
     low, high = 0.0, max_depth_m

@@ -1,4 +1,4 @@
-"""Indenters of NUSense: from words to a probe, and from a probe to the gap that the mechanics press."""
+"""Indenters of NUSense: parsing, and gap to the pad."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from palpate.core import Field, Float, InputError, Probe, ndarray
 from palpate.mechanics.layers import indenters
 
-EDGE_RADIUS_M = 2e-3  # of the long tip's rounded edge. Assumed.
-ROUNDED = 0.1  # radius of a flat tip's rounded rim over its own radius. Assumed.
+EDGE_RADIUS_M = 2e-3  # edge radius of the long tip (assumed)
+ROUNDED = 0.1  # rim radius of a flat tip over its radius (assumed)
 
 WORDS = {
     "sphere": "sphere:DIAMETER_MM",
@@ -26,10 +26,7 @@ Axis = Float[ndarray, " _"]
 
 
 def parse_indenter(words: str) -> Probe:
-    """A probe from words: ``round`` and ``flat`` (tips of 5 mm radius), ``edge:30:60``, ``two-points:4:12``.
-
-    Raises:
-        InputError: other words, or sizes that are not positive.
+    """Parse an indenter: ``round`` and ``flat`` (tips of 5 mm radius), ``edge:30:60``, ``two-points:4:12``.
 
     Example:
         >>> parse_indenter("round").radius_m
@@ -58,11 +55,7 @@ def parse_indenter(words: str) -> Probe:
 
 
 def gap_under(probe: Probe, x_m: Axis, y_m: Axis) -> Field:
-    """Height of a probe over the flat skin at first touch, its axis at 0 [m].
-
-    Raises:
-        InputError: a shape that NUSense does not know, or a probe that leans.
-    """
+    """Return the height of a probe over the flat pad at first touch, with its axis at 0 [m]."""
     if probe.tilt_rad:
         raise InputError(
             "an indenter that leans on NUSense is not modelled; hold it upright", code="inclined-indenter"
@@ -83,7 +76,7 @@ def gap_under(probe: Probe, x_m: Axis, y_m: Axis) -> Field:
 
 
 def reaches(probe: Probe, depth_m: float) -> tuple[float, float]:
-    """Half the sides of a box that holds any contact of a probe at a depth, along x and y [m]."""
+    """Return half the sides of a box around any contact at a depth [m]."""
     if probe.shape == "punch":
         return probe.radius_m, probe.radius_m
     wide = math.sqrt(2 * probe.radius_m * min(depth_m, probe.radius_m))
@@ -92,10 +85,10 @@ def reaches(probe: Probe, depth_m: float) -> tuple[float, float]:
 
 
 def steepness(probe: Probe) -> float:
-    """Power of the depth by which force grows in the lightest touch."""
+    """Return the exponent of force over depth in the lightest touch."""
     return {"punch": 1.0, "cylinder": 1.1}.get(probe.shape, 1.5)
 
 
 def is_round(probe: Probe) -> bool:
-    """True for a probe that looks the same from every side."""
+    """Return whether a probe is rotationally symmetric."""
     return bool(np.isclose(probe.length_m, 0.0))

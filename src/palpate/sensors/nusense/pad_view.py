@@ -1,12 +1,8 @@
-"""Camera's view of the tiles: where a tile's corner falls on the image, and which tile a pixel shows.
+"""Camera's view of the tiles, and position of tile corners in the image.
 
-A tile that rests at X is seen by a ray that meets the resting pattern at P, where
-
-    X + u(X) = P (1 - w(X) / D),
-
-with u and w its motion along the pad and towards the camera, D the camera's distance. The inverse map P -> X
-is solved by iterating X <- P (1 - w / D) - u, on every other pixel, and laid through the others by a cubic
-spline. Edges of tiles are then drawn by how much of a pixel lies on either side.
+A tile at rest at X is seen by a ray that meets the resting pattern at P, where X + u(X) = P (1 - w(X) / D),
+with motion u along the pad and w towards the camera at distance D. The inverse map P -> X is a fixed-point
+iteration on every third pixel with cubic interpolation; tile edges are anti-aliased.
 """
 
 from __future__ import annotations
@@ -24,11 +20,11 @@ from palpate.optics.table_noise import normal_table, table_draws
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec
 from palpate.sensors.nusense.pattern_motion import PatternMotion
 
-NODE_PX = 3  # between pixels for which the inverse map is solved
+NODE_PX = 3  # pixel step of the inverse map
 ITERATIONS = 60
 SETTLED_M = 1e-8
 BORDER_PX = 6
-BACKGROUND = 4.0  # grey level of the housing around the pad. Assumed.
+BACKGROUND = 4.0  # grey level of the housing (assumed)
 
 Places = Float[ndarray, "*n 2"]
 
@@ -36,14 +32,14 @@ Places = Float[ndarray, "*n 2"]
 def seen_px(
     spec: NuSenseSpec, skin_m: Float[ndarray, "n 3"], shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> Places:
-    """Places in the image of points (x, y, z), z from the resting pattern towards the camera [px]."""
+    """Return image positions of points (x, y, z), z from the resting pattern towards the camera [px]."""
     x, y, z = skin_m.T
     points = np.stack([x, -y, spec.camera_m - z], axis=-1)
     return np.asarray(spec.lens.project(points) + np.array(shift_px))
 
 
 def on_pattern_m(spec: NuSenseSpec, places_px: Places, shift_px: tuple[float, float] = (0.0, 0.0)) -> Places:
-    """Where rays of places in the image meet the resting pattern, (x, y); NaN for none [m]."""
+    """Return where rays of image positions meet the resting pattern [m]; NaN for none."""
     rays = spec.lens.rays(places_px - np.array(shift_px))
     with np.errstate(divide="ignore", invalid="ignore"):
         flat = spec.camera_m * rays[..., :2] / np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
@@ -54,9 +50,9 @@ class NodeSpline(NamedTuple):
     """Cubic spline through nodes along one side of the window.
 
     Attributes:
-        knots: coefficients of its B-splines by the nodes' values ``[n n]``.
-        first: of the four B-splines that reach a pixel.
-        weights: of these four.
+        knots: B-spline coefficients per node value.
+        first: First of the four B-splines of a pixel.
+        weights: Their weights.
     """
 
     knots: Float[ndarray, "n n"]
@@ -68,12 +64,10 @@ class PadWindow(NamedTuple):
     """Part of the image that shows the pad.
 
     Attributes:
-        left, top, right, bottom: its pixels.
-        nodes_m: where rays of the pixels meet the resting pattern for which the inverse map is solved
-            ``[rows columns 2]`` [m].
-        across, down: cubic splines through nodes, to all pixels along either side.
-        pixels_m: where all rays of the window do ``[2 h w]`` [m].
-        light: over the level, at every pixel ``[h w]``.
+        nodes_m: Points of the resting pattern on the rays of the inverse map's pixels [m].
+        across, down: Splines from these nodes to all pixels.
+        pixels_m: Points of the resting pattern on all rays [m].
+        light: Relative illumination.
     """
 
     left: int
@@ -89,7 +83,7 @@ class PadWindow(NamedTuple):
 
 @lru_cache(maxsize=64)
 def pad_window(spec: NuSenseSpec, shift_px: tuple[float, float]) -> PadWindow:
-    """The part of the image that shows the pad, with all that no contact changes."""
+    """Return the part of the image that shows the pad (cached)."""
     half = np.array(spec.pad_m) / 2
     signs = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
     corners = seen_px(spec, np.column_stack([signs * half, np.zeros(9)]), shift_px)
@@ -117,7 +111,7 @@ def _node_spline(nodes: Float[ndarray, " n"], at: ndarray) -> NodeSpline:
 
 
 def _light(spec: NuSenseSpec, at_m: Float[ndarray, "2 h w"]) -> Float[ndarray, "h w"]:
-    """Light on the pattern over that in its middle: what four edges send inwards, and the lens's fall-off."""
+    """Illumination over that in the middle, from four edges and the lens's fall-off."""
     lamp, (half_x, half_y) = spec.light, np.array(spec.pad_m) / 2
     x, y = at_m
     distances = (half_x - x, half_x + x, half_y - y, half_y + y)
@@ -132,7 +126,7 @@ def _light(spec: NuSenseSpec, at_m: Float[ndarray, "2 h w"]) -> Float[ndarray, "
 def rest_places(
     spec: NuSenseSpec, motion: PatternMotion | None, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> Float[ndarray, "2 h w"]:
-    """Resting places (x, y) of the tiles that each pixel of the window shows [m]."""
+    """Return the resting positions of the tiles that each pixel shows [m]."""
     window = pad_window(spec, shift_px)
     if motion is None:
         return window.pixels_m
@@ -143,7 +137,7 @@ def rest_places(
 
 
 def places_by_lag(window: PadWindow, lag: Float[ndarray, "2 rows columns"]) -> Float[ndarray, "2 h w"]:
-    """Resting places that pixels show, by how far those of the nodes lie from where their rays meet [m]."""
+    """Return the resting positions of pixels from the nodes' displacements [m]."""
     across, down = window.across, window.down
     knots = down.knots @ lag @ across.knots.T
     places: Float[ndarray, "2 h w"] = _laid_through(
@@ -155,7 +149,6 @@ def places_by_lag(window: PadWindow, lag: Float[ndarray, "2 rows columns"]) -> F
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _laid_through(knots, left, across, top, down, pixels):
-    """Pixels' own places plus the spline of the lag."""
     places = np.empty(pixels.shape)
     rows, height, width = knots.shape[1], pixels.shape[1], pixels.shape[2]
     along = np.empty((rows, width))
@@ -222,12 +215,12 @@ def _inverse(nodes, knots, x0, y0, cell, camera, iterations, settled):
 
 
 class TornRest(NamedTuple):
-    """What the pixels of the window show of a torn pad.
+    """What the pixels of a torn pad show.
 
     Attributes:
-        rest_m: resting places of the tiles they show ``[2 h w]`` [m].
-        open_share: share of each that shows the opening.
-        behind: reflectance of what is seen through it.
+        rest_m: Resting positions of the tiles [m].
+        open_share: Fraction of each pixel that shows the opening.
+        behind: Reflectance through the opening.
     """
 
     rest_m: Float[ndarray, "2 h w"]
@@ -241,7 +234,7 @@ def clean_view(
     shift_px: tuple[float, float] = (0.0, 0.0),
     torn: TornRest | None = None,
 ) -> Float[ndarray, "h w 3"]:
-    """Whole frame without noise [grey levels]; of a torn pad by what its pixels show, whatever the motion."""
+    """Return the frame without noise [grey levels]; `torn` replaces the motion."""
     if motion is None and torn is None:
         return _resting_view(spec, shift_px)
     return _drawn(spec, motion, shift_px, torn)
@@ -249,7 +242,6 @@ def clean_view(
 
 @lru_cache(maxsize=8)
 def _resting_view(spec: NuSenseSpec, shift_px: tuple[float, float]) -> Float[ndarray, "h w 3"]:
-    """View of the resting pad, which is drawn once and not to be written to."""
     view = _drawn(spec, None, shift_px, None)
     view.flags.writeable = False
     return view
@@ -282,7 +274,7 @@ def _drawn(
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _tiles(rest, light, colours, pitch, offset_x, offset_y, half_x, half_y, pad_x, pad_y):
-    """Colour of every pixel; a tile's edge covers the share of a pixel that lies on its side."""
+    """Color of every pixel, anti-aliased at tile edges."""
     height, width = light.shape
     view = np.empty((height, width, 3), np.float32)
     for row in range(height):
@@ -307,7 +299,7 @@ def _tiles(rest, light, colours, pitch, offset_x, offset_y, half_x, half_y, pad_
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _pixel(places, row, column, left, right, up, down):
-    """How much of a side of the pattern a pixel covers."""
+    """Extent of a pixel on one axis of the pattern."""
     along = (places[row, right] - places[row, left]) / (right - left)
     across = (places[down, column] - places[up, column]) / (down - up)
     return abs(along) + abs(across)
@@ -316,7 +308,7 @@ def _pixel(places, row, column, left, right, up, down):
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _share(inside, wide):
-    if abs(inside) >= wide:  # far from the edge, without a division
+    if abs(inside) >= wide:  # avoids the division
         return 1.0 if inside > 0 else 0.0
     return min(max(inside / wide + 0.5, 0.0), 1.0)
 
@@ -336,7 +328,7 @@ def _square_wave(at, wide, pitch):
 def exposed(
     spec: NuSenseSpec, view: Float[ndarray, "h w 3"], rng: np.random.Generator, light: float
 ) -> UInt8[ndarray, "h w 3"]:
-    """A frame of a view under a light, with noise of reading and of light."""
+    """Return a frame of a view under a light, with read and shot noise."""
     image = np.empty(view.shape, np.uint8)
     noise = rng.standard_normal(view.size, dtype=np.float32)
     camera = spec.light
@@ -347,7 +339,7 @@ def exposed(
 def exposed_by_table(
     spec: NuSenseSpec, view: Float[ndarray, "h w 3"], rng: np.random.Generator, light: float
 ) -> UInt8[ndarray, "h w 3"]:
-    """The same, but its noise is drawn from a table: in a quarter of the time, of other chance."""
+    """Return a frame with noise from a table, four times as fast."""
     image = np.empty(view.shape, np.uint8)
     camera, numbers = spec.light, (table_draws(rng, view.size), normal_table())
     _expose_by_table(view.ravel(), *numbers, light, camera.read_noise**2, camera.shot_noise, image.ravel())
@@ -357,7 +349,6 @@ def exposed_by_table(
 @numba.njit(cache=True, nogil=True)
 @no_type_check
 def _expose(view, noise, light, read, shot, image):
-    """Grey levels with noise, rounded and clipped to 0 to 255."""
     for i in range(view.size):
         image[i] = _grey(view[i], noise[i], np.float32(light), np.float32(read), np.float32(shot))
 

@@ -1,7 +1,5 @@
-"""Motion of the tiles under a load on the pad, in all three directions, about the probe's axis.
-
-Waves of load cross the layers to the tiles' plane as in `palpate.mechanics.layers.stack_field`; here only
-the motion is wanted, on one plane, again and again, so that each wave's response is kept.
+"""Motion of the tiles under a load on the pad, as in `palpate.mechanics.layers.stack_field`, with cached
+responses.
 """
 
 from __future__ import annotations
@@ -20,8 +18,8 @@ from palpate.mechanics.layers.stack import Stack, climb
 from palpate.mechanics.layers.surface_grid import Cells, Waves, spread
 from palpate.sensors.nusense.pad_contact import PATTERN_CELL_M
 
-SIDE = 192  # cells about the probe: 38 mm to each side, over eight thicknesses of the pad
-AT_KNOT = (1 / 6, 4 / 6, 1 / 6)  # of a cubic B-spline, at its knot and those beside
+SIDE = 192  # cells: 38 mm to each side of the probe, over eight thicknesses
+AT_KNOT = (1 / 6, 4 / 6, 1 / 6)  # values of a cubic B-spline at its knots
 
 Spectrum = Float[ndarray, "py half"]
 Wave = Complex[ndarray, "py half"]
@@ -32,10 +30,9 @@ class PatternMotion:
     """Displacement of the tiles' lower face from rest.
 
     Attributes:
-        centre_m: the probe's axis (x, y), about which the grid lies [m].
-        cell_m: its step [m].
-        knots: cubic splines of it along x, y and z ``[3 ny nx]``, at (i + 1/2 - n/2) cells from the centre
-            [m].
+        centre_m: Centre of the grid, the probe's axis (x, y) [m].
+        cell_m: Grid step [m].
+        knots: Cubic spline coefficients of x, y, z at (i + 1/2 - n/2) cells from the centre [m].
     """
 
     centre_m: tuple[float, float]
@@ -44,12 +41,12 @@ class PatternMotion:
 
     @property
     def moved_m(self) -> Float[ndarray, "3 ny nx"]:
-        """Displacement along x, y and z where the knots are [m]."""
+        """Displacement at the knots [m]."""
         rows = convolve1d(self.knots, AT_KNOT, axis=1, mode="mirror")
         return np.asarray(convolve1d(rows, AT_KNOT, axis=2, mode="mirror"))
 
     def at(self, x_m: Float[ndarray, " n"], y_m: Float[ndarray, " n"]) -> Float[ndarray, "3 n"]:
-        """Displacement along x, y and z of tiles that rest at places; 0 far from the probe [m]."""
+        """Displacement of tiles by resting position; 0 far from the probe [m]."""
         side = self.knots.shape[1]
         rows = (np.asarray(y_m) - self.centre_m[1]) / self.cell_m + side / 2 - 0.5
         columns = (np.asarray(x_m) - self.centre_m[0]) / self.cell_m + side / 2 - 0.5
@@ -59,14 +56,13 @@ class PatternMotion:
 
 
 class PlaneResponse(NamedTuple):
-    """Motion on a plane per wave of load; `i` times where it is said [m/Pa].
+    """Motion of a plane per wave of load [m/Pa].
 
     Attributes:
-        waves: of the grid.
-        xx, xy, yy: along x and y by shear along x and y.
-        pressed_x, pressed_y: i times this along x and y by pressure.
+        xx, xy, yy: In plane by shear.
+        pressed_x, pressed_y: i times this in plane by pressure.
         lifted_x, lifted_y: -i times this along z by shear.
-        zz: along z by pressure.
+        zz: Along z by pressure.
     """
 
     waves: Waves
@@ -82,7 +78,7 @@ class PlaneResponse(NamedTuple):
 
 @lru_cache(maxsize=16)
 def plane_response(stack: Stack, interface: int, side: int, cell_m: float) -> PlaneResponse:
-    """Response of the plane below a number of layers, on a square periodic grid."""
+    """Return the response of the plane below a number of layers, on a square periodic grid (cached)."""
     waves = spread(Cells(side, side, cell_m, cell_m), 0.0)
     in_plane, across = climb(stack.slabs, stack.below, waves.k)
     one, other = in_plane[interface], across[interface]
@@ -100,13 +96,7 @@ def plane_response(stack: Stack, interface: int, side: int, cell_m: float) -> Pl
 
 
 def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMotion:
-    """The tiles' motion under a contact.
-
-    Args:
-        stack: the pad.
-        interface: number of layers above the tiles' lower face.
-        contact: its tractions are those of the pad as it remembers.
-    """
+    """Return the motion of the tiles, `interface` layers deep, under a contact."""
     share = 1.0 / contact.history.stiffening
     response = plane_response(stack, interface, SIDE, PATTERN_CELL_M)
     waves_of = _spectrum(contact)
@@ -124,10 +114,7 @@ def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMot
 
 
 def _spectrum(contact: Contact) -> Callable[[Field], Wave]:
-    """Waves of a load on a contact's own cells, as the transform of the motion's grid has them.
-
-    They are summed wave by wave, so that a contact narrower than a cell of that grid keeps its shape.
-    """
+    """Transform of a load on a contact's cells to the waves of the motion's grid."""
     middle, dy = (contact.pose.x_m, contact.pose.y_m), float(contact.y_m[1] - contact.y_m[0])
     dx = float(contact.x_m[1] - contact.x_m[0])
     first = (0.5 - SIDE / 2) * PATTERN_CELL_M

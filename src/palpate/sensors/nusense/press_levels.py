@@ -1,10 +1,7 @@
-"""Head-on presses of a round tip at any depth, from some that are solved once and kept: for live frames.
+"""Straight presses of a round tip interpolated between cached depths, for live frames.
 
-Layers are endless along x and y, so that a press is the same at every place, and without a lateral load only
-its depth tells it from another. Levels of depth are as far apart as their square roots are equally so, as the
-contact's radius is, in which motion and force are smooth down to the first touch. Between levels, Lagrange's
-cubic through the four about a depth gives the motion; the contact is that of the nearest level, stretched to
-the radius and scaled to the force in between.
+Levels are equally spaced in the square root of depth, as the contact radius is. Lagrange cubics through four
+levels give motion, force, and radius; the contact is the nearest level's, scaled.
 """
 
 from __future__ import annotations
@@ -22,13 +19,12 @@ from palpate.mechanics.layers.stack import Stack
 from palpate.sensors.nusense.pad_contact import pad_contact
 from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
 
-STEP_ROOT_M = 0.0025
-"""Step of a depth's square root from level to level [m^(1/2)]: the first is at 6 µm, the 18th at 2 mm."""
-CUBIC = 4  # levels that a depth is laid through
+STEP_ROOT_M = 0.0025  # step of the square root of depth [m^(1/2)]: level 1 is 6 µm, level 18 is 2 mm
+CUBIC = 4  # levels of an interpolation
 
 
 class PressLevel(NamedTuple):
-    """Press of the relaxed pad at one depth, about the tip's axis, and the tiles' motion under it."""
+    """Press of the relaxed pad at one depth, and the tiles' motion."""
 
     contact: Contact
     motion: PatternMotion
@@ -36,14 +32,7 @@ class PressLevel(NamedTuple):
 
 @dataclass(frozen=True)
 class PressLevels:
-    """Presses of one round tip straight into one pad.
-
-    Attributes:
-        stack: the pad.
-        interface: number of layers above the tiles' lower face.
-        probe: a sphere.
-        deepest_m: of the presses asked for.
-    """
+    """Presses of one round tip straight into one pad, to `deepest_m`."""
 
     stack: Stack
     interface: int
@@ -51,7 +40,7 @@ class PressLevels:
     deepest_m: float
 
     def contact(self, pose: Pose, history: PressHistory) -> Contact:
-        """The contact at a pose; force and radius are laid between levels, the rest is the nearest's."""
+        """Contact at a pose; force and radius are interpolated, the rest is the nearest level's."""
         first, weights = self._about(pose.depth_m)
         levels = [self._level(first + k).contact for k in range(CUBIC)]
         force = _laid(weights, [one.force_n for one in levels])
@@ -71,13 +60,12 @@ class PressLevels:
         )
 
     def motion(self, pose: Pose) -> PatternMotion:
-        """The tiles' motion at a pose."""
         first, weights = self._about(pose.depth_m)
         knots = sum(w * self._level(first + k).motion.knots for k, w in enumerate(weights))
         return replace(self._level(first).motion, centre_m=(pose.x_m, pose.y_m), knots=np.asarray(knots))
 
     def solve(self) -> None:
-        """Solve all levels now, so that no press waits for one."""
+        """Solve all levels."""
         for level in range(self._last + 1):
             self._level(level)
 
@@ -86,7 +74,7 @@ class PressLevels:
         return max(math.ceil(math.sqrt(self.deepest_m) / STEP_ROOT_M), CUBIC - 1)
 
     def _about(self, depth_m: float) -> tuple[int, Float[ndarray, " 4"]]:
-        """First of the four levels about a depth, and Lagrange's weights of all four."""
+        """First of the four levels around a depth, and Lagrange weights."""
         place = math.sqrt(depth_m) / STEP_ROOT_M
         first = min(max(math.floor(place) - 1, 0), self._last - CUBIC + 1)
         t = place - first
@@ -103,7 +91,7 @@ class PressLevels:
 
 
 def goes_straight_down(probe: Probe, history: PressHistory) -> bool:
-    """Whether a press is one of these: of a sphere, and not pulled aside."""
+    """Return whether a press is of a sphere without lateral load."""
     if history.lateral_n is not None:
         return probe.shape == "sphere" and history.lateral_n == (0.0, 0.0)
     return probe.shape == "sphere" and (not history.path_m or history.path_m[-1] == (0.0, 0.0))
@@ -111,7 +99,7 @@ def goes_straight_down(probe: Probe, history: PressHistory) -> bool:
 
 @lru_cache(maxsize=128)
 def press_level(stack: Stack, interface: int, probe: Probe, level: int) -> PressLevel:
-    """The press at a level, which is solved once; nothing touches at level 0."""
+    """Return the press at a level (cached); level 0 does not touch."""
     pose = Pose(0.0, 0.0, (level * STEP_ROOT_M) ** 2)
     contact = pad_contact(stack, 0.0, probe, pose, PressHistory())
     return PressLevel(contact, pattern_motion(stack, interface, contact))

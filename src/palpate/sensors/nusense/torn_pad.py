@@ -1,7 +1,7 @@
-"""A pad with a torn skin: what the cut adds to the tiles' motion, to a press, and to the camera's view.
+"""A pad with a cut: its effect on the tiles' motion, on a press, and on the view.
 
-The probe's tractions are those on the whole pad, at a depth that is less by what the cut yields under them
-(the pressure's work on the surface's added motion, over the force): their shape does not know of the cut.
+The probe's tractions are those on the whole pad at a depth reduced by the cut's compliance (work of the
+pressure on the added motion over the force).
 """
 
 from __future__ import annotations
@@ -24,39 +24,29 @@ from palpate.sensors.nusense.pad_view import (
 )
 from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
 
-YIELDS = 2  # corrections of the depth; each leaves a twentieth of the one before
-ITERATIONS = 30  # of the inverse map on one side of the cut
+YIELDS = 2  # corrections of the depth, each a twentieth of the previous one
+ITERATIONS = 30  # iterations of the inverse map on one side of the cut
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TornMotion:
-    """Displacement of the tiles' lower face of a torn pad.
-
-    Attributes:
-        whole: that of the whole pad under the same tractions.
-        opening: of the cut.
-    """
+    """Motion of the tiles of a torn pad: that of the whole pad plus the cut's opening."""
 
     whole: PatternMotion
     opening: CutOpening
 
     def at(self, x_m: ndarray, y_m: ndarray, side: int = 0) -> Float[ndarray, "3 n"]:
-        """Displacement along x, y and z of tiles that rest at places [m].
-
-        Args:
-            x_m, y_m: places at rest [m].
-            side: of the cut on which all of them are taken to be, 1 or -1; 0 for their own.
-        """
+        """Displacement of tiles by resting position [m]; `side` forces one side of the cut (1 or -1)."""
         return self.whole.at(x_m, y_m) + self.opening.at(x_m, y_m, side)
 
 
 def surface_cut(tear: Tear) -> SurfaceCut:
-    """The cut of a tear."""
+    """Return the cut of a tear."""
     return SurfaceCut(*tear.at_m, tear.turn_rad, tear.length_m, tear.depth_m, tear.gap_m)
 
 
 def opening_under(spec: NuSenseSpec, tear: Tear, contact: Contact) -> CutOpening:
-    """The cut under a contact's relaxed tractions."""
+    """Return the cut's opening under a contact's relaxed tractions."""
     area = (contact.x_m[1] - contact.x_m[0]) * (contact.y_m[1] - contact.y_m[0])
     on = contact.pressure_pa > 0
     x, y = np.meshgrid(contact.x_m, contact.y_m)
@@ -71,7 +61,7 @@ def opening_under(spec: NuSenseSpec, tear: Tear, contact: Contact) -> CutOpening
 
 
 def torn_contact(spec: NuSenseSpec, tear: Tear, probe: Probe, pose: Pose, history: PressHistory) -> Contact:
-    """The contact of a probe on a torn pad."""
+    """Return the contact of a probe on a torn pad."""
     contact = pad_contact(spec.layers.stack, spec.friction, probe, pose, history)
     for _ in range(YIELDS):
         if contact.force_n == 0:
@@ -83,16 +73,15 @@ def torn_contact(spec: NuSenseSpec, tear: Tear, probe: Probe, pose: Pose, histor
 
 
 def torn_motion(spec: NuSenseSpec, tear: Tear, above: int, contact: Contact) -> TornMotion:
-    """The tiles' motion under a contact; `above` is the number of layers above their lower face."""
+    """Return the motion of the tiles, `above` layers deep, under a contact."""
     return TornMotion(pattern_motion(spec.layers.stack, above, contact), opening_under(spec, tear, contact))
 
 
 def torn_view(
     spec: NuSenseSpec, tear: Tear, motion: TornMotion | None, shift_px: tuple[float, float]
 ) -> Float[ndarray, "h w 3"]:
-    """Whole frame without noise [grey levels]: tiles on both sides of the cut, and what lies behind.
-
-    A cut that ends above the tiles' lower face moves them and is not seen.
+    """Return the frame without noise: tiles on both sides of the cut, and the opening if it reaches their
+    lower face.
     """
     window = pad_window(spec, shift_px)
     if motion is None:
@@ -114,7 +103,7 @@ def torn_view(
 def _side_places(
     spec: NuSenseSpec, window: PadWindow, motion: TornMotion, shift_px: tuple[float, float], side: int
 ) -> Float[ndarray, "2 h w"]:
-    """Resting places of what each pixel shows, as if all tiles lay on one side of the cut [m]."""
+    """Resting positions that pixels show if all tiles were on one side of the cut [m]."""
     seen = np.moveaxis(window.nodes_m, -1, 0)
     start = rest_places(spec, motion.whole, shift_px)
     rows, columns = seen.shape[1:]

@@ -1,4 +1,4 @@
-"""Sensors that people own: what is published of each, with its source, and files for one's own."""
+"""Sensors that people own: published properties with sources, and files for one's own."""
 
 from palpate.sensors.owned.sensor_preset import (
     CameraAdvice,

@@ -1,8 +1,7 @@
-"""A preset of a sensor: frames, the skin in them, settings of its camera and marks, each with its source.
+"""Preset of a sensor: frames, membrane, camera settings, and marks, each with its source.
 
-Presets are TOML files, those of `presets` or one's own. Each table says where its values come from, by a
-name among the file's sources, or that they are assumed. Lengths in a file are millimetres, and the skin's
-region is a share of the frame, so that it holds at every size that the camera offers.
+Presets are TOML files. Each table names a source of the file, or is marked assumed. Lengths are millimetres;
+the region is a fraction of the frame.
 """
 
 from __future__ import annotations
@@ -29,13 +28,7 @@ UsbId = Annotated[str, Field(pattern=r"^[0-9a-f]{4}:[0-9a-f]{4}$")]
 
 
 class SourcedPart(Part):
-    """A table whose values have a source, or are said to be assumed.
-
-    Attributes:
-        source: name of one of the file's sources.
-        assumed: whether nothing published says so.
-        note: what else is to be known.
-    """
+    """A table with a source, or marked assumed."""
 
     source: str | None = None
     assumed: bool = False
@@ -49,7 +42,7 @@ class SourcedPart(Part):
 
 
 class PresetSource(Part):
-    """Where values come from: a text, and its address or DOI where it has one."""
+    """Source: a text, and its address or DOI."""
 
     what: Text
     url: Annotated[str, Field(pattern=r"^https://\S+$")] | None = None
@@ -57,17 +50,12 @@ class PresetSource(Part):
 
     @property
     def address(self) -> str:
-        """The address that is cited."""
         return f"https://doi.org/{self.doi}" if self.doi else self.url or self.what
 
 
 class FrameMode(SourcedPart):
-    """A size of frames that the camera offers.
-
-    Attributes:
-        size_px: width and height [px].
-        rates_hz: frames a second, the usual one first.
-        format: four letters by which the camera names its coding; empty where not known.
+    """Frame size and rates [Hz] of a camera, the usual rate first, with its FourCC format
+    (empty if unknown).
     """
 
     size_px: tuple[Annotated[int, Field(ge=16, le=20000)], Annotated[int, Field(ge=16, le=20000)]]
@@ -76,14 +64,7 @@ class FrameMode(SourcedPart):
 
 
 class CameraAdvice(SourcedPart):
-    """Settings of a camera under which its picture tells force and not light; None where not known.
-
-    Attributes:
-        auto_exposure, auto_white_balance, auto_focus: whether the camera sets them by itself.
-        exposure_ms: [ms].
-        white_balance_kelvin: colour temperature [K].
-        gain: as the camera counts it.
-    """
+    """Camera settings under which the image depends on force and not on light; None if unknown."""
 
     auto_exposure: bool | None = None
     exposure_ms: Positive | None = None
@@ -94,14 +75,7 @@ class CameraAdvice(SourcedPart):
 
 
 class OwnedCamera(SourcedPart):
-    """How a sensor's camera is recognised, what it offers and how it is set.
-
-    Attributes:
-        names: words of the name that it tells over USB.
-        usb: its vendor and product numbers, as `lsusb` writes them.
-        modes: sizes and rates.
-        settings: advice.
-    """
+    """A sensor's camera: USB names and IDs (as `lsusb` prints them), modes, and recommended settings."""
 
     names: tuple[Annotated[str, Field(min_length=3, max_length=80)], ...] = ()
     usb: tuple[UsbId, ...] = ()
@@ -110,15 +84,14 @@ class OwnedCamera(SourcedPart):
 
 
 class SkinInFrame(SourcedPart):
-    """Where the skin lies in a frame, and how large it is.
+    """Region of the membrane in a frame, and its size.
 
     Attributes:
-        region_share: left, top, width and height, as shares of the frame's width and height.
-        region_mm: width and height of what that region shows [mm]; needed for millimetres.
-        size_mm: width and height of the skin or gel itself [mm].
-        dark_field: whether that region is dark without stress, as between crossed polarisers, and what lies
-            beside it shows what comes near.
-        see_through: whether the camera sees through the skin what hangs before it.
+        region_share: Left, top, width, and height as fractions of the frame.
+        region_mm: Width and height of that region [mm]; required for millimetres.
+        size_mm: Width and height of the membrane [mm].
+        dark_field: Whether the region is dark without stress, as between crossed polarisers.
+        see_through: Whether the camera sees objects through the membrane.
     """
 
     region_share: tuple[Share, Share, Share, Share] | None = None
@@ -140,37 +113,25 @@ class SkinInFrame(SourcedPart):
 
 
 class MarksInSkin(SourcedPart):
-    """Pins or dots in the skin.
-
-    Attributes:
-        kind: "none"; "bright" or "dark" on their ground; or "any", to be looked for.
-        count: how many, where known.
-    """
+    """Pins or dots: none, bright or dark on their ground, or any, and their number if known."""
 
     kind: Literal["none", "bright", "dark", "any"]
     count: Annotated[int, Field(ge=7, le=100000)] | None = None
 
 
 class PresetFact(SourcedPart):
-    """Something known of the sensor, in words."""
+    """A known property, in words."""
 
     what: Text
     value: Text
 
 
 class SensorPreset(Part):
-    """What is known of a sensor that people own.
+    """Preset of a sensor.
 
     Attributes:
-        name: by which it is asked for.
-        title: how its makers call it.
-        kind: what a press does to its picture: colours of a lit gel, shade of a dark one, pins, or other.
-        about: one sentence.
-        camera: how it is recognised and set.
-        skin: its region and size.
-        marks: pins or dots.
-        facts: what else is known.
-        sources: where values come from, by name.
+        kind: Image type: colors of a lit gel, shade of a dark one, pins, or other.
+        about: One sentence.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,39}$")]
@@ -192,11 +153,7 @@ class SensorPreset(Part):
         return self
 
     def region_px(self, size_px: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Region of the skin in a frame: x, y, width and height [px]; the whole frame where not known.
-
-        Args:
-            size_px: width and height of the frame [px].
-        """
+        """Region of the membrane for a frame size (x, y, width, height) [px]; the whole frame if unknown."""
         if self.skin.region_share is None:
             return 0, 0, *size_px
         left, top, width, height = self.skin.region_share
@@ -209,14 +166,7 @@ class SensorPreset(Part):
         )
 
     def mm_per_px(self, size_px: tuple[int, int]) -> float | None:
-        """Length on the skin that a pixel of a frame shows [mm]; None where no scale is known.
-
-        Args:
-            size_px: width and height of the frame [px].
-
-        Raises:
-            RangeError: a frame whose pixels would not be square on the skin, as one of another shape.
-        """
+        """Length per pixel for a frame size [mm]; None if unknown."""
         if self.skin.region_mm is None:
             return None
         _, _, width, height = self.region_px(size_px)
@@ -229,8 +179,8 @@ class SensorPreset(Part):
         return (across + down) / 2
 
     def recognises(self, name: str, usb: str = "") -> bool:
-        """Whether a camera is of this sensor, by the name it tells or its USB numbers as "2833:0209"."""
-        # Whole words: "DIGIT" is no part of "Digital Microscope".
+        """Whether a camera is of this sensor, by name or USB ID as "2833:0209"."""
+        # Whole words, so that "DIGIT" does not match "Digital Microscope".
         words = (rf"(?<![a-z0-9]){re.escape(part.lower())}(?![a-z0-9])" for part in self.camera.names)
         return any(re.search(word, name.lower()) for word in words) or usb.lower() in self.camera.usb
 
@@ -239,17 +189,13 @@ MAX_NOT_SQUARE = 0.03
 
 
 def preset_names() -> tuple[str, ...]:
-    """Names of the presets that palpate has."""
+    """Return the names of the built-in presets."""
     return tuple(sorted(path.name.removesuffix(".toml") for path in _folder().iterdir()))
 
 
 @cache
 def sensor_preset(name: str) -> SensorPreset:
-    """A preset that palpate has, by its name.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """Return a built-in preset."""
     if name not in preset_names():
         raise InputError(
             f"there is no preset {name!r}; there are {', '.join(preset_names())}, and `palpate sensors new "
@@ -259,35 +205,19 @@ def sensor_preset(name: str) -> SensorPreset:
 
 
 def read_preset(name_or_path: str | Path) -> SensorPreset:
-    """A preset by its name, or from a TOML file.
-
-    Raises:
-        InputError: no such preset, or a file that is none; each field that is wrong is named.
-        StorageError: the file cannot be read.
-    """
+    """Return a preset by name, or from a TOML file."""
     path = Path(name_or_path)
     return _read(path) if path.suffix == ".toml" else sensor_preset(str(name_or_path))
 
 
 def recognised_preset(name: str, usb: str = "") -> SensorPreset | None:
-    """The preset whose camera tells this name or these USB numbers; None where none does.
-
-    Args:
-        name: as the system lists the camera, e.g. "GelSight Mini R0B 2BNN-4ZE7".
-        usb: vendor and product numbers, e.g. "0c45:636d"; empty where not known.
-    """
+    """Return the preset whose camera has this name or USB ID; None if none does."""
     presets = (sensor_preset(one) for one in preset_names())
     return next((preset for preset in presets if preset.recognises(name, usb)), None)
 
 
 def write_own_preset(path: Path) -> None:
-    """Begin a file of one's own, with what each field means.
-
-    Raises:
-        ExistsError: the file exists.
-        InputError: its name does not end in ``.toml``.
-        StorageError: the disk refused.
-    """
+    """Create a documented preset file."""
     if path.suffix != ".toml":
         raise InputError(f"{path}: a preset is a TOML file; give a name that ends in .toml")
     text = (_folder() / f"{OWN}.toml").read_text(encoding="utf-8")

@@ -1,4 +1,8 @@
-"""The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror."""
+"""The photoelastic palm: a clear disc between crossed polarisers, seen edge-on and through a mirror.
+
+Errors: `InputError` for a wrong kind, name, or non-finite value; `RangeError` for a value outside a design's
+or law's range; `ImageError` for a picture that does not fit; `LabelError` for a wrong label or table.
+"""
 
 from palpate.sensors.palm.fringe_orders import contact_summary
 from palpate.sensors.palm.membrane_wear import Wear, worn

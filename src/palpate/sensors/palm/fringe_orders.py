@@ -1,9 +1,6 @@
-"""Fringe orders of the edge-on view: how many wavelengths a ray is retarded by, to first order.
+"""Fringe orders of the edge-on view to first order, N = C / lambda |integral of (s_xx - s_zz, 2 s_xz) dy|.
 
-N = C / lambda |integral of (s_xx - s_zz, 2 s_xz) dy|. Where the axes turn along the ray it is not the order
-of the light that comes out, but counts the fringes from the outside in to a few per cent.
-
-The numbers of a contact that belong beside its picture are here too.
+Where the principal axes rotate along the ray, N counts the fringes to a few per cent.
 """
 
 from __future__ import annotations
@@ -43,16 +40,12 @@ class Orders(NamedTuple):
 
     @property
     def greatest(self) -> float:
-        """The 99.9th percentile: a table's sharpest corner is not a fringe."""
+        """99.9th percentile, which excludes the table's sharpest corner."""
         return float(np.quantile(self.order, 0.999))
 
 
 def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
-    """Orders near the axis, down from the rest surface.
-
-    Within two ball radii to the side, and down to the underside; under a light touch within six contact
-    radii both ways, where its fringes are.
-    """
+    """Return the orders within two ball radii and the thickness, or six contact radii under a light touch."""
     press, R = pressed(spec, depth_m), spec.indenter_radius_m
     return _orders(spec, field_of(press, spec), R, press.contact_radius * R, points)
 
@@ -71,7 +64,7 @@ def _orders(
 def integrated(
     field: AxisymmetricField, offset_m: Float[ndarray, " s"], depth_m: Float[ndarray, " z"]
 ) -> tuple[Float[ndarray, "z s"], Float[ndarray, "z s"]]:
-    """The integrals of s_xx - s_zz and of 2 s_xz along whole rays [Pa m]."""
+    """Return the integrals of s_xx - s_zz and of 2 s_xz along whole rays [Pa m]."""
     s, z = np.meshgrid(offset_m, depth_m)
     scale = np.hypot(s, z) + 0.05 * field.thickness_m
     step = np.pi / 2 / HALF_RAY
@@ -90,13 +83,11 @@ def integrated(
 
 
 def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
-    """Force, contact, pressure and fringes, each named with its unit.
+    """Return force, contact, pressure, and fringes of a contact, each named with its unit.
 
-    `rim_force_percent` is by how much the force of a press solved where it is differs from that of one solved
-    in the middle, and `rim_push_N` how hard the membrane then pushes the ball outwards; both None where
-    nothing was solved. `rim_applied` says whether the contact has them, `rim_solved` whether place and depth
-    lie within what was solved: beyond, both are those of the nearest solved press. `peak_pressure_Pa` is None
-    under a sharp edge, where it has no bound: a grid would only tell its own cell.
+    `rim_force_percent` and `rim_push_N` are the rim's effect, None where it was not solved; `rim_applied`
+    states whether the contact includes it, `rim_solved` whether its position and depth were solved.
+    `peak_pressure_Pa` is None under a sharp edge, where it is unbounded.
     """
     spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
     return {
@@ -116,7 +107,7 @@ def contact_summary(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
 
 
 def greatest_order(contact: Contact, spec: PalmSpec) -> float:
-    """The most fringe orders on a ray edge-on, at 550 nm, to first order (its 99.9th percentile)."""
+    """Return the maximum fringe order edge-on at 550 nm, to first order (99.9th percentile)."""
     if contact.force_n <= 0:
         return 0.0
     spec = pressed_at(spec, contact.pose.x_m, contact.pose.y_m)
@@ -148,7 +139,7 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
 
 
 def _laid_order(contact: Contact, spec: PalmSpec, laid: Laid) -> float:
-    """That under a lateral load or of a probe without an axis, on rays that no surface stops."""
+    """Order of a resampled stress, on rays that no surface blocks."""
     x, difference, shear = summed_along(laid)
     sunk = np.interp(x, contact.x_m, contact.displacement_m.max(axis=0), left=0.0, right=0.0)
     C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])

@@ -1,10 +1,7 @@
-"""The edge-on view of a contact without symmetry: rays through its stress, laid out on planes.
+"""Edge-on view of a contact without symmetry: march rays through its stress on planes.
 
-Probes without a table, leaning ones and moments have that of a linear layer, where the skin was at rest;
-the palm's ball and a punch under a lateral load, and probes without an axis that have a table, that of
-finite strain, where it is. The stress is laid out on planes; along each ray it is read in slices, finest
-where the ray passes the probe, or each ball of several. Neighbouring rays finer than the picture of stress
-are not all marched: between two that are, light runs straight.
+The stress is that of a linear layer at rest, or of a finite-strain table in the deformed state. Rays are read
+in slices, finest near the probe; closely spaced rays are interpolated.
 """
 
 from __future__ import annotations
@@ -29,20 +26,20 @@ from palpate.sensors.palm.probe_stress import stress_beneath
 from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, rows_of, stress_about
 from palpate.sensors.palm.uneven_membrane import frozen_at
 
-# With the numbers below, light is off by 0.1 of 255 rms, 1 at most.
-PLANES = 20  # of stress, finest at the surface
+# These values limit the light's error to 0.1 of 255 (rms), 1 at most.
+PLANES = 20  # planes of stress, finest at the surface
 SLICES = 64
-MORE_SLICES = 32  # for each place beyond the first that the slices crowd about
-FINE = 400  # points of a ray, between which its slices are laid out
-MAX_ACROSS_M = 0.14e-3  # between rays inside that are marched
-COLUMNS = 64  # marched together, which bounds the memory
-WIDTH = 0.3  # thicknesses: within which slices are equally fine about a place
+MORE_SLICES = 32  # additional slices for each further point that they crowd around
+FINE = 400  # points of a ray for the layout of its slices
+MAX_ACROSS_M = 0.14e-3  # maximum distance of marched rays
+COLUMNS = 64  # columns marched together, which bounds the memory
+WIDTH = 0.3  # distance of equally fine slices, in thicknesses
 
 Rays = Float[ndarray, "w s"]
 
 
 def march_contact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
-    """Light of each ray; dark where the probe or the sunken surface stops it."""
+    """Return the light of each ray; dark where the probe or the sunken surface blocks it."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     light = np.full((*view.size_px[::-1], 3), spec.extinction, np.float32)
     rays, z = fringe_view.columns(spec, view), view.down_m
@@ -61,7 +58,7 @@ def march_contact(spec: PalmSpec, contact: Contact) -> fringe_view.Light:
 
 
 class Places(NamedTuple):
-    """Places at which rays are read: the slices' middles (x, y) and their lengths [m]."""
+    """Midpoints (x, y) of the rays' slices and their lengths [m]."""
 
     x: Rays
     y: Rays
@@ -69,14 +66,13 @@ class Places(NamedTuple):
 
 
 def _chosen(rays: ColumnRays, seen: ndarray) -> ndarray:
-    """Columns to march: the last, and so many of the others that none are further apart than MAX_ACROSS_M."""
+    """Columns to march, at most MAX_ACROSS_M apart, and the last."""
     apart = float(np.abs(np.diff(rays.impact_m[seen])).max(initial=0.0))
     stride = max(1, int(MAX_ACROSS_M / apart)) if apart else 1
     return np.unique(np.append(seen[::stride], seen[-1]))
 
 
 def _between(marched: Float32[ndarray, "h c 3"], chosen: ndarray, seen: ndarray) -> Float32[ndarray, "h w 3"]:
-    """Light of all columns, from those that were marched."""
     below = np.clip(np.searchsorted(chosen, seen, side="right") - 1, 0, max(len(chosen) - 2, 0))
     above = np.minimum(below + 1, len(chosen) - 1)
     share = ((seen - chosen[below]) / np.maximum(chosen[above] - chosen[below], 1)).astype(np.float32)
@@ -84,7 +80,7 @@ def _between(marched: Float32[ndarray, "h c 3"], chosen: ndarray, seen: ndarray)
 
 
 def _slices(spec: PalmSpec, contact: Contact, rays: ColumnRays, chosen: ndarray) -> Places:
-    """Equal steps of the sum of angles under which a ray sees what it passes."""
+    """Slices of equal angle as seen from the points the ray passes."""
     pose = contact.pose
     offset, start, end = (along[chosen] for along in rays.about(pose.x_m, pose.y_m))
     cos, sin = np.cos(rays.turn_rad[chosen])[:, None], np.sin(rays.turn_rad[chosen])[:, None]
@@ -108,7 +104,7 @@ def _slices(spec: PalmSpec, contact: Contact, rays: ColumnRays, chosen: ndarray)
 
 
 def _crowded(contact: Contact) -> list[tuple[float, float]]:
-    """Places beside the probe's axis about which slices crowd: each ball, or both ends and the middle."""
+    """Points around which slices crowd: each ball, or ends and middle of one body."""
     probe = contact.probe
     if probe.length_m and len(parts_of(probe)) == 1:
         x, y = (probe.length_m / 3 * f(probe.turn_rad) for f in (np.cos, np.sin))
@@ -117,14 +113,14 @@ def _crowded(contact: Contact) -> list[tuple[float, float]]:
 
 
 def _lowest(contact: Contact, places: Places) -> Float[ndarray, " w"]:
-    """Depth of the surface where each ray passes it deepest [m]."""
+    """Maximum surface depth along each ray [m]."""
     x, y = contact.x_m, contact.y_m
     at = [(places.y - y[0]) / (y[1] - y[0]), (places.x - x[0]) / (x[1] - x[0])]
     return np.asarray(map_coordinates(contact.displacement_m, at, order=1, cval=0.0).max(axis=1))
 
 
 def _stopped(spec: PalmSpec, contact: Contact, rays: ColumnRays, z: Float[ndarray, " h"]) -> ndarray:
-    """Mask of the rays that the probe stops, each of its parts where the turned rays pass it."""
+    """Mask of the rays that the probe blocks."""
     pose, stopped = contact.pose, np.zeros((len(z), len(rays.visible)), bool)
     if pose.depth_m == 0:
         return stopped
@@ -161,7 +157,7 @@ def _marched(
 
 
 def _laid(spec: PalmSpec, contact: Contact, z: Float[ndarray, " h"]) -> tuple[Laid, Float32[ndarray, "h n"]]:
-    """Stress on planes, and the weights by which they give the rows of the picture."""
+    """Stress on planes, and their weights for the image's rows."""
     if is_pulled_ball(contact) or is_punched(contact) or is_tabled_probe(contact):
         laid = (stress_about if is_pulled_ball(contact) else stress_beneath)(spec, contact)
         return laid, rows_of(laid.planes_m, z)
@@ -181,7 +177,7 @@ def _read(
     part: slice,
     frozen: tuple[ndarray, ndarray],
 ) -> tuple[Float32[ndarray, "s z w"], Float32[ndarray, "s z w"]]:
-    """Difference and shear times length, of each slice of some rays on every plane."""
+    """Difference and shear times length, of each slice on every plane."""
     from palpate.sensors.palm import ray_kernels  # here: compiling is for those who march
 
     x, y, length = (np.ascontiguousarray(values[part].T) for values in places)

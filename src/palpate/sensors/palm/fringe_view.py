@@ -1,14 +1,9 @@
-"""The edge-on view: crossed polarisers, the pressed membrane between them, its round rim a lens.
+"""Edge-on view of the pressed membrane between crossed polarisers, with the round rim as a lens.
 
-Through the rim a column of the image looks along a straight ray inside the membrane that passes the
-contact's axis at some offset s. An axisymmetric field depends on nothing else, so one picture of (s, z)
-serves a contact anywhere (the fast way); what it misses is where the membrane ends along each ray. What is
-frozen into the membrane does not move with the contact: the fast way adds it to the picture by the light's
-first and second slopes over it, and leaves out its cube.
-
-A ray that meets the membrane's upper surface on its way, in the dimple beside the ball or in the bulge around
-it, does so at a grazing angle: it is thrown back or bent far off. Such rays are drawn dark, as are those that
-the ball stops.
+Each column looks along a straight ray at some offset s from the contact's axis. An axisymmetric field depends
+on (s, z) only, so the fast method shifts one image and ignores where the membrane ends along each ray.
+Residual birefringence does not move with the contact: the fast method adds it by a second-order expansion.
+Rays that graze the upper surface are dark, as are those that the ball blocks.
 """
 
 from __future__ import annotations
@@ -45,11 +40,7 @@ T = TypeVar("T")
 
 
 def cache_within(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Keep what a function returned, the least recently used going first; arguments must be hashable.
-
-    What it returns tells its size in memory as `nbytes`. What takes more than the bound by itself displaces
-    all others and is kept alone.
-    """
+    """Cache results up to a total `nbytes`, least recently used first; arguments must be hashable."""
 
     def size(result: Any) -> int:
         return min(result.nbytes, most_bytes)
@@ -57,14 +48,14 @@ def cache_within(most_bytes: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     return cached(LRUCache(most_bytes, getsizeof=size), lock=threading.Lock())
 
 
-SLICES = 96  # twice as many change 999 of 1000 pixels by less than a grey level of 255
-FINE_PITCHES = 0.5  # step of s near the contact, in pixels inside the membrane
-FINE_TO_RADII = 1.6  # ball radii up to which the step is fine
-COARSE = 8  # how much longer it is beyond
-LOOKS = 1001  # columns at which `sees` looks, equally spaced in the angle at which they meet the rim
-GRAZED = 1e-5  # share of its way in air from which a ray counts as having met the surface
-RATIO_STEP = 0.02  # of stress near the rim, between whose kept pictures the fast way mixes
-ORDER_STEP = 0.02  # of residual birefringence, between the pictures its slopes are taken of
+SLICES = 96  # slices per ray
+FINE_PITCHES = 0.5  # offset step near the contact, in pixels inside the membrane
+FINE_TO_RADII = 1.6  # extent of the fine step, in ball radii
+COARSE = 8  # ratio of the step beyond
+LOOKS = 1001  # columns that `sees` tests, equally spaced in their angle at the rim
+GRAZED = 1e-5  # fraction of path in air from which a ray counts as grazing
+RATIO_STEP = 0.02  # step of the stress ratio between cached images
+ORDER_STEP = 0.02  # step of residual birefringence of the expansion, in orders
 PICTURES_BYTES = 300_000_000
 MARCHES_BYTES = 50_000_000
 
@@ -74,23 +65,21 @@ Light = Float32[ndarray, "h w 3"]
 
 
 def columns(spec: PalmSpec, view: View) -> ColumnRays:
-    """The ray inside the membrane of each column."""
+    """Return the ray inside the membrane of each column."""
     return round_rim(view.x_m, spec.radius_m, spec.rim_index)
 
 
 @lru_cache(maxsize=8)
 def columns_kept(spec: PalmSpec) -> ColumnRays:
-    """Those of the fringe view, not traced again."""
+    """Return the rays of the fringe view (cached)."""
     return columns(spec, spec.fringes)
 
 
 def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
-    """Whether any ray of the view passes a place of the membrane, or goes by within a distance [m].
+    """Return whether any ray passes a position of the membrane, or comes within a distance [m].
 
-    The rim is a lens. Its outermost rays meet it grazing at (R, 0) and (-R, 0) and run inward, at R / n from
-    the axis where they are nearest: all of the half towards the camera is seen, and of the other what lies
-    between these two, |x| < R + y sqrt(n^2 - 1), with a strip beside each near the far wall, where rays
-    cross. Contacts elsewhere show only what of their stress reaches there.
+    The rim is a lens: the half towards the camera is visible, and of the other half |x| < R + y sqrt(n^2 -
+    1), with a strip beside each side near the far wall.
     """
     wide = spec.radius_m * np.sin(np.linspace(-np.pi / 2, np.pi / 2, LOOKS)[1:-1])
     offset, _, _ = round_rim(wide, spec.radius_m, spec.rim_index).about(x_m, y_m)
@@ -99,19 +88,18 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 
 @cache_within(MARCHES_BYTES)
 def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
-    """Light of every ray, marched from wall to wall; it is kept, and so cannot be written to."""
+    """March every ray from wall to wall (cached, read-only)."""
     here, ratio = _found_by(spec, Pose(x_m, y_m, depth_m))
     return _all_marched(_stressed(here, ratio), Pose(x_m, y_m, depth_m), None, slices)
 
 
 @cache_within(MARCHES_BYTES)
 def march_punch(spec: PalmSpec, probe: Probe, pose: Pose, slices: int = SLICES) -> Light:
-    """The same under an upright punch by its table, in a membrane as it is where it is pressed."""
+    """March every ray under a tabled upright punch (cached, read-only)."""
     return _all_marched(spec, pose, probe, slices)
 
 
 def _all_marched(spec: PalmSpec, pose: Pose, punch: Probe | None, slices: int) -> Light:
-    """Light of every ray, under a punch or the spec's ball."""
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
@@ -127,7 +115,9 @@ def _all_marched(spec: PalmSpec, pose: Pose, punch: Probe | None, slices: int) -
 
 
 def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Light:
-    """Light by the fast way: columns of the kept picture, at each column's offset from the contact's axis."""
+    """Return the light by the fast method: columns of the cached image at their offsets from the contact's
+    axis.
+    """
     here, ratio = _found_by(spec.unlit, Pose(x_m, y_m, depth_m))
     rays = columns_kept(here)
     offset, _, _ = rays.about(x_m, y_m)
@@ -137,19 +127,19 @@ def shift_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Lig
 
 
 def _found_by(spec: PalmSpec, pose: Pose) -> tuple[PalmSpec, float]:
-    """An even membrane as a press finds it here, and the ratio of its stress to that of one in the middle."""
+    """Even membrane at the press, and its stress over that of a centred press."""
     here = replace(spec, thickness_m=thickness_at(spec, pose.x_m, pose.y_m), gel=EVEN)
     return here, applied_rim(here, pose).force_ratio * modulus_ratio(spec, pose.x_m, pose.y_m)
 
 
 def _stress_of(spec: PalmSpec, along: Numbers, aside: Numbers) -> tuple[Numbers, Numbers]:
-    """Stress that would make a birefringence of two components."""
+    """Stress equivalent to a birefringence of two components."""
     C = spec.stress_optic.coefficient_per_pa
     return along / C, aside / C
 
 
 def _seen_at(spec: PalmSpec, depth_m: float, stress_ratio: float, offset_m: Float[ndarray, " w"]) -> Light:
-    """Columns of a depth's picture, all its stress times a ratio: mixed of the two nearest that are kept."""
+    """Columns of a depth's image with scaled stress, interpolated between two cached images."""
     steps = (1.0 - stress_ratio) / RATIO_STEP
     whole = math.floor(steps)
     light = _with_residual(_stressed(spec, 1.0 - RATIO_STEP * whole), depth_m, offset_m)
@@ -160,7 +150,7 @@ def _seen_at(spec: PalmSpec, depth_m: float, stress_ratio: float, offset_m: Floa
 
 
 def _with_residual(spec: PalmSpec, depth_m: float, offset_m: Float[ndarray, " w"]) -> Light:
-    """Columns of a depth's picture, with what is frozen into each column's own ray, to the second order."""
+    """Columns of a depth's image with residual birefringence to second order."""
     kept = replace(spec, frozen_birefringence=0.0, frozen_axis_rad=0.0, residual=ResidualMap())
     light = picture_of(kept, depth_m).at(offset_m)
     if spec.frozen_birefringence == 0.0 and spec.residual.birefringence == 0.0:
@@ -181,7 +171,7 @@ def _with_residual(spec: PalmSpec, depth_m: float, offset_m: Float[ndarray, " w"
 
 
 def _stressed(spec: PalmSpec, ratio: float) -> PalmSpec:
-    """A spec under which light meets a stress taken times a ratio: the phase knows only C times it."""
+    """Spec whose light meets a stress scaled by a ratio."""
     law = spec.stress_optic
     if ratio == 1.0:
         return spec
@@ -197,11 +187,10 @@ class Picture:
 
     @property
     def nbytes(self) -> int:
-        """Size in memory [bytes]."""
         return self.light.nbytes
 
     def at(self, offset_m: Float[ndarray, " w"]) -> Light:
-        """Interpolated between its columns; beyond them as at the last, which no stress reaches."""
+        """Interpolate between columns, constant beyond them."""
         s = self.offset_m
         i = np.clip(np.searchsorted(s, offset_m) - 1, 0, len(s) - 2)
         share = np.clip((offset_m - s[i]) / (s[i + 1] - s[i]), 0, 1).astype(np.float32)
@@ -217,12 +206,8 @@ class Picture:
 def picture_of(
     spec: PalmSpec, depth_m: float, frozen: tuple[float, float] = (0.0, 0.0), slices: int = SLICES
 ) -> Picture:
-    """The picture of one depth, marched once: as seen from the membrane's middle, each pixel's rays averaged.
-
-    With orders of residual birefringence on every ray, along the axes and along their diagonals, if asked.
-
-    Under a press towards or away from the camera columns stand up to a fifth closer or wider, which their
-    averaging does not follow.
+    """March the image of one depth as seen from the membrane's middle (cached), with given orders of residual
+    birefringence.
     """
     across, down = spec.rays_per_pixel
     s = _offsets(spec)
@@ -238,7 +223,7 @@ def picture_of(
 
 
 def mean_of(light: Float32[ndarray, "rows columns 3"], across: int, down: int) -> Light:
-    """Blocks of rays to pixels."""
+    """Return the mean of blocks of rays."""
     if across == down == 1:
         return light
     h, w, c = light.shape
@@ -247,17 +232,17 @@ def mean_of(light: Float32[ndarray, "rows columns 3"], across: int, down: int) -
 
 @lru_cache(maxsize=8)
 def spectrum(bands: int) -> Spectrum:
-    """The assumed lamp and camera."""
+    """Return the assumed lamp and camera."""
     return assumed_camera(bands)
 
 
 def _inner_pitch(spec: PalmSpec) -> float:
-    """Pitch of the columns inside the membrane, at its middle [m]."""
+    """Column pitch inside the membrane [m]."""
     return spec.fringes.pitch_m / spec.rim_index
 
 
 def _offsets(spec: PalmSpec) -> Float[ndarray, " s"]:
-    """Signed offsets up to the membrane's radius: fine near the contact, coarse beyond."""
+    """Signed offsets up to the membrane's radius, fine near the contact."""
     step, R = FINE_PITCHES * _inner_pitch(spec), spec.radius_m
     fine_to = min(FINE_TO_RADII * spec.indenter_radius_m, R)
     fine = np.linspace(0, fine_to, int(np.ceil(fine_to / step)) + 1)
@@ -303,6 +288,5 @@ def _marched(
 
 
 def _of_rows(parts: tuple[Numbers, Numbers], rows: ndarray, columns: int) -> tuple[Numbers, Numbers]:
-    """Both numbers of some rows of a picture."""
     along, aside = (np.broadcast_to(part, (len(rows), columns))[rows] for part in parts)
     return along, aside

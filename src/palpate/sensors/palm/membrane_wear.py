@@ -1,12 +1,7 @@
-"""Wear of a clear membrane: haze, scratches and yellowing, and what they do to both views.
+"""Wear of a clear membrane: haze, scratches, and yellowing in both views.
 
-Use leaves a clouded surface, scratches and yellowed silicone. Each thins the light that comes straight
-through and adds some that does not, so both regions of the frame become light * keep + add, with two pictures
-that are made once. Light that a surface scatters is taken as spread wide and wholly depolarised: the analyser
-passes half of it, also where the field was dark. Real scratches and haze keep part of the polarisation, so
-the lifted dark field is an upper bound.
-
-Nobody has measured how this palm wears: its report leaves that to future work. All sizes are assumed.
+Each becomes light * keep + add per region. Scattered light is assumed wide and fully depolarised, so the
+lifted dark field is an upper bound. All sizes are assumed.
 """
 
 from __future__ import annotations
@@ -22,40 +17,32 @@ from palpate.optics.colour import Spectrum
 
 MAX_SCRATCHES = 1000
 
-VEIL_M = 10e-3
-"""Half the width of the tent over which scattered light is spread, on the membrane. Assumed."""
+VEIL_M = 10e-3  # half width of the tent over which scattered light spreads (assumed)
 
-GLOW = 0.3
-"""Of the lamp's light that a scratch scatters, what goes into that wide veil: a groove throws most of it
-further aside, past the camera. Assumed. Light from all round, as in the mirror's view, has no aside."""
+GLOW = 0.3  # fraction of scratch-scattered lamp light that joins the veil (assumed)
 
-SCRATCH_M = (1e-3, 5e-3)
-"""Half the length of a scratch. Assumed."""
+SCRATCH_M = (1e-3, 5e-3)  # half length of a scratch (assumed)
 
-BEND_M = 25e-3
-"""Radius of the most bent scratch. Assumed."""
+BEND_M = 25e-3  # minimum bend radius of a scratch (assumed)
 
 YELLOW_AT_M, YELLOW_TAIL_M = 450e-9, 60e-9
-"""Where `Wear.yellowing` is stated, and the step in wavelength over which absorbance falls e-fold: the tail
-of an absorption in the ultraviolet, as aged polymers have. The step is assumed."""
+"""Reference wavelength of `Wear.yellowing`, and e-folding length of the absorbance (assumed)."""
 
 MAX_WORN_HAZE, MAX_WORN_SCRATCHES, PRESSES = 0.3, 24, 10_000.0
-"""Of `worn`: what very many presses end at, and how many presses make 63 % of it. Assumed, not measured."""
+"""Limits of `worn`, and the number of presses that reach 63 % of them (assumed)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """State of a worn membrane; by default not at all.
+    """State of a worn membrane; new by default.
 
     Attributes:
-        haze: share of the light that clouded surfaces scatter out of the beam, 0 to 1, as a haze meter counts
-            it; 0.01 is clear, 0.3 frosted.
-        scratches: how many fine scratches there are in each region, 0 to 1000.
-        scratch_seed: which ones; of one seed, more scratches are the same and some more.
-        scratch_width_m: of the widest [m]; the others have 0.3 of it and more.
-        scratch_strength: share of light that the strongest scatters in its middle, 0 to 1; the others have
-            0.3 of it and more.
-        yellowing: decadic absorbance at 450 nm along the membrane's diameter, 0 to 3.
+        haze: Fraction of light scattered out of the beam, 0 to 1, as a haze meter measures it.
+        scratches: Number of scratches in each region, 0 to 1000; more scratches of one seed include the
+            fewer.
+        scratch_width_m: Width of the widest scratch [m]; others have at least 0.3 of it.
+        scratch_strength: Fraction of light the strongest scatters, 0 to 1; others have at least 0.3 of it.
+        yellowing: Decadic absorbance at 450 nm along the diameter, 0 to 3.
     """
 
     haze: float = 0.0
@@ -78,7 +65,6 @@ class Wear:
 
     @property
     def shows(self) -> bool:
-        """Tell whether a camera would see any of it."""
         return bool(self.haze or self.scratches or self.yellowing)
 
 
@@ -93,18 +79,7 @@ _RANGES = {
 
 
 def worn(presses: float) -> Wear:
-    """A membrane after so many presses, by an assumed law: clouding and scratches that saturate.
-
-    1 - exp(-presses / 10 000) of the most there is. Nothing of this was measured on any membrane; it is for
-    drawing how a reading would suffer, not for telling when a membrane must be replaced. Yellowing is left
-    out: silicone yellows with time and light, and not with presses.
-
-    Args:
-        presses: 0 or more.
-
-    Raises:
-        RangeError: it is negative or not a number.
-    """
+    """Return the wear after a number of presses by an assumed saturating law, without yellowing."""
     if not (math.isfinite(presses) and presses >= 0):
         raise RangeError(f"{presses} presses; give a finite number, 0 or more", code="press-count")
     share = -math.expm1(-presses / PRESSES)
@@ -119,7 +94,7 @@ class Film:
     add: Float32[ndarray, "h w 3"]
 
     def over(self, light: Float32[ndarray, "h w 3"], lamp_gain: float) -> None:
-        """Seen through it, in place; what is scattered is the lamp's, so it goes with the lamp."""
+        """Apply to light in place; scattered light scales with the lamp."""
         light *= self.keep
         light += self.add if lamp_gain == 1.0 else np.float32(lamp_gain) * self.add
 
@@ -132,15 +107,15 @@ def film(
     covered: Bool[ndarray, "h w"],
     glow: float = GLOW,
 ) -> Film:
-    """Haze, scratches and yellowing as one.
+    """Combine haze, scratches, and yellowing.
 
     Args:
-        wear: how worn.
-        scratched: share of the light that scratches scatter, from `scratches_over`.
-        veil: what the camera would see of light all of which is scattered.
-        passed: by the yellowed bulk, from `passed_by`.
-        covered: where the camera looks through the membrane.
-        glow: share of what scratches scatter that joins the veil.
+        wear: State of the membrane.
+        scratched: Fraction of light scattered by scratches, from `scratches_over`.
+        veil: Image of light that is scattered completely.
+        passed: Transmission of the yellowed bulk, from `passed_by`.
+        covered: Where the camera looks through the membrane.
+        glow: Fraction of scratch-scattered light that joins the veil.
     """
     keep = np.where(covered, (1 - wear.haze) * (1 - scratched), 1.0)
     scattered = np.where(covered, wear.haze * (1 - scratched) + glow * scratched, 0.0) * veil
@@ -151,22 +126,20 @@ def film(
 
 
 def spread(light: Float[ndarray, "h w"], pitches_m: tuple[float, float]) -> Float[ndarray, "h w"]:
-    """Light as a scattering surface before it shows it: its mean under a wide tent, with none from beyond."""
+    """Return the mean of light under a wide tent: what a scattering surface shows."""
     cells = [2 * round(VEIL_M / 2 / pitch) + 1 for pitch in reversed(pitches_m)]
     once = uniform_filter(np.asarray(light, dtype=float), cells, mode="constant")
     return np.asarray(uniform_filter(once, cells, mode="constant"))
 
 
 def passed_by(yellowing: float, path: Float[ndarray, " w"], spectrum: Spectrum) -> Float[ndarray, "w 3"]:
-    """Share of the bare lamp's light that yellowed silicone passes in each channel, by Beer's law.
-
-    Right for the lamp's own spectrum. Interference colours have another, of which each channel is taken to
-    lose as much: at an absorbance of 0.3 that is wrong by 0.005 of the light (rms), in places by 0.03.
+    """Return the transmission of yellowed silicone in each channel by Beer's law, exact for the lamp's
+    spectrum.
 
     Args:
-        yellowing: see `Wear`.
-        path: through the membrane, over its diameter.
-        spectrum: of lamp and camera.
+        yellowing: Absorbance, see `Wear`.
+        path: Path through the membrane over its diameter.
+        spectrum: Lamp and camera.
     """
     absorbance = yellowing * np.exp((YELLOW_AT_M - spectrum.wavelength_m) / YELLOW_TAIL_M)
     return np.asarray(10 ** (-path[:, None] * absorbance) @ spectrum.weight)
@@ -179,13 +152,13 @@ def scratches_over(
     z_m: Float[ndarray, " h"],
     box_m: tuple[tuple[float, float], tuple[float, float]],
 ) -> Float[ndarray, "h w"]:
-    """Share of light that scratches scatter, each pixel the mean over its area: fewer pixels show them paler.
+    """Return the fraction of light that scratches scatter, averaged over each pixel.
 
     Args:
-        wear: how many, and which.
-        stream: 0, 1, ... for regions whose scratches differ.
-        x_m, z_m: of the columns and rows on the surface, equally spaced [m].
-        box_m: least and greatest x, and z, of the scratches' middles [m].
+        wear: State of the membrane.
+        stream: Number of the region.
+        x_m, z_m: Columns and rows on the surface, equally spaced [m].
+        box_m: Bounds of x and z of the scratches' centers [m].
     """
     clear = np.ones((len(z_m), len(x_m)))
     drawn = np.random.default_rng([wear.scratch_seed, stream]).uniform(size=(wear.scratches, 7))
@@ -202,7 +175,7 @@ def _scratch(
     z_m: Float[ndarray, " h"],
     box_m: tuple[tuple[float, float], tuple[float, float]],
 ) -> None:
-    """One of them: a slightly bent line that fades towards its ends."""
+    """Add one scratch: a slightly bent line that fades towards its ends."""
     x0, z0 = (low + (high - low) * part for (low, high), part in zip(box_m, drawn[:2], strict=True))
     cos, sin = math.cos(math.pi * drawn[2]), math.sin(math.pi * drawn[2])
     half = SCRATCH_M[0] * (SCRATCH_M[1] / SCRATCH_M[0]) ** drawn[3]

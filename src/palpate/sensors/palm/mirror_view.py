@@ -1,14 +1,9 @@
-"""The mirror's view: the membrane's underside, and through the clear membrane the dimple and the ball.
+"""The mirror's view through the membrane: dimple, ball, and housing, in unpolarized grey light.
 
-The mirror sends a bundle of parallel lines of sight up at an angle. Each is refracted at the flat underside,
-runs straight to the deformed upper surface and there meets the ball where they touch; elsewhere it leaves
-into the housing, where it may meet the ball beside the contact, or is thrown back inside. What it meets is
-grey and lit by what light there is in the housing: unpolarised, so no fringes. The housing is dark overhead
-and light all round, so that the dimple, which bends lines of sight aside, is seen. Brightnesses are assumed.
-
-With `probe_in_mirror=False` nothing is ever met but the surface and the housing: what is left is the
-membrane's deformation alone. That a line of sight which has left through one side of the dimple would enter
-again at the other is left out.
+Parallel lines of sight rise at an angle, refract at the flat underside, and meet the deformed upper surface:
+the ball where it touches, else the housing or the ball's side after refraction. The housing is dark overhead
+and lit all around, so that refraction shows the dimple. Brightness values are assumed. With
+`probe_in_mirror=False` only the membrane's deformation is drawn. Re-entry into the membrane is neglected.
 """
 
 from __future__ import annotations
@@ -28,13 +23,13 @@ from palpate.sensors.palm.palm_press import pressed
 from palpate.sensors.palm.palm_spec import PalmSpec
 
 LID, WALL = 0.06, 0.4
-"""How bright the dark lid and the lit walls below it are, over a white body's brightness. Assumed."""
+"""Brightness of the dark lid and the lit walls over a white body's. Assumed."""
 
 EDGE_ON = 0.35
-"""A surface's brightness seen at a grazing angle, over that seen squarely. Assumed."""
+"""Brightness of a surface at grazing over normal view. Assumed."""
 
-STEPS = 48  # heights at which a line of sight is compared with the surface
-REACH = 3.2  # ball radii about the contact beyond which the surface is drawn flat
+STEPS = 48  # heights at which a line of sight is tested against the surface
+REACH = 3.2  # radius beyond which the surface is flat, in ball radii
 PATCHES_BYTES = 100_000_000
 TRACES_BYTES = 20_000_000
 
@@ -43,7 +38,7 @@ Grey = Float32[ndarray, "h w"]
 
 @cache_within(TRACES_BYTES)
 def trace_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
-    """The mirror's picture, every pixel traced; it is kept, and so cannot be written to."""
+    """Trace every pixel of the mirror's image (cached, read-only)."""
     x, y = _underside(spec)
     grey = _inside_rim(spec, _traced(spec, *_ball_surface(spec, depth_m), x - x_m, y - y_m))
     grey.setflags(write=False)
@@ -51,7 +46,7 @@ def trace_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey
 
 
 def trace_contact(spec: PalmSpec, contact: Contact) -> Grey:
-    """The same under any probe, from the contact's own grid."""
+    """Trace the mirror's image under any probe from the contact's grid."""
     x, y = _underside(spec)
     reach = (min(float(contact.displacement_m.min()), 0.0), float(contact.displacement_m.max()))
     traced = _traced(spec, GridSurface(contact), reach, x - contact.pose.x_m, y - contact.pose.y_m)
@@ -59,7 +54,7 @@ def trace_contact(spec: PalmSpec, contact: Contact) -> Grey:
 
 
 def shift_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey:
-    """The fast way: one traced patch, moved to the contact by whole and part pixels."""
+    """Return the mirror's image by the fast method: one traced patch, shifted to the contact."""
     patch = patch_of(spec.unlit, depth_m)
     wide, high = spec.mirror.pitches_m
     half = (np.array(patch.grey.shape[::-1]) - 1) / 2
@@ -78,9 +73,8 @@ def shift_mirror(spec: PalmSpec, depth_m: float, x_m: float, y_m: float) -> Grey
 
 
 def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> tuple[float, float]:
-    """Pixel at which the mirror shows a place on the upper surface, from the region's corner (x, y) [px].
-
-    The line of sight to it enters the underside nearer to the camera, by the way it leans in the membrane.
+    """Return the pixel (x, y) from the region's corner at which the mirror shows a point on the upper
+    surface.
     """
     lean, up = _inside_direction(spec)
     entry = y_m + (spec.thickness_m - depth_m) * lean / up
@@ -93,20 +87,19 @@ def contact_px(spec: PalmSpec, x_m: float, y_m: float, depth_m: float = 0.0) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """The traced surroundings of a contact, and the brightness of the flat surface beyond."""
+    """Traced surroundings of a contact, and the brightness of the flat surface."""
 
     grey: Grey
     flat: float
 
     @property
     def nbytes(self) -> int:
-        """Size in memory [bytes]."""
         return self.grey.nbytes
 
 
 @cache_within(PATCHES_BYTES)
 def patch_of(spec: PalmSpec, depth_m: float) -> Patch:
-    """The patch of one depth, traced once."""
+    """Trace the patch of one depth (cached)."""
     (wide, high), sine = spec.mirror.pitches_m, math.sin(spec.mirror_elevation_rad)
     reach = REACH * spec.indenter_radius_m + spec.thickness_m
     across, down = int(np.ceil(reach / wide)), int(np.ceil(reach * sine / high))
@@ -117,29 +110,29 @@ def patch_of(spec: PalmSpec, depth_m: float) -> Patch:
 
 
 def _underside(spec: PalmSpec) -> tuple[ndarray, ndarray]:
-    """Place at which each pixel's line of sight enters the underside [m]."""
+    """Position at which each pixel's line of sight enters the underside [m]."""
     x, y = np.meshgrid(spec.mirror.x_m, spec.mirror.down_m / math.sin(spec.mirror_elevation_rad))
     return x, y
 
 
 def veil(spec: PalmSpec) -> float:
-    """Brightness of a surface that scatters the housing's light evenly: the mean over all it is open to."""
+    """Return the brightness of a surface that scatters the housing's light evenly."""
     return spec.inside_light * (LID + WALL) / 2
 
 
 def inside_rim(spec: PalmSpec) -> Bool[ndarray, "h w"]:
-    """Mask of the mirror's lines of sight that enter the membrane, or the opening it is set in."""
+    """Return the mask of lines of sight that enter the membrane or its opening."""
     x, y = _underside(spec)
     return np.asarray(x**2 + y**2 <= spec.radius_m**2)
 
 
 def path_m(spec: PalmSpec) -> float:
-    """Length of a line of sight from the underside to the flat upper surface [m]."""
+    """Return the length of a line of sight from the underside to the flat upper surface [m]."""
     return spec.thickness_m / _inside_direction(spec)[1]
 
 
 def _inside_direction(spec: PalmSpec) -> tuple[float, float]:
-    """A line of sight inside the membrane: towards -y, and up, towards -z."""
+    """Direction inside the membrane: components towards -y and -z."""
     lean = math.cos(spec.mirror_elevation_rad) / (spec.refractive_index if spec.membrane else 1.0)
     return lean, math.sqrt(1 - lean**2)
 
@@ -151,28 +144,28 @@ def _ball_surface(spec: PalmSpec, depth_m: float) -> tuple[BallSurface, tuple[fl
 
 @runtime_checkable
 class Surface(Protocol):
-    """The membrane's upper surface and what presses it, about the contact's axis [m]."""
+    """Upper surface of the membrane and the probe on it, around the contact's axis [m]."""
 
     def at(self, x: ndarray, y: ndarray) -> ndarray:
-        """Depth z of the surface."""
+        """Depth z."""
         ...
 
     def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
-        """Its slopes along x and y."""
+        """Slopes along x and y."""
         ...
 
     def touching(self, x: ndarray, y: ndarray) -> ndarray:
-        """Mask of the places where the probe lies on it."""
+        """Mask of contact with the probe."""
         ...
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
-        """Cosine at which a line of sight that has left the membrane meets the probe; 0 where it does not."""
+        """Cosine at which a line of sight that has left the membrane meets the probe; 0 for a miss."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class BallSurface:
-    """Surface under a ball, from the finite-strain table; a depth below 0 is of a ball that hangs over it."""
+    """Surface under a ball from the finite-strain table; negative depth is a ball above it."""
 
     press: TabulatedPress
     radius_m: float
@@ -191,7 +184,6 @@ class BallSurface:
         return np.asarray(np.hypot(x, y) < self.press.contact_radius * self.radius_m)
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
-        """The sphere beside the contact, as `beside` of a surface."""
         if self.depth_m == 0:
             return np.zeros(place.shape[1:])
         R = self.radius_m
@@ -206,7 +198,7 @@ class BallSurface:
 
 
 class GridSurface:
-    """Surface under any probe, from a contact's grid; the probe is seen only where it touches."""
+    """Surface under any probe from a contact's grid; the probe is visible only where it touches."""
 
     def __init__(self, contact: Contact) -> None:
         x, y = contact.x_m - contact.pose.x_m, contact.y_m - contact.pose.y_m
@@ -233,14 +225,7 @@ class GridSurface:
 
 
 def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray) -> Grey:
-    """Brightness met by lines of sight that enter the underside at (x, y) from the contact's axis [m].
-
-    Args:
-        spec: the palm.
-        surface: what they go towards.
-        reach_m: least and greatest z of that surface [m].
-        x, y: where they enter [m].
-    """
+    """Brightness along lines of sight that enter the underside at (x, y) from the contact's axis."""
     if not spec.membrane:
         return _in_air(spec, surface, x, y)
     if spec.opaque_underside:
@@ -259,7 +244,6 @@ def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: n
 
 
 def _in_air(spec: PalmSpec, surface: Surface, x: ndarray, y: ndarray) -> Grey:
-    """The same without a membrane: straight up, past nothing that bends or reflects."""
     lean, up = _inside_direction(spec)
     place = np.stack([x, y, np.full(x.shape, spec.thickness_m)])
     out = np.stack([np.full(x.shape, part) for part in (0.0, -lean, -up)])
@@ -267,7 +251,7 @@ def _in_air(spec: PalmSpec, surface: Surface, x: ndarray, y: ndarray) -> Grey:
 
 
 def _outside(spec: PalmSpec, surface: Surface, place: ndarray, out: ndarray) -> ndarray:
-    """Brightness of what lines of sight meet in the air: the probe's side, or the housing."""
+    """Brightness in the air: the probe's side or the housing."""
     housing = LID + (WALL - LID) * (1 - out[2] ** 2)
     if not spec.probe_in_mirror:
         return np.asarray(housing)
@@ -282,7 +266,7 @@ def _probe(spec: PalmSpec, facing: ndarray) -> ndarray:
 def _where_it_meets(
     surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray, h: float, tangent: float
 ) -> ndarray:
-    """Heights z at which lines of sight from the underside first meet the surface [m]."""
+    """Depth z at which lines of sight first meet the surface [m]."""
     least, greatest = reach_m
     heights = np.linspace(greatest + 1e-9, least - 1e-9, STEPS)
     z = np.full(x.shape, heights[-1])
@@ -302,7 +286,7 @@ def _where_it_meets(
 
 
 def _refracted(slopes: tuple[ndarray, ndarray], lean: float, up: float, n: float) -> tuple[ndarray, ndarray]:
-    """Direction ``[3 h w]`` beyond the surface, and the share of light that passes (Fresnel's mean)."""
+    """Direction ``[3 h w]`` beyond the surface, and the transmitted fraction of light (mean Fresnel)."""
     sx, sy = slopes
     normal = np.stack([sx, sy, -np.ones_like(sx)]) / np.sqrt(1 + sx**2 + sy**2)
     into = np.stack([np.zeros_like(sx), np.full_like(sx, -lean), np.full_like(sx, -up)])
@@ -316,5 +300,4 @@ def _refracted(slopes: tuple[ndarray, ndarray], lean: float, up: float, n: float
 
 
 def _inside_rim(spec: PalmSpec, grey: Grey) -> Grey:
-    """Black beyond the membrane's edge."""
     return np.where(inside_rim(spec), grey, np.float32(0))

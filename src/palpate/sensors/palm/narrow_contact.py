@@ -1,10 +1,8 @@
-"""A contact too narrow for the palm's usual grid: solved on cells of its own, then laid onto that grid.
+"""Press a contact that is too narrow for the palm's grid on a finer grid of its own.
 
-An edge that has just touched presses along a line, a ball at a point; the usual cells, sized for the whole
-probe and the skin around it, do not resolve them. So the press is solved in the probe's own frame, unturned,
-on a box that just holds where probe and undeformed skin overlap: contact is nowhere else. Its cells need not
-be square. Each cell's force then goes to the four usual cells about it, by its distance from them, which
-keeps the force and where it acts; the skin's displacement is that of these forces.
+The press is solved in the unrotated probe's frame on a box around the overlap of probe and membrane. Each
+cell's force is then distributed to the four surrounding cells of the palm's grid, which preserves force and
+moment; the displacement is that of these forces.
 """
 
 from __future__ import annotations
@@ -21,11 +19,11 @@ from palpate.mechanics.layers.stack import Stack
 from palpate.mechanics.layers.surface_grid import cells, laid_onto
 from palpate.sensors.palm.probe_shapes import gap_of, parts_of, reaches_of
 
-ACROSS = 64  # least number of cells of the box's side: 16 or so across an edge's contact
-PER_CELL = 4  # least number of them along a usual cell, so that the forces lie evenly on those
-MAX_CELLS = 1 << 20  # of the box, which points far apart need, as small as each is in a wide box
-SAMPLES = 201  # along the side of a box, of which the part is searched that overlaps with the skin
-SHRUNK = 0.9  # of its side: a box that shrinks by less fits
+ACROSS = 64  # minimum cells per side of the box
+PER_CELL = 4  # minimum cells per cell of the palm's grid
+MAX_CELLS = 1 << 20  # maximum cells of the box
+SAMPLES = 201  # samples per side in the search for the overlap
+SHRUNK = 0.9  # relative size from which a box counts as converged
 MAX_ZOOMS = 20
 
 Axis = Float[ndarray, " n"]
@@ -38,16 +36,13 @@ def press_narrow(
     """Press a probe whose contact is narrower than a few cells of a grid.
 
     Args:
-        stack: what is pressed.
-        probe, pose: what presses, where, and to which depth, above 0.
-        x_m, y_m: columns and rows of the grid that the contact is given on, which holds all of it [m].
+        stack: Layers that are pressed.
+        probe, pose: Indenter and its pose, depth above 0.
+        x_m, y_m: Columns and rows of the grid of the returned contact [m].
 
     Returns:
-        The contact. Force, area and misfit are the narrow cells'; pressure, displacement and touching cells
-        the grid's, where the contact covers two cells at least.
-
-    Raises:
-        RangeError: not resolved by the narrow cells either, or deeper than the stack.
+        Contact with force, area, and misfit of the fine grid, and pressure, displacement, and touching cells
+        of the given one.
     """
     narrow = _solved(stack, replace(probe, turn_rad=0.0), pose.depth_m, float(x_m[1] - x_m[0]) / PER_CELL)
     force_n = narrow.pressure_pa * cells(narrow.x_m, narrow.y_m).area_m2
@@ -67,7 +62,7 @@ def press_narrow(
 
 
 def _solved(stack: Stack, probe: Probe, depth_m: float, cell_m: float) -> StackContact:
-    """Press a probe at the origin on cells of at most a size, or of half of it and so on until they do."""
+    """Press a probe at the origin, halving the cells until they resolve the contact."""
     x, y = (_centres(low, high, cell_m) for low, high in _overlap(probe, depth_m))
     try:
         return press_stack(stack, gap_of(probe, x, y, (0.0, 0.0)), x, y, depth_m=depth_m)
@@ -78,10 +73,7 @@ def _solved(stack: Stack, probe: Probe, depth_m: float, cell_m: float) -> StackC
 
 
 def _overlap(probe: Probe, depth_m: float) -> Box:
-    """Least and greatest place along x and y at which a probe at the origin is below the flat skin [m].
-
-    Its parts are searched one by one: samples over all of several balls might miss one.
-    """
+    """Bounds along x and y where a probe at the origin is below the flat surface [m]."""
     boxes = [
         [(low + at, high + at) for (low, high), at in zip(_zoomed(part, depth_m - up), place, strict=True)]
         for part, (*place, up) in parts_of(probe)
@@ -92,7 +84,7 @@ def _overlap(probe: Probe, depth_m: float) -> Box:
 
 
 def _zoomed(part: Probe, depth_m: float) -> Box:
-    """The same of one body, from all of its reach down to what overlaps."""
+    """Bounds of one body, narrowed from its whole reach to the overlap."""
     box = [(-reach, reach) for reach in reaches_of(part)]
     for _ in range(MAX_ZOOMS):
         x, y = (np.linspace(low, high, SAMPLES) for low, high in box)
@@ -107,7 +99,7 @@ def _zoomed(part: Probe, depth_m: float) -> Box:
 
 
 def _span(axis: Axis, inside: Bool[ndarray, " n"]) -> tuple[float, float]:
-    """The part of an axis that is inside, with a sample on either side."""
+    """Bounds of the inside part of an axis, with a sample on either side."""
     at = np.flatnonzero(inside)
     step = float(axis[1] - axis[0])
     return float(axis[at[0]]) - step, float(axis[at[-1]]) + step
@@ -118,7 +110,7 @@ def _length(span: tuple[float, float]) -> float:
 
 
 def _centres(low: float, high: float, cell_m: float) -> Axis:
-    """Centres of equal cells over a span, of at most a size, with one beyond either end."""
+    """Centres of equal cells over a span, with one beyond either end."""
     count = max(ACROSS, math.ceil((high - low) / cell_m))
     step = (high - low) / count
     return (low + high) / 2 + (np.arange(count + 2) - (count + 1) / 2) * step

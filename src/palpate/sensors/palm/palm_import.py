@@ -1,11 +1,9 @@
-"""Import of the photoelastic palm's own recordings: a table a press, a folder of photographs a shot.
+"""Import of the photoelastic palm's recordings: one table per press, one folder of photographs per shot.
 
-A press is one table `Cycle_Indent5mm_r{row}c{col}_{cycle}.csv` of force samples. While the probe dwells at a
-depth, some five samples are taken and some 25 photographs; the column `image_file` of all of them names the
-folder of these photographs, or one photograph. So all frames of a shot share one force, the mean of its
-samples, and belong on the same side of a split: by `location`, `press` or `shot`.
-
-The layout is taken from the source's published code: no recording of it has been read yet.
+A press is a table `Cycle_Indent5mm_r{row}c{col}_{cycle}.csv` of force samples. During a dwell about five
+samples and 25 photographs are taken; the column `image_file` names their folder or file. All frames of a shot
+share one force, the mean of its samples, and belong on the same side of a split. The layout is from the
+published code.
 """
 
 from __future__ import annotations
@@ -25,16 +23,16 @@ from palpate.core.provenance import Provenance
 from palpate.recordings import ImportReport, import_images, read_labels
 from palpate.recordings.label_tables import FIRST_ROW, label_kinds
 
-NEAR_MM = 0.05  # within which two notes of one depth or place agree: half a step
+NEAR_MM = 0.05  # tolerance between two records of one depth or position
 _TABLE = re.compile(r"Cycle_Indent(\d+(?:\.\d+)?)mm_r(\d{1,3})c(\d{1,3})_(\d{1,4})\.csv", re.ASCII)
 _NUMBERS = ("t_s", "indent_mm", "Fx", "Fy", "Fz", "x_mm", "y_mm")
 _PHASES = ("down", "up")
-_MAX_TABLE_BYTES = 1 << 24  # a press has some 260 rows of 100 bytes
+_MAX_TABLE_BYTES = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
 class PalmPressTable:
-    """One table's name, taken apart."""
+    """Parsed name of a press's table."""
 
     path: Path
     deepest_mm: float
@@ -52,12 +50,7 @@ class PalmPressTable:
 
 
 def presses_in(folder: Path) -> list[PalmPressTable]:
-    """The presses that a folder has tables of, by place and cycle.
-
-    Raises:
-        InputError: no folder, or it has no tables.
-        LabelError: a table with another name, or two of one press.
-    """
+    """Return the presses of a folder by location and cycle."""
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder of tables; check the name", code="folder-missing")
     with storage_errors(folder):
@@ -85,11 +78,7 @@ def _press(path: Path) -> PalmPressTable:
 
 
 def table_of(press: PalmPressTable) -> pd.DataFrame:
-    """A press's samples, in the table's order, every number finite.
-
-    Raises:
-        LabelError: the table is damaged, lacks a column, or holds what it must not; says in which row.
-    """
+    """Read and check the samples of a press."""
     path = press.path
     with storage_errors(path):
         size = path.stat().st_size
@@ -129,7 +118,7 @@ def _check_numbers(column: pd.Series, name: str, path: Path, *, is_number: bool)
 
 def _is_finite(cell: str) -> bool:
     try:
-        return "_" not in cell and bool(np.isfinite(float(cell)))  # Python reads 1_000, a table does not
+        return "_" not in cell and bool(np.isfinite(float(cell)))  # Python accepts 1_000
     except ValueError:
         return False
 
@@ -141,7 +130,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True, slots=True)
 class PalmShot:
-    """One dwell: which rows of its press's table, and which photographs."""
+    """One dwell: rows of its press's table and its photographs."""
 
     press: PalmPressTable
     phase: str
@@ -151,17 +140,17 @@ class PalmShot:
 
     @property
     def label(self) -> str:
-        """The phase, as the rig's own plans name it."""
+        """Phase as in the rig's plans."""
         return "reference" if self.depth_mm == 0.0 and self.phase == "down" else self.phase
 
     @property
     def key(self) -> str:
-        """Name of a shot, as the rig's own plans give it."""
+        """Name of the shot as in the rig's plans."""
         return f"{self.press.name}/{self.label}/{round(self.depth_mm * 1000)}/0"
 
 
 def shots_of(press: PalmPressTable, table: pd.DataFrame, folder: Path) -> list[PalmShot]:
-    """A press's dwells, in the order in which they begin in its table."""
+    """Return the dwells of a press in the order of its table."""
     results: dict[tuple[str, float], PalmShot] = {}
     seen: dict[str, list[Path]] = {}
     for i in range(len(table)):
@@ -183,7 +172,7 @@ def shots_of(press: PalmPressTable, table: pd.DataFrame, folder: Path) -> list[P
 
 
 def _depth_mm(press: PalmPressTable, i: int, cell: str, phase: str, indent_mm: float) -> float:
-    """The shot's depth: of its folder's name, which must not gainsay the row, else of the row."""
+    """Depth from the folder's name, which must agree with the row, else from the row."""
     named = _SHOT.search(PureWindowsPath(cell).name)
     if named is None:
         return round(indent_mm, 3)
@@ -198,7 +187,7 @@ def _depth_mm(press: PalmPressTable, i: int, cell: str, phase: str, indent_mm: f
 
 
 def _photos(press: PalmPressTable, i: int, cell: str, folder: Path) -> list[Path]:
-    """The photographs that a cell names: one, or those of a folder, in the order of their numbers."""
+    """Photographs named by a cell: one, or those of a folder in numeric order."""
     where = f"{press.path}, row {i + FIRST_ROW}"
     if not cell:
         raise LabelError(f"{where} names no image_file; name one, or remove the row")
@@ -231,7 +220,6 @@ def _is_photo(path: Path) -> bool:
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:
-    """Sorts photo_2 before photo_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
@@ -247,11 +235,7 @@ def _check_stands(shot: PalmShot, table: pd.DataFrame) -> None:
 
 
 def check_once(shots: Sequence[PalmShot]) -> None:
-    """Refuse a photograph that two shots name.
-
-    Raises:
-        LabelError: there is one.
-    """
+    """Reject a photograph that two shots name."""
     first: dict[Path, PalmShot] = {}
     for shot in shots:
         for photo in shot.photos:
@@ -264,11 +248,7 @@ def check_once(shots: Sequence[PalmShot]) -> None:
 
 
 def check_no_strays(shots: Sequence[PalmShot], folder: Path) -> None:
-    """Refuse photographs that no shot names.
-
-    Raises:
-        LabelError: there are some; names the first.
-    """
+    """Reject photographs that no shot names."""
     named = {photo.resolve() for shot in shots for photo in shot.photos}
     strays = sorted(
         path.relative_to(folder).as_posix()
@@ -293,30 +273,17 @@ def import_palm(
     allow_unlabelled: bool = False,
     progress: ProgressCount | None = None,
 ) -> ImportReport:
-    """Turn a folder of the palm's tables and photographs into a run.
+    """Convert a folder of the palm's tables and photographs to a run.
 
-    Frames come by place, cycle and the table's order of shots, with the labels of `rig.acquisition` as far as
-    the source has them, and `row`, `column` and, where each shot has several samples, their spread
-    `force_sd_N`. When photographs were taken is not known: the run's times are ordinal, and `t_s` is the
-    middle of the dwell by the table.
-
-    `force_N` is the normal force, positive in compression, whichever way the source's Fz points: its sign is
-    that of the deepest shots. So noise about zero keeps its sign, and its mean is not pushed up. `depth_mm`
-    is the source's own, from its own zero. Shots at depth 0 are references; x and y are the source's own.
+    Labels follow `rig.acquisition`, with `row`, `column`, and the samples' spread `force_sd_N`. Run times are
+    ordinal; `t_s` is the middle of the dwell. `force_N` is positive in compression, with the sign of the
+    deepest shots. `depth_mm`, x, and y are the source's own; depth 0 is a reference.
 
     Args:
-        folder: where the tables are, the photographs beside them or in a folder ``images``.
-        run: the run to make; must not exist.
-        sensor, licence, origin, provenance, progress: see `import_images`.
-        allow_unlabelled: leave out photographs that no table names, rather than refuse the folder.
-
-    Raises:
-        ExistsError: `run` exists.
-        InputError: no folder, or it has no tables.
-        LabelError: a table with another name, a missing column, a cell that is no finite number, a photograph
-            or folder that is missing, outside `folder` or named by two shots; the message names file and row.
-        ImageError: a photograph cannot be read, or is not of the first one's size and kind.
-        StorageError: the disk is full, or refused.
+        folder: Folder of the tables, with the photographs or their folder ``images``.
+        run: Run to create.
+        sensor, licence, origin, provenance, progress: See `import_images`.
+        allow_unlabelled: Whether to skip photographs that no table names.
     """
     refuse_existing(run)
     presses = presses_in(folder)
@@ -347,7 +314,6 @@ def import_palm(
 def _labels(
     shots: Sequence[PalmShot], tables: dict[PalmPressTable, pd.DataFrame], folder: Path
 ) -> pd.DataFrame:
-    """A row a photograph."""
     sign = _normal_sign(tables)
     rows: list[dict[str, object]] = []
     for shot in shots:
@@ -356,7 +322,7 @@ def _labels(
         for k, photo in enumerate(shot.photos):
             name = photo.relative_to(folder).as_posix()
             rows.append({"image_file": name, "frame_in_shot": float(k), **about})
-    return pd.DataFrame(rows).dropna(axis=1)  # the spread, where there is none
+    return pd.DataFrame(rows).dropna(axis=1)  # drops the spread where there is none
 
 
 def _about(shot: PalmShot, samples: pd.DataFrame, sign: float) -> dict[str, object]:
@@ -383,11 +349,7 @@ def _about(shot: PalmShot, samples: pd.DataFrame, sign: float) -> dict[str, obje
 
 
 def _normal_sign(tables: dict[PalmPressTable, pd.DataFrame]) -> float:
-    """Which way Fz points: at a press's deepest shot the skin is compressed, whatever its sign.
-
-    Raises:
-        LabelError: presses say otherwise of one another.
-    """
+    """Sign of Fz at the deepest shots, where the membrane is compressed."""
     signs: dict[float, PalmPressTable] = {}
     for press, table in tables.items():
         depth, fz = table["indent_mm"].to_numpy(), table["Fz"].to_numpy()

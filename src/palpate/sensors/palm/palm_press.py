@@ -1,10 +1,7 @@
-"""A probe on the palm's membrane: finite-strain tables for those that have one, else linear layers.
+"""Press a probe into the palm's membrane: finite-strain tables where they exist, else linear layers.
 
-The ball's tables reach 6 mm, with a lateral load as without; those of upright punches of 6, 8 and 10 mm 3, 4
-and 4.8 mm, and those of a few probes without an axis (`tabled_probes`) as deep as they tell, without; to
-1.5 mm linear layers add a lateral load's shear to a press of both. Linear layers are right to some 4 %
-in force up to 1.5 mm under a 10 mm ball, and to that depth they are allowed; a ball under a moment is of
-them, and so are most holders of several balls.
+Linear layers are limited to 1.5 mm, where they are accurate to about 4 % in force under a 10 mm ball. Below
+that depth they also add the shear of a lateral load to a tabled press of another probe than the ball.
 """
 
 from __future__ import annotations
@@ -29,16 +26,11 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
 )
 from palpate.mechanics.axisymmetric.punch_table import (
     PunchTable,
-    is_punch_tabled,
     press_punch,
-    punch_table_for,
 )
 from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
-    is_tabled,
     press_finite_strain,
-    shipped,
-    table_for,
 )
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
@@ -52,10 +44,9 @@ from palpate.sensors.palm.probe_shapes import as_pair, gap_of, reaches_of, uprig
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
-FINER = 3  # times as many knots each way: the march reads between them along straight lines
+FINER = 3  # refinement of the knots in each direction; the march interpolates linearly
 FADED = (0.75, 0.95)
-"""Shares of the table's radius from where to where its stress is faded out. Beyond, it is that of the rim of
-a membrane pressed in its middle, and would stand where there is no rim under a press elsewhere."""
+"""Range over which the stress fades out, in table radii: a table's rim is not where the membrane's is."""
 
 Knots = Float[ndarray, " n"]
 
@@ -67,34 +58,29 @@ def _table_of(spec: PalmSpec) -> SphereTable | None:
 
 @lru_cache(maxsize=32)
 def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
-    """The table of these proportions (lengths in ball radii); None if there is none."""
     try:
-        table = table_for(thickness, friction, poisson_ratio)
+        table = SphereTable.of_disc(thickness, friction, poisson_ratio)
     except RangeError:
         return None
     return table if table.disc_radius <= disc_radius * (1 + SAME) else None
 
 
 def has_table(spec: PalmSpec) -> bool:
-    """Tell whether there is a table for the spec's membrane under its ball."""
+    """Return whether a table exists for the spec's membrane under its ball."""
     R = spec.indenter_radius_m
     wide = spec.radius_m >= TABLE_RADIUS * R * (1 - SAME)
-    return wide and is_tabled(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
+    return wide and SphereTable.holds(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
 
 
 def table_of(spec: PalmSpec) -> SphereTable:
-    """The shipped table whose membrane has the spec's proportions.
-
-    Raises:
-        RangeError: none was made for them; the message lists those there are.
-    """
+    """Return the shipped table with the spec's proportions."""
     if (table := _table_of(spec)) is not None:
         return table
     R = spec.indenter_radius_m
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"
-        for t in map(SphereTable.load, shipped())
+        for t in map(SphereTable.load, SphereTable.shipped())
     )
     raise RangeError(
         f"no table for a membrane {spec.thickness_m * 1e3:g} mm thick, {spec.diameter_m * 1e3:g} mm wide, nu "
@@ -104,7 +90,7 @@ def table_of(spec: PalmSpec) -> SphereTable:
 
 
 def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
-    """The table at one depth, in sphere radii and moduli."""
+    """Return the table at one depth, in ball radii and moduli."""
     R = spec.indenter_radius_m
     proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
     kept = _pressed(proportions, depth_m / R)
@@ -113,13 +99,12 @@ def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
 
 @lru_cache(maxsize=16)
 def _pressed(proportions: tuple[float, float, float, float], depth: float) -> TabulatedPress | None:
-    """The same, kept, since one picture asks for its depth several times; None without a table."""
     table = _table(*proportions)
     return None if table is None else table.at(depth)
 
 
 def field_at(spec: PalmSpec, depth_m: float) -> AxisymmetricField:
-    """Stress at one depth of the table, as `field_of` gives it, kept: many pictures are of one depth."""
+    """Return the stress at one depth of the table (cached)."""
     R = spec.indenter_radius_m
     proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
     kept = _field_at(proportions, depth_m, R, spec.youngs_modulus_pa)
@@ -135,7 +120,7 @@ def _field_at(
 
 
 def has_punch_table(spec: PalmSpec, probe: Probe) -> bool:
-    """Tell whether there is a table for the spec's membrane under a probe that is an upright punch."""
+    """Return whether a table exists for the spec's membrane under this upright punch."""
     return _punch_table(spec, probe) is not None
 
 
@@ -144,18 +129,14 @@ def _punch_table(spec: PalmSpec, probe: Probe) -> PunchTable | None:
         return None
     R = probe.radius_m
     asked = spec.thickness_m / R, spec.friction, spec.poisson_ratio
-    if not is_punch_tabled(*asked):
+    if not PunchTable.holds(*asked):
         return None
-    table = punch_table_for(*asked)
+    table = PunchTable.of_disc(*asked)
     return table if table.disc_radius * R <= spec.radius_m * (1 + SAME) else None
 
 
 def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
-    """The table of an upright punch.
-
-    Raises:
-        RangeError: there is none for this membrane.
-    """
+    """Return the table of an upright punch."""
     if (table := _punch_table(spec, probe)) is None:
         raise RangeError(
             f"no table for a {probe.shape} of {2e3 * probe.radius_m:g} mm on a membrane "
@@ -167,21 +148,17 @@ def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
 
 @lru_cache(maxsize=16)
 def punched(spec: PalmSpec, probe: Probe, depth_m: float) -> TabulatedPress:
-    """That table at one depth, in punch radii and moduli."""
+    """Return the punch's table at one depth, in punch radii and moduli."""
     return punch_table_of(spec, probe).at(depth_m / probe.radius_m)
 
 
 def field_under(spec: PalmSpec, probe: Probe, depth_m: float) -> AxisymmetricField:
-    """Stress under a punch that has a table, as `field_of` gives that under the ball."""
+    """Return the stress under a tabled punch."""
     return _field(punched(spec, probe, depth_m), probe.radius_m, spec.youngs_modulus_pa, FINER)
 
 
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:
-    """Depth of the spec's ball under a force, at a place where the spec applies the rim [m].
-
-    Raises:
-        RangeError: a force that is negative, not a number, or beyond the table.
-    """
+    """Return the depth of the spec's ball under a force, including an applied rim [m]."""
     spec = pressed_at(spec, x_m, y_m)
     table, R = table_of(spec), spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * R**2
@@ -205,7 +182,7 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
 
 
 def field_of(press: TabulatedPress, spec: PalmSpec, finer: int = FINER) -> AxisymmetricField:
-    """The same in SI, on finer knots, without the rim's own stress."""
+    """Return the stress of a tabled press in SI units on finer knots, without the rim's own stress."""
     return _field(press, spec.indenter_radius_m, spec.youngs_modulus_pa, finer)
 
 
@@ -225,27 +202,24 @@ def _field(press: TabulatedPress, R: float, E: float, finer: int) -> Axisymmetri
 
 
 def between(knots: Knots, finer: int) -> Float[ndarray, " m"]:
-    """Knots with every interval cut into `finer` equal parts."""
+    """Cut every interval of the knots into `finer` equal parts."""
     whole = np.arange(len(knots))
     return np.interp(np.arange(finer * (len(knots) - 1) + 1) / finer, whole, knots)
 
 
-TABLE_RADIUS = 5.7  # of the tables' discs, in ball radii
+TABLE_RADIUS = 5.7  # disc radius of the tables, in ball radii
 LINEAR_DEPTH_M = 1.5e-3
-CELLS = 160  # of the side of a grid, up to where a cell would be larger than
-CELL_M = 0.15e-3  # and beyond it as many as that asks for, in whole
-BLOCK = 32  # so that probes of about one size share what is computed once for a grid
-MARGIN_M = 3e-3  # of grid beyond the probe's reach
-WHOLE_M = 1e-3  # to which half a grid's side is rounded up, for the same reason
-PULLED_REACH = 3.0  # radii of grid to each side of a ball that is pulled aside, or of a punch
-FRICTION = 1.0  # between probe and clean silicone, where a lateral load is asked for. Assumed.
+CELLS = 160  # minimum cells per grid side
+CELL_M = 0.15e-3  # maximum cell size
+BLOCK = 32  # rounding of cell counts, so that probes of similar size share cached grids
+MARGIN_M = 3e-3  # grid beyond the probe's reach
+WHOLE_M = 1e-3  # rounding of half the grid side, for the same reason
+PULLED_REACH = 3.0  # half the grid side of a tabled press, in probe radii
+FRICTION = 1.0  # friction coefficient between probe and silicone under a lateral load (assumed)
 
 
 class Layered(NamedTuple):
-    """A press by linear layers: as the mechanics know it, and as all else does.
-
-    A narrow one is solved on cells of its own; on the grid its touching cells then cover more than its area.
-    """
+    """A press by linear layers; a narrow contact is solved on a finer grid of its own."""
 
     pressed: StackContact
     contact: Contact
@@ -253,7 +227,6 @@ class Layered(NamedTuple):
 
     @property
     def area_m2(self) -> float:
-        """Area of the contact: of the touching cells, or of a narrow one's own [m^2]."""
         if self.is_narrow:
             return self.pressed.area_m2
         x, y = self.contact.x_m, self.contact.y_m
@@ -270,42 +243,30 @@ def press(
     """Press a probe into the membrane.
 
     Args:
-        spec: the palm.
-        pose: where, and how deep: up to 6 mm for the spec's ball without moment, to what its table reaches
-            for another probe that has one, without any lateral load, to 1.5 mm for all else; negative for a
-            probe in the air. Under a lateral load the place is that of the ball then. The contact must lie
-            inside the membrane's rim.
-        probe: what presses; None for the spec's ball.
-        lateral_n: force along x and y on top [N]; less than friction times the normal force, and no more than
-            takes the ball 2.25 mm along.
-        moment_nm: about z through the probe's axis on top, from x towards y [N m]; None for a probe that does
-            not turn, whose contact has the moment that a lateral force then takes.
+        spec: Palm specification.
+        pose: Position and depth; negative depth is a probe in the air. Depth limits: 6 mm for the spec's ball
+            without a moment, the table's range for another tabled probe without a lateral load, else 1.5 mm.
+        probe: Indenter; None for the spec's ball.
+        lateral_n: Lateral force (x, y) [N], below friction times the normal force. Maximum ball shift: 2.25
+            mm.
+        moment_nm: Moment about z through the probe's axis, from x towards y [N m]; None for a probe that
+            cannot rotate.
 
     Returns:
-        The contact. Both laws hold for a membrane wide around the contact; towards the rim the force is too
-        high, by how much is on the verification page. A spec whose rim is "applied" corrects that of the
-        ball, up to 23.5 mm from the axis and 5 mm deep under the palm's, and holds it beyond.
-
-    Raises:
-        InputError: a place or a load that is not a number.
-        RangeError: the depth lies beyond the law, the contact reaches over the rim, or the probe would slip.
-        MaterialStrainError: the material is strained beyond the spec's `max_strain`.
+        Contact. Near the rim its force is too high unless the spec's rim is "applied", which corrects the
+        ball up to 23.5 mm from the axis and 5 mm deep.
     """
     return within_material(spec, _pressed_by_law(spec, pose, probe, lateral_n, moment_nm))
 
 
 def contact_strain(spec: PalmSpec, contact: Contact) -> float:
-    """Mean contact pressure over Young's modulus; 0 without force."""
+    """Return the mean contact pressure over Young's modulus; 0 without force."""
     area_m2 = math.pi * contact.radius_m**2
     return contact.force_n / (area_m2 * spec.youngs_modulus_pa) if contact.force_n > 0 < area_m2 else 0.0
 
 
 def within_material(spec: PalmSpec, contact: Contact) -> Contact:
-    """The contact itself.
-
-    Raises:
-        MaterialStrainError: it strains the material beyond the spec's `max_strain`.
-    """
+    """Return the contact, or raise `MaterialStrainError` beyond the material's strain limit."""
     strain = contact_strain(spec, contact)
     if strain > spec.max_strain:
         raise MaterialStrainError(
@@ -346,20 +307,19 @@ def _pressed_by_law(
 
 
 def is_pulled_deep(spec: PalmSpec) -> bool:
-    """Tell whether the spec's ball is pulled aside at finite strain, to the table's full depth."""
+    """Return whether a lateral load on the spec's ball is tabled at finite strain."""
     R = spec.indenter_radius_m
     return has_table(spec) and spec.friction == 0 and pulled_sphere_table().covers(spec.thickness_m / R)
 
 
 def _tabled(spec: PalmSpec, pose: Pose, grid: tuple[Knots | None, Knots | None] = (None, None)) -> Contact:
-    """The spec's ball by the finite-strain table."""
     material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
     ball = Probe("sphere", spec.indenter_radius_m)
     return _near_rim(spec, press_finite_strain(ball, pose, *material, *grid))
 
 
 def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
-    """An upright punch or a probe without an axis by its finite-strain table; None if it has none."""
+    """Press an upright punch or a non-axisymmetric probe by its table; None if it has none."""
     around = _around(probe.radius_m + probe.length_m / 2)
     membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
     grid = pose.x_m + around, pose.y_m + around
@@ -371,7 +331,7 @@ def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
 
 
 def _as_layered(spec: PalmSpec, contact: Contact) -> Layered:
-    """A contact of a table as linear layers shear it, which its normal pressure does not change by."""
+    """A tabled contact prepared for a lateral load by linear layers."""
     held = np.where(contact.touching, contact.pressure_pa, 0.0)
     force_n, area_m2 = contact.force_n, math.pi * contact.radius_m**2
     surface = held, contact.displacement_m, contact.touching
@@ -382,13 +342,13 @@ def _as_layered(spec: PalmSpec, contact: Contact) -> Layered:
 
 
 def _around(radius_m: float) -> Knots:
-    """Columns, or rows, about a table's press that hold all of its dimple [m]."""
+    """Columns or rows that hold the whole dimple of a tabled press [m]."""
     reach = PULLED_REACH * radius_m
     return (np.arange(2 * CELLS) + 0.5) * (reach / CELLS) - reach
 
 
 def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> Contact:
-    """The same under a lateral load, of which a rim that is applied has its part."""
+    """The spec's ball under a lateral load; an applied rim contributes to the load."""
     around = _around(spec.indenter_radius_m)
     contact = _tabled(spec, pose, (pose.x_m + around, pose.y_m + around))
     pull = lateral_n[0] - contact.lateral_n[0], lateral_n[1] - contact.lateral_n[1]
@@ -398,11 +358,7 @@ def _pulled_ball(spec: PalmSpec, pose: Pose, lateral_n: tuple[float, float]) -> 
 
 
 def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
-    """Lateral force that a shift of the spec's ball along the skin builds up, in one go [N].
-
-    Raises:
-        RangeError: the ball would slip, or go further than the table of a pulled ball holds.
-    """
+    """Return the lateral force caused by a monotonic shift of the spec's ball along the membrane [N]."""
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     R, at = spec.indenter_radius_m, pressed(spec, pose.depth_m)
     table, unit = pulled_sphere_table(), spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
@@ -420,7 +376,7 @@ def pull_of_shift(spec: PalmSpec, pose: Pose, shift_m: float) -> float:
 def load_with_rim(
     spec: PalmSpec, pose: Pose, probe: Probe, pull_n: tuple[float, float]
 ) -> tuple[float, float]:
-    """Lateral load, as `press` takes it, of a pull on a probe: with that of an applied rim on a ball [N]."""
+    """Return the lateral load for `press` of a pull on a probe, including an applied rim's push [N]."""
     if probe != Probe("sphere", spec.indenter_radius_m) or not is_pulled_deep(spec):
         return pull_n
     spec = pressed_at(spec, pose.x_m, pose.y_m)
@@ -433,14 +389,14 @@ def load_with_rim(
 
 
 def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:
-    """The spec's ball as far as a picture asks for it: probe, place and depth, no pressure."""
+    """Return a contact of the spec's ball with probe, position, and depth only, for drawing."""
     none, grid = np.zeros(0), np.zeros((0, 0))
     probe = Probe("sphere", spec.indenter_radius_m)
     return Contact(none, none, grid, grid, grid > 0, math.nan, math.nan, probe, pose, "a ball, drawn alone")
 
 
 def _near_rim(spec: PalmSpec, centred: Contact) -> Contact:
-    """A press of the table where it is: with what the rim does to it, where the spec applies that."""
+    """Apply the rim's effect to a tabled press."""
     effect = applied_rim(spec, centred.pose)
     if effect.force_ratio == 1.0 and effect.push_ratio == 0.0:
         return centred
@@ -459,30 +415,17 @@ def _near_rim(spec: PalmSpec, centred: Contact) -> Contact:
 
 
 def press_to_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> Contact:
-    """Press the spec's ball until it carries a force.
-
-    Args:
-        spec: the palm.
-        force_n: 0 to that of the table's deepest press [N].
-        x_m, y_m: where [m].
-
-    Raises:
-        RangeError: the force lies beyond the table, or the contact reaches over the rim.
-    """
+    """Press the spec's ball to a normal force [N]."""
     return press(spec, Pose(x_m, y_m, depth_of_force(spec, force_n, x_m, y_m)))
 
 
 def stack_of(spec: PalmSpec) -> Stack:
-    """The membrane as one bonded layer."""
+    """Return the membrane as one bonded layer."""
     return Stack((ElasticLayer(spec.thickness_m, spec.youngs_modulus_pa, spec.poisson_ratio),))
 
 
 def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
-    """Press any probe into the membrane as a linear layer, the spec's ball as well.
-
-    Raises:
-        RangeError: the depth lies beyond 0 to 1.5 mm, or the contact reaches over the rim.
-    """
+    """Press any probe, including the spec's ball, by linear layers."""
     if not 0 <= pose.depth_m <= LINEAR_DEPTH_M * (1 + SAME):
         others = probes_with_table(spec)
         raise RangeError(
@@ -505,7 +448,7 @@ def press_layers(spec: PalmSpec, pose: Pose, probe: Probe) -> Layered:
 
 
 def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | None = None) -> Contact:
-    """A contact with a lateral load on top; arguments and errors as of `press`."""
+    """Add a lateral load to a contact; arguments as of `press`."""
     pressed, contact = layered.pressed, layered.contact
     if not pressed.force_n > 0:
         asked = f"{math.hypot(*lateral_n):g} N" + (f" and {moment_nm:g} N m" if moment_nm else "")
@@ -521,7 +464,7 @@ def pulled(layered: Layered, lateral_n: tuple[float, float], moment_nm: float | 
 
 
 def greatest_aside(layered: Layered) -> tuple[float, float]:
-    """Lateral force [N], and moment about the probe's axis [N m], that friction holds of each alone."""
+    """Return the limits that friction sets for force [N] and moment about the probe's axis [N m] alone."""
     contact = layered.contact
     x, y = contact.x_m - contact.pose.x_m, contact.y_m[:, None] - contact.pose.y_m
     cell = (x[1] - x[0]) * (contact.y_m[1] - contact.y_m[0])
@@ -530,7 +473,7 @@ def greatest_aside(layered: Layered) -> tuple[float, float]:
 
 
 def _offsets(probe: Probe) -> tuple[np.ndarray, np.ndarray]:
-    """The grid about a probe's axis, of square cells [m]."""
+    """Grid of square cells around a probe's axis [m]."""
     halves = [math.ceil((reach + MARGIN_M) / WHOLE_M - 1e-9) * WHOLE_M for reach in reaches_of(probe)]
     cell = min(CELL_M, 2 * max(halves) / CELLS)
     sides = [round(2 * half / cell) for half in halves]

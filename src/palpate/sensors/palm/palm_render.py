@@ -1,8 +1,7 @@
-"""The camera's frame of a contact: the edge-on fringes above, the mirror's view below.
+"""Render the camera's frame of a contact: the edge-on fringes above, the mirror's view below.
 
-There are two methods. The exact one marches every ray from wall to wall and traces every pixel of the mirror.
-The fast one marches each depth once and moves the picture to the contact; it leaves out that rays off the
-contact's axis end at the membrane's round wall and not at the table's.
+The exact method marches every ray and traces every mirror pixel. The fast one renders each depth once and
+shifts the image to the contact, ignoring where rays end at the membrane's round wall.
 """
 
 from __future__ import annotations
@@ -36,23 +35,23 @@ from palpate.sensors.palm.uneven_membrane import ResidualMap, pressed_at
 from palpate.sensors.palm.view_faults import MirrorDirt, dirt_over, glare_in, registered
 
 BACKGROUND = 0.004
-"""Of the housing outside both regions, over the lamp at its brightest. Assumed."""
+"""Light of the housing outside both regions, over the lamp's maximum. Assumed."""
 
-UNSTRESSED = StressOpticLaw(1e-9)  # of no account where no fringes are drawn
+UNSTRESSED = StressOpticLaw(1e-9)  # placeholder where no fringes are drawn
 
-UNPRESSED_PA = 1e5  # likewise, where only shape is seen
+UNPRESSED_PA = 1e5  # placeholder where only the shape is drawn
 
 BEHIND_ANALYSER = 0.5  # an ideal polariser passes half of unpolarised light
 
-FAST_WITHIN = 0.4  # of the membrane's radius; within, the fast way is off by 0.01 of white (rms) at most
+FAST_WITHIN = 0.4  # limit of the fast method, in membrane radii; rms error there is at most 0.01 of white
 
-WITHIN = 0.7  # of the membrane's radius: a square in which the middles of the mirror's scratches lie
+WITHIN = 0.7  # half side of the square with the mirror's scratch centers, in membrane radii
 
 PROBE_LIGHT = 0.1
-"""Light on the probe's side towards the camera, over what there is in the housing. Assumed."""
+"""Light on the probe's camera side over that in the housing. Assumed."""
 
 ROOM_FALL = 0.4
-"""By how much less room light there is at the frame's lower right than at its upper left. Assumed."""
+"""Relative decrease of room light from upper left to lower right. Assumed."""
 
 Linear = Float32[ndarray, "h w 3"]
 Below = Float32[ndarray, "u v 3"]
@@ -61,7 +60,7 @@ Whole = Float32[ndarray, "height width 3"]
 
 
 class Views(NamedTuple):
-    """Both regions of one frame, 8-bit sRGB."""
+    """Both regions of one frame."""
 
     fringe_view: UInt8[ndarray, "h w 3"]
     mirror_view: UInt8[ndarray, "u v 3"]
@@ -70,26 +69,22 @@ class Views(NamedTuple):
 def render(
     contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
 ) -> Frame:
-    """The camera's frame of a contact.
+    """Render the camera's frame of a contact.
 
     Args:
-        contact: of the spec's ball, whose depth and place are drawn; or any that `palm_press.press` makes.
-        spec: the palm.
-        rng: for the camera's noise, the only source of chance.
-        exact: march and trace everything anew, instead of moving the depth's own picture to the place; None
-            does so where `fast_way_is_off`.
+        contact: Contact from `palm_press.press`.
+        spec: Palm specification.
+        rng: Source of the camera's noise.
+        exact: Use the exact method; None chooses it where `fast_way_is_off`.
 
     Returns:
-        8-bit sRGB ``[h w 3]`` of the whole frame, dark outside the two regions.
-
-    Raises:
-        RangeError: its depth lies beyond the table.
+        8-bit sRGB frame ``[h w 3]``.
     """
     return expose(render_clean(contact, spec, exact=exact), spec, rng)
 
 
 def expose(seen: tuple[Linear, Below], spec: PalmSpec, rng: np.random.Generator) -> Frame:
-    """A frame of what `render_clean` gave: both regions in the housing, with the camera's noise."""
+    """Return the noisy frame of both regions from `render_clean`."""
     codes = _codes(housed(seen, spec), spec, rng)
     return Frame(as_kept(developed(codes, spec), spec.chain), exposure_s=spec.exposure_s, sensor=spec.name)
 
@@ -97,12 +92,12 @@ def expose(seen: tuple[Linear, Below], spec: PalmSpec, rng: np.random.Generator)
 def render_raw(
     contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
 ) -> UInt16[ndarray, "h w 3"]:
-    """The same frame as the converter writes it, not balanced: 12 bits a channel in the default camera."""
+    """Render raw camera codes without white balance (12 bits per channel by default)."""
     return _codes(housed(render_clean(contact, spec, exact=exact), spec), spec, rng)
 
 
 def housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
-    """Both regions of `render_clean` where they lie in the housing, seen through the lens."""
+    """Place both regions in the housing and apply the lens."""
     clean = np.full((spec.frame_px[1], spec.frame_px[0], 3), BACKGROUND, np.float32)
     if spec.ambient:
         clean += np.float32(spec.ambient) * room_light(spec.frame_px)
@@ -115,8 +110,8 @@ def housed(seen: tuple[Linear, Below], spec: PalmSpec) -> Whole:
 def render_views(
     contact: Contact, spec: PalmSpec, rng: np.random.Generator, *, exact: bool | None = False
 ) -> Views:
-    """Both regions alone, as `render` would draw them; in less time, but for a lens, JPEG
-    or automatic exposure.
+    """Render both regions without the rest of the frame; faster unless the spec has lens, JPEG, or auto
+    exposure.
     """
     if spec.chain != ImageChain() or spec.auto_exposure is not None:
         whole = render(contact, spec, rng, exact=exact).image
@@ -126,13 +121,9 @@ def render_views(
 
 
 def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool | None = False) -> tuple[Linear, Below]:
-    """Picture of both regions without noise: linear RGB, 1 at the bare lamp's brightest.
+    """Render both regions without noise: linear RGB, 1 at the bare lamp's maximum.
 
-    The spec's ball without lateral load takes one of the two ways; any other contact is marched through its
-    own stress, whatever `exact` says.
-
-    Raises:
-        InputError: another contact than the ball's without a membrane.
+    `exact` applies to the spec's ball without lateral load; other contacts are always marched.
     """
     views = spec.fringes, spec.mirror
     exact = fast_way_is_off(contact, spec) if exact is None else exact
@@ -164,16 +155,11 @@ def render_clean(contact: Contact, spec: PalmSpec, *, exact: bool | None = False
 
 
 def fast_way_is_off(contact: Contact, spec: PalmSpec) -> bool:
-    """Tell whether a contact is so far from the middle that its rays end elsewhere at the wall.
-
-    At 18 mm from the axis of a palm of 57 mm the light below a dimple of 3 mm is then off by up to 0.03 of
-    white (root mean square), at 21 mm and 5 mm deep by 0.10.
-    """
+    """Return whether a contact is so far from the middle that the fast method is inaccurate."""
     return math.hypot(contact.pose.x_m, contact.pose.y_m) > FAST_WITHIN * spec.radius_m
 
 
 def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
-    """What passes the analyser edge-on, lit evenly."""
     pose = contact.pose
     # Palms that differ in the mirror share one marched picture.
     spec = replace(
@@ -196,7 +182,6 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
 
 
 def _reflected(contact: Contact, spec: PalmSpec, exact: bool) -> Grey:
-    """The brightness that the mirror shows."""
     pose = contact.pose
     if not spec.membrane:
         _check_air(contact, spec)
@@ -224,24 +209,24 @@ def _check_air(contact: Contact, spec: PalmSpec) -> None:
 
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
-    """Tell whether the finite-strain table has this contact."""
+    """Return whether the contact is the spec's ball without lateral load."""
     return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.shear_pa is None
 
 
 @lru_cache(maxsize=4)
 def room_light(frame_px: tuple[int, int]) -> Float32[ndarray, "h w 1"]:
-    """Over the whole frame: 1 in its upper left corner, falling gently to the lower right."""
+    """Return the room light over the frame: 1 in the upper left corner, decreasing to the lower right."""
     across, down = (np.linspace(0, ROOM_FALL / 2, size, dtype=np.float32) for size in frame_px)
     return np.asarray((1 - down[:, None] - across)[..., None])
 
 
 def lamp(spec: PalmSpec) -> Linear:
-    """The lamp as seen through a new membrane and its rim, white, the camera's vignetting with it."""
+    """Return the lamp as seen through a new membrane and its rim, including vignetting."""
     return spec.lamp_gain * _lamp(spec.lamp, spec.corner_loss, spec.membrane_transmission, spec.unlit)
 
 
 def developed(codes: UInt16[ndarray, "h w 3"], spec: PalmSpec) -> UInt8[ndarray, "h w 3"]:
-    """Raw codes to 8-bit sRGB, by a table of what `develop` makes of each code."""
+    """Convert raw codes to 8-bit sRGB by a lookup table."""
     table = _developed(spec.camera, spec.bands)
     image = np.empty(codes.shape, np.uint8)
     for channel in range(3):
@@ -271,10 +256,6 @@ def _lamp(strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSp
 def _films(
     wear: Wear, strip: LedStrip, corner_loss: float, transmission: float, spec: PalmSpec
 ) -> tuple[Film, Film]:
-    """Films of a worn membrane in both regions, for a lamp as at set-up.
-
-    The same surface scatters the lamp's light before the analyser and the housing's on its way to the mirror.
-    """
     view, rim, R, h = spec.fringes, fringe_view.columns_kept(spec), spec.radius_m, spec.thickness_m
     seen = fringe_view.spectrum(spec.bands)
     x, z = view.x_m, view.down_m
@@ -302,7 +283,6 @@ def _films(
 
 
 def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
-    """Draw what the lit housing shows of the probe, of all balls it may consist of."""
     if contact.pose.depth_m == 0:
         return
     for part, (x, y, up) in parts_of(contact.probe):
@@ -311,7 +291,7 @@ def _draw_probe(light: Linear, contact: Contact, spec: PalmSpec) -> None:
 
 
 def _draw_part(light: Linear, probe: Probe, pose: Pose, spec: PalmSpec) -> None:
-    """One body: past the rim above the rest surface, through it below."""
+    """Draw one body: past the rim above the rest surface, through it below."""
     glow = np.float32(BEHIND_ANALYSER * PROBE_LIGHT * spec.inside_light * spec.ball_albedo)
     x, z = spec.fringes.x_m, spec.fringes.down_m
     rays, reach = fringe_view.columns_kept(spec.unlit), reaches_of(probe)[0]

@@ -1,12 +1,8 @@
-"""What the membrane's free rim does to a press of the palm's ball, from solutions in three dimensions.
+"""Effect of the membrane's free rim on a press of the palm's ball, from three-dimensional solutions.
 
-The press table was solved in the middle of its disc. Nearer to the rim the membrane gives way: the normal
-force is less, by a ratio k(c, d) of offset c and depth d, and the membrane pushes the ball outwards, by a
-share s(c, d) of the centred force. Both are read from `sphere_table.edge_correction_held`, for the tables'
-discs alone; beyond the places and depths that were solved those of the nearest solved press hold.
-
-Of the picture, all stress is taken times k, as if the coefficient C were. Its shape stays that of a press in
-the middle.
+Near the rim the normal force falls by a ratio k(c, d) of offset and depth, and the membrane pushes the ball
+outwards by a fraction s(c, d) of the centred force. Beyond the solved range the nearest solved press holds.
+In the image all stress is multiplied by k; its shape stays that of a centred press.
 """
 
 from __future__ import annotations
@@ -29,21 +25,19 @@ from palpate.mechanics.axisymmetric.sphere_table import (
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.uneven_membrane import modulus_ratios
 
-SOLVED_RADIUS = 5.7  # of the discs, in ball radii
-ALIKE = (
-    0.1  # share by which a thickness may differ from one that was solved and have its rim's effect. Assumed.
-)
+SOLVED_RADIUS = 5.7  # disc radius of the solutions, in ball radii
+ALIKE = 0.1  # relative difference of thickness within which a solution applies (assumed)
 
 Series = Float[ndarray, " n"]
 
 
 class RimEffect(NamedTuple):
-    """What the rim does to one press, over the same press in the middle.
+    """Effect of the rim relative to the centred press.
 
     Attributes:
-        force_ratio: normal force, and with it pressure and stress, over those of the centred press.
-        push_ratio: force of the membrane on the ball, outwards, over the centred press's normal force.
-        solved: whether place and depth lie within what was solved; beyond, the nearest solved press holds.
+        force_ratio: Ratio of normal force, and with it of pressure and stress.
+        push_ratio: Outward force on the ball over the centred normal force.
+        solved: Whether position and depth lie within the solved range.
     """
 
     force_ratio: float
@@ -55,7 +49,7 @@ NO_EFFECT = RimEffect(1.0, 0.0, solved=True)
 
 
 def rim_reach(spec: PalmSpec) -> EdgeReach | None:
-    """How far out and how deep the rim's effect was solved, in ball radii; None for other proportions."""
+    """Return the solved offsets and depths, in ball radii; None for other proportions."""
     R = spec.indenter_radius_m
     if not math.isclose(spec.radius_m, SOLVED_RADIUS * R, rel_tol=SAME):
         return None
@@ -66,15 +60,7 @@ def rim_reach(spec: PalmSpec) -> EdgeReach | None:
 
 
 def rim_effect(spec: PalmSpec, pose: Pose) -> RimEffect:
-    """Effect of the rim on a press of the spec's ball, whether the spec applies it or not.
-
-    Args:
-        spec: the palm; its Poisson's ratio and friction are taken for the solutions', 0.49 and none.
-        pose: where and how deep.
-
-    Raises:
-        RangeError: a membrane of proportions that were not solved; the message says which were.
-    """
+    """Return the rim's effect on a press of the spec's ball, whether or not the spec applies it."""
     reach, R = _checked_reach(spec), spec.indenter_radius_m
     offset, depth = math.hypot(pose.x_m, pose.y_m) / R, pose.depth_m / R
     ratio, push = edge_correction_held(np.array([offset]), np.array([depth]), _thickness(spec))
@@ -83,19 +69,15 @@ def rim_effect(spec: PalmSpec, pose: Pose) -> RimEffect:
 
 
 def applied_rim(spec: PalmSpec, pose: Pose) -> RimEffect:
-    """The same as far as the spec applies it: none where it only states it, or nothing is pressed."""
+    """Return the rim's effect if the spec applies it and the ball presses, else no effect."""
     if spec.rim != "applied" or not pose.depth_m > 0:
         return NO_EFFECT
     return rim_effect(spec, pose)
 
 
 def lateral_of(effect: RimEffect, pose: Pose, centred_n: float) -> tuple[float, float]:
-    """Force of the ball on the membrane along x and y: towards the axis, against the push [N].
-
-    Args:
-        effect: of the rim.
-        pose: where.
-        centred_n: normal force of the same press in the middle [N].
+    """Return the force of the ball on the membrane (x, y), towards the axis, for a centred normal force
+    [N].
     """
     away = math.hypot(pose.x_m, pose.y_m)
     if away == 0 or effect.push_ratio == 0:
@@ -105,12 +87,7 @@ def lateral_of(effect: RimEffect, pose: Pose, centred_n: float) -> tuple[float, 
 
 
 def rim_by_place(spec: PalmSpec) -> Callable[[ndarray, ndarray, ndarray], PlaceEffect] | None:
-    """What places do to the ball's force law, by the rim and an uneven modulus; None where they do nothing.
-
-    Raises:
-        RangeError: it applies the rim, but has proportions that were not solved; or its thickness is uneven,
-            which changes the law itself from place to place.
-    """
+    """Return how rim and uneven modulus change the ball's force law by position; None if they do not."""
     if spec.gel.thickness:
         raise RangeError(
             f"a thickness that varies by {spec.gel.thickness} has no one force law; a rig presses membranes "
@@ -148,7 +125,7 @@ def _checked_reach(spec: PalmSpec) -> EdgeReach:
 
 
 def _thickness(spec: PalmSpec) -> float:
-    """In ball radii: that of the nearest solved disc within a tenth of it, or its own, to rounding."""
+    """Thickness in ball radii: of the nearest solved disc within `ALIKE`, else its own, rounded."""
     own = round(spec.thickness_m / spec.indenter_radius_m, 6)
     near = [solved for solved in (2.0, 4.0) if abs(own / solved - 1) <= ALIKE]
     return near[0] if near else own

@@ -58,38 +58,30 @@ from palpate.sensors.palm.probe_shapes import as_pair, parse_probe, upright_ball
 from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of
 from palpate.sensors.palm.uneven_membrane import EVEN, thickness_range
 
-RATE_HZ = 30.0
-"""R (see `spec`)."""
+RATE_HZ = 30.0  # frame rate of the report
 
 RECTIFIED_PX = 224
-"""Side of both regions as the report's networks see them, or of the frame's own where that has less."""
+"""Maximum side of a rectified region [px], the input size of the report's networks."""
 
 RIG_PX = 128  # side of both regions on a virtual rig
-KNOTS = 1201  # of depth, between which force is read along straight lines
-PLACES = 7  # thicknesses of an uneven membrane, for each of which a depth has to be known
-PRESSES = 13  # of linear layers, between which a curve is laid
-FIRST = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2])  # of the first of them, where an edge already carries much
+KNOTS = 1201  # depths of a force law
+PLACES = 7  # sampled thicknesses of an uneven membrane
+PRESSES = 13  # presses of linear layers for a force law
+FIRST = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2])  # additional depths of narrow probes, over the first press
 LEVEL_M = 50e-6
-"""Step of depth between which live pictures of the own ball are mixed [m]. But for the probe's own edge, 1 in
-100 pixels, they lie within 0.004 of the lamp's light of those drawn anew."""
-NO_DEPTH_M = 1e-9  # of a probe that just touches: at 0 exactly none would be drawn
-PICTURES = 64  # under other probes and lateral loads, which are slow to press and to draw
+"""Depth step between cached live images [m]; 99 % of pixels lie within 0.004 of the lamp's light."""
+NO_DEPTH_M = 1e-9  # depth of a touching probe; at exactly 0 none is drawn
+PICTURES = 64  # cached images under other probes and lateral loads
 
 Picture = tuple[Float32[ndarray, "h w 3"], Float32[ndarray, "u v 3"]]
 
 
 @dataclass(frozen=True)
 class Palm:
-    """The palm of a spec. A `Seating` moves its lamp alone: the camera is fixed to the housing.
-
-    Under its own ball, pulled aside or not, and under another upright probe that has a table it is pressed by
-    finite-strain tables, under any other probe by linear layers. To a press of another probe than the ball by
-    its table linear layers add a lateral load's shear. Under a lateral load or another probe the relaxed skin
-    is drawn.
+    """The photoelastic palm. A `Seating` changes its lamp only, since the camera is fixed to the housing.
 
     Attributes:
-        spec: every number of it.
-        level_m: depths between which the own ball's pictures are mixed, 0 where each is drawn anew [m].
+        level_m: Depth step between which images of the own ball are interpolated [m]; 0 renders each depth.
     """
 
     spec: PalmSpec = field(default_factory=PalmSpec)
@@ -106,7 +98,6 @@ class Palm:
 
     @property
     def rectified_px(self) -> tuple[int, int]:
-        """Both regions as squares, side by side [px]."""
         side = min(RECTIFIED_PX, *self.spec.fringes.size_px, *self.spec.mirror.size_px)
         return 2 * side, side
 
@@ -120,31 +111,26 @@ class Palm:
 
     @property
     def moves(self) -> Literal["probe", "sensor"]:
-        """The palm stands, and a probe is pressed into it."""
         return "probe"
 
     @property
     def outline(self) -> Outline:
-        """The membrane."""
         return Outline.disc(self.spec.diameter_m)
 
     @property
     def axes(self) -> ImageAxes:
-        """The mirror's, which looks up along the skin's y under its elevation."""
         wide, high = self.spec.mirror.pitches_m
         return ImageAxes("mirror", (1 / wide, 0.0), (0.0, math.sin(self.spec.mirror_elevation_rad) / high))
 
     @property
     def default_probe(self) -> str:
-        """The ball of its protocol."""
         return f"sphere:{round(2e3 * self.spec.indenter_radius_m, 9):g}"
 
     def regions(self) -> Mapping[str, Box]:
-        """Both views."""
         return {"fringes": self.spec.fringes.box_px, "mirror": self.spec.mirror.box_px}
 
     def dark_field(self) -> Box:
-        """Fringes below the membrane's surface: lit by its stress alone, and clear of a ball above it."""
+        """Fringe region below the membrane's surface, lit by stress alone."""
         view = self.spec.fringes
         x, y, wide, high = view.box_px
         lowered = view.middle_px[1] + view.shift_px[1] + wide / 2 * abs(math.sin(view.turn_rad))
@@ -152,21 +138,14 @@ class Palm:
         return x, y + top, wide, high - top
 
     def probe(self, words: str) -> Probe:
-        """See `parse_probe`."""
         return parse_probe(words)
 
     def specimen(self, words: str) -> Specimen | None:
-        """Its probes are rigid."""
         return None
 
     def press(
         self, probe: Probe, pose: Pose, specimen: Specimen | None = None, history: PressHistory = FRESH
     ) -> Contact:
-        """Press a rigid probe; see `palm_press.press`.
-
-        Raises:
-            RangeError: beyond the laws, over the rim, slipping, or a specimen that yields.
-        """
         if not is_rigid(specimen):
             raise RangeError("soft specimens are not modeled on the palm", code="soft-specimen")
         if probe != self._ball:
@@ -183,11 +162,8 @@ class Palm:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """Greatest depth that `press` takes wherever the probe is on the membrane [m].
-
-        The table's under the own ball, pulled aside or not, or another probe that has one; of linear layers
-        else. Where a membrane's thickness is uneven, other probes' tables do not hold; 0 where the own ball
-        has no table at some place.
+        """Return the maximum depth that `press` accepts at every position; 0 if the own ball has no table
+        [m].
         """
         if not is_rigid(specimen):
             return 0.0
@@ -196,15 +172,10 @@ class Palm:
         return min(_deepest(replace(even, thickness_m=float(h)), probe, lateral) for h in each)
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """The table's under the own ball or another probe that has one, a curve through presses of linear
-        layers under any other.
-
-        Where the spec applies the rim, the own ball's knows what places do to it.
-        """
+        """Return the table's force law, or one interpolated between presses of linear layers."""
         return force_law_of(self.spec, probe)
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
-        """The camera's frame; see `palm_render.render`."""
         gain = self.spec.lamp_gain * seating.light
         if is_ball(contact, self.spec):
             spec = replace(self._stiffened(contact.history), lamp_gain=gain)
@@ -218,14 +189,12 @@ class Palm:
         return expose((light * fringes, light * below), self.spec, rng)
 
     def rectify(self, frame: Frame) -> Frame:
-        """Fringes left and mirror right, as squares: the report's input to its networks."""
         width, height = self.rectified_px
         regions = self.regions()
         cut = Preparation(regions["fringes"], (height, width), 3, regions["mirror"])
         return replace(frame, image=cut.apply(frame.image))
 
     def default_plan(self) -> Mapping[str, Any]:
-        """The report's: 37 places, five presses at each, to 5 mm in steps of 0.1 mm."""
         return {
             "kind": "stepped",
             "name": "palm",
@@ -237,7 +206,6 @@ class Palm:
         }
 
     def plans(self) -> Mapping[str, Mapping[str, Any]]:
-        """A short form of the report's plan, places beside its grid, and loads along and held on the skin."""
         short = {"kind": "stepped", "cycles": 1, "frames": 5, "reference_frames": 5, "step_mm": 0.5}
         centre = {"kind": "listed", "at_mm": [[0.0, 0.0]]}
         dwell = {"depths_mm": [4.0], "seconds": 60.0, "frames": 60}
@@ -258,20 +226,16 @@ class Palm:
         return {name: {"name": name} | fields for name, fields in plans.items()}
 
     def for_rig(self) -> Palm:
-        """Both regions as squares of 128 px; a palm that is smaller already stays as it is."""
+        """Reduce both regions to squares of 128 px."""
         small = max(self.frame_px) <= 2 * RIG_PX
         return self if small else Palm(palm_spec.cropped(self.spec, RIG_PX, f"{self.spec.name}-rig"))
 
     def for_live(self) -> Palm:
-        """Both regions as on a rig, the ball's pictures mixed between depths that are drawn once and kept."""
+        """Reduce both regions as on a rig and interpolate the ball's images between cached depths."""
         return replace(self.for_rig(), level_m=LEVEL_M, _slow=OrderedDict())
 
     def draw_ahead(self, highest_m: float, deepest_m: float) -> None:
-        """Draw and keep the ball's pictures from a height over the skin to a depth, which live ones mix [m].
-
-        A hundred of them take seconds, and else would when a probe first comes to each. Those of another
-        place differ only where the membrane is uneven, or the rim applied, and are then drawn as they come.
-        """
+        """Cache the ball's centred images from a height above the membrane to a depth [m]."""
         if self.level_m <= 0:
             return
         contact = self.press(self._ball, Pose(0.0, 0.0, 0.0))
@@ -282,7 +246,6 @@ class Palm:
             render_clean(replace(contact, pose=pose), self.spec)
 
     def _mixed(self, contact: Contact, spec: PalmSpec) -> Picture:
-        """Both regions of the ball's press, between those at the depths beside it."""
         pose = contact.pose
         place = pose.depth_m / self.level_m
         most = self.force_law(self._ball).greatest_m / self.level_m
@@ -304,13 +267,13 @@ class Palm:
         return Probe("sphere", self.spec.indenter_radius_m)
 
     def _stiffened(self, history: PressHistory) -> PalmSpec:
-        """The skin as it still remembers: light sees stress, which relaxes as the force does."""
+        """The palm before stress relaxation; light depends on stress, which relaxes with the force."""
         if history.stiffening == 1.0:
             return self.spec
         return replace(self.spec, youngs_modulus_pa=self.spec.youngs_modulus_pa * history.stiffening)
 
     def _lateral_n(self, probe: Probe, pose: Pose, history: PressHistory) -> tuple[float, float]:
-        """Lateral force of the path, where it is not known: by a pulled ball's table, or Mindlin's law."""
+        """Lateral force of the path: given, from the pulled ball's table, or from Mindlin's law."""
         if history.lateral_n is not None:
             return history.lateral_n
         if not history.path_m or pose.depth_m <= 0:
@@ -342,16 +305,12 @@ class Palm:
 
 
 def palm(preset: str = "palm") -> Palm:
-    """The palm by the name of a preset.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """Return the palm of a named preset."""
     return Palm(palm_spec.preset(preset))
 
 
 def _deepest(spec: PalmSpec, probe: Probe, lateral: bool) -> float:
-    """Greatest depth to which `palm_press.press` takes a probe on an even membrane [m]."""
+    """Maximum depth that `palm_press.press` accepts on an even membrane [m]."""
     probe, R = as_pair(upright_ball(probe)), spec.indenter_radius_m
     if probe == Probe("sphere", R) and (is_pulled_deep(spec) or not lateral):
         return table_of(spec).greatest_depth * R if has_table(spec) else 0.0
@@ -364,7 +323,7 @@ def _deepest(spec: PalmSpec, probe: Probe, lateral: bool) -> float:
 
 @lru_cache(maxsize=16)
 def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
-    """The law of a skin under a probe: that of its thickness where this is even, by which it is pressed."""
+    """Return the force law of a palm under a probe."""
     probe = as_pair(upright_ball(probe))
     own = probe == Probe("sphere", spec.indenter_radius_m)
     even, alike = replace(spec, gel=EVEN), spec.gel.thickness == 0.0

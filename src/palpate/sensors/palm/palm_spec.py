@@ -1,8 +1,7 @@
-"""Every number of the photoelastic palm: a clear disc between crossed polarisers, with a mirror beneath it.
+"""Specification of the photoelastic palm: a clear disc between crossed polarisers, with a mirror beneath it.
 
 Sources: "R", the palm's report (Photoelastic Tactile Sensor for a Robotic Palm, 2026); "D", the data layout
-of its code release (github.com/Spades2002/Photoelastic-Palm-Sensor). What neither says is
-marked assumed. The named presets stand at the end.
+of its code release (github.com/Spades2002/Photoelastic-Palm-Sensor).
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ class View:
 
     Attributes:
         box_px: (x, y, width, height) in the frame [px].
-        pitch_m: from column to column on the membrane [m].
-        middle_px: (x, y) of the membrane's axis, from the region's corner [px]: in the fringe view at the
-            rest surface, in the mirror's at the underside.
-        row_pitch_m: from row to row [m]; None for square pixels.
-        turn_rad: by which its picture is turned about its middle in the frame, from right towards down [rad].
-        shift_px: by which its picture is then moved to the right and down [px].
+        pitch_m: Column pitch on the membrane [m].
+        middle_px: (x, y) of the membrane's axis from the region's corner [px]: at the rest surface in the
+            fringe view, at the underside in the mirror's.
+        row_pitch_m: Row pitch [m]; None for square pixels.
+        turn_rad: Rotation of the image about its middle, from right towards down [rad].
+        shift_px: Translation after the rotation, right and down [px].
     """
 
     box_px: tuple[int, int, int, int]
@@ -47,32 +46,35 @@ class View:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """(width, height) [px]."""
         return self.box_px[2:]
+
+    def moved(self, across_px: float, down_px: float) -> View:
+        """The region with its middle moved in the image [px]."""
+        cx, cy = self.middle_px
+        return replace(self, middle_px=(cx + float(across_px), cy + float(down_px)))
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of it in the frame."""
+        """Rows and columns in the frame."""
         x, y, w, h = self.box_px
         return slice(y, y + h), slice(x, x + w)
 
     @property
     def pitches_m(self) -> tuple[float, float]:
-        """Pitch of columns and of rows [m]."""
         return self.pitch_m, self.pitch_m if self.row_pitch_m is None else self.row_pitch_m
 
     @property
     def x_m(self) -> Float[ndarray, " w"]:
-        """Places of the columns' centres, from the axis [m]."""
+        """Column centres from the axis [m]."""
         return (np.arange(self.box_px[2]) + 0.5 - self.middle_px[0]) * self.pitch_m
 
     @property
     def down_m(self) -> Float[ndarray, " h"]:
-        """Places of the rows' centres, from the middle, down the image [m]."""
+        """Row centres from the middle, down the image [m]."""
         return (np.arange(self.box_px[3]) + 0.5 - self.middle_px[1]) * self.pitches_m[1]
 
     def sampled(self, across: float, down: float) -> View:
-        """The same region with so many times the columns and rows, rounded down to whole ones."""
+        """Scale the number of columns and rows, rounded down."""
         x, y, w, h = (int(part * by + 1e-6) for part, by in zip(self.box_px, (across, down) * 2, strict=True))
         (cx, cy), (wide, high) = self.middle_px, self.pitches_m
         square = across == down and self.row_pitch_m is None
@@ -82,15 +84,15 @@ class View:
 
     @property
     def upright(self) -> View:
-        """The same region before its picture is turned and moved."""
+        """The region without rotation and translation."""
         return replace(self, turn_rad=0.0, shift_px=(0.0, 0.0))
 
 
 FRINGES = View((380, 60, 1420, 420), 44e-6, (710.0, 110.0))
-"""Box from D; the pitch, at which the disc fills it, and the row of the surface are assumed."""
+"""Box from D; pitch and surface row are assumed."""
 
 MIRROR = View((700, 560, 700, 420), 100e-6, (350.0, 210.0))
-"""Box from D; the pitch, at which places up to 20 mm from the axis are seen, is assumed."""
+"""Box from D; the pitch is assumed."""
 
 RIMS = ("applied", "stated")
 MAX_TURN_RAD = 0.2
@@ -99,58 +101,39 @@ MAX_SHIFT_PX = 50.0
 
 @dataclass(frozen=True, slots=True)
 class PalmSpec:
-    """The palm.
+    """Specification of the palm. "R:" is from the report; most other values are assumed.
 
     Attributes:
-        diameter_m: of the membrane [m]. R: 57 mm.
-        thickness_m: of the membrane [m]. Assumed: with the modulus below it gives forces as the report's are.
-        youngs_modulus_pa: E, small strain [Pa]. Assumed: between soft silicones of Shore 10A and 20A.
-        max_strain: greatest mean contact pressure over E for which the material's law holds. Solaris:
-            elongation at break by its maker's data sheet (290 %); see the presets for other materials.
-        poisson_ratio: of the membrane. Assumed: nearly incompressible.
-        friction: Coulomb's coefficient between ball and membrane. Assumed.
-        stress_optic: C and its dispersion. Assumed: the report prints no C, but ranks Solaris above a casting
-            resin and Sylgard 184 at equal load, which asks for about 1e-9 1/Pa.
-        refractive_index: n of the membrane. Manufacturer's figure for Solaris.
-        frozen_birefringence, frozen_axis_rad: what is left without load, uniform; axis from x to z [rad].
-            Assumed.
-        residual: what is left without load, varying over the side view. Assumed.
-        gel: how modulus and thickness vary over the disc. Assumed.
-        indenter_radius_m: of the ball [m]. R: 10 mm diameter.
-        rim: whether a press of the ball near the free rim has the force, the lateral push and the stress that
-            the solutions in three dimensions give it ("applied"), or those of a press in the middle, with the
-            difference in the facts beside it ("stated").
-        rim_refracts: whether the round rim bends the rays, as a cylindrical lens; False for flat windows.
-        polariser_rad: of the first polariser, from x to z [rad]. Assumed; the report says only "crossed".
-        extinction: crossed over parallel transmission of the polarisers. Assumed.
-        membrane_transmission: share of light the membrane lets pass. Assumed.
-        frame_px: (width, height) of the camera's frame [px]. D: 1920 x 1080.
-        fringes, mirror: the two regions.
-        mirror_elevation_rad: of the line of sight that the mirror sends up, from horizontal [rad]. Assumed.
-        lamp: the LED strip behind its diffusers. Assumed.
-        lamp_gain: the lamp's light now over its light at set-up.
-        lamp_mired: by how much warmer the lamp is than the one the camera was balanced to, as the change of
-            1e6 K over the colour temperature; negative for a colder one.
-        ambient: unpolarised room light that gets past the lid, as the camera sees it in the frame's upper
-            left corner, over the lamp at its brightest. The report's lid lets none in.
-        corner_loss: share of light missing at half the region's diagonal (vignetting). Assumed.
-        inside_light: scattered light in the housing over the lamp's: what shows ball and dimple. Assumed.
-        ball_albedo: of the probe. Assumed.
-        opaque_underside: a dark layer under the membrane, so that the mirror sees neither ball nor dimple.
-        probe_in_mirror: whether the mirror shows the probe's body; False takes it out of sight and leaves the
-            membrane as deformed as it is, which no real palm can.
-        probe_edge_on: whether the fringe view shows the probe's body; False leaves the dark dimple.
-        membrane: whether there is one; False for the empty housing with the ball in the air.
-        wear: what use has left on the membrane.
-        dirt: on the underside or the mirror, in the mirror's view. Assumed.
-        glare: reflections of the lamp in both regions. Assumed.
-        bands: of wavelength, 400 to 700 nm; 31 or more.
-        rays_per_pixel: across and down, whose mean a pixel of the fringe view is.
-        camera: from light to codes. Assumed.
-        chain: the lens's blur and distortion, and JPEG; none by default.
-        auto_exposure: whether the camera chooses each frame's exposure, in steps; None for one that stays.
-        exposure_s: of a frame [s]. Assumed; R has 30 frames a second.
-        name: goes into each frame.
+        diameter_m: Membrane diameter [m]. R: 57 mm.
+        thickness_m: Membrane thickness [m], chosen with the modulus to match the report's forces.
+        youngs_modulus_pa: Small-strain modulus [Pa], between silicones of Shore 10A and 20A.
+        max_strain: Limit of mean contact pressure over E. Solaris: elongation at break of its data sheet, 290
+            %.
+        friction: Coulomb coefficient between ball and membrane.
+        stress_optic: C and its dispersion. The report ranks Solaris above a casting resin and Sylgard 184 at
+            equal load, which requires about 1e-9 1/Pa.
+        refractive_index: Manufacturer's value for Solaris.
+        frozen_birefringence, frozen_axis_rad: Uniform residual birefringence and its axis from x to z [rad].
+        residual: Residual birefringence that varies over the side view.
+        gel: Variation of modulus and thickness over the disc.
+        indenter_radius_m: Ball radius [m]. R: 5 mm.
+        rim: "applied" corrects presses of the ball near the free rim; "stated" only reports the correction.
+        rim_refracts: Whether the round rim acts as a cylindrical lens; False for flat windows.
+        polariser_rad: Angle of the first polariser from x to z [rad]; R: "crossed".
+        extinction: Crossed over parallel transmission of the polarisers.
+        frame_px: (width, height) of the frame [px].
+        mirror_elevation_rad: Elevation of the mirror's line of sight [rad].
+        lamp_gain: Lamp brightness relative to set-up.
+        lamp_mired: Color shift of the lamp [mired], positive for warmer.
+        ambient: Unpolarized room light in the upper left corner, over the lamp's maximum.
+        corner_loss: Vignetting at half the region's diagonal, fraction of light.
+        inside_light: Scattered light in the housing over the lamp's.
+        opaque_underside: Whether a dark layer hides ball and dimple from the mirror.
+        probe_in_mirror, probe_edge_on: Whether each view shows the probe's body.
+        membrane: False for the empty housing with the ball in the air.
+        bands: Number of wavelength bands from 400 to 700 nm; 31 or more.
+        rays_per_pixel: (across, down) rays averaged per pixel of the fringe view.
+        auto_exposure: Automatic exposure in steps; None for a fixed one.
     """
 
     diameter_m: float = 57e-3
@@ -220,18 +203,17 @@ class PalmSpec:
 
     @property
     def unlit(self) -> PalmSpec:
-        """The same palm whatever its lamp and camera: what its marched and traced pictures depend on."""
+        """The palm with nominal lamp and camera; the key of cached marches and traces."""
         later = {name: getattr(_NOMINAL, name) for name in _LATER}
         return replace(self, fringes=self.fringes.upright, mirror=self.mirror.upright, **later)
 
     @property
     def rim_index(self) -> float:
-        """Refractive index by which the rim bends the rays; 1 for flat windows."""
+        """Refractive index at the rim; 1 for flat windows."""
         return self.refractive_index if self.rim_refracts else 1.0
 
     @property
     def radius_m(self) -> float:
-        """Radius of the membrane [m]."""
         return self.diameter_m / 2
 
 
@@ -296,40 +278,37 @@ _NOMINAL = PalmSpec()
 
 
 def palm() -> PalmSpec:
-    """The palm as reported, at full size."""
+    """Return the palm at full size."""
     return PalmSpec()
 
 
 def small() -> PalmSpec:
-    """A quarter of the pixels each way: what networks are fed."""
+    """Return the palm with a quarter of the pixels in each direction (network input)."""
     return scaled_down(palm(), 4, "palm-small")
 
 
 def demo() -> PalmSpec:
-    """A sixth of the pixels each way: what the demo records."""
+    """Return the palm with a sixth of the pixels in each direction."""
     return scaled_down(palm(), 6, "palm-demo")
 
 
 def debug() -> PalmSpec:
-    """A tenth of the pixels each way: for tests, and for finding faults."""
+    """Return the palm with a tenth of the pixels in each direction, for tests."""
     return scaled_down(palm(), 10, "palm-debug")
 
 
 def crops() -> PalmSpec:
-    """Both regions squeezed to 224 px each way, side by side: the report's input to its networks."""
+    """Return both regions side by side at 224 px: the input of the report's networks."""
     return cropped(palm(), 224, "palm-crops")
 
 
 def solaris() -> PalmSpec:
-    """The report's choice; the same as `palm`."""
+    """Return the report's material, the same as `palm`."""
     return replace(palm(), name="palm-solaris")
 
 
 def sylgard_184() -> PalmSpec:
-    """Stiffer, and of ordinary silicone's stress-optic coefficient; E and C of the order usually printed.
-
-    Its greatest strain is the order of its elongation at break. Assumed.
-    """
+    """Return a palm of Sylgard 184; E, C, and strain limit are typical published values."""
     return replace(
         palm(),
         youngs_modulus_pa=1.8e6,
@@ -340,10 +319,7 @@ def sylgard_184() -> PalmSpec:
 
 
 def casting_resin() -> PalmSpec:
-    """Hard: a grasp hardly dents it. E and C of the order of a cured epoxy's; nu that of the tables.
-
-    Its greatest strain is the order of an epoxy's strain at yield. Assumed.
-    """
+    """Return a palm of cast epoxy; E, C, and strain limit are typical published values."""
     return replace(
         palm(),
         youngs_modulus_pa=2.5e9,
@@ -355,7 +331,7 @@ def casting_resin() -> PalmSpec:
 
 
 def scaled_down(spec: PalmSpec, by: int, name: str) -> PalmSpec:
-    """The same palm seen by a camera of fewer pixels, each of them the mean of four rays."""
+    """Return the palm with fewer pixels, each the mean of four rays."""
     w, h = spec.frame_px
     return replace(
         spec,
@@ -368,7 +344,7 @@ def scaled_down(spec: PalmSpec, by: int, name: str) -> PalmSpec:
 
 
 def cropped(spec: PalmSpec, side_px: int, name: str) -> PalmSpec:
-    """The same palm, both regions squeezed to squares that fill the frame: fringes left, mirror right."""
+    """Return the palm with both regions as squares that fill the frame: fringes left, mirror right."""
     views = (
         replace(
             view.sampled(side_px / view.size_px[0], side_px / view.size_px[1]),
@@ -401,11 +377,7 @@ PRESETS: dict[str, Callable[[], PalmSpec]] = {
 
 
 def preset(name: str) -> PalmSpec:
-    """A palm by name.
-
-    Raises:
-        InputError: there is none of that name; the message lists those there are.
-    """
+    """Return a palm specification by name."""
     if name not in PRESETS:
         raise InputError(f"there is no palm {name!r}; there are {', '.join(PRESETS)}", code="unknown-name")
     return PRESETS[name]()

@@ -1,8 +1,4 @@
-"""How palms of one design differ: copies drawn from a law of their own, and temperature.
-
-The law is assumed, and wider than what one workshop would make: it is for tests of what holds on any copy,
-and for what a network is to have seen. It shares no constant with the virtual rig's `Variation`.
-"""
+"""Variation between palm units of one design, and with temperature. The distribution is assumed and wide."""
 
 from __future__ import annotations
 
@@ -15,40 +11,29 @@ from palpate.core import RangeError
 from palpate.optics.camera_response import AutoExposure
 from palpate.optics.image_chain import ImageChain
 from palpate.sensors.palm.palm_rim import rim_reach
-from palpate.sensors.palm.palm_spec import PalmSpec, View
+from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.uneven_membrane import ResidualMap, UnevenGel
 from palpate.sensors.palm.view_faults import Glare, MirrorDirt
 
 ROOM_K = 296.0
 MAX_WARMER_K = 60.0
-MEAN_LIGHT = 0.025  # that an automatic exposure aims at: of most frames. Assumed.
+MEAN_LIGHT = 0.025  # target of the automatic exposure (assumed)
 
 
 @dataclass(frozen=True, slots=True)
 class CopySpread:
-    """Standard deviations of copies about their design; ranges are even. All assumed.
+    """Spread of palm units about their design: standard deviations, or uniform ranges. All assumed.
 
     Attributes:
-        modulus_share, coefficient_share: of the logarithms of E and C.
-        lamp_share: of the lamp's logarithm.
-        mired: of the lamp's colour.
-        polariser_rad, elevation_rad: of the first polariser and of the mirror's line of sight [rad].
-        region_px: of where either region lies in the frame, along either axis [px].
-        ambient: of the room's light, half of a normal law, over the lamp at its brightest.
-        corner_loss: of the loss of light at the corner.
-        blur_px: least and greatest of the lens's blur [px].
-        distortion: of the lens, at the corner.
-        jpeg_quality: least and greatest.
-        thickness_share: of the logarithm of the membrane's thickness.
-        kelvin: of the temperature about that at which E and C are stated [K].
-        gel_modulus, gel_thickness: greatest root mean square by which either varies over a disc.
-        residual: greatest root mean square of the birefringence frozen in, of each component.
-        frozen: of the uniform part of it; its axis is any.
-        specks, texture: most specks of dirt, and greatest texture, in the mirror's view.
-        spots, glare: most reflections, and the greatest light of one.
-        turn_rad: by which either region is turned in the frame [rad].
-        stops: greatest change of exposure that the camera makes by itself, either way; below half a step of a
-            third of a stop it makes none.
+        modulus_share, coefficient_share, lamp_share, thickness_share: Standard deviations of logarithms.
+        region_px: Position of either region in the frame [px].
+        ambient: Scale of the half-normal room light, over the lamp's maximum.
+        blur_px, jpeg_quality: Minimum and maximum.
+        kelvin: Deviation of the temperature from calibration [K].
+        gel_modulus, gel_thickness, residual: Maximum rms variation over a disc.
+        frozen: Uniform residual birefringence; its axis is uniform.
+        specks, texture, spots, glare: Maximum values.
+        stops: Maximum change of automatic exposure, either way.
     """
 
     modulus_share: float = 0.15
@@ -91,17 +76,11 @@ IMPERFECT = CopySpread(
     turn_rad=math.radians(0.3),
     stops=1 / 3,
 )
-"""Copies with every fault that a membrane, a mirror, a window and a camera are given here. All assumed."""
+"""Units with imperfections of membrane, mirror, window, and camera."""
 
 
 def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | None = None) -> PalmSpec:
-    """One copy of a design, whose skin gives way near its rim where that was solved.
-
-    Args:
-        design: what copies are made after.
-        rng: the only source of chance.
-        spread: how far copies differ; None for the law as it is stated.
-    """
+    """Draw one palm unit of a design, with an applied rim where it was solved."""
     s = CopySpread() if spread is None else spread
     law, z = design.stress_optic, rng.standard_normal(13)
     even = replace(
@@ -114,8 +93,8 @@ def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | 
         lamp_mired=design.lamp_mired + s.mired * float(z[3]),
         polariser_rad=design.polariser_rad + s.polariser_rad * float(z[4]),
         mirror_elevation_rad=design.mirror_elevation_rad + s.elevation_rad * float(z[5]),
-        fringes=_moved(design.fringes, s.region_px * z[6], s.region_px * z[7]),
-        mirror=_moved(design.mirror, s.region_px * z[8], s.region_px * z[9]),
+        fringes=design.fringes.moved(s.region_px * z[6], s.region_px * z[7]),
+        mirror=design.mirror.moved(s.region_px * z[8], s.region_px * z[9]),
         ambient=design.ambient + s.ambient * abs(float(z[10])),
         rim="applied" if rim_reach(design) is not None else design.rim,
         corner_loss=float(np.clip(design.corner_loss + s.corner_loss * z[11], 0.0, 1.0)),
@@ -129,7 +108,6 @@ def drawn_palm(design: PalmSpec, rng: np.random.Generator, spread: CopySpread | 
 
 
 def _with_faults(design: PalmSpec, s: CopySpread, rng: np.random.Generator) -> PalmSpec:
-    """A copy with what differs from place to place in it, and its temperature."""
     z, u = rng.standard_normal(5), rng.uniform(size=9)
     drawn = (s.gel_modulus + s.gel_thickness, s.residual, s.specks + s.texture, s.spots)
     gel, residual, dirt, glare = (int(rng.integers(2**31)) if size else 0 for size in drawn)
@@ -153,11 +131,6 @@ def _exposure(stops: float) -> AutoExposure:
     return AutoExposure(MEAN_LIGHT, max_stops=stops)
 
 
-def _moved(view: View, across_px: float, down_px: float) -> View:
-    cx, cy = view.middle_px
-    return replace(view, middle_px=(cx + float(across_px), cy + float(down_px)))
-
-
 def warmed(
     spec: PalmSpec,
     temperature_k: float,
@@ -166,23 +139,15 @@ def warmed(
     modulus_per_k: float | None = None,
     coefficient_per_k: float | None = None,
 ) -> PalmSpec:
-    """The palm at another temperature: E grows as it, and C falls as it, as of an ideal rubber.
-
-    Their product stays, so that a press to one depth looks the same, and only its force changes: by a third
-    of a per cent a kelvin. Of real silicones neither is exact: fillers and free chains change both. What was
-    measured of one is given in place of the law.
+    """Return the palm at another temperature; E is proportional to temperature and C inversely (ideal
+    rubber).
 
     Args:
-        spec: at the temperature at which its E and C were found.
-        temperature_k: now [K].
-        calibrated_k: then [K].
-        modulus_per_k, coefficient_per_k: change of the logarithm of E, and of C, with temperature [1/K]; None
-            for the ideal rubber's.
-
-    Raises:
-        RangeError: farther than 60 K from there, where silicones are no such rubber.
-
-    Reference: W. Kuhn, F. Gruen, Kolloid-Zeitschrift 101 (1942) 248, doi:10.1007/BF01793684.
+        spec: Palm at `calibrated_k`.
+        temperature_k: Temperature [K], within 60 K of `calibrated_k`.
+        calibrated_k: Temperature at which E and C were measured [K].
+        modulus_per_k, coefficient_per_k: Measured logarithmic change of E and C [1/K]; None for the ideal
+            rubber.
     """
     if not abs(temperature_k - calibrated_k) <= MAX_WARMER_K:
         raise RangeError(

@@ -1,12 +1,8 @@
-"""The law by which palms and presses differ that a network learns from, drawn by rendering.
+"""Distribution of palms and presses from which networks are trained. It is assumed, wide, and shares no value
+with the virtual rig or the presets.
 
-It is assumed, wide, and of its own: no number of it is the virtual rig's, of a recording's plan or of the
-palm's preset, and no middle of a range is. A network that has learnt from it knows a kind of palm; what is
-true of the one that it will read it has to learn from that one's own presses.
-
-Copies differ in what light has to be marched for: modulus, stress-optic coefficient, thickness, polariser and
-mirror. Presses on one copy differ in lamp, camera, registration, stains and reflections, and in where a rig
-takes the skin to begin.
+Units differ in modulus, stress-optic coefficient, thickness, polariser, and mirror; presses on one unit in
+lamp, camera, registration, dirt, glare, and detected contact.
 """
 
 from __future__ import annotations
@@ -29,28 +25,20 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class PressLaw:
-    """Ranges that are drawn from evenly; those of factors and noise evenly in their logarithm. All assumed.
+    """Uniform ranges; those of factors and noise are log-uniform. All assumed.
 
     Attributes:
-        copies: how many palms differ in what is marched, at most.
-        modulus, coefficient, thickness: of a copy, factors over the design's.
-        stiffening: factor by which a fresh press is stiffer than a relaxed one, of each frame.
-        polariser_deg, elevation_deg: turns of a copy's polariser and of its mirror's line of sight [degrees].
-        hang_mm: height at which the probe hangs over the untouched skin [mm].
-        threshold_n: force at which a rig calls contact [N].
-        late_mm: by how much deeper it calls it [mm].
-        lamp: factor over the design's.
-        mired: of the lamp's colour [mired].
-        full_well_e, read_noise_e: of the camera [electrons].
-        blur_px: of the lens, in pixels of what is drawn [px].
-        jpeg_quality: 1 to 100; half of the presses have none.
-        shift_px, turn_deg: of each region in the frame, on its own [px, degrees].
-        residual, frozen: birefringence frozen in, the map's and the uniform one's.
-        ambient: of the room, over the lamp at its brightest.
-        corner_loss: light missing at the corner, beyond the design's.
-        specks, texture: of dirt in the mirror's view.
-        spots, glare: of reflections in each region, and the light of the brightest.
-        stops: of the camera's own exposure either way; below a sixth it makes no step.
+        copies: Maximum number of palm units.
+        modulus, coefficient, thickness, lamp: Factors over the design.
+        stiffening: Stiffness of a fresh press over a relaxed one.
+        hang_mm: Height of the probe over the untouched membrane [mm].
+        threshold_n: Contact threshold of a rig [N].
+        late_mm: Additional depth at detected contact [mm].
+        jpeg_quality: 1 to 100; half of the presses are not compressed.
+        shift_px, turn_deg: Registration of each region [px, degrees].
+        residual, frozen: Residual birefringence, varying and uniform.
+        corner_loss: Vignetting beyond the design's.
+        stops: Change of automatic exposure, either way.
     """
 
     copies: int = 16
@@ -82,7 +70,7 @@ class PressLaw:
     stops: Range = (0.0, 1 / 3)
 
     def copy(self, design: PalmSpec, rng: np.random.Generator) -> PalmSpec:
-        """A palm that differs from a design in what its light is marched through."""
+        """Draw a palm unit."""
         law = design.stress_optic
         made = replace(
             design,
@@ -97,7 +85,7 @@ class PressLaw:
         return thick if has_table(thick) else made
 
     def view(self, design: PalmSpec, rng: np.random.Generator) -> dict[str, Any]:
-        """Fields of a spec by which a press's frames differ, the untouched one's as well."""
+        """Draw the fields of a spec by which a press's frames differ."""
         seeds = [int(seed) for seed in rng.integers(2**31, size=3)]
         quality = int(rng.integers(self.jpeg_quality[0], self.jpeg_quality[1] + 1))
         corner = design.corner_loss + rng.uniform(*self.corner_loss)
@@ -125,7 +113,6 @@ class PressLaw:
         }
 
     def camera(self, design: CameraResponse, rng: np.random.Generator) -> CameraResponse:
-        """A camera of another noise."""
         return replace(
             design,
             full_well_e=_factor(self.full_well_e, rng),
@@ -133,20 +120,18 @@ class PressLaw:
         )
 
     def registration(self, rng: np.random.Generator) -> dict[str, Any]:
-        """Where a region's picture lies in the frame."""
         shift = float(rng.uniform(*self.shift_px)), float(rng.uniform(*self.shift_px))
         return {"shift_px": shift, "turn_rad": math.radians(rng.uniform(*self.turn_deg))}
 
     def zero(self, rng: np.random.Generator) -> tuple[float, float]:
-        """Force at which a rig calls contact [N], and how much deeper it does [mm]."""
+        """Draw a contact threshold [N] and additional depth [mm]."""
         return _factor(self.threshold_n, rng), float(rng.uniform(*self.late_mm))
 
     def lamp_now(self, rng: np.random.Generator) -> float:
-        """Factor of the lamp alone."""
         return _factor(self.lamp, rng)
 
 
-MEAN_LIGHT: Range = (0.01, 0.05)  # that a camera's own exposure aims at
+MEAN_LIGHT: Range = (0.01, 0.05)  # target of the automatic exposure
 
 
 def _factor(within: Range, rng: np.random.Generator) -> float:

@@ -1,6 +1,6 @@
-"""Indenters beyond the ball: from a word to a probe, and from a probe to the gap that the mechanics press.
+"""Probe shapes beyond the ball: parsing, gap to the membrane, and silhouette.
 
-A probe of several balls is a rigid holder of them. Leaning turns the holder; each ball stays a ball.
+A probe of several balls is a rigid holder; tilting turns the holder.
 """
 
 from __future__ import annotations
@@ -13,14 +13,9 @@ import numpy as np
 from palpate.core import Field, Float, Float32, InputError, Probe, ndarray
 from palpate.mechanics.layers import indenters
 
-EDGE_SLOPE_RAD = math.radians(30)
-"""Of both sides of the edge against the skin: a blunt blade, gentle enough for small strain."""
-
-ROUNDED = 0.1
-"""Radius of a punch's rounded edge over its own radius."""
-
-SIDE = 0.8
-"""How squarely the sides of edges, punches and cylinders face the viewer. Assumed, for the picture's sake."""
+EDGE_SLOPE_RAD = math.radians(30)  # slope of both sides of the edge, small enough for small strain
+ROUNDED = 0.1  # edge radius of a punch over its radius
+SIDE = 0.8  # brightness cosine of the sides of edges, punches, and cylinders (assumed)
 
 SIZES = {
     "sphere": "DIAMETER_MM",
@@ -38,13 +33,10 @@ Place = tuple[float, float, float]
 
 
 def parse_probe(text: str) -> Probe:
-    """A probe from words: ``sphere:10``, ``cylinder:6:12:45``, ``points:8:-7,0;7,3,0.2``, ``punch:6@5:90``.
+    """Parse a probe: ``sphere:10``, ``cylinder:6:12:45``, ``points:8:-7,0;7,3,0.2``, ``punch:6@5:90``.
 
-    Any of them may lean, ``@`` by up to 30 degrees, towards its turn or, said after a colon, towards another
-    direction from x to y; an edge, a cylinder and two points lean along their length only.
-
-    Raises:
-        InputError: an unknown shape, or sizes that do not fit it.
+    ``@`` adds a tilt of up to 30 degrees, towards the probe's turn or a direction given after a colon; edges,
+    cylinders, and two points tilt along their length only.
 
     Example:
         >>> parse_probe("sphere:10").radius_m
@@ -100,11 +92,7 @@ def _points(text: str, words: list[str]) -> Probe:
 
 
 def points_probe(radius_m: float, places_m: list[Place]) -> Probe:
-    """Balls of one radius at places (x, y, height); the lowest is taken to be at height 0.
-
-    Raises:
-        InputError: no place, or two at the same x and y.
-    """
+    """Return balls of one radius at (x, y, height); heights are relative to the lowest."""
     if len({place[:2] for place in places_m}) != len(places_m) or not places_m:
         raise InputError(f"balls at {places_m} m; give different places", code="sphere-positions")
     lowest = min(up for _, _, up in places_m)
@@ -123,12 +111,12 @@ def _leaning(text: str, probe: Probe, words: str) -> Probe:
 
 
 def upright_ball(probe: Probe) -> Probe:
-    """The same probe; a ball, which is alike from all sides, without turn and tilt."""
+    """Return the probe, a ball without turn and tilt."""
     return Probe("sphere", probe.radius_m) if probe.shape == "sphere" else probe
 
 
 def as_pair(probe: Probe) -> Probe:
-    """The same probe; two upright balls of one height about its axis, however said, as two points."""
+    """Return the probe, two upright balls symmetric about the axis as "two-points"."""
     if probe.shape != "points" or len(probe.places_m) != 2 or probe.tilt_rad != 0.0:
         return probe
     (x, y, up), (other_x, other_y, other_up) = probe.places_m
@@ -138,10 +126,7 @@ def as_pair(probe: Probe) -> Probe:
 
 
 def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
-    """Parts of a probe, each with its place beside the axis and its height over the lowest [m].
-
-    Several points are as many balls, moved as the holder leans; all else is one part.
-    """
+    """Return the probe's parts with (x, y, height over the lowest) [m]; several points are separate balls."""
     if probe.shape not in ("two-points", "points"):
         return ((probe, (0.0, 0.0, 0.0)),)
     c, s = math.cos(probe.turn_rad), math.sin(probe.turn_rad)
@@ -160,12 +145,7 @@ def parts_of(probe: Probe) -> tuple[tuple[Probe, Place], ...]:
 def gap_of(
     probe: Probe, x_m: Float[ndarray, " nx"], y_m: Float[ndarray, " ny"], centre_m: tuple[float, float]
 ) -> Field:
-    """Height of the probe over the flat skin at first touch, on a grid [m].
-
-    Raises:
-        InputError: a shape that has no gap.
-        RangeError: a tilt beyond 30 degrees.
-    """
+    """Return the height of the probe over the flat membrane at first touch, on a grid [m]."""
     R, L, turn = probe.radius_m, probe.length_m, probe.turn_rad
     match probe.shape:
         case "sphere":
@@ -191,13 +171,13 @@ def gap_of(
 def silhouette(
     probe: Probe, depth_m: float, across_m: Float[ndarray, " w"], z_m: Float[ndarray, " h"]
 ) -> Float32[ndarray, "h w"]:
-    """Cosine at which a probe faces a viewer along y, 0 to 1; 0 beside it, and where there is none.
+    """Return the cosine at which a probe faces a viewer along y, 0 to 1; 0 beside it.
 
     Args:
-        probe: what is looked at. Balls are shaded; the sides of all else face the viewer alike.
-        depth_m: of its lowest point, negative in the air [m]; 0 for no probe.
-        across_m: places beside its centre [m]; infinite ones are beside it.
-        z_m: heights, into the skin [m].
+        probe: Probe; balls are shaded, other sides are uniform.
+        depth_m: Depth of its lowest point, negative in the air [m]; 0 for no probe.
+        across_m: Positions relative to its centre [m], possibly infinite.
+        z_m: Depths into the membrane [m].
     """
     facing = np.zeros((len(z_m), len(across_m)), np.float32)
     reach, _ = reaches_of(probe)
@@ -220,7 +200,7 @@ def silhouette(
 
 
 def reaches_of(probe: Probe) -> tuple[float, float]:
-    """Distances along x and y from its centre at which the probe may touch [m]; the same for one body."""
+    """Return the maximum distances along x and y at which the probe may touch [m]."""
     if probe.shape in ("two-points", "points"):
         places = [place for _, place in parts_of(probe)]
         across, down = (max(abs(place[axis]) for place in places) for axis in (0, 1))

@@ -1,10 +1,7 @@
-"""What light meets under a probe without an axis, or a pulled punch, by its table: stress laid out in space.
+"""Stress under a tabled non-axisymmetric probe or a laterally loaded punch, resampled on flat planes.
 
-The table holds a quarter of a layer over the share of the way from the deformed top to the base. Here it is
-turned to where the probe is and read on flat planes, in a window about the probe and on a wide grid that
-holds beyond it. Above the top, where no ray passes that is not dark, the top's own stress stands. Of a light
-press the share that `probe_contact` gives to linear layers is their stress, on the same planes, and so is
-what the shear of a lateral load adds.
+The table's quarter is rotated to the probe and read in a window and on a wide grid. The fraction of a light
+press that belongs to linear layers, and the shear of a lateral load, are added on the same planes.
 """
 
 from __future__ import annotations
@@ -26,23 +23,18 @@ from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.pulled_ball import Laid
 from palpate.sensors.palm.tabled_probes import probe_table_of
 
-NEAR_PLANES, DEEP_PLANES = 48, 20  # down to below the probe's lowest point, and to the base
-BELOW = 0.2  # thicknesses below it to which they are near
-BESIDE = 0.5  # thicknesses of the window beyond the probe
-CELLS = 160  # of the window's side, and of the wide grid's
-LIGHT_PLANES = 20  # of linear layers' stress, finest at the surface; between them it is smooth
-FINER = 2  # times as many knots of the quarter each way: straight lines run between them
+NEAR_PLANES, DEEP_PLANES = 48, 20  # planes around the probe and down to the base
+BELOW = 0.2  # extent of the near planes below the probe, in thicknesses
+BESIDE = 0.5  # window beyond the probe, in thicknesses
+CELLS = 160  # cells per side of window and wide grid
+LIGHT_PLANES = 20  # planes of linear layers, finest at the surface
+FINER = 2  # refinement of the quarter's knots
 
 Stress = Float32[ndarray, "nz 5 ny nx"]
 
 
 def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
-    """The five stresses of a ray about a probe.
-
-    Args:
-        spec: the palm as it is where it is pressed.
-        contact: for which `is_tabled_probe` or `is_punched` holds.
-    """
+    """Return the five stresses of a ray around a probe for which `is_tabled_probe` or `is_punched` holds."""
     h, probe = spec.thickness_m, contact.probe
     deep = min(contact.pose.depth_m + BELOW * h, 0.9 * h)
     planes = np.concatenate(
@@ -68,7 +60,6 @@ def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
 
 
 def _of_layers(spec: PalmSpec, contact: Contact, share: float) -> tuple[OnGrid, OnGrid]:
-    """Stress of linear layers under their share of a light press and all shear, on `LIGHT_PLANES` planes."""
     h, x, y = spec.thickness_m, contact.x_m, contact.y_m
     pressure = np.zeros_like(contact.pressure_pa)
     if share > 0.0:
@@ -85,7 +76,6 @@ def _read_layers(
     planes: Float[ndarray, " nz"],
     half: float,
 ) -> Stress:
-    """That stress on other planes of a square grid about the probe."""
     aside = _aside(half)
     x, y = contact.pose.x_m + aside, contact.pose.y_m + aside
     (near, is_near), (far, _) = (_read_grid(grid, x, y) for grid in layers)
@@ -97,7 +87,7 @@ def _read_layers(
 
 
 def _read_grid(grid: OnGrid, x: ndarray, y: ndarray) -> tuple[Stress, Bool[ndarray, "ny nx"]]:
-    """Stress of a grid along straight lines at columns and rows, 0 beyond it; and where it is not beyond."""
+    """Linear interpolation of a grid, 0 beyond it, with the mask of points inside."""
     rows, columns = grid.stress_pa.shape[2:]
     i, j = (x - grid.first_m[0]) / grid.cell_m[0], (y - grid.first_m[1]) / grid.cell_m[1]
     across, down = (_weights(at, count) for at, count in ((i, columns), (j, rows)))
@@ -106,13 +96,13 @@ def _read_grid(grid: OnGrid, x: ndarray, y: ndarray) -> tuple[Stress, Bool[ndarr
 
 
 def _weights(at: ndarray, count: int) -> Float32[ndarray, "n count"]:
-    """Weights by which straight lines between points 0, 1 and so on read at places."""
+    """Weights of linear interpolation between points 0, 1, ..."""
     return np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
 def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, Float32[ndarray, "6 m y x"]]:
-    """The quarter at one depth, and its stress on finer knots, faded out towards the table's sides [E]."""
+    """The quarter at one depth, and its stress on finer knots, faded out at the table's sides [E]."""
     at = probe_table_of(spec, probe).at(depth_m / spec.thickness_m)
     stress = at.stress
     for axis, knots in ((3, at.x), (2, at.y), (1, at.zeta)):
@@ -122,12 +112,10 @@ def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, 
 
 
 def _aside(half: float) -> Float[ndarray, " n"]:
-    """Columns, or rows, of a grid beside the probe [m]."""
     return (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
 
 
 def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
-    """The table's stress on planes of a square grid about the probe."""
     pose, h, aside = contact.pose, spec.thickness_m, _aside(half)
     at, stress = _finer(spec, contact.probe, pose.depth_m)
     x, y = own_frame(contact.probe, pose, pose.x_m + aside[None, :], pose.y_m + aside[:, None])
@@ -159,7 +147,6 @@ def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], h
 
 
 def _of_punch(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
-    """The same of an upright punch's table."""
     base, aside = field_under(spec, contact.probe, contact.pose.depth_m), _aside(half)
     r = np.hypot(aside[None, :], aside[:, None])
     c, s = aside[None, :] / r, aside[:, None] / r
@@ -182,7 +169,7 @@ def _of_punch(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], h
 
 
 def _turned(stress: Float32[ndarray, "6 ny nx"], turn: float) -> list[ndarray]:
-    """The stresses of a ray in the palm's frame, from six in that of a probe turned from x towards y."""
+    """Stress of a ray in the palm's frame from the probe's frame."""
     xx, yy, zz, yz, xz, xy = stress
     c, s = math.cos(turn), math.sin(turn)
     return [

@@ -1,9 +1,4 @@
-"""What light meets under the palm's ball where it is pulled aside: the table's stress, laid out in space.
-
-The press and what the pull adds are known over radius and the share of the way from the deformed top to the
-base. Here they are read on flat planes about the ball, in a window and on a wide grid that holds beyond it.
-Above the top, where no ray passes that is not dark, the top's own stress stands.
-"""
+"""Stress under the palm's laterally loaded ball: the tabled press and pull, resampled on flat planes."""
 
 from __future__ import annotations
 
@@ -25,15 +20,15 @@ from palpate.sensors.palm.palm_press import FADED, FRICTION, field_at, pressed
 from palpate.sensors.palm.palm_rim import applied_rim, lateral_of
 from palpate.sensors.palm.palm_spec import PalmSpec
 
-NEAR_PLANES, DEEP_PLANES = 44, 20  # down to a contact radius below the ball's lowest point, and to the base
-WINDOW, WIDEST = 3.0, 2.4  # half of it: contact radii, and ball radii at most
-CELLS = 160  # of the window's side, and of the wide grid's
+NEAR_PLANES, DEEP_PLANES = 44, 20  # planes around the ball and down to the base
+WINDOW, WIDEST = 3.0, 2.4  # half the window: contact radii, limited to ball radii
+CELLS = 160  # cells per side of window and wide grid
 
 Plane = Float[ndarray, "ny nx"]
 
 
 class Laid(NamedTuple):
-    """Stress about a contact: depths of the planes [m], in a window and on a wide grid."""
+    """Stress around a contact on planes [m], in a window and on a wide grid."""
 
     planes_m: Float[ndarray, " nz"]
     near: OnGrid
@@ -41,17 +36,12 @@ class Laid(NamedTuple):
 
 
 def is_pulled_ball(contact: Contact) -> bool:
-    """Tell whether a contact is of the finite-strain table under a lateral load."""
+    """Return whether a contact is of the finite-strain table under a lateral load."""
     return contact.solution is ContactSolution.PULLED_TABLE
 
 
 def stress_about(spec: PalmSpec, contact: Contact) -> Laid:
-    """The five stresses of a ray about a ball that is pulled.
-
-    Args:
-        spec: the palm as it is where it is pressed.
-        contact: for which `is_pulled_ball` holds.
-    """
+    """Return the five stresses of a ray around a contact for which `is_pulled_ball` holds."""
     added, R = _added(spec, contact), spec.indenter_radius_m
     press = pressed(spec, contact.pose.depth_m)
     a, h = press.contact_radius * R, spec.thickness_m
@@ -67,7 +57,7 @@ def stress_about(spec: PalmSpec, contact: Contact) -> Laid:
 
 
 def _added(spec: PalmSpec, contact: Contact) -> PulledStress:
-    """What the pull adds; in moduli of the membrane as the rim leaves it."""
+    """Stress added by the pull, in moduli of the membrane with the rim's effect."""
     pose, R = contact.pose, spec.indenter_radius_m
     unit = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio * R**2
     return pulled_sphere_table().at(
@@ -76,7 +66,7 @@ def _added(spec: PalmSpec, contact: Contact) -> PulledStress:
 
 
 def _pull(spec: PalmSpec, contact: Contact) -> tuple[float, float]:
-    """The lateral load without the part that an applied rim has of it [N]."""
+    """Lateral load without an applied rim's contribution [N]."""
     effect = applied_rim(spec, contact.pose)
     rim = lateral_of(effect, contact.pose, contact.force_n / effect.force_ratio)
     return contact.lateral_n[0] - rim[0], contact.lateral_n[1] - rim[1]
@@ -131,7 +121,6 @@ def _table(added: PulledStress, base: AxisymmetricField, R: float) -> Float32[nd
 def _read(
     table: Float32[ndarray, "mn 10"], columns: int, down: Plane, out: Plane
 ) -> Float32[ndarray, "10 ny nx"]:
-    """Rows of a table along straight lines between its knots."""
     i = np.minimum(down.astype(np.int32), len(table) // columns - 2)
     j = np.minimum(out.astype(np.int32), columns - 2)
     a, b = ((at - k).astype(np.float32)[..., None] for at, k in ((down, i), (out, j)))
@@ -142,14 +131,14 @@ def _read(
 
 
 def rows_of(planes_m: Float[ndarray, " nz"], z_m: Float[ndarray, " h"]) -> Float32[ndarray, "h nz"]:
-    """Weights by which straight lines between planes give rows."""
+    """Return the weights of linear interpolation from planes to rows."""
     return np.stack([np.interp(z_m, planes_m, unit) for unit in np.eye(len(planes_m))], axis=1).astype(
         np.float32
     )
 
 
 def summed_along(laid: Laid) -> tuple[Float[ndarray, " w"], Float[ndarray, "nz w"], Float[ndarray, "nz w"]]:
-    """Columns of the window, and the integrals of s_xx - s_zz and s_xz along y at each plane [Pa m]."""
+    """Return the window's columns and the integrals of s_xx - s_zz and s_xz along y on each plane [Pa m]."""
     near, far = laid.near, laid.far
     x, y = (first + np.arange(CELLS) * cell for first, cell in zip(near.first_m, near.cell_m, strict=True))
     wide_x, wide_y = (

@@ -1,13 +1,8 @@
-"""Presses and other contacts of virtual palms, drawn for a network to learn from, with their labels.
+"""Draw random presses and contacts of virtual palms with labels, for training.
 
-Presses lie anywhere. Like a rig's press, each has one frame of the untouched skin with the probe hanging over
-it, and then frames at several depths. Palms, lamps, cameras and what a rig calls contact differ by a law of
-its own, see `PressLaw`; what differs on a rig besides (tilt, leaning, dents) is left out.
-
-Other contacts are those beyond one upright ball, on the palm as designed. They are pressed by linear layers,
-the palm's own ball too, so that no kind is told from another by its law; of the shapes an edge or a cylinder
-is pressed by its table where the membrane has one, as `press` does, its edges rounded. What is drawn at
-random is spread evenly over its range, unless said otherwise; relaxation and wear are left out.
+Each press has a frame of the untouched membrane under the hanging probe and frames at several depths; units
+and views vary by `PressLaw`. Other loads are pressed by linear layers on the design (tabled edges and
+cylinders by their table), so that the force law does not reveal the load kind.
 """
 
 from __future__ import annotations
@@ -48,22 +43,22 @@ from palpate.sensors.palm.probe_shapes import parts_of, points_probe, reaches_of
 from palpate.sensors.palm.tabled_probes import has_probe_table
 from palpate.sensors.palm.uneven_membrane import pressed_at
 
-DEPTHS = 96  # distinct ones, over all copies, between which pictures are shared
+DEPTHS = 96  # distinct depths over all units; images are shared between them
 DEPTH_MM = (0.06, 5.3)
-HANGS = 3  # heights of each copy
+HANGS = 3  # heights per unit
 
 TARGETS = ("depth_mm", "x_mm", "y_mm", "force_N")
 
 
 @dataclass(frozen=True, slots=True)
 class Presses:
-    """Rendered presses and their labels.
+    """Rendered presses and labels.
 
     Attributes:
-        images: sRGB ``[n h w 3]``, fringes left and mirror right.
-        hanging: of each press, the skin with the probe over it ``[p h w 3]``.
-        press: of each image ``[n]``.
-        values: depth below where a rig would call contact, x and y [mm], normal force [N] ``[n 4]``.
+        images: sRGB frames, fringes left and mirror right.
+        hanging: Frame of each press with the probe above the membrane.
+        press: Press number of each image.
+        values: Depth below detected contact, x, y [mm], and normal force [N].
     """
 
     images: UInt8[ndarray, "n h w 3"]
@@ -82,19 +77,16 @@ def draw_presses(
     processes: int = 1,
     law: PressLaw = PRESS_LAW,
 ) -> Presses:
-    """Draw presses at places spread evenly over all that the ball may touch.
+    """Draw presses at positions uniform over the area that the ball may touch.
 
     Args:
-        spec: of a frame that both regions fill, as `cropped` makes it.
-        count: of presses.
-        depths_each: frames of each.
-        rng: the only source of chance.
-        progress: called with how many frames are drawn of how many.
-        processes: how many draw, on this machine; what is drawn does not depend on it.
-        law: by which palms and presses differ.
-
-    Raises:
-        InputError: no press, no depth, or no process.
+        spec: Palm whose two regions fill the frame, as from `cropped`.
+        count: Number of presses.
+        depths_each: Frames per press.
+        rng: Source of randomness.
+        progress: Callback with the number of frames done and in total.
+        processes: Number of processes; the result does not depend on it.
+        law: Distribution of units and presses.
     """
     if count < 1 or depths_each < 1:
         raise InputError(f"{count} presses of {depths_each} depths; give 1 or more", code="press-count")
@@ -116,13 +108,7 @@ def draw_presses(
 
 @dataclass(frozen=True, slots=True)
 class _DrawnPress:
-    """One press: where, how it is seen, and where a rig calls contact.
-
-    Attributes:
-        place_m: x and y.
-        view: fields of the spec that all its frames have.
-        threshold_n, late_mm: force at which contact is called, and how much deeper.
-    """
+    """One press: position [m], fields of the spec, and detected contact."""
 
     place_m: tuple[float, float]
     view: dict[str, Any]
@@ -132,10 +118,8 @@ class _DrawnPress:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """All frames of one depth of one copy, below the surface or, negative, above it.
-
-    A depth's pictures are marched once and moved to its places, and that takes longer than all else. So a
-    depth is what one process draws, with chance of its own.
+    """All frames of one depth of one unit (negative: above the surface), rendered by one process with its
+    own rng.
     """
 
     spec: PalmSpec
@@ -197,12 +181,12 @@ def _places(spec: PalmSpec, count: int, rng: np.random.Generator) -> Float[ndarr
 
 
 LOAD_DEPTH_MM = (0.4, 1.5)
-HELD = 0.8  # of what friction holds, the greatest lateral load and moment, taken together
+HELD = 0.8  # maximum combined lateral load and moment over the friction limit
 TILT_DEG = 10.0
 PUNCHES_MM = (6, 8, 10)
 MIN_APART_M = 12e-3  # between balls
-INSIDE_M = 0.5e-3  # of the membrane that stays free between a probe's reach and the rim
-MAX_TRIES = 1000  # at places for several balls
+INSIDE_M = 0.5e-3  # clearance between a probe's reach and the rim
+MAX_TRIES = 1000  # attempts to place several balls
 
 SIZES_M = {
     "sphere": ((4e-3, 0.0), (6e-3, 0.0), (7e-3, 0.0)),
@@ -211,11 +195,11 @@ SIZES_M = {
     "cylinder": ((3e-3, 8e-3), (3e-3, 10e-3), (3e-3, 12e-3)),
     "two-points": ((3e-3, 8e-3), (3e-3, 10e-3), (3e-3, 12e-3)),
 }
-"""Radius and length of each shape, small, middling and large [m]."""
+"""(radius, length) of each shape [m]."""
 SHAPES = tuple(SIZES_M)
-BALLS = 4  # that a grasp has room for
+BALLS = 4  # maximum number of balls
 PLACE = ("depth_mm", "x_mm", "y_mm")
-EACH = 4  # values of a ball
+EACH = 4  # values per ball
 
 
 def _each_named(count: int) -> tuple[str, ...]:
@@ -238,22 +222,21 @@ NAMES = {
     "two-contacts": (*_each_named(2), "force_N"),
     "grasp": ("count", *_each_named(BALLS), "force_N", "moment_x_Nmm", "moment_y_Nmm"),
 }
-"""Of each kind's values. Forces are of the probe on the skin. Moments are about the axes through the probe's
-place on the surface at rest, a grasp's about those through the membrane's centre. ``shape`` is the place in
-`SHAPES`. Balls are numbered from the left; what a grasp of three has none of is NaN."""
+"""Value names of each kind. Forces act on the membrane; moments are about the probe's position on the rest
+surface, for a grasp about the membrane's centre. ``shape`` is the index in `SHAPES`. Balls are numbered from
+the left; missing ones are NaN."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loads:
-    """Rendered contacts and their labels.
+    """Rendered contacts and labels.
 
     Attributes:
-        kind: of load, as in `NAMES`.
-        names: of the values.
-        images: sRGB ``[n h w 3]``, fringes left and mirror right.
-        hanging: the untouched skin under each image's lamp, nothing in sight ``[n h w 3]``.
-        press: of each image, its number ``[n]``.
-        values: in the order of the names ``[n v]``.
+        names: Names of the values.
+        images: sRGB frames, fringes left and mirror right.
+        hanging: Untouched membrane under each image's lamp, without a probe.
+        press: Press number of each image.
+        values: Labels in the order of the names.
     """
 
     kind: str
@@ -278,20 +261,16 @@ def draw_loads(
     rng: np.random.Generator,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Loads:
-    """Draw contacts of one kind at places where all of the probe is inside the rim.
+    """Draw contacts of one kind at positions where the whole probe is inside the rim.
 
     Args:
-        spec: of a frame that both regions fill, as `cropped` makes it.
-        kind: ``"lateral"`` (the palm's ball, pulled in any direction and twisted, up to 0.8 of what friction
-            holds), ``"inclined"`` (a punch leaning by up to 10 degrees), ``"shapes"`` (one of `SHAPES`),
-            ``"two-contacts"`` (two of the palm's balls, 12 mm apart or more) or ``"grasp"`` (three or four).
-        count: of contacts, with one picture each.
-        rng: the only source of chance.
-        progress: called with how many are drawn of how many.
-
-    Raises:
-        InputError: another kind, or no contact.
-        RangeError: a membrane too small for the probes.
+        spec: Palm whose two regions fill the frame, as from `cropped`.
+        kind: ``"lateral"`` (ball with lateral force and moment), ``"inclined"`` (punch tilted by up to 10
+            degrees), ``"shapes"``, ``"two-contacts"`` (two balls, at least 12 mm apart), or ``"grasp"``
+            (three or four balls).
+        count: Number of contacts, one image each.
+        rng: Source of randomness.
+        progress: Callback with the number of contacts done and in total.
     """
     if kind not in NAMES:
         raise InputError(f"no load {kind!r}; there are {', '.join(NAMES)}", code="unknown-name")
@@ -311,7 +290,7 @@ def draw_loads(
 
 
 def lateral(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
-    """The palm's ball under a lateral force and a moment, their shares of what friction holds on a disc."""
+    """Draw the palm's ball under a lateral force and a moment within the friction limit."""
     probe = Probe("sphere", spec.indenter_radius_m)
     pose = _pose(spec, probe, rng)
     pressed = press_layers(spec, pose, probe)
@@ -324,7 +303,7 @@ def lateral(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
 
 
 def inclined(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
-    """A leaning punch."""
+    """Draw a tilted punch."""
     diameter = float(rng.choice(PUNCHES_MM))
     tilt, towards = rng.uniform(0, TILT_DEG), rng.uniform(0, 360)
     probe = Probe("punch", diameter / 2e3, 0.0, math.radians(towards), math.radians(tilt))
@@ -336,7 +315,7 @@ def inclined(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
 
 
 def shapes(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
-    """One of the shapes, of one of three sizes, turned anyhow."""
+    """Draw one shape of one of three sizes at a random turn."""
     which, size = int(rng.integers(len(SHAPES))), int(rng.integers(3))
     turn = rng.uniform(0, 180)
     radius, length = SIZES_M[SHAPES[which]][size]
@@ -349,13 +328,13 @@ def shapes(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
 
 
 def two_contacts(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
-    """Two balls."""
+    """Draw two balls."""
     contact, each = _several(spec, 2, rng)
     return Drawn(contact, (*each, contact.force_n))
 
 
 def grasp(spec: PalmSpec, rng: np.random.Generator) -> Drawn:
-    """Three or four balls."""
+    """Draw three or four balls."""
     count = int(rng.integers(3, BALLS + 1))
     contact, each = _several(spec, count, rng)
     wrench = resultant_of(contact)
@@ -374,7 +353,6 @@ DRAW: dict[str, Callable[[PalmSpec, np.random.Generator], Drawn]] = {
 
 
 def _untouched(spec: PalmSpec, contact: Contact) -> Contact:
-    """The skin at rest, with no probe in sight."""
     if has_table(spec):  # whose picture of it is drawn once
         return press(spec, Pose(0.0, 0.0, 0.0))
     nothing = 0 * contact.pressure_pa
@@ -397,7 +375,7 @@ def _place(pose: Pose) -> tuple[float, float, float]:
 
 
 def _pose(spec: PalmSpec, probe: Probe, rng: np.random.Generator) -> Pose:
-    """A depth, and a place at which the probe's whole reach is inside the rim."""
+    """A depth, and a position at which the probe's whole reach is inside the rim."""
     room = _room(spec, max(reaches_of(probe)))
     away, angle = room * math.sqrt(rng.uniform()), rng.uniform(0, math.tau)
     return Pose(away * math.cos(angle), away * math.sin(angle), 1e-3 * rng.uniform(*LOAD_DEPTH_MM))
@@ -414,7 +392,7 @@ def _room(spec: PalmSpec, reach_m: float) -> float:
 
 
 def _several(spec: PalmSpec, count: int, rng: np.random.Generator) -> tuple[Contact, tuple[float, ...]]:
-    """Balls pressed together, and of each, from the left, its depth, place and force."""
+    """Balls pressed together with depth, position, and force of each, from the left."""
     R = spec.indenter_radius_m
     at = np.array(sorted(_apart(count, _room(spec, R), rng)))
     depth = 1e-3 * rng.uniform(*LOAD_DEPTH_MM, count)
@@ -439,7 +417,7 @@ def _each(contact: Contact, places: list[tuple[float, float, float]]) -> Iterato
 
 
 def _apart(count: int, room_m: float, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Places spread evenly over a disc, all drawn anew until no two are too near."""
+    """Uniform positions on a disc, redrawn until none are too near."""
     for _ in range(MAX_TRIES):
         away, angle = room_m * np.sqrt(rng.uniform(size=count)), rng.uniform(0, math.tau, count)
         at = np.stack([away * np.cos(angle), away * np.sin(angle)], axis=1)

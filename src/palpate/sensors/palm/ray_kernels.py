@@ -1,4 +1,4 @@
-"""The compiled loop that reads stress along rays; `fringe_rays` uses it alone."""
+"""Compiled loop that reads stress along rays for `fringe_rays`."""
 
 from typing import no_type_check
 
@@ -11,15 +11,15 @@ f32 = np.float32
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 @no_type_check
 def read_along(near, far, to_near, to_far, x, y, length, turns, frozen, u, v):
-    """Read what the slices of rays add to a march, on every plane.
+    """Accumulate what the slices of rays add to a march, on every plane.
 
     Args:
-        near, far: five stresses on planes [nz 5 ny nx], the first where it holds, the other beyond.
-        to_near, to_far: first column, first row, and 1 over the cell along x and y.
-        x, y, length: of the slices' middles, and their lengths [s w].
-        turns: of the rays: cos^2, sin^2, -2 sin cos, 2 cos, -2 sin [5 w].
-        frozen: what is added to difference and shear, of each plane and ray [2 z w].
-        u, v: (s_xx - s_zz) and 2 s_xz times length, as the ray sees them [s z w]; written.
+        near, far: Five stresses on planes [nz 5 ny nx]; `far` applies outside `near`.
+        to_near, to_far: First column, first row, and inverse cell sizes along x and y.
+        x, y, length: Midpoints and lengths of the slices [s w].
+        turns: cos^2, sin^2, -2 sin cos, 2 cos, -2 sin of the rays [5 w].
+        frozen: Added difference and shear of each plane and ray [2 z w].
+        u, v: Output: (s_xx - s_zz) and 2 s_xz times length in the ray's frame [s z w].
     """
     slices, rays = x.shape
     near_ny, near_nx = near.shape[2:]

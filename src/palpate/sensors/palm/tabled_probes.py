@@ -1,4 +1,4 @@
-"""Probes without an axis that have a finite-strain table for a palm's membrane."""
+"""Non-axisymmetric probes that have a finite-strain table for a palm's membrane."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from palpate.sensors.palm.probe_shapes import parse_probe
 
 
 def has_probe_table(spec: PalmSpec, probe: Probe) -> bool:
-    """Tell whether there is a table for the spec's membrane under a probe without an axis."""
+    """Return whether a table exists for the spec's membrane under a non-axisymmetric probe."""
     return _probe_table(spec, probe) is not None
 
 
@@ -18,11 +18,7 @@ def _probe_table(spec: PalmSpec, probe: Probe) -> ProbeTable | None:
 
 
 def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
-    """The table of a probe without an axis.
-
-    Raises:
-        RangeError: there is none for this membrane.
-    """
+    """Return the table of a non-axisymmetric probe."""
     if (table := _probe_table(spec, probe)) is None:
         raise RangeError(
             f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; upright there "
@@ -32,7 +28,7 @@ def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
 
 
 def probes_with_table(spec: PalmSpec) -> str:
-    """Words of the probes without an axis that have tables for the spec's membrane; empty where none has."""
+    """Return the comma-separated probes that have tables for the spec's membrane."""
     mm, found = 1e3 * spec.thickness_m, []
     for t in probe_tables():
         sizes = [round(size * mm, 6) for size in (2 * t.radius, t.length) if size]

@@ -1,12 +1,7 @@
-"""What differs from place to place in one membrane: modulus, thickness, and retardance frozen into it.
+"""Spatial variation of one membrane's modulus, thickness, and residual birefringence.
 
-Each varies smoothly, as casting and curing leave it: a few modes of lowest order, drawn by a seed, of a root
-mean square that is stated and a mean of 0 over the membrane. All sizes are assumed, and none by default.
-
-A press takes modulus and thickness as they are under its axis. That is right as far as both stay the same
-within the reach of its stress, one or two contact radii; the modes bend over half the membrane and more. Of
-the thickness it is the underside that stays flat, and the upper surface at rest that does: the step is left
-out.
+Each varies in a few low-order modes drawn by a seed, with a given rms and zero mean. A press uses the modulus
+and thickness under its axis, which assumes that both are constant over one or two contact radii.
 """
 
 from __future__ import annotations
@@ -24,8 +19,8 @@ from palpate.core import Float, InputError, RangeError, ndarray
 if TYPE_CHECKING:
     from palpate.sensors.palm.palm_spec import PalmSpec
 
-MAX_SHARE = 0.1  # of modulus and thickness, root mean square
-MAX_BIREFRINGENCE = 1e-5  # of what is frozen in, root mean square
+MAX_SHARE = 0.1  # maximum rms of modulus and thickness
+MAX_BIREFRINGENCE = 1e-5  # maximum rms of the residual birefringence
 SIDE_MODES = tuple((i, j) for i in range(4) for j in range(3) if i + j > 0)
 
 Field = Float[ndarray, "..."]
@@ -33,12 +28,10 @@ Field = Float[ndarray, "..."]
 
 @dataclass(frozen=True, slots=True)
 class UnevenGel:
-    """A membrane whose modulus and thickness vary over its disc. Sizes are assumed.
+    """Membrane whose modulus and thickness vary over its disc. Sizes are assumed.
 
     Attributes:
-        modulus: root mean square of the logarithm of E over its mean, 0 to 0.1.
-        thickness: the same of the thickness.
-        seed: which membrane.
+        modulus, thickness: Rms of the logarithm, 0 to 0.1.
     """
 
     modulus: float = 0.0
@@ -58,14 +51,12 @@ class UnevenGel:
 
 @dataclass(frozen=True, slots=True)
 class ResidualMap:
-    """Birefringence frozen in that varies over the side view, besides the uniform one. Assumed.
+    """Residual birefringence that varies over the side view, in addition to the uniform one. Assumed.
 
     Attributes:
-        birefringence: root mean square of each of the two components, along the axes and along their
-            diagonals, of the mean along a ray: a difference of indices, 0 to 1e-5.
-        seed: which map.
-        modes: weights of `side_modes` of the first orders, of each component, in place of those that the seed
-            draws; the root mean square is then that of weights of 1 in all.
+        birefringence: Rms of each component (along the axes, along the diagonals) of the mean along a ray, 0
+            to 1e-5.
+        modes: Weights of the first `side_modes` of each component instead of drawn ones.
     """
 
     birefringence: float = 0.0
@@ -87,7 +78,7 @@ class ResidualMap:
         _check_seed(self.seed)
 
     def weights(self, component: int) -> tuple[float, ...]:
-        """Weights of the first modes, of the component along the axes (0) or along their diagonals (1)."""
+        """Weights of the first modes of the axial (0) or diagonal (1) component."""
         if self.modes is None:
             return _weights(self.seed, component, len(SIDE_MODES))
         return self.modes[component]
@@ -99,11 +90,10 @@ def _check_seed(seed: int) -> None:
 
 
 def disc_modes(x: Field, y: Field) -> Float[ndarray, "7 ..."]:
-    """Zernike's modes of orders 1 to 3 but for the trefoils, at places in radii of the disc.
+    """Return Zernike modes of orders 1 to 3 without trefoils; positions are in disc radii.
 
-    Each has a mean of 0 and a mean square of 1 over the disc, and they are orthogonal.
-
-    Reference: R. J. Noll, J. Opt. Soc. Am. 66 (1976) 207, doi:10.1364/JOSA.66.000207.
+    They are orthonormal over the disc. Reference: R. J. Noll, J. Opt. Soc. Am. 66 (1976) 207,
+    doi:10.1364/JOSA.66.000207.
     """
     r2 = x**2 + y**2
     return np.stack([
@@ -113,7 +103,7 @@ def disc_modes(x: Field, y: Field) -> Float[ndarray, "7 ..."]:
 
 
 def side_modes(across: Field, down: Field) -> Float[ndarray, "11 ..."]:
-    """Products of Legendre's polynomials, each of mean 0 and mean square 1 over a square of -1 to 1."""
+    """Return products of Legendre polynomials, orthonormal over a square of -1 to 1."""
     return np.stack([_legendre(i, across) * _legendre(j, down) for i, j in SIDE_MODES])
 
 
@@ -123,31 +113,31 @@ def _legendre(order: int, at: Field) -> Field:
 
 @lru_cache(maxsize=64)
 def _weights(seed: int, stream: int, modes: int) -> tuple[float, ...]:
-    """Weights of modes whose squares sum to 1, so that the field's mean square is 1."""
+    """Weights whose squares sum to 1."""
     drawn = np.random.default_rng([seed, stream]).standard_normal(modes)
     return tuple((drawn / np.linalg.norm(drawn)).tolist())
 
 
 def modulus_ratio(spec: PalmSpec, x_m: float, y_m: float) -> float:
-    """Modulus at a place over the membrane's own."""
+    """Return the modulus at a position over the membrane's."""
     return math.exp(spec.gel.modulus * _at(spec, 0, x_m, y_m)) if spec.gel.modulus else 1.0
 
 
 def modulus_ratios(spec: PalmSpec, x_m: Field, y_m: Field) -> Field:
-    """The same at many places."""
+    """Return the modulus at many positions over the membrane's."""
     modes = disc_modes(x_m / spec.radius_m, y_m / spec.radius_m)
     weights = np.array(_weights(spec.gel.seed, 0, len(modes)))
     return np.asarray(np.exp(spec.gel.modulus * np.tensordot(weights, modes, axes=1)))
 
 
 def thickness_at(spec: PalmSpec, x_m: float, y_m: float) -> float:
-    """Thickness at a place [m]."""
+    """Return the thickness at a position [m]."""
     share = spec.gel.thickness
     return spec.thickness_m * math.exp(share * _at(spec, 1, x_m, y_m)) if share else spec.thickness_m
 
 
 def thickness_range(spec: PalmSpec) -> tuple[float, float]:
-    """The thinnest and the thickest that the membrane is, to 1e-3 of what they differ by [m]."""
+    """Return the minimum and maximum thickness [m]."""
     if not spec.gel.thickness:
         return spec.thickness_m, spec.thickness_m
     away, angle = np.linspace(0.0, 1.0, 41), np.linspace(0.0, 2 * np.pi, 120, endpoint=False)
@@ -164,7 +154,7 @@ def _at(spec: PalmSpec, stream: int, x_m: float, y_m: float) -> float:
 
 
 def pressed_at(spec: PalmSpec, x_m: float, y_m: float) -> PalmSpec:
-    """The palm as a press at this place finds it: even, with the modulus and thickness that are there."""
+    """Return the even palm with the modulus and thickness at a position."""
     if spec.gel == EVEN:
         return spec
     return replace(
@@ -176,11 +166,12 @@ def pressed_at(spec: PalmSpec, x_m: float, y_m: float) -> PalmSpec:
 
 
 def frozen_at(spec: PalmSpec, impact_m: Field, z_m: Field) -> tuple[Field, Field]:
-    """Residual birefringence of rays, by their distance from the membrane's axis and their depth [m].
+    """Return the residual birefringence of rays by distance from the membrane's axis and depth [m].
 
     Returns:
-        The part along the axes x and z, and that along their diagonals: n1 - n2 times the cosine and the sine
-        of twice the angle of the larger index from x towards z; the uniform part is in both.
+        Axial and diagonal parts: n1 - n2 times cosine and sine of twice the angle of the larger index from x
+            to
+        z, including the uniform part.
     """
     uniform = (
         spec.frozen_birefringence * math.cos(2 * spec.frozen_axis_rad),

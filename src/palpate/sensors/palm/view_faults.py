@@ -1,9 +1,6 @@
-"""What lies between the membrane and a clean picture of it: dirt and texture under the mirror's view, glare.
+"""Imperfections of the views: dirt and texture under the mirror's view, and glare. All sizes are assumed.
 
-Dirt and texture lie on the underside, or on the mirror in its place: they dim what the mirror shows and stay
-where they are. Glare is the lamp's own light, thrown back by a wall or a window past the analyser: it adds to
-the picture, fixed to the region, in the lamp's colour. Both views may be turned in the frame: see `View`.
-Nobody has measured any of it on this palm; all sizes are assumed, and by default there is none.
+Dirt and texture dim what the mirror shows at fixed positions. Glare adds lamp light at fixed image positions.
 """
 
 from __future__ import annotations
@@ -24,10 +21,8 @@ if TYPE_CHECKING:
 
 MAX_SPECKS = 500
 MAX_SPOTS = 20
-SPECK_DIMS = (
-    0.6  # of the light, by the darkest speck in its middle; the others by 0.3 of it and more. Assumed.
-)
-FRINGES, MIRROR = 0, 1  # streams of chance of the two regions
+SPECK_DIMS = 0.6  # light lost in the middle of the darkest speck; others lose at least 0.3 of it (assumed)
+FRINGES, MIRROR = 0, 1  # random streams of the two regions
 
 Grey = Float32[ndarray, "h w"]
 Light = Float32[ndarray, "h w 3"]
@@ -35,15 +30,13 @@ Light = Float32[ndarray, "h w 3"]
 
 @dataclass(frozen=True, slots=True)
 class MirrorDirt:
-    """Dust and texture that the mirror's view shows; by default none. Sizes are assumed.
+    """Dust and texture in the mirror's view.
 
     Attributes:
-        specks: of dust, 0 to 500.
-        speck_m: radius of the largest, at which it has lost half its strength [m]; the others have 0.3 of it
-            and more.
-        texture: root mean square by which a mottled surface changes the brightness, as a share, 0 to 0.3.
-        texture_m: distance over which the mottling changes [m].
-        seed: which dirt.
+        specks: Number of dust specks, 0 to 500.
+        speck_m: Half-strength radius of the largest speck [m]; others have at least 0.3 of it.
+        texture: Rms relative change of brightness by a mottled surface, 0 to 0.3.
+        texture_m: Correlation length of the texture [m].
     """
 
     specks: int = 0
@@ -65,14 +58,12 @@ class MirrorDirt:
 
 @dataclass(frozen=True, slots=True)
 class Glare:
-    """Reflections of the lamp in both regions; by default none. Sizes are assumed.
+    """Reflections of the lamp in both regions.
 
     Attributes:
-        spots: in each region, 0 to 20.
-        peak: light in the middle of the brightest, over the lamp at its brightest; the others have 0.3 of it
-            and more.
-        width_m: standard deviation of the widest, on the membrane [m]; the others have 0.3 of it and more.
-        seed: which reflections.
+        spots: Number in each region, 0 to 20.
+        peak: Maximum light of the brightest spot over the lamp's maximum; others have at least 0.3 of it.
+        width_m: Standard deviation of the widest spot on the membrane [m]; others have at least 0.3 of it.
     """
 
     spots: int = 0
@@ -95,7 +86,7 @@ def _check_whole(name: str, value: int, greatest: int) -> None:
 
 
 def dirt_over(spec: PalmSpec) -> Grey:
-    """Share of the light that dirt and texture leave, in the mirror's region."""
+    """Return the transmission of dirt and texture in the mirror's region."""
     sine = math.sin(spec.mirror_elevation_rad)
     return _dirt(spec.dirt, spec.mirror, sine, spec.radius_m)
 
@@ -114,18 +105,20 @@ def _dirt(dirt: MirrorDirt, view: View, sine: float, radius_m: float) -> Grey:
 
 
 def mottled(dirt: MirrorDirt, x_m: ndarray, y_m: ndarray, radius_m: float) -> ndarray:
-    """The texture's field at places on the underside: of mean 0 and mean square 1 over many membranes."""
+    """Return the texture at positions on the underside, with zero mean and unit variance
+    over many membranes.
+    """
     half = math.ceil(1.2 * radius_m / dirt.texture_m) + 2
     knots = np.random.default_rng([dirt.seed, 1]).standard_normal((2 * half + 1, 2 * half + 1))
     at = np.stack([y_m / dirt.texture_m + half, x_m / dirt.texture_m + half])
-    # Between independent knots straight lines lose variance, in the middle of four the most; restored here.
+    # Linear interpolation between independent knots loses variance, which is restored here.
     share = at - np.floor(at)
     kept = np.prod(share**2 + (1 - share) ** 2, axis=0)
     return np.asarray(map_coordinates(knots, at, order=1, mode="nearest") / np.sqrt(kept))
 
 
 def glare_in(glare: Glare, view: View, stream: int) -> Grey:
-    """Light that reflections add in one region, over the lamp at its brightest."""
+    """Return the light that reflections add in one region, over the lamp's maximum."""
     return _glare(glare, view, stream)
 
 
@@ -145,7 +138,7 @@ def _glare(glare: Glare, view: View, stream: int) -> Grey:
 
 
 def registered(light: Light, view: View) -> Light:
-    """A region's picture turned about its middle and moved, as its view says; beyond its edge as at it."""
+    """Return a region's image rotated and translated as its view specifies."""
     if not (view.turn_rad or any(view.shift_px)):
         return light
     (cx, cy), c, s = view.middle_px, math.cos(view.turn_rad), math.sin(view.turn_rad)

@@ -1,4 +1,8 @@
-"""The TacTip: a gel-filled dome whose skin carries pins, seen from inside."""
+"""The TacTip: a gel-filled dome whose skin carries pins, seen from inside.
+
+Errors: `InputError` for a wrong kind, name, or non-finite value; `RangeError` for a value outside a design's
+or law's range; `ImageError` for a picture that does not fit; `LabelError` for a wrong label or table.
+"""
 
 from palpate.sensors.tactip.skin_through_camera import skin_places_m, untouched_area_m2
 from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, pictured

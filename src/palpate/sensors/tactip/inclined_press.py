@@ -1,10 +1,7 @@
-"""A specimen whose top is inclined: the tip touches it with its side.
+"""The TacTip's side on a specimen with an inclined top.
 
-Where there is a table at finite strain (`inclined_table`) and no friction is asked for, the contact is the
-table's. All others are of linear bodies (`tilted_tip`): their states are solved once for a specimen, over
-approaches up to the greatest force of a trial, and read between by splines, so that a trial may ask for any.
-
-The tip's side on an inclined specimen by tables at finite strain, see `inclined_table`.
+Frictionless contacts with a finite-strain table (`inclined_table`) use it. Others are of linear bodies
+(`tilted_tip`), solved over approaches up to the maximum force and interpolated by splines.
 """
 
 from __future__ import annotations
@@ -27,37 +24,19 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
 )
 from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
+from palpate.sensors.tactip.tactip_press import TabledContact
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class SideOn:
-    """A specimen under the tip's side, of which there is a table.
-
-    Attributes:
-        press: the table's.
-        inner_radius_m, radius_m: of the skin's inside and of the tip [m].
-    """
+class SideOn(TabledContact):
+    """A specimen under the tip's side, by a finite-strain table."""
 
     press: SidePress
     inner_radius_m: float
     radius_m: float
-
-    @property
-    def law(self) -> str:
-        return "finite strain, without friction"
-
-    @property
-    def deepest_m(self) -> float:
-        return float(self.press.approach_m[-1])
-
-    def force_n(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        return self.press.force_at(approach_m)
-
-    def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        return self.press.at("area_m2", force_n)
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         moved = self.press.at("moved_m", self.press.force_at(np.array([approach_m])))[0]
@@ -69,12 +48,12 @@ class SideOn:
 
 @dataclass(frozen=True)
 class BentDome:
-    """The inside of a dome of which places have moved, even about the plane y = 0.
+    """Inside of a deformed dome, symmetric about the plane y = 0.
 
     Attributes:
-        inner_radius_m: of the dome [m].
-        radius_m: of the tip, whose untouched apex is where z is 0 [m].
-        across_rad, aside_rad, moved_m: see `SidePress`, at one force.
+        inner_radius_m: Radius of the dome [m].
+        radius_m: Radius of the tip, whose undeformed apex is at z = 0 [m].
+        across_rad, aside_rad, moved_m: See `SidePress`, at one force.
     """
 
     inner_radius_m: float
@@ -105,24 +84,21 @@ class BentDome:
 
 
 STATES = 22
-BEYOND_N = 5.5  # a little more than a trial's greatest force
-FIRST_M, STRIDE = 1e-3, 1.4  # of the search for the approach that is deep enough
-GRID = 61  # places across the skin, along x and y
+BEYOND_N = 5.5  # maximum force, slightly above a trial's
+FIRST_M, STRIDE = 1e-3, 1.4  # search for the maximum approach
+GRID = 61  # points across the skin along x and y
 MAX_TILT = np.deg2rad(50.0)
 
 
 @dataclass(frozen=True)
 class Inclined:
-    """A specimen under the tip's side, both of them linear bodies.
+    """A specimen under the tip's side by linear bodies.
 
     Attributes:
-        contact: of the two bodies.
-        inner_radius_m: of the skin's inside [m].
-        approach_m: of the states [m].
-        lift_n, touched_m2: vertical force and contact area there.
-        knots_rad: of the spline below.
-        moved_m: how far the skin's inside has moved, as control points ``[states g g 3]`` of a cubic spline
-            over (polar angle) x (cosine, sine of azimuth) [m].
+        inner_radius_m: Radius of the skin's inside [m].
+        approach_m, lift_n, touched_m2: Approach, vertical force, and contact area of the states.
+        moved_m: Displacement of the skin's inside as control points ``[states g g 3]`` of a cubic spline on
+            `knots_rad` over (polar angle) x (cosine, sine of azimuth) [m].
     """
 
     contact: TiltedContact
@@ -146,7 +122,7 @@ class Inclined:
         return np.asarray(self._root(np.maximum(approach_m, 0.0))) ** 1.5
 
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Area of the contact [m^2]; smooth, where the states count whole cells."""
+        """Contact area [m^2], smooth where the states count whole cells."""
         return np.polyval(self._area, np.cbrt(force_n)) * np.cbrt(force_n) ** 2
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
@@ -157,12 +133,12 @@ class Inclined:
 
     @cached_property
     def _root(self) -> PchipInterpolator:
-        """Force to the 2/3, nearly straight over the approach."""
+        """Force to the 2/3, nearly linear in the approach."""
         return PchipInterpolator(self.approach_m, np.maximum(self.lift_n, 0.0) ** (2 / 3))
 
     @cached_property
     def _area(self) -> Float[ndarray, " k"]:
-        """A / F^(2/3), constant in Hertz's contact, as a quadratic in F^(1/3)."""
+        """A / F^(2/3), constant in Hertz contact, as a quadratic in F^(1/3)."""
         f = np.cbrt(self.lift_n[1:])
         return np.polyfit(f, self.touched_m2[1:] / f**2, 2, w=f**2)
 
@@ -173,13 +149,7 @@ class Inclined:
 
 @dataclass(frozen=True)
 class MovedDome:
-    """The inside of a dome of which every place has moved.
-
-    Attributes:
-        inner_radius_m: of the dome [m].
-        radius_m: of the tip, whose untouched apex is where z is 0 [m].
-        moved_m: by how much, over (polar angle) x (cosine, sine of azimuth) [m].
-    """
+    """Inside of a dome displaced by `moved_m` over (polar angle) x (cosine, sine of azimuth) [m]."""
 
     inner_radius_m: float
     radius_m: float
@@ -192,7 +162,7 @@ class MovedDome:
         return self._dome(ab) + self.moved_m(ab), normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
     def _tangent(self, ab: ndarray, axis: int) -> ndarray:
-        """Along a or b, of the dome by a central difference over an angle in which it is straight."""
+        """Tangent along a or b, of the dome by a central difference."""
         step = 1e-4 * np.eye(2)[axis]
         dome = (self._dome(ab + step) - self._dome(ab - step)) / 2e-4
         return dome + self.moved_m(ab, nu=np.eye(2, dtype=int)[axis])
@@ -204,18 +174,8 @@ class MovedDome:
 
 
 def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined | SideOn:
-    """The spec's tip on a specimen of the tables' size, its top inclined.
-
-    From a table at finite strain where there is one of this tip, tilt and specimen and `friction` is 0;
-    else by `linear_inclined`. Its `law` says which.
-
-    Args:
-        spec: the sensor; `friction` counts.
-        specimen_pa: Young's modulus, `inf` for a rigid plate [Pa].
-        tilt_rad: of the top [rad].
-
-    Raises:
-        RangeError: a tilt or modulus outside of what is modelled.
+    """Return the tip on an inclined specimen of Young's modulus `specimen_pa`, `inf` for rigid, tabled if
+    possible.
     """
     table = inclined_table(spec.tip)
     if table and has_table(spec, specimen_pa, tilt_rad):
@@ -224,22 +184,13 @@ def inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined 
 
 
 def has_table(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> bool:
-    """Whether an inclined press is read from a table at finite strain: arguments as of `inclined`."""
+    """Return whether `inclined` uses a table at finite strain."""
     table = inclined_table(spec.tip)
     return spec.friction == 0 and table is not None and table.holds(specimen_pa, tilt_rad)
 
 
 def linear_inclined(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> Inclined:
-    """The same by linear bodies, whatever tables there are.
-
-    Takes about half a minute for a new tip, ten seconds for each specimen after it.
-
-    Args:
-        spec, specimen_pa, tilt_rad: see `inclined`.
-
-    Raises:
-        RangeError: a tilt or modulus outside of what is modelled.
-    """
+    """Return the tip on an inclined specimen by linear bodies; solving a new tip takes half a minute."""
     if not (0 <= tilt_rad <= MAX_TILT and specimen_pa > 0):
         raise RangeError(
             f"a specimen of {specimen_pa:g} Pa at {np.rad2deg(tilt_rad):.3g} degrees; above 0 Pa, and 0 to "
@@ -268,7 +219,7 @@ def _inclined(tip: str, friction: float, specimen_pa: float, tilt_rad: float) ->
 
 
 def _states(contact: TiltedContact) -> tuple[Float[ndarray, " k"], list[TiltedPress]]:
-    """Approaches from 0, and the states after it, up to the greatest force."""
+    """Approaches from 0, and the states up to the maximum force."""
     deep = FIRST_M
     while contact.through(np.array([deep]))[0].lift_n < BEYOND_N:
         deep *= STRIDE
@@ -278,12 +229,12 @@ def _states(contact: TiltedContact) -> tuple[Float[ndarray, " k"], list[TiltedPr
         enough = [i for i, state in enumerate(states) if state.lift_n >= BEYOND_N]
         if enough:
             return approach[: enough[0] + 2], states[: enough[0] + 1]
-        deep *= STRIDE  # by steps, with what sticks, it yields more than at once
+        deep *= STRIDE  # in steps with stick it is softer than in one step
 
 
 @lru_cache(maxsize=8)
 def tip_of(name: str) -> tuple[TipTable, TipModes]:
-    """A tip's table, for its numbers, and its answer to loads."""
+    """Return a tip's table and its linear response."""
     table = tip_table(name)
     modes = tip_modes(table.radius_m, table.skin_m, table.skin_pa, table.gel_pa, table.poisson_ratio)
     return table, modes
@@ -295,7 +246,7 @@ def _unit_top(radius_m: float, height_m: float, poisson_ratio: float) -> TopMode
 
 
 def _top(table: TipTable, specimen_pa: float) -> TopModes:
-    """The tables' cylinder; its answer is in proportion to 1 / E."""
+    """Response of the tables' cylinder, proportional to 1 / E."""
     unit = _unit_top(table.specimen_radius_m, table.specimen_height_m, table.poisson_ratio)
     return TopModes(unit.radii_m, unit.top / specimen_pa)
 
@@ -303,7 +254,7 @@ def _top(table: TipTable, specimen_pa: float) -> TopModes:
 def _splines(
     modes: TipModes, moved: Float[ndarray, "k places azimuths 3"]
 ) -> tuple[Float[ndarray, " n"], Float[ndarray, "k g g 3"]]:
-    """Knots and control points on an even grid, which has no pole."""
+    """Knots and control points on a uniform grid, which has no pole."""
     reach = float(modes.pins_rad[-1] / np.sqrt(2))
     at = np.linspace(-reach, reach, GRID)
     a, b = np.meshgrid(at, at, indexing="ij")
@@ -321,7 +272,7 @@ def _splines(
 def _all_around(
     modes: TipModes, moved: Float[ndarray, "places azimuths 3"]
 ) -> tuple[Float[ndarray, " p"], Float[ndarray, " a"], Float[ndarray, "p a 3"]]:
-    """Motion along x, y, z, through the pole and once more around, so that it has neither end nor seam."""
+    """Displacement along x, y, z through the pole and around, without seam."""
     theta = (np.arange(2 * modes.azimuths) + 0.5) * np.pi / modes.azimuths
     other = moved[:, ::-1] * [1.0, -1.0, 1.0]  # the half y < 0 mirrors the half y > 0
     r, around, z = np.moveaxis(np.concatenate([moved, other], axis=1), -1, 0)

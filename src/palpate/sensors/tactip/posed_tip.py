@@ -1,14 +1,9 @@
-"""A TacTip on a flat rigid plate at any pose: the head-on press, turned by tilt, carried by shear and twist.
+"""A TacTip on a flat rigid plate at any pose: the head-on press, turned by tilt and moved by shear and twist.
 
-The skin's shape is that of the head-on press (`tip_table`) at the pose's depth, turned about the centre of
-the dome to where the plate touches. What sticks to the plate goes with it: of shear and twist each place of
-the skin takes a share that is 1 at the contact and falls to 0 beyond it, and that grows with depth as the
-contact stops slipping. Pins are levers along the deformed skin's normal, seen through the gel, window and a
-lens with radial distortion. The turn, the shares and the couplings are kinematic, with `TipTerms` to be
-fitted to taps; only the head-on press is mechanics.
-
-Beyond what plate and dome explain there is one coupling without a model, `shear_per_tilt_x` and `_y`: taps of
-a real tip were carried by a share that changes with the sign of the tilt.
+The head-on skin (`tip_table`) is rotated about the dome's centre. Of shear and twist each point takes a
+fraction that is 1 at the contact, falls to 0 beyond it, and grows with depth as slip ends. Pins are normal to
+the skin, seen through gel, window, and a lens with radial distortion. Only the head-on press is mechanics;
+the kinematic terms `TipTerms` are fitted to taps, as are `shear_per_tilt_x` and `_y`, which have no model.
 """
 
 from __future__ import annotations
@@ -24,7 +19,7 @@ from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.sensors.tactip.tip_view import InnerSkin, PinView, Share, TipOptics, rotations
 
 POSE = ("depth_mm", "tilt_x_deg", "tilt_y_deg", "shear_x_mm", "shear_y_mm", "twist_deg")
-"""Columns of a pose."""
+"""Components of a pose."""
 
 Poses = Float[ndarray, "t 6"]
 Places = Float[ndarray, "p 2"]
@@ -32,29 +27,29 @@ Moved = Float[ndarray, "t p 2"]
 
 
 class TipTerms(NamedTuple):
-    """What makes one tip and its camera, in the order in which they are fitted.
+    """Terms of one tip and its camera, in the order of the fit.
 
     Attributes:
-        lever_mm: length of the pins below the skin's inside.
-        camera_mm: height of the pinhole above the apex.
-        depth_zero_mm: stated depth at which the apex touches.
-        distortion: of the lens, at the edge of the field of pins; negative for barrel distortion.
-        edge_rad: polar angle of the outermost pins' roots.
-        tilt_xx, tilt_xy, tilt_yx, tilt_yy: turn of the contact about the dome's centre, along the image's x
-            and y, for the tilts stated [rad/rad].
-        shear_xx, shear_xy, shear_yx, shear_yy: motion of the plate in the image's axes over that stated.
-        depth_per_tilt: change of depth with the square of the turn [mm/rad^2].
-        shear_per_turn: of the plate over the turn, in radii of the dome [1/rad].
-        turn_per_shear: turn over the plate's motion in radii of the dome [rad].
-        shear_per_tilt_x, shear_per_tilt_y: relative change of the plate's motion with the tilts [1/rad].
-        twist: turn of the plate over that stated.
-        shear_by_twist: turn of the direction of shear over the twist.
-        slip_mm, slip_power: depth by which the contact holds, and how abruptly.
-        shear_rad, shear_per_contact, shear_fade_rad: polar angle about the contact where the share of shear
-            is half: the constant, its part of the contact's own angle, and the width over which it fades.
-        twist_rad, twist_per_contact, twist_fade_rad: the same of twist.
-        shear_far: share of shear that the whole tip takes.
-        seat_x_rad, seat_y_rad: turn of the contact where the plate is said to be upright.
+        lever_mm: Length of the pins.
+        camera_mm: Height of the pinhole above the apex.
+        depth_zero_mm: Nominal depth at first touch.
+        distortion: Lens distortion at the edge of the pin field; negative for barrel distortion.
+        edge_rad: Polar angle of the outermost pins' roots.
+        tilt_xx, tilt_xy, tilt_yx, tilt_yy: Rotation of the contact about the dome's centre along the image's
+            x and y, per nominal tilt [rad/rad].
+        shear_xx, shear_xy, shear_yx, shear_yy: Motion of the plate in image axes per nominal motion.
+        depth_per_tilt: Change of depth per squared rotation [mm/rad^2].
+        shear_per_turn: Motion of the plate in dome radii per rotation [1/rad].
+        turn_per_shear: Rotation per motion of the plate in dome radii [rad].
+        shear_per_tilt_x, shear_per_tilt_y: Relative change of the plate's motion per tilt [1/rad].
+        twist: Rotation of the plate per nominal twist.
+        shear_by_twist: Rotation of the shear's direction per twist.
+        slip_mm, slip_power: Depth at which the contact sticks, and sharpness of the transition.
+        shear_rad, shear_per_contact, shear_fade_rad: Polar angle at which the fraction of shear is half, as a
+            constant plus a fraction of the contact angle, and the width of its transition.
+        twist_rad, twist_per_contact, twist_fade_rad: The same of twist.
+        shear_far: Fraction of shear that the whole tip takes.
+        seat_x_rad, seat_y_rad: Mounting misalignment.
     """
 
     lever_mm: float = 0.5
@@ -91,19 +86,17 @@ class TipTerms(NamedTuple):
 
     @property
     def optics(self) -> TipOptics:
-        """Lever, camera and lens."""
         return TipOptics(self.lever_mm, self.camera_mm, self.distortion, self.edge_rad)
 
 
 @dataclass(frozen=True)
 class PosedTip:
-    """A tip's table with the pins of one sensor, by their places in the image at rest.
+    """A tip's table with the pins of one sensor.
 
     Attributes:
-        rest_px: pins (x, y) in a shallow upright tap [px].
-        rest_depth_mm: that tap's stated depth.
-        tip: name of the tip's table.
-        gel_index: refractive index of the gel.
+        rest_px: Pins (x, y) in a shallow upright tap [px].
+        rest_depth_mm: Nominal depth of that tap.
+        tip: Name of the tip's table.
     """
 
     rest_px: Places
@@ -113,17 +106,16 @@ class PosedTip:
 
     @property
     def middle_px(self) -> Float[ndarray, " 2"]:
-        """Middle of the field of pins [px]."""
         return np.asarray(np.median(self.rest_px, axis=0))
 
     @property
     def edge_px(self) -> float:
-        """Radius of the field of pins: the mean of the outermost [px]."""
+        """Mean distance of the outermost pins from the middle [px]."""
         away = np.sort(np.hypot(*(self.rest_px - self.middle_px).T))
         return float(away[-max(1, len(away) // 16) :].mean())
 
     def places_px(self, terms: TipTerms, poses: Poses) -> Moved:
-        """Places of the pins at poses, `POSE` in its units [px]; deeper than the table, as at its end."""
+        """Pin positions at poses in the units of `POSE` [px]; depth is limited to the table's."""
         table = tip_table(self.tip)
         skin = InnerSkin.of(table.press(math.inf), table.radius_m)
         view = PinView.of(skin, terms.optics, self.gel_index)
@@ -136,7 +128,7 @@ class PosedTip:
 
 
 def _seen(skin: InnerSkin, view: PinView, q: TipTerms, roots: Float[ndarray, "p 3"], poses: Poses) -> Moved:
-    """Where pins are seen at poses."""
+    """Pin positions at poses, 1 at the field's edge."""
     turn, moved_m, twist = _plate(skin, q, poses)
     rotation = rotations(turn)
     x, y, z = np.moveaxis(np.einsum("pi,tij->tpj", roots, rotation), -1, 0)
@@ -152,7 +144,7 @@ def _seen(skin: InnerSkin, view: PinView, q: TipTerms, roots: Float[ndarray, "p 
     azimuth = azimuth + twisted * twist[:, None]
     aside = np.einsum("ti,tij->tj", np.pad(moved_m, ((0, 0), (0, 1))), rotation)[:, None, :2]
     at = np.stack([r * np.cos(azimuth), r * np.sin(azimuth)], axis=-1)
-    # Shear acts on places before the twist about the contact's axis does.
+    # Shear acts before the twist about the contact's axis.
     cosine, sine = np.cos(twisted * twist[:, None]), np.sin(twisted * twist[:, None])
     turned = np.stack(
         [aside[..., 0] * cosine - aside[..., 1] * sine, aside[..., 0] * sine + aside[..., 1] * cosine],
@@ -166,7 +158,7 @@ def _seen(skin: InnerSkin, view: PinView, q: TipTerms, roots: Float[ndarray, "p 
 def _plate(
     skin: InnerSkin, q: TipTerms, poses: Poses
 ) -> tuple[Float[ndarray, "t 2"], Float[ndarray, "t 2"], Float[ndarray, " t"]]:
-    """Turn of the contact [rad], motion of the plate [m] and its twist [rad], in the image's axes."""
+    """Rotation of the contact [rad], motion of the plate [m], and its twist [rad], in image axes."""
     tilts, twist = np.deg2rad(poses[:, 1:3]), np.deg2rad(poses[:, 5])
     turn = tilts @ np.array([[q.tilt_xx, q.tilt_xy], [q.tilt_yx, q.tilt_yy]]).T
     turn = turn + np.array([q.seat_x_rad, q.seat_y_rad])
@@ -188,7 +180,6 @@ def _plate(
 
 
 def _within(beyond_rad: Share, fade_rad: float) -> Share:
-    """1 well inside, 1/2 at 0, 0 well outside."""
     return np.asarray(1 / (1 + np.exp(np.clip(beyond_rad / fade_rad, -60, 60))))
 
 

@@ -1,8 +1,4 @@
-"""Places of the markers: rigid pins that stand on the skin's inside and turn with it.
-
-A pin's root moves with the skin, and the pin stays along the deformed skin's normal, so that its marker, at
-the end of a lever, shows the skin's tilt larger than its displacement.
-"""
+"""Marker positions: rigid pins normal to the deformed skin's inside, which amplify its tilt."""
 
 from __future__ import annotations
 
@@ -22,19 +18,15 @@ Angles = Float[ndarray, " p"]
 
 @runtime_checkable
 class SkinShape(Protocol):
-    """The inside of a deformed skin; x, y, z from the untouched apex, z towards the camera [m]."""
+    """Inside of a deformed skin; x, y, z from the undeformed apex, z towards the camera [m]."""
 
     def at(self, polar: Angles, azimuth: Angles) -> tuple[Places, Places]:
-        """Places, and the normals there that point into the tip."""
+        """Positions, and normals that point into the tip."""
 
 
 @dataclass(frozen=True)
 class HeadOnSkin:
-    """The skin of a head-on press at one force.
-
-    Attributes:
-        polar_rad, inside_m: as in `HeadOnPress`, of one force.
-    """
+    """Skin of a head-on press at one force; fields as in `HeadOnPress`."""
 
     polar_rad: Float[ndarray, " n"]
     inside_m: Float[ndarray, "n 2"]
@@ -50,15 +42,12 @@ class HeadOnSkin:
 
 @dataclass(frozen=True)
 class LeaningSkin:
-    """A skin whose specimen's top leans a little from where it should be.
-
-    A lean turns the whole field about the centre of the dome; that the dome's base does not turn with it is
-    neglected, which holds for the degree or so by which a specimen is seated askew.
+    """A skin on a slightly misaligned specimen: the field rotates about the dome's centre.
 
     Attributes:
-        skin: without the lean.
-        radius_m: of the dome [m].
-        lean_rad: of the contact's middle, towards +x and -y.
+        skin: Skin without the misalignment.
+        radius_m: Radius of the dome [m].
+        lean_rad: Rotation of the contact towards +x and -y.
     """
 
     skin: SkinShape
@@ -79,13 +68,13 @@ class LeaningSkin:
 def head_on(
     press: HeadOnPress, radius_m: float, force_n: float, lean_rad: tuple[float, float]
 ) -> LeaningSkin:
-    """The skin at one force [N], the specimen's top leaning a little."""
+    """Return the skin at one force [N] on a slightly misaligned specimen."""
     inside = press.at("inside_m", np.array([force_n]))[0]
     return LeaningSkin(HeadOnSkin(press.polar_rad, inside), radius_m, lean_rad)
 
 
 def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:
-    """Turns the apex towards +x and -y by small angles."""
+    """Rotation of the apex towards +x and -y by small angles."""
     a, b = about_y, -about_x
     around_y = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     around_x = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
@@ -93,7 +82,7 @@ def _lean(about_y: float, about_x: float) -> Float[ndarray, "3 3"]:
 
 
 def lattice(pins: PinLayout, inner_radius_m: float) -> tuple[Angles, Angles]:
-    """Polar angle and azimuth of the pins' roots on the skin's inside; the middle pin first."""
+    """Return polar angle and azimuth of the pins' roots, the middle pin first."""
     n = pins.rings
     steps = [(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if abs(i + j) <= n]
     i, j = np.array(sorted(steps, key=lambda s: s[0] ** 2 + s[0] * s[1] + s[1] ** 2)).T
@@ -102,6 +91,6 @@ def lattice(pins: PinLayout, inner_radius_m: float) -> tuple[Angles, Angles]:
 
 
 def markers(skin: SkinShape, pins: PinLayout, inner_radius_m: float) -> Places:
-    """Places of the markers on the pins' ends [m]."""
+    """Return the positions of the markers on the pins' ends [m]."""
     places, normals = skin.at(*lattice(pins, inner_radius_m))
     return places + pins.length_m * normals

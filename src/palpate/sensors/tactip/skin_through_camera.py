@@ -1,8 +1,4 @@
-"""Where on the skin a camera sees a pin: from a place in the image back to the root of the pin, in metres.
-
-The way out is `tactip_camera.projected`: a pin stands on the untouched dome, its marker is seen through gel
-and window. It is steady in the distance from the axis, so that it can be read backwards.
-"""
+"""Inverse of the camera's view: from image positions of untouched pins to their roots on the skin."""
 
 from __future__ import annotations
 
@@ -19,22 +15,18 @@ from palpate.sensors.tactip.tactip_press import pixels_per_tangent
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 NODES = 400
-REACH = 0.98  # of the skin's inner radius, to which pins are looked for
+REACH = 0.98  # maximum distance of pins over the skin's inner radius
 
 Places = Float[ndarray, "p 2"]
 
 
 def skin_places_m(spec: TacTipSpec, places_px: Places, lens: Lens | None = None) -> Places:
-    """Roots of untouched pins as seen along the tip's axis, from where their markers are in the image [m].
+    """Return the roots of untouched pins projected along the tip's axis from their image positions [m].
 
     Args:
-        spec: of the tip: dome, pins' length, gel and the camera's height; without a lens also the camera's
-            scale.
-        places_px: of markers.
-        lens: of the camera in air, whose axis is the tip's; None for the spec's own camera.
-
-    Raises:
-        InputError: a place at which no pin can stand on this dome.
+        spec: Tip, with the camera's height; without a lens also its scale.
+        places_px: Marker positions.
+        lens: Lens in air aligned with the tip's axis; None for the spec's camera.
     """
     if lens is None:
         middle = (spec.camera.size_px - 1) / 2
@@ -59,18 +51,12 @@ def skin_places_m(spec: TacTipSpec, places_px: Places, lens: Lens | None = None)
 def untouched_area_m2(
     spec: TacTipSpec, places_px: Places, cells: Int[ndarray, "p 2"] | None, lens: Lens | None = None
 ) -> float:
-    """A_c0: the circle about the middle pin through the outermost ones, on the skin along the axis [m^2].
-
-    It is pi r^2 with r the distance of the outermost roots from the middle one, by all that the lattice has
-    on its edge; a pin that is hidden counts where the others say it stands.
+    """Return A_c0, the area pi r^2 of the circle through the outermost pins' roots, along the axis [m^2].
 
     Args:
-        spec, lens: see `skin_places_m`.
-        places_px: of the pins of an untouched frame; NaN where one is lost.
-        cells: of each on the lattice, as `find_pins` names them.
-
-    Raises:
-        InputError: pins without a lattice, of other rings than the spec's, or not of this dome.
+        spec, lens: See `skin_places_m`.
+        places_px: Pins of an untouched frame; NaN for lost ones.
+        cells: Lattice cells from `find_pins`.
     """
     if cells is None:
         raise InputError("pins without lattice; use `find_pins` on a reference frame", code="no-lattice")
@@ -86,7 +72,7 @@ def untouched_area_m2(
 
 
 def _ways_out(spec: TacTipSpec) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"]]:
-    """Distances of roots from the axis [m], and the tangents under which their markers are seen."""
+    """Distances of roots from the axis [m], and tangents at which their markers appear."""
     root = np.linspace(0.0, REACH * spec.inner_radius_m, NODES)
     skin = head_on(spec.table.press(math.inf), spec.table.radius_m, 0.0, (0.0, 0.0))
     places, normals = skin.at(np.arcsin(root / spec.inner_radius_m), np.zeros(NODES))

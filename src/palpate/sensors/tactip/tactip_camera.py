@@ -1,4 +1,4 @@
-"""Grey images of the markers in the tip: refraction at the window, projection, discs, noise."""
+"""Grey images of the markers in the tip: refraction at the window, projection, discs, and noise."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from palpate.core import Float, UInt8, ndarray
 from palpate.sensors.tactip.tactip_spec import TacTipCamera
 
 ITERATIONS = 30
-SETTLED = 1e-15  # of a tangent, below which a step is rounding
+SETTLED = 1e-15  # convergence of the tangent
 
 Places = Float[ndarray, "p 3"]
 Points = Float[ndarray, "p 2"]
 
 
 def slopes(r: ndarray, depth: ndarray, air: float, index: float) -> ndarray:
-    """Tangent of the angle at which the camera sees a point at r, `depth` below a window `air` below it.
+    """Return the tangent at which the camera sees a point at r, `depth` below a window `air` below it.
 
-    Snell's law at the window: r = depth tan g + air tan a, sin a = index sin g. Newton's method on
-    t = tan a, which the straight line starts and which rises steadily with r.
+    Snell's law: r = depth tan g + air tan a, sin a = index sin g, by Newton's method on tan a.
     """
     t = r / (depth + air)
     for _ in range(ITERATIONS):
@@ -37,7 +36,7 @@ def slopes(r: ndarray, depth: ndarray, air: float, index: float) -> ndarray:
 
 
 def projected(markers_m: Places, camera: TacTipCamera, base_m: float) -> tuple[Points, Float[ndarray, " p"]]:
-    """Directions (tangents along x and y) of the markers, and how large a metre there is [1/m]."""
+    """Return the directions (tangents along x and y) of the markers, and the local scale [1/m]."""
     x, y, z = markers_m.T
     r, depth, air = np.hypot(x, y), base_m - z, camera.height_m - base_m
     t = slopes(r, depth, air, camera.gel_index)
@@ -52,7 +51,7 @@ def rendered(
     rng: np.random.Generator,
     light: float = 1.0,
 ) -> UInt8[ndarray, "h w"]:
-    """One grey frame: bright discs on dark ground, with noise."""
+    """Return one grey frame of bright discs with noise."""
     image = np.full((camera.size_px, camera.size_px), camera.dark * light, np.float64)
     _discs(image, points_px, radius_px, camera.dark * light, camera.bright * light, camera.edge_px)
     image += camera.noise * rng.standard_normal(image.shape)

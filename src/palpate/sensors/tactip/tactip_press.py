@@ -1,4 +1,4 @@
-"""The tip pressed on a specimen: what every such contact tells, and that of a specimen under the apex."""
+"""The tip on a specimen under its apex, and the protocol of every such contact."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from palpate.core import Float, ndarray
+from palpate.mechanics.axisymmetric.inclined_table import SidePress
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipTable
 from palpate.sensors.tactip.skin_and_markers import SkinShape, head_on, markers
 from palpate.sensors.tactip.tactip_camera import projected
@@ -18,32 +19,30 @@ from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 @runtime_checkable
 class TipOnSpecimen(Protocol):
-    """A tip on a specimen, whatever its tilt."""
+    """A tip on a specimen at any tilt."""
 
     @property
     def law(self) -> str:
-        """How the contact is solved, in words."""
+        """Name of the contact law."""
 
     @property
     def deepest_m(self) -> float:
-        """The greatest approach it knows [m]."""
+        """Maximum known approach [m]."""
 
     def force_n(self, approach_m: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         """Vertical force; 0 before first touch [N]."""
 
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
-        """Area of the contact [m^2]."""
+        """Contact area [m^2]."""
 
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
-        """The skin's inside, the specimen's top leaning a little from where it should be."""
+        """The skin's inside on a slightly misaligned specimen."""
 
 
-@dataclass(frozen=True)
-class HeadOn:
-    """A specimen under the tip's apex."""
+class TabledContact:
+    """A contact whose force and area a table at finite strain holds."""
 
-    press: HeadOnPress
-    radius_m: float
+    press: HeadOnPress | SidePress
 
     @property
     def law(self) -> str:
@@ -59,6 +58,14 @@ class HeadOn:
     def area_m2(self, force_n: Float[ndarray, " k"]) -> Float[ndarray, " k"]:
         return self.press.at("area_m2", force_n)
 
+
+@dataclass(frozen=True)
+class HeadOn(TabledContact):
+    """A specimen under the tip's apex."""
+
+    press: HeadOnPress
+    radius_m: float
+
     def skin(self, approach_m: float, lean_rad: tuple[float, float]) -> SkinShape:
         force = float(self.press.force_at(np.array([approach_m]))[0])
         return head_on(self.press, self.radius_m, force, lean_rad)
@@ -67,7 +74,7 @@ class HeadOn:
 def pictured(
     spec: TacTipSpec, skin: SkinShape, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
-    """Centres (x, y) and radii of the markers in the image [px]."""
+    """Return centres (x, y) and radii of the markers in the image [px]."""
     tangent, share = _projected(spec, skin)
     scale = pixels_per_tangent(spec)
     middle = (spec.camera.size_px - 1) / 2 + np.array(shift_px)
@@ -75,14 +82,14 @@ def pictured(
 
 
 def modulus_pa(table: TipTable, stiffness_n_m: float) -> float:
-    """Young's modulus of the tables' cylinder of a stiffness [N/m], inf for a rigid plate [Pa]."""
+    """Return the Young's modulus of the tables' cylinder of a stiffness [Pa]."""
     area_m2 = math.pi * table.specimen_radius_m**2
     return stiffness_n_m * table.specimen_height_m / area_m2
 
 
 @lru_cache(maxsize=32)
 def pixels_per_tangent(spec: TacTipSpec) -> float:
-    """The camera's focal length [px]: the untouched field of pins fills its disc."""
+    """Return the focal length at which the untouched pins fill the camera's disc [px]."""
     untouched = head_on(spec.table.press(math.inf), spec.table.radius_m, 0.0, (0.0, 0.0))
     tangent, _ = _projected(spec, untouched)
     return float(spec.camera.disc_px / np.hypot(*tangent.T).max())

@@ -1,8 +1,6 @@
-"""The TacTip under the contract of every sensor.
+"""The TacTip as a `Sensor`. A pose (x, y) away from the apex is a face that tilts towards it.
 
-A face touches the dome, and a pose says at which place: at (x, y) beside the apex the face leans
-towards it, so that a face seated a little askew is one that touches a little aside. The face is a rigid
-plate's, the top of the tables' cylinder, flat or domed, or that of a layer bonded to a rigid base.
+Faces are rigid plates, the tables' cylinder, flat or domed, and layers on a rigid base.
 """
 
 from __future__ import annotations
@@ -58,25 +56,23 @@ from palpate.sensors.tactip.viscous_press import ViscousPress
 FITTED = "331-fitted"
 REGION = "pins"
 PLATE, SPHERE = "plate", "sphere"
-FLAT_SHAPES = (RIGID, "cylinder")  # that can be inclined
-MAX_LEAN = math.radians(2.0)
-"""Of a face besides its own tilt: to there the whole field of pins turns with it, see `LeaningSkin`."""
+FLAT_SHAPES = (RIGID, "cylinder")  # shapes that can be inclined
+MAX_LEAN = math.radians(2.0)  # maximum misalignment of a face, see `LeaningSkin`
 
-REACH = 1.5  # contact radii of the grid about a contact
+REACH = 1.5  # half the grid of a contact, in contact radii
 CELLS = 64
-KNOTS = 1201  # of a force law, between which it is read along straight lines
+KNOTS = 1201  # points of a force law
 WORDS = f"{WORDS_OF_SPECIMENS}; flat ones with @TILT [deg] where their top is inclined"
 
 
 @dataclass(frozen=True)
 class TacTip:
-    """The TacTip of a spec; it has no law of a load along its skin."""
+    """The TacTip of a spec, without lateral loads."""
 
     spec: TacTipSpec = field(default_factory=TacTipSpec)
 
     @property
     def name(self) -> str:
-        """Name of its frames, with the number of pins where it is not the usual one."""
         return "tactip" if self.spec.pins == specs.PINS_127 else f"tactip-{self.spec.pins.count}"
 
     @property
@@ -85,7 +81,6 @@ class TacTip:
 
     @property
     def rectified_px(self) -> tuple[int, int]:
-        """The whole frame: the camera looks along the tip's axis [px]."""
         return self.frame_px
 
     @property
@@ -98,43 +93,35 @@ class TacTip:
 
     @property
     def moves(self) -> Literal["probe", "sensor"]:
-        """The tip is pressed onto a specimen."""
         return "sensor"
 
     @property
     def outline(self) -> Outline:
-        """Places about the apex at which a face touches that leans no more than its law allows."""
+        """Positions at which the face's tilt is within MAX_LEAN."""
         return Outline.disc(2 * self.spec.table.radius_m * math.sin(MAX_LEAN))
 
     @property
     def axes(self) -> ImageAxes:
-        """Axes at the apex as the camera sees it, x to the right and y down."""
+        """Axes at the apex, x to the right and y down."""
         _, share = projected(np.zeros((1, 3)), self.spec.camera, self.spec.table.radius_m)
         scale = pixels_per_tangent(self.spec) * float(share[0])
         return ImageAxes(REGION, (scale, 0.0), (0.0, scale))
 
     @property
     def default_probe(self) -> str:
-        """A rigid plate."""
         return RIGID
 
     def regions(self) -> Mapping[str, Box]:
-        """The whole frame."""
         return {REGION: (0, 0, *self.frame_px)}
 
     def probe(self, words: str) -> Probe:
-        """The face of what words name, see `Specimen.parse`: upright, or inclined towards +x as "S1=7.6@30".
-
-        Raises:
-            InputError: other words, or a tilt beyond what is modelled.
-        """
+        """Parse a face, upright or inclined towards +x as "S1=7.6@30"; see `Specimen.parse`."""
         specimen, tilt_deg = _read(words)
         if math.isfinite(specimen.radius_m):
             return Probe(SPHERE, specimen.radius_m)
         return Probe(PLATE, 0.0, tilt_rad=math.radians(tilt_deg))
 
     def specimen(self, words: str) -> Specimen | None:
-        """The body that the words name; None for a rigid plate or sphere."""
         specimen, _ = _read(words)
         return None if is_rigid(specimen) or specimen.youngs_modulus_pa == math.inf else specimen
 
@@ -143,13 +130,8 @@ class TacTip:
     ) -> Contact:
         """Press a face onto the dome.
 
-        The force and the contact's area are those of tables at finite strain (head-on, and inclined where
-        there are) or of linear bodies; the contact's `model` says which. The pressure is drawn as a sphere's
-        over that area, and the skin as flat under the face.
-
-        Raises:
-            InputError: not a face.
-            RangeError: deeper than the tables, at a place beyond the outline, or pulled along the skin.
+        Force and area are of finite-strain tables or linear bodies, as the contact's `model` states; the
+        pressure distribution is a sphere's.
         """
         if history.path_m or any(history.lateral_n or ()):
             raise RangeError("a load along the skin of the TacTip is not modelled; press straight down")
@@ -181,25 +163,22 @@ class TacTip:
     def known_depth_m(
         self, probe: Probe, specimen: Specimen | None = None, *, lateral: bool = False
     ) -> float:
-        """The approach at the tables' greatest force; none with a lateral load [m]."""
         return 0.0 if lateral else self.tip_on(probe, specimen).deepest_m
 
     def force_law(self, probe: Probe, specimen: Specimen | None = None) -> ForceLaw:
-        """Along the tip's axis; a shift finds no resistance, as there is no friction in the tables."""
         tip = self.tip_on(probe, specimen)
         depth = np.linspace(0.0, tip.deepest_m, KNOTS)
         force = tip.force_n(depth)
         return ForceLaw(depth, force, np.sqrt(tip.area_m2(force) / math.pi), np.zeros(KNOTS))
 
     def render(self, contact: Contact, rng: np.random.Generator, seating: Seating = SEATED) -> Frame:
-        """Discs of the markers, light on dark."""
         image = rendered(*self.markers_px(contact, seating), self.spec.camera, rng, seating.light)
         return Frame(image, exposure_s=self.exposure_s, sensor=self.name)
 
     def markers_px(
         self, contact: Contact, seating: Seating = SEATED
     ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
-        """True centres (x, y) and radii of the markers in the image, the middle pin first [px]."""
+        """True centres (x, y) and radii of the markers, the middle pin first [px]."""
         tip, pose = self.tip_on(contact.probe, contact.specimen), contact.pose
         viscous = self.viscous(contact.probe, contact.specimen)
         depth_m = max(pose.depth_m, 0.0)
@@ -209,15 +188,10 @@ class TacTip:
         return pictured(self.spec, tip.skin(depth_m, self.lean_rad(pose)), seating.shift_px)
 
     def lean_rad(self, pose: Pose) -> tuple[float, float]:
-        """Lean of a face that touches at a place beside the apex, towards +x and -y [rad]."""
+        """Tilt of a face that touches away from the apex, towards +x and -y [rad]."""
         return pose.x_m / self.spec.table.radius_m, -pose.y_m / self.spec.table.radius_m
 
     def rectify(self, frame: Frame) -> Frame:
-        """The frame unchanged.
-
-        Raises:
-            InputError: a frame of another size.
-        """
         height, width = frame.image.shape[:2]
         if (width, height) != self.frame_px:
             raise InputError(
@@ -245,7 +219,6 @@ class TacTip:
         }
 
     def variation(self) -> Mapping[str, Any]:
-        """Spread of the report's rig: see `SeatingSpread` and `ForceSensorSpec`."""
         seat, force = self.spec.seating, self.spec.force
         return {
             "seating_m": seat.position_m,
@@ -261,11 +234,9 @@ class TacTip:
         }
 
     def on(self, words: str) -> TipOnSpecimen:
-        """The tip on the face that words name, see `probe`."""
         return self.tip_on(self.probe(words), self.specimen(words))
 
     def tip_on(self, probe: Probe, specimen: Specimen | None) -> TipOnSpecimen:
-        """The tip on what it is pressed onto."""
         if probe.shape not in (PLATE, SPHERE):
             raise InputError(
                 f"the TacTip is pressed onto a flat face or a sphere, not a {probe.shape}; give {WORDS}"
@@ -281,7 +252,7 @@ class TacTip:
         return _tip_on(self.spec, modulus_pa, probe.tilt_rad)
 
     def viscous(self, probe: Probe, specimen: Specimen | None) -> ViscousPress | None:
-        """The tip on a viscous specimen; None where it is elastic."""
+        """The tip on a viscous specimen; None if it is elastic."""
         if specimen is None or not specimen.branches:
             return None
         if probe.tilt_rad:
@@ -289,7 +260,7 @@ class TacTip:
         return _viscous(self, probe, specimen)
 
     def creeping(self, probe: Probe, specimen: Specimen | None) -> CreepingPress | None:
-        """Memory of a viscous specimen, for a world that presses it; None for an elastic one."""
+        """State of a press on a viscous specimen; None if it is elastic."""
         viscous = self.viscous(probe, specimen)
         return None if viscous is None else viscous.begun()
 
@@ -327,11 +298,7 @@ class TacTip:
 
 
 def tactip(preset: str = "127") -> TacTip:
-    """The TacTip with 127 or 331 pins, or "331-fitted", see `fitted_tactip`.
-
-    Raises:
-        InputError: another one.
-    """
+    """Return the TacTip with 127 or 331 pins, or "331-fitted"."""
     if preset == FITTED:
         return TacTip(specs.fitted_tactip())
     if not preset.isdecimal():
@@ -351,7 +318,6 @@ def _tip_on(spec: TacTipSpec, specimen_pa: float, tilt_rad: float) -> TipOnSpeci
 
 @lru_cache(maxsize=16)
 def _viscous(sensor: TacTip, probe: Probe, specimen: Specimen) -> ViscousPress:
-    """The elastic specimens of a viscous one's moduli, and its relaxation."""
     assert specimen.youngs_modulus_pa is not None
     shape = probe.radius_m or math.inf, specimen.thickness_m
 
@@ -380,7 +346,7 @@ def _pressed_shape(
 
 
 def _read(words: str) -> tuple[Specimen, float]:
-    """A specimen, and its tilt [deg], of "S1=7.6@30"."""
+    """Specimen and tilt [deg] of "S1=7.6@30"."""
     what, at, leaning = words.partition("@")
     specimen = Specimen.parse(what)
     try:

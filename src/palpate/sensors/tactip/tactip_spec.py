@@ -1,9 +1,9 @@
-"""Every number of the TacTip: a gel-filled hemisphere whose skin carries pins that a camera sees from inside.
+"""Specification of the TacTip: a gel-filled hemisphere whose skin carries pins that a camera sees from
+inside.
 
 Sources: "R", the compliance report (Pagnanelli et al., Model-Based Compliance Discrimination via Soft Tactile
 Optical Sensing and Optical Flow Computation: A Biomimetic Approach, IEEE Robotics and Automation Letters);
-"W", the TacTip family (Ward-Cherrier et al. 2018, doi:10.1089/soro.2017.0052). What neither tells is marked
-assumed.
+"W", the TacTip family (Ward-Cherrier et al. 2018, doi:10.1089/soro.2017.0052). Other values are assumed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
 
 @dataclass(frozen=True, slots=True)
 class PinLayout:
-    """A hexagonal lattice of pins, rings of it around one on the axis.
+    """Hexagonal lattice of pins in rings around one on the axis.
 
     Attributes:
-        rings: around the middle pin; n rings are 3 n (n + 1) + 1 pins.
-        pitch_m: between neighbours, seen along the axis [m].
-        length_m: of the rigid pin, from the skin's inside to the marker on its end [m].
-        radius_m: of the marker [m].
+        rings: Number of rings; n rings are 3 n (n + 1) + 1 pins.
+        pitch_m: Distance of neighbours, seen along the axis [m].
+        length_m: Length from the skin's inside to the marker [m].
+        radius_m: Radius of the marker [m].
     """
 
     rings: int
@@ -36,7 +36,7 @@ class PinLayout:
 
 
 PINS_127 = PinLayout(6, 2.6e-3, 2.5e-3, 0.6e-3)
-"""W: 127 pins; pitch, length and radius assumed, so that they fill a dome of 40 mm."""
+"""W: 127 pins; the rest is assumed to fill a dome of 40 mm."""
 
 PINS_331 = PinLayout(10, 1.6e-3, 2.5e-3, 0.4e-3)
 """W: 331 pins; the rest assumed."""
@@ -44,19 +44,17 @@ PINS_331 = PinLayout(10, 1.6e-3, 2.5e-3, 0.4e-3)
 
 @dataclass(frozen=True, slots=True)
 class TacTipCamera:
-    """A grey camera on the tip's axis, looking at the skin's inside through the gel and a flat window.
+    """Grey camera on the tip's axis, behind gel and a flat window.
 
     Attributes:
-        height_m: of the pinhole above the tip's apex [m]. Assumed.
-        gel_index: refractive index of the gel up to the window at the tip's base; 1 for no refraction.
-            Assumed: that of silicone.
-        size_px: of the square image [px]. R: 300.
-        disc_px: radius of the untouched field of pins in the image [px]. Assumed.
-        rate_hz: frames a second. R: 20.
-        exposure_s: of a frame [s]. Assumed; a trial's frames are of one instant.
-        dark, bright: grey levels of ground and pins. Assumed.
-        noise: standard deviation of a pixel [grey levels]. Assumed.
-        edge_px: width over which a pin's edge fades [px]. Assumed.
+        height_m: Height of the pinhole above the apex [m].
+        gel_index: Refractive index of the gel; 1 for no refraction.
+        size_px: Side of the square image. R: 300.
+        disc_px: Radius of the untouched pin field.
+        rate_hz: Frame rate. R: 20.
+        dark, bright: Grey levels of ground and pins.
+        noise: Standard deviation of a pixel [grey levels].
+        edge_px: Width of a pin's edge.
     """
 
     height_m: float = 60e-3
@@ -73,12 +71,12 @@ class TacTipCamera:
 
 @dataclass(frozen=True, slots=True)
 class ForceSensorSpec:
-    """The force sensor under the specimen.
+    """Force sensor under the specimen.
 
     Attributes:
-        rate_hz: samples a second [Hz]. R: 200.
-        resolution_n: step of a sample [N]. R: 1/16, an ATI Mini45.
-        noise_n: standard deviation before that step [N]. Assumed.
+        rate_hz: R: 200.
+        resolution_n: Step of a sample [N]. R: 1/16, an ATI Mini45.
+        noise_n: Standard deviation before quantization [N].
     """
 
     rate_hz: float = 200.0
@@ -88,13 +86,13 @@ class ForceSensorSpec:
 
 @dataclass(frozen=True, slots=True)
 class SeatingSpread:
-    """Spread from press to press; standard deviations, all assumed.
+    """Standard deviations from press to press.
 
     Attributes:
-        shift_px: of the whole image, along each axis: how the tip is hooked in.
-        tilt_rad: of the specimen's top, along each axis.
-        light: of the brightness, as a share.
-        position_m: of where the approach is counted from, as the encoder has it [m].
+        shift_px: Image shift along each axis.
+        tilt_rad: Tilt of the specimen's top along each axis.
+        light: Relative brightness.
+        position_m: Zero of the approach [m].
     """
 
     shift_px: float = 0.7
@@ -105,16 +103,12 @@ class SeatingSpread:
 
 @dataclass(frozen=True, slots=True)
 class TacTipSpec:
-    """The sensor and its rig.
+    """Sensor and rig.
 
     Attributes:
-        tip: name of the tip's table: its size, skin and gel. Assumed: no table of a real tip's material is
-            printed.
-        pins, camera, force, seating: see there.
-        speed_m_s: of the tip towards the specimen [m/s]. R: 5 mm/s.
-        friction: Coulomb's coefficient of skin on an inclined specimen; head-on there is none. Only with 0
-            are inclined presses read from tables at finite strain, see `inclined`. Assumed.
-        name: goes into each frame.
+        tip: Name of the tip's table: size, skin, and gel.
+        speed_m_s: Speed towards the specimen [m/s]. R: 5 mm/s.
+        friction: Coulomb coefficient on inclined specimens; 0 allows finite-strain tables, see `inclined`.
     """
 
     tip: str = "base"
@@ -150,7 +144,6 @@ class TacTipSpec:
 
     @property
     def table(self) -> TipTable:
-        """The tip on head-on specimens."""
         return tip_table(self.tip)
 
     @property
@@ -160,11 +153,7 @@ class TacTipSpec:
 
 
 def tactip(pins: int = 127) -> TacTipSpec:
-    """The TacTip with 127 or 331 pins.
-
-    Raises:
-        InputError: another number.
-    """
+    """Return the TacTip with 127 or 331 pins."""
     layouts = {127: PINS_127, 331: PINS_331}
     if pins not in layouts:
         raise InputError(f"{pins} pins; there are 127 and 331, or a `PinLayout`", code="pin-count")
@@ -172,11 +161,10 @@ def tactip(pins: int = 127) -> TacTipSpec:
 
 
 def fitted_tactip() -> TacTipSpec:
-    """The TacTip with 331 pins, its lever and camera as fitted to taps of a real one, closest to upright.
+    """Return the TacTip with 331 pins, and pin length and camera as fitted to another laboratory's taps.
 
-    Fitted by `palpate calibrate --method tip-pose` to another laboratory's recordings, a stand-in: a lever of
-    0.29 mm (0.26 to 0.33) and a pinhole 34.2 mm above the apex (33.5 to 34.8). The barrel distortion of that
-    lens, 0.105 at the edge of the pins, is not in this camera; tip, gel and all else stay assumed.
+    `palpate calibrate --method tip-pose` gave a lever of 0.29 mm (0.26 to 0.33) and a pinhole 34.2 mm above
+    the apex (33.5 to 34.8); the lens's barrel distortion of 0.105 is not modeled.
     """
     return replace(
         tactip(331),

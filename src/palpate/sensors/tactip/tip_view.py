@@ -1,6 +1,5 @@
-"""What a camera sees of the pins under a flat rigid plate: the skin of a head-on press, levers, and the view.
-
-Pins are levers along the deformed skin's normal, seen through gel, window and a lens with radial distortion.
+"""Image of the pins under a flat rigid plate: skin of a head-on press, pin lengths, gel, window, and
+distorted lens.
 """
 
 from __future__ import annotations
@@ -15,20 +14,20 @@ from palpate.core import Float, ndarray
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.sensors.tactip.tactip_camera import slopes
 
-SPACING = 45  # depths between which the skin is read
-MAX_POLAR_RAD = 1.35  # of pins' roots
+SPACING = 45  # tabulated depths of the skin
+MAX_POLAR_RAD = 1.35  # maximum polar angle of pin roots
 
 Share = Float[ndarray, "..."]
 
 
 class TipOptics(NamedTuple):
-    """What turns the skin into places of pins in an image.
+    """Pins and camera.
 
     Attributes:
-        lever_mm: length of the pins below the skin's inside.
-        camera_mm: height of the pinhole above the apex.
-        distortion: of the lens, at the edge of the field of pins; negative for barrel distortion.
-        edge_rad: polar angle of the outermost pins' roots.
+        lever_mm: Length of the pins.
+        camera_mm: Height of the pinhole above the apex.
+        distortion: Lens distortion at the edge of the pin field; negative for barrel distortion.
+        edge_rad: Polar angle of the outermost pins' roots.
     """
 
     lever_mm: float
@@ -39,7 +38,7 @@ class TipOptics(NamedTuple):
 
 @dataclass(frozen=True)
 class InnerSkin:
-    """The inside of the skin under a rigid plate, over approach [m] and polar angle [rad]."""
+    """Inside of the skin under a rigid plate, over approach [m] and polar angle [rad]."""
 
     radius: RectBivariateSpline
     height: RectBivariateSpline
@@ -49,7 +48,7 @@ class InnerSkin:
 
     @classmethod
     def of(cls, press: HeadOnPress, dome_m: float) -> InnerSkin:
-        """The skin of a press; `dome_m` is the dome's radius [m]."""
+        """Build from a press and the dome's radius [m]."""
         deepest = float(press.approach_m[-1])
         approach = np.linspace(0, deepest, SPACING)
         inside = press.at("inside_m", np.minimum(press.force_at(approach), press.force_n[-1]))
@@ -68,7 +67,7 @@ class InnerSkin:
 
 @dataclass(frozen=True)
 class PinView:
-    """The camera: where in the field of pins a place of the tip is seen, 1 being the field's edge."""
+    """Camera: position in the pin field, 1 at its edge."""
 
     camera_m: float
     base_m: float
@@ -97,35 +96,35 @@ class PinView:
         return np.asarray(u * (1 + self.distortion * u**2) / (1 + self.distortion))
 
     def polar_of(self, seen: Share) -> Share:
-        """Polar angle of the roots of pins that are seen so far from the middle at rest."""
+        """Polar angle of the roots of pins at a distance from the middle at rest."""
         return np.asarray(np.interp(seen, self.seen, self.polar))
 
     def image(self, places_m: Float[ndarray, "t p 3"]) -> Float[ndarray, "t p 2"]:
-        """Places in the image, from the lens's axis, 1 being the field's edge."""
+        """Image positions from the lens's axis."""
         r = np.hypot(places_m[..., 0], places_m[..., 1])
         scale = self.lens(self.tangent(r, places_m[..., 2])) / np.maximum(r, 1e-9)
         return places_m[..., :2] * scale[..., None]
 
 
 def rotations(turn: Float[ndarray, "t 2"]) -> Float[ndarray, "t 3 3"]:
-    """Rotations that take the apex by these angles towards +x and +y."""
+    """Return rotations that take the apex by these angles towards +x and +y."""
     angle = np.hypot(*turn.T)
     x, y = (turn / np.maximum(angle, 1e-12)[:, None]).T
     zero = np.zeros_like(x)
-    # The axis (-y, x, 0) turned the other way: the apex looks down.
+    # Negative axis, since the apex points down.
     cross = -np.array([[zero, zero, x], [zero, zero, y], [-x, -y, zero]]).transpose(2, 0, 1)
     s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
     return np.asarray(np.eye(3) + s * cross + (1 - c) * cross @ cross)
 
 
 class PinRoots(NamedTuple):
-    """Pins of untouched frames, on the dome.
+    """Untouched pins on the dome.
 
     Attributes:
-        out: from the dome's centre to their roots, unit vectors ``[n p 3]``.
-        rest: where they are seen, 1 being the field's edge ``[n p 2]``.
-        lever_m: length of the pins [m].
-        aside_m: where the dome's axis stands beside the camera's, and 0 ``[3]`` [m].
+        out: Unit vectors from the dome's centre to their roots.
+        rest: Image positions, 1 at the field's edge.
+        lever_m: Length of the pins.
+        aside_m: Offset of the dome's axis from the camera's, and 0.
     """
 
     out: Float[ndarray, "n p 3"]
@@ -141,19 +140,13 @@ def pin_roots(
     at: Float[ndarray, "n p 2"],
     axis_mm: Float[ndarray, " 2"],
 ) -> PinRoots:
-    """Roots of pins that are seen at `at` from the field's middle when untouched, 1 being the field's edge.
-
-    Args:
-        skin, view: of the tip.
-        lever_mm: length of the pins.
-        at: of the pins.
-        axis_mm: where the dome's axis stands beside the camera's.
+    """Return the roots of untouched pins seen at `at` (1 at the field's edge), with the axis offset
+    `axis_mm`.
     """
     aside, lever_m = np.array([*(1e-3 * axis_mm), 0.0]), 1e-3 * lever_mm
     still = np.zeros(at.shape[:2])
 
     def on_dome(seen: Float[ndarray, "n p 2"]) -> tuple[ndarray, ndarray]:
-        """Roots, and where they are seen."""
         polar = view.polar_of(np.hypot(seen[..., 0], seen[..., 1]))
         azimuth = np.arctan2(seen[..., 1], seen[..., 0])
         r, z = skin.markers(still, polar, lever_m)
@@ -162,7 +155,7 @@ def pin_roots(
         return out, view.image(np.stack([r * c, r * s, z], axis=-1) + aside)
 
     apex = np.array([[[0.0, 0.0, lever_m + float(skin.height.ev(0.0, 0.0))]]])
-    # A camera beside the axis sees the field a little askew; roots are where it would show them as seen.
+    # First-order correction of the camera's axis offset.
     _, first = on_dome(at)
     out, rest = on_dome(2 * at - (first - view.image(apex + aside)))
     return PinRoots(out, rest, lever_m, aside)
@@ -175,12 +168,12 @@ def plate_motion(
     depth_mm: Float[ndarray, " n"],
     turn_rad: Float[ndarray, "n 2"],
 ) -> Float[ndarray, "n p 2"]:
-    """Motion of pins in the image under a rigid plate, 1 being the field's edge.
+    """Return the motion of pins in the image under a rigid plate, 1 being the field's edge.
 
     Args:
-        skin, view, pins: of the tip.
-        depth_mm: of each press.
-        turn_rad: of the contact about the dome's centre, towards +x and +y.
+        skin, view, pins: Tip.
+        depth_mm: Depth of each press.
+        turn_rad: Rotation of the contact about the dome's centre, towards +x and +y.
     """
     centre = np.array([0.0, 0.0, skin.dome_m])
     rotation = rotations(turn_rad)

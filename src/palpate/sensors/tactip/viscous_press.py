@@ -1,7 +1,5 @@
-"""The tip on a viscous specimen: the elastic one of the modulus that creep has left, at every instant.
-
-See `creeping_press`. What a skin looks like depends on depth and force alone, which tell the modulus in
-effect.
+"""The tip on a viscous specimen: at every instant the elastic one with the effective modulus
+(`creeping_press`).
 """
 
 from __future__ import annotations
@@ -19,28 +17,23 @@ from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, softness_share
 from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip.tactip_press import HeadOn
 
-MODULI = 24  # of which the elastic law is laid through
-BEYOND = 0.02  # share to either side of the moduli that a press can come to
+MODULI = 24  # moduli of the interpolated elastic law
+BEYOND = 0.02  # margin of the moduli
 
 
 @dataclass(frozen=True)
 class ViscousPress:
-    """A tip and what it is pressed on.
-
-    Attributes:
-        on: the tip on the elastic specimen of a modulus [Pa].
-        body: relaxation of the specimen's material.
-    """
+    """A tip on a viscous specimen, with the elastic contact by modulus [Pa] and the material's relaxation."""
 
     on: Callable[[float], HeadOn]
     body: Prony
 
     def approach_m(self, force_n: float, modulus_pa: float) -> float:
-        """Approach to the elastic specimen [m]."""
+        """Approach on the elastic specimen [m]."""
         return float(self._law(softness_share(modulus_pa), np.cbrt(force_n))[0, 0])
 
     def modulus_pa(self, depth_m: float, force_n: float) -> float:
-        """Modulus of the elastic specimen that has this force at this depth [Pa]."""
+        """Effective modulus at a depth and force [Pa]."""
         stiff, soft = self._moduli[-1], self._moduli[0]
         if force_n <= 0.0 or depth_m <= self.approach_m(force_n, stiff):
             return float(stiff)
@@ -58,16 +51,16 @@ class ViscousPress:
         )
 
     def begun(self) -> CreepingPress:
-        """A press that has not touched yet."""
+        """A press before contact."""
         return CreepingPress(self.approach_m, self.body, self.most_n)
 
     def area_m2(self, force_n: float, modulus_pa: float) -> float:
-        """Area of the contact with the elastic specimen [m^2]."""
+        """Contact area with the elastic specimen [m^2]."""
         return float(self._area(softness_share(modulus_pa), np.cbrt(force_n))[0, 0])
 
     @property
     def most_n(self) -> float:
-        """Greatest force of the tables [N]."""
+        """Maximum force of the tables [N]."""
         return float(self._presses[0].force_n[-1])
 
     @cached_property
@@ -89,6 +82,5 @@ class ViscousPress:
         return self._over([press.area_m2 for press in self._presses])
 
     def _over(self, rows: list[np.ndarray]) -> RectBivariateSpline:
-        """A column over softness and the cube root of force."""
         share = [softness_share(float(E)) for E in self._moduli[::-1]]
         return RectBivariateSpline(share, np.cbrt(self._presses[0].force_n), np.stack(rows))

@@ -1,4 +1,4 @@
-"""Copies of the palm: constants found from a few presses of known force, presses read, weights checked."""
+"""Palm units: constants fitted to a few presses of known force, presses read, and weight checks."""
 
 from palpate.sensors.palm.copies.copy_advice import UnsureConstant, unsure_constants
 from palpate.sensors.palm.copies.palm_copy import (

@@ -1,8 +1,4 @@
-"""What a copy's presses leave unsure of E and C: the term that hides it, and a press that would tell more.
-
-Of a constant's variance a term owes the square of their correlation. What a further press would tell follows
-from the slopes of the picture that the copy itself would show, before anyone has pressed.
-"""
+"""Uncertainty of E and C after a unit's presses: dominant term, and most informative further press."""
 
 from __future__ import annotations
 
@@ -20,23 +16,23 @@ from palpate.sensors.palm.copies.copy_slopes import picture_slopes
 from palpate.sensors.palm.copies.palm_copy import LOCAL, PIXEL_SD, TERMS, PalmCopy
 from palpate.sensors.palm.copies.press_picture import BLOCK_PX, away_from_edges
 
-ALLOWED = {"modulus": 0.05, "coefficient": 0.03}  # half of a 90 % interval, as a share, from which it is said
+ALLOWED = {"modulus": 0.05, "coefficient": 0.03}  # relative half width of a 90 % interval
 COVERED = 1.645
-FORCE_SHARE, PLACE_SD_M = 0.01, 30e-6  # to which a further press would be known
-SHALLOW, DEEP = 0.2, 0.8  # of the deepest press, of those that are thought of
-AWAY = 0.5  # of the radius, of the same
+FORCE_SHARE, PLACE_SD_M = 0.01, 30e-6  # accuracy of a further press
+SHALLOW, DEEP = 0.2, 0.8  # depths of candidate presses over the maximum
+AWAY = 0.5  # distance of candidate presses from the axis over the radius
 
 
 class UnsureConstant(NamedTuple):
-    """A constant that is known less well than is asked of it.
+    """A constant with a wide interval.
 
     Attributes:
         constant: "modulus" or "coefficient".
-        half_share: half of its 90 % interval, as a share.
-        fault: the term that it is told from the least.
-        owed: share of its variance that would go, were that term known.
-        x_m, y_m, depth_m, force_n: of the press that would tell the most of it, of those thought of.
-        then_share: half of its 90 % interval with that press.
+        half_share: Half width of its 90 % interval, relative.
+        fault: Term that it is most correlated with.
+        owed: Fraction of its variance that would vanish if that term were known.
+        x_m, y_m, depth_m, force_n: Most informative further press.
+        then_share: Half width with that press, relative.
     """
 
     constant: str
@@ -51,12 +47,7 @@ class UnsureConstant(NamedTuple):
 
 
 def unsure_constants(copy: PalmCopy, progress: Progress = silent) -> tuple[UnsureConstant, ...]:
-    """Find which of E and C have half of a 90 % interval wider than 5 and 3 % respectively.
-
-    Args:
-        copy: after its presses.
-        progress: called with presses that are thought of.
-    """
+    """Return the constants of E and C whose 90 % half interval exceeds 5 % and 3 %."""
     directions = {"modulus": _direction(1.0, 0.0), "coefficient": _direction(-1.0, 1.0)}
     half = {name: COVERED * _spread(copy.covariance, one) for name, one in directions.items()}
     wide = {name: one for name, one in directions.items() if half[name] > ALLOWED[name]}
@@ -71,7 +62,7 @@ def unsure_constants(copy: PalmCopy, progress: Progress = silent) -> tuple[Unsur
 
 
 def told_by(copy: PalmCopy, local: Float[ndarray, " 8"]) -> Float[ndarray, "t t"]:
-    """Covariance of a copy's terms, were one more press of known force and place seen."""
+    """Return the covariance of a unit's terms after one more press of known force and position."""
     n = len(TERMS)
     few = replace(copy, spec=replace(copy.spec, rays_per_pixel=(1, 1)))  # rays, which do for advice
     J = picture_slopes(few, local, None, away_from_edges(copy, local))
@@ -99,7 +90,7 @@ def _unsure(
 
 
 def _presses(copy: PalmCopy) -> list[ndarray]:
-    """Presses that are thought of: shallow and deep, in the middle and beside it both ways."""
+    """Candidate presses: shallow and deep, in the middle and away from it."""
     away, deepest = AWAY * copy.spec.radius_m, deepest_m(copy.spec)
     found = []
     for x, y in ((0.0, 0.0), (away, 0.0), (0.0, away)):

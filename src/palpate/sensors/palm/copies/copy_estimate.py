@@ -1,7 +1,6 @@
-"""Forward model of a palm's presses for `estimators.unit_fit`: pixels, known forces and places.
+"""Forward model of a palm's presses for `estimators.unit_fit`: pixels, known forces, and positions.
 
-Pixels weigh less the more they are off, so that dirt and reflections that the untouched frame did not show
-move little. Pixels of a block err together.
+Pixels are weighted robustly, against unmodeled dirt and reflections; pixels of a block are correlated.
 """
 
 from __future__ import annotations
@@ -40,16 +39,16 @@ from palpate.sensors.palm.copies.palm_copy import (
 )
 from palpate.sensors.palm.copies.press_picture import BLOCK_PX, Backdrop, Kept, Pixels, SeenPress, shown
 
-ROBUST = 3.0  # standard deviations of a pixel from which it begins to weigh less
-PRESS_SD = PIXEL_SD * BLOCK_PX  # of a pixel, where those of a block tell as much as one
+ROBUST = 3.0  # standard deviations from which a pixel's weight decreases
+PRESS_SD = PIXEL_SD * BLOCK_PX  # standard deviation of a pixel when a block counts as one
 MIN_DEPTH_M = 0.15e-3
-MAX_THICKER = 0.055  # logarithm of a copy's thickness over the design's, and
-MAX_THICKER_HERE = 0.02  # of a press's over the copy's
-REACH = 0.78  # of the membrane's radius, within which a press is looked for
+MAX_THICKER = 0.055  # limit of the logarithm of a unit's thickness over the design's
+MAX_THICKER_HERE = 0.02  # limit of a press's over the unit's
+REACH = 0.78  # search radius of a press over the membrane's radius
 
 
 class CopyEstimate:
-    """A palm's presses as a `UnitModel`, for one set of pictures."""
+    """A palm's presses as a `UnitModel`."""
 
     kink = ROBUST / BLOCK_PX
 
@@ -73,18 +72,15 @@ class CopyEstimate:
         self._left: dict[int, list[tuple[bytes, Pixels]]] = {}
 
     def residuals(self, state: State) -> Iterator[tuple[Pixels, float]]:
-        """See `UnitModel`."""
         for i in range(len(self._seen)):
             yield self._residual(state, i), PRESS_SD
 
     def blocks(self, state: State) -> Iterator[Block]:
-        """See `UnitModel`."""
         for i, one in enumerate(self._seen):
             at, slopes = self.layout.at(i), self._slopes(state, i)
             yield Block(at, slopes, self._residual(state, i), PRESS_SD, one.block)
 
     def known(self, state: State) -> list[KnownRow]:
-        """See `UnitModel`."""
         rows, own = [], self.layout.own_of(state)
         for i, one in enumerate(seen.press for seen in self._seen):
             first = len(TERMS) + len(LOCAL) * i
@@ -98,7 +94,6 @@ class CopyEstimate:
         return rows
 
     def inside(self, state: State) -> State:
-        """See `UnitModel`."""
         state, spec, thick = state.copy(), self._known.spec, AT["thickness"]
         local = self.layout.own_of(state)
         size = np.maximum(np.hypot(local[:, 0], local[:, 1]) / (REACH * spec.radius_m), 1.0)
@@ -109,7 +104,7 @@ class CopyEstimate:
         return state
 
     def fit(self, state: State) -> CopyFit:
-        """The copy and presses of a settled state, with their covariances."""
+        """Return unit and presses of a converged state, with covariances."""
         n, found = len(TERMS), posterior(self, state)
         depths = [n + len(LOCAL) * i + 2 for i in range(len(self._seen))]
         held = {one.press for one in found.known if one.is_force}
@@ -168,5 +163,5 @@ class CopyEstimate:
 
 
 def joined(terms: Terms, local: Float[ndarray, "p 8"]) -> State:
-    """A state of terms and of the unknowns of each press."""
+    """Return the state of terms and press unknowns."""
     return np.concatenate([terms, local.ravel()])

@@ -1,4 +1,4 @@
-"""Force of a copy's press, and its slopes over the copy's terms and the press's own unknowns."""
+"""Force of a unit's press, and its derivatives by the unit's terms and the press's unknowns."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from palpate.sensors.palm.palm_press import has_table, table_of
 from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
 
-STEPS = np.array([1e-4, 1e-4, 1e-3])  # of differences over x, y [m] and ln(depth)
-THICKER = 0.03  # logarithms of thickness apart, of the tables between which a force is read
+STEPS = np.array([1e-4, 1e-4, 1e-3])  # finite-difference steps of x, y [m], and ln(depth)
+THICKER = 0.03  # step of log thickness between the tables
 
 
 def log_force(known: PalmCopy, local: Local) -> tuple[float, Float[ndarray, " u"]]:
-    """Logarithm of the force of a press [ln N], and its slopes over `TERMS` and `LOCAL`, in this order."""
+    """Return the logarithm of a press's force [ln N] and its derivatives by `TERMS` and `LOCAL`."""
     spec, n = known.spec, len(TERMS)
     thicker = float(known.terms[AT["thickness"]] + local[5])
     places = local[:3] + np.concatenate([np.zeros((1, 3)), -np.diag(STEPS), np.diag(STEPS)])
@@ -36,19 +36,19 @@ def log_force(known: PalmCopy, local: Local) -> tuple[float, Float[ndarray, " u"
 
 
 def deepest_m(spec: PalmSpec) -> float:
-    """Depth that the design's table reaches [m]."""
+    """Return the maximum depth of the design's table [m]."""
     return table_of(spec).greatest_depth * spec.indenter_radius_m
 
 
 def thickness_is_free(spec: PalmSpec) -> bool:
-    """Whether presses were solved for membranes a little thicker and thinner."""
+    """Return whether slightly thinner and thicker membranes are tabled."""
     return len(_tables(spec)) == 3
 
 
 def _even(
     spec: PalmSpec, places: Float[ndarray, "p 3"], thicker: float
 ) -> tuple[Float[ndarray, " p"], float]:
-    """Logarithms of force on the design's modulus, and the first's slope over that of the thickness."""
+    """Log force on the design's modulus, and the first one's derivative by log thickness."""
     x, y, log_depth = places.T
     depth, R = np.exp(log_depth), spec.indenter_radius_m
     by_place = rim_by_place(spec)
@@ -64,7 +64,7 @@ def _even(
 
 @lru_cache(maxsize=8)
 def _tables(spec: PalmSpec) -> tuple[SphereTable, ...]:
-    """Tables of the design's thickness, and of the next thinner and thicker where there are such."""
+    """Table of the design, between the next thinner and thicker ones if they exist."""
     beside = [replace(spec, thickness_m=spec.thickness_m * math.exp(off)) for off in (-THICKER, THICKER)]
     if not all(has_table(replace(spec, thickness_m=spec.thickness_m * s)) for s in (0.92, 1.09)):
         return (table_of(spec),)

@@ -1,8 +1,7 @@
-"""Slopes of a press's picture over the copy's terms and the press's own unknowns.
+"""Derivatives of a press's image by the unit's terms and the press's unknowns, by finite differences.
 
-Those of lamp, polariser and lens are differences of pictures by the fast way, all others of exact ones.
-Depth, thickness and the product of modulus and coefficient nearly make up for each other, so that errors of
-their slopes would be taken for what a picture tells: of these every ray is drawn.
+Depth, thickness, and the product E C nearly compensate each other, so their derivatives use all rays; those
+of lamp, polariser, and lens use the fast rendering.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ NEAR = {
     "blur_px": 0.15,
 }  # fmt: skip
 NEAR_LOCAL = (1e-4, 1e-4, 0.02)
-"""Changes of terms, and of place [m] and ln(depth), within which slopes are taken to be the same."""
+"""Changes of terms, and of position [m] and ln(depth), within which derivatives are reused."""
 
 
 def picture_slopes(
     known: PalmCopy, local: Local, backdrop: Backdrop | None, kept: Kept | None = None
 ) -> Float[ndarray, "n u"]:
-    """Slopes of pixels over `TERMS` and `LOCAL`, in this order; 0 over E, which no picture shows alone."""
+    """Return pixel derivatives by `TERMS` and `LOCAL`; 0 by E, which an image does not show alone."""
     draw = partial(shown, backdrop=backdrop, kept=kept)
-    few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # for most, few do
+    few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # few rays suffice for most terms
     clean = known.terms.copy()
     clean[[i for name, i in AT.items() if name.startswith("residual")]] = 0.0
     clean[AT["blur_px"]] = max(clean[AT["blur_px"]], MIN_BLUR_PX)
@@ -78,7 +77,7 @@ def picture_slopes(
     n = len(TERMS)
     for k, step in enumerate(PLACE_STEPS):
         off = step * (np.arange(len(LOCAL)) == k)
-        at = known if LOCAL[k] == "log_depth" else few  # which nearly cancels with the product
+        at = known if LOCAL[k] == "log_depth" else few  # nearly cancels with the product
         J[:, n + k] = (draw(at, local + off) - draw(at, local - off)) / (2 * step)
     longer = own + 0.01 * (np.arange(len(LOCAL)) == 3)
     J[:, n + 3] = (draw(replace(few, terms=clean), longer, exact=False) - base) / 0.01
@@ -93,7 +92,7 @@ def picture_slopes(
 
 
 def _modes_at(known: PalmCopy, local: Local) -> Float[ndarray, "n m"]:
-    """Modes of the residual birefringence at every pixel; the mirror shows none of it."""
+    """Modes of the residual birefringence at every pixel; 0 in the mirror."""
     spec = known.under(local).looks
     view, h = spec.fringes, spec.thickness_m
     across = columns_kept(spec.unlit).impact_m / spec.radius_m
@@ -110,6 +109,6 @@ def _unit(name: str) -> Float[ndarray, " t"]:
 
 
 def still_near(one: tuple[ndarray, Local], other: tuple[ndarray, Local]) -> bool:
-    """Whether slopes at one state, terms and a press's unknowns, serve at another."""
+    """Return whether derivatives at one state are valid at another."""
     terms = all(abs(one[0][AT[name]] - other[0][AT[name]]) <= away for name, away in NEAR.items())
     return terms and bool(np.all(np.abs(one[1][:3] - other[1][:3]) <= NEAR_LOCAL))

@@ -1,15 +1,8 @@
-"""One copy of the palm, found from its own pictures: what it is, and how far presses tell.
+"""One unit of the palm: its terms, its presses, and their prior.
 
-A picture of the ball's press depends on place and depth, on the product of modulus and stress-optic
-coefficient, E C, since the stress that turns the light is E times a function of shape, and on lamp,
-polariser and mirror. The force is E times a function of depth. So with C known a picture tells the force
-whatever E is; with both unknown it tells no more than their product, and one known force tells both.
-
-All of it is one estimate: terms of the copy with a prior, place and depth of each press, pixels as they were
-measured, and known forces where there are any. A calibration, a reading and a check with a known weight
-differ in what is known beforehand, and in nothing else. Where one press finds the membrane other than the
-copy's terms say, by an uneven modulus or thickness or by what is frozen in there, is a few unknowns of that
-press, small beforehand.
+An image determines position, depth, and the product E C; the force is E times a function of depth. With C
+known an image gives the force; with both unknown one known force determines both. Calibration, reading, and
+weight check are one estimate that differs only in the prior.
 """
 
 from __future__ import annotations
@@ -23,13 +16,12 @@ import numpy as np
 
 from palpate.core import Float, Pose, RangeError, UInt8, ndarray
 from palpate.estimators.unit_fit import Widening, term_rows
-from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.uneven_membrane import SIDE_MODES, ResidualMap
 
-PIXEL_SD = 0.007  # of a pixel, of white: a little more than what is left of it
+PIXEL_SD = 0.007  # standard deviation of a pixel over white
 PARTS = ("along", "aside")
-MODES = 8  # of the residual birefringence: those of the side view that no third order is in
+MODES = 8  # modes of the residual birefringence up to second order
 
 TERMS = (
     "modulus", "product", "lamp", "polariser_rad", "elevation_rad", "mirror_across_px", "mirror_down_px",
@@ -38,21 +30,18 @@ TERMS = (
     "residual_along", "residual_aside", "harder_across", "harder_along",
     *(f"residual_{part}_{i}{j}" for part in PARTS for i, j in SIDE_MODES[:MODES]),
 )  # fmt: skip
-"""Logarithms of E, of E C and of the lamp's light over the design's; turns of polariser and of the mirror's
-line of sight; shifts of both regions in the frame; room light and corner loss beyond the design's; the lamp's
-colour; the lens's blur; the thickness's logarithm; both regions' turns, and logarithms of size; residual
-birefringence along the axes and along their diagonals, in wavelengths over the diameter; by how much the
-logarithm of E grows from the middle to the rim, along x and along y; and by how much both parts of the
-residual birefringence vary over the side view, as weights of `side_modes` of order up to 2 each way, in the
-same unit."""
+"""Terms relative to the design: log E, log E C, and log lamp; angles of polariser and mirror; shifts of both
+regions; room light; corner loss; lamp color [mired]; blur; log thickness; rotations and log sizes of both
+regions; residual birefringence along the axes and diagonals [wavelengths per diameter]; growth of log E to
+the rim along x and y; weights of `side_modes` of both residual components."""
 RESIDUAL_MODES = {part: tuple(one for one in TERMS if one.startswith(f"residual_{part}_")) for part in PARTS}
-"""Names of these, of each part."""
+"""Names of the residual modes of each component."""
 
 LOCAL = (
     "x_m", "y_m", "log_depth", "exposure", "harder", "thicker", "residual_along", "residual_aside",
 )  # fmt: skip
-"""Unknowns of one press: place, logarithm of the depth in m and of the exposure over the untouched frame's,
-and by how much the membrane differs there from what the copy's terms say, in the terms' units."""
+"""Unknowns of one press: position, log depth, log exposure over the untouched frame's, and local deviations
+of the membrane in the terms' units."""
 
 Terms = Float[ndarray, " t"]
 Covariance = Float[ndarray, "t t"]
@@ -60,25 +49,22 @@ Local = Float[ndarray, " 8"]
 
 
 AS_SAID = Widening()
-"""No press was held out."""
+"""Widening without held-out presses."""
 
 LOCAL_SPREADS = {
     "exposure": 0.01, "harder": 0.012, "thicker": 0.004, "residual_along": 0.004, "residual_aside": 0.004,
 }  # fmt: skip
-"""By how much one press differs from what its copy's terms say. Assumed."""
+"""Standard deviations of one press from its unit's terms. Assumed."""
 
 
 @dataclass(frozen=True, eq=False)
 class PalmCopy:
-    """A copy of the palm: a spec, and terms by which it differs from it.
+    """A unit of the palm as a specification and deviations from it.
 
     Attributes:
-        spec: the palm as designed.
-        terms: see `TERMS`; 0 is the spec.
-        covariance: of them.
-        widening: of what new presses are read to be, by the presses that the copy was found from.
-        local_spreads: standard deviations of `LOCAL` from exposure on: by how much one press differs from
-            what the terms say.
+        terms: Values of `TERMS`; 0 is the spec.
+        widening: Factors of new readings' intervals from held-out presses.
+        local_spreads: Standard deviations of `LOCAL` from exposure on.
     """
 
     spec: PalmSpec
@@ -89,39 +75,37 @@ class PalmCopy:
 
     @property
     def modulus_pa(self) -> float:
-        """E [Pa]."""
         return self.spec.youngs_modulus_pa * math.exp(self.terms[0])
 
     @property
     def coefficient_per_pa(self) -> float:
-        """C [1/Pa]."""
         return self.spec.stress_optic.coefficient_per_pa * math.exp(self.terms[1] - self.terms[0])
 
     @property
     def modulus_share(self) -> float:
-        """Standard deviation of E, as a share."""
+        """Relative standard deviation of E."""
         return math.sqrt(self.covariance[0, 0])
 
     @property
     def coefficient_share(self) -> float:
-        """Standard deviation of C, as a share."""
+        """Relative standard deviation of C."""
         towards = np.zeros(len(TERMS))
         towards[:2] = -1.0, 1.0
         return math.sqrt(towards @ self.covariance @ towards)
 
     @property
     def told(self) -> dict[str, dict[str, float]]:
-        """Each term and its standard deviation."""
+        """Each term with its standard deviation."""
         return term_rows(TERMS, self.terms, self.covariance)
 
     @property
     def looks(self) -> PalmSpec:
-        """Spec of a palm that looks as this copy does; its E is the design's, its C takes all the product."""
+        """Spec of a palm that looks like this unit; E is the design's and C absorbs the product."""
         at = dict(zip(TERMS, self.terms.tolist(), strict=True))
         spec, law = self.spec, self.spec.stress_optic
         size, axis = residual_of(spec, at["residual_along"], at["residual_aside"])
-        mirror = _moved(spec.mirror, at["mirror_across_px"], at["mirror_down_px"])
-        fringes = _moved(spec.fringes, at["fringes_across_px"], at["fringes_down_px"])
+        mirror = spec.mirror.moved(at["mirror_across_px"], at["mirror_down_px"])
+        fringes = spec.fringes.moved(at["fringes_across_px"], at["fringes_down_px"])
         return replace(
             spec,
             stress_optic=replace(law, coefficient_per_pa=law.coefficient_per_pa * math.exp(at["product"])),
@@ -142,7 +126,6 @@ class PalmCopy:
 
     @property
     def _residual(self) -> ResidualMap:
-        """What is frozen in unevenly, beyond the design's, which is taken to have none."""
         along, aside = (
             tuple(self.terms[[AT[one] for one in RESIDUAL_MODES[part]]].tolist()) for part in PARTS
         )
@@ -150,42 +133,33 @@ class PalmCopy:
         return ResidualMap(unit, modes=(along, aside)) if any(along + aside) else self.spec.residual
 
     def under(self, local: Local) -> PalmCopy:
-        """The copy as one press finds it: even, with what the membrane is there; see `LOCAL`."""
+        """Unit with the membrane's local deviations of one press, see `LOCAL`."""
         terms = self.terms.copy()
         for name, value in zip(LOCAL[5:], local[5:], strict=True):
             terms[AT["thickness" if name == "thicker" else name]] += value
         terms[AT["product"]] += harder_at(self, local)
         return replace(self, terms=terms)
 
-    @property
-    def as_spec(self) -> PalmSpec:
-        """The copy's own spec, with its E and its C."""
-        law = StressOpticLaw(self.coefficient_per_pa, self.spec.stress_optic.dispersion_m2)
-        return replace(self.looks, youngs_modulus_pa=self.modulus_pa, stress_optic=law)
-
 
 AT = {name: i for i, name in enumerate(TERMS)}
-"""Place of each term among all."""
+"""Index of each term."""
 
 
 def harder_at(copy: PalmCopy, local: Local) -> float:
-    """Logarithm of E at a press's place over the copy's own."""
+    """Return the logarithm of E at a press over the unit's."""
     across, along = copy.terms[AT["harder_across"]], copy.terms[AT["harder_along"]]
     return float((across * local[0] + along * local[1]) / copy.spec.radius_m + local[4])
 
 
 def residual_of(spec: PalmSpec, along: float, aside: float) -> tuple[float, float]:
-    """Residual birefringence and its axis [rad] of a design, and of wavelengths over its diameter."""
+    """Return the total residual birefringence and its axis [rad] of a design and components in wavelengths
+    per diameter.
+    """
     unit = spec.stress_optic.reference_wavelength_m / spec.diameter_m
     turn = 2 * spec.frozen_axis_rad
     u = spec.frozen_birefringence * math.cos(turn) + unit * along
     v = spec.frozen_birefringence * math.sin(turn) + unit * aside
     return math.hypot(u, v), math.atan2(v, u) / 2
-
-
-def _moved(view: View, across_px: float, down_px: float) -> View:
-    cx, cy = view.middle_px
-    return replace(view, middle_px=(cx + across_px, cy + down_px))
 
 
 def _turned(view: View, turn_rad: float, scale: float) -> View:
@@ -203,25 +177,22 @@ SPREADS = {
     "harder_across": 0.015, "harder_along": 0.015,
     **dict.fromkeys((*RESIDUAL_MODES["along"], *RESIDUAL_MODES["aside"]), 0.003),
 }  # fmt: skip
-"""By how much copies differ from their design, as standard deviations. Assumed."""
-MAX_TIMES = 5.0  # a measured C may be as much more or less than its design's
-BLUR_PX = 0.5  # of a lens, where nothing is known of it. Assumed.
+"""Standard deviations of units about their design. Assumed."""
+MAX_TIMES = 5.0  # maximum ratio of a measured C to the design's, or its inverse
+BLUR_PX = 0.5  # prior blur of a lens (assumed)
 
 
 def designed_copy(
     spec: PalmSpec, *, modulus_share: float = 0.25, coefficient_share: float = 0.25,
     spreads: Mapping[str, float] = SPREADS, local_spreads: Mapping[str, float] = LOCAL_SPREADS,
 ) -> PalmCopy:  # fmt: skip
-    """What is known of a copy before it was pressed: its design, and how far copies differ.
+    """Return the prior of a unit: its design and the spread of units.
 
     Args:
-        spec: the design.
-        modulus_share, coefficient_share: standard deviations of E and C, as shares.
-        spreads: of all other terms, in their units.
-        local_spreads: of what one press differs by; as small as can be, they say that the terms are all.
-
-    Raises:
-        RangeError: a spread that is not finite or not above 0.
+        spec: Design.
+        modulus_share, coefficient_share: Relative standard deviations of E and C.
+        spreads: Standard deviations of all other terms.
+        local_spreads: Standard deviations of `LOCAL` from exposure on.
     """
     others, own = (
         [of[name] for name in names] for of, names in ((spreads, TERMS[2:]), (local_spreads, LOCAL[3:]))
@@ -244,16 +215,12 @@ def designed_copy(
 def measured_copy(
     spec: PalmSpec, coefficient_per_pa: float, coefficient_share: float = 0.02, modulus_share: float = 0.25
 ) -> PalmCopy:
-    """What is known of a copy whose stress-optic coefficient was measured.
+    """Return the prior of a unit with a measured stress-optic coefficient.
 
     Args:
-        spec: the design, whose E, lamp, mirror and regions are taken.
+        spec: Design.
         coefficient_per_pa: C [1/Pa].
-        coefficient_share, modulus_share: standard deviations of C and of the design's E, as shares.
-
-    Raises:
-        RangeError: a C more than `MAX_TIMES` from the design's, as one in another unit; or a share that is
-            not above 0, or above 1, as a percentage.
+        coefficient_share, modulus_share: Relative standard deviations of C and of the design's E.
     """
     for name, share in (("coefficient", coefficient_share), ("modulus", modulus_share)):
         if share > 1:
@@ -275,15 +242,14 @@ def measured_copy(
 
 @dataclass(frozen=True, eq=False)
 class PicturedPress:
-    """A frame of the ball's press, and its force where it is known.
+    """A frame of the ball's press, with its force where known.
 
     Attributes:
-        image: 8-bit sRGB, the whole frame ``[h w 3]``.
-        reference: the same of the untouched skin, with which it is compared to find where the press is.
-        force_n: None where it is not known [N].
-        force_share: standard deviation of the known force, as a share of it.
-        place_m: where a stage pressed, x and y; None where it is not known [m].
-        place_sd_m: standard deviation of it, each way [m].
+        image, reference: Whole frames under load and untouched, 8-bit sRGB.
+        force_n: Known force [N] or None.
+        force_share: Relative standard deviation of the force.
+        place_m: Known position (x, y) [m] or None.
+        place_sd_m: Standard deviation of the position per axis [m].
     """
 
     image: UInt8[ndarray, "h w 3"]
@@ -295,13 +261,11 @@ class PicturedPress:
 
 
 class PressFound(NamedTuple):
-    """What one picture tells.
+    """Reading of one image.
 
     Attributes:
-        x_m, y_m, depth_m, force_n: place, depth and force.
-        x_sd_m, y_sd_m, depth_sd_m: standard deviations.
-        force_share: standard deviation of the force's logarithm.
-        off: root mean square of what the picture differs from the copy's, over white, away from edges.
+        force_share: Standard deviation of the force's logarithm.
+        off: Rms difference from the unit's image over white, away from edges.
     """
 
     x_m: float
@@ -316,24 +280,21 @@ class PressFound(NamedTuple):
 
     @property
     def misfit(self) -> float:
-        """Difference from the copy's picture over the stated error of a pixel."""
+        """Difference from the unit's image in pixel standard deviations."""
         return self.off / PIXEL_SD
 
     @property
     def pose(self) -> Pose:
-        """Place and depth."""
         return Pose(self.x_m, self.y_m, self.depth_m)
 
 
 @dataclass(frozen=True, eq=False)
 class CopyFit:
-    """A copy after its presses.
+    """A unit after its presses.
 
     Attributes:
-        copy: as known now.
-        presses: what each picture told.
-        untold: terms of which the presses told less than a fifth of what was known before; the residual
-            birefringence's variation is not listed.
+        presses: Reading of each image.
+        untold: Terms whose variance fell by less than a fifth, without the residual birefringence's modes.
     """
 
     copy: PalmCopy

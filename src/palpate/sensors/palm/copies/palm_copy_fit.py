@@ -1,8 +1,7 @@
-"""A copy of the palm from pictures of its presses: where to begin, and the estimate from there.
+"""Fit a palm unit to images of its presses.
 
-The estimate is made roughly at first, with few rays and every pixel; then with all rays, behind what the
-untouched frames show beyond the copy and away from edges (see `press_picture`), as the rough one has both;
-and once more where edges have turned out to lie elsewhere.
+A rough fit uses few rays and every pixel. Fits with all rays follow, behind the untouched frames' background
+and away from edges (`press_picture`), until the edges no longer move.
 """
 
 from __future__ import annotations
@@ -57,22 +56,22 @@ from palpate.sensors.palm.palm_spec import PalmSpec
 
 Place = Float[ndarray, " 3"]
 
-ASIDE_M = ((0.0, 0.0), (0.0, 2e-3), (0.0, -2e-3))  # y is seen foreshortened, under a dimple that leans
-STARTS = 3  # of a press alone, each with another product
-TRIED = 2  # rounds after which the likelier of two starts is kept
-ROUGH = 4  # more of them, with few rays
-PASSES = 3  # with all rays, at most
-MOVED = 0.3  # of a row, by which the deepest point has to be elsewhere for another pass
-DEPTHS = 11  # at which a press is looked for
-PRODUCTS = np.linspace(-2.0, 2.0, 7)  # the same, in standard deviations of what is known of the product
-LAMP_SD = 0.02  # logarithm of the lamp's light, by which it may differ from day to day
+ASIDE_M = ((0.0, 0.0), (0.0, 2e-3), (0.0, -2e-3))  # y is foreshortened
+STARTS = 3  # start states of a single press
+TRIED = 2  # rounds before the likelier start is chosen
+ROUGH = 4  # further rounds with few rays
+PASSES = 3  # maximum fits with all rays
+MOVED = 0.3  # change of depth that requires another fit, in rows
+DEPTHS = 11  # depths in the search for a press
+PRODUCTS = np.linspace(-2.0, 2.0, 7)  # products in the search, in prior standard deviations
+LAMP_SD = 0.02  # day-to-day standard deviation of the log lamp
 DRIFTED = 3.0  # standard deviations
-MAX_MISFIT = 1.7  # of a reading: difference from the copy's own picture over the stated error of a pixel
-MAX_OFF = 0.03  # of white, root mean square over a picture: more is another palm's
-FARTHEST = 5.0  # standard deviations of what was known of E and C beforehand: more is no copy of the design
-SEEN = 0.015  # of white, by which the mirror's picture has to change; noise alone changes it by 0.012
-SURE = 0.03  # spread of the product below which only its mean is looked at
-LIT = 0.03  # spread of the lamp below which the untouched frame is compared with what is known beforehand
+MAX_MISFIT = 1.7  # maximum misfit of a reading, in pixel standard deviations
+MAX_OFF = 0.03  # maximum rms difference of an image over white; more is another palm
+FARTHEST = 5.0  # maximum change of E and C in prior standard deviations
+SEEN = 0.015  # minimum change of the mirror's image over white; noise alone is 0.012
+SURE = 0.03  # spread of the product below which only its mean is searched
+LIT = 0.03  # spread of the lamp below which the untouched frame is compared with the prior
 WEIGHT = (PIXEL_SD * BLOCK_PX) ** 2
 
 
@@ -80,18 +79,13 @@ def fit_copy(
     known: PalmCopy, presses: Sequence[PicturedPress], progress: Progress = silent,
     near: CopyFit | None = None,
 ) -> CopyFit:  # fmt: skip
-    """Estimate a copy's terms, and place, depth and force of each press.
+    """Estimate a unit's terms, and position, depth, and force of each press.
 
     Args:
-        known: of the copy beforehand.
-        presses: pictures, with or without forces; one is a reading, five to ten of known force calibrate.
-        progress: called with rounds of the estimate.
-        near: another fit of the same presses, from which the estimate begins as well; the likelier is kept.
-
-    Raises:
-        InputError: no press.
-        ImageError: a picture of another size, in which no press is seen, or that is no such palm's.
-        RangeError: a force that is not above 0, or forces by which E or C is far from what was known.
+        known: Prior of the unit.
+        presses: Images with or without forces; one is a reading, five to ten of known force calibrate.
+        progress: Callback for the rounds.
+        near: Another fit of the same presses as an additional start; the likelier result is kept.
     """
     if not presses:
         raise InputError("no press; a copy is found from one picture at least", code="no-presses")
@@ -120,14 +114,7 @@ def fit_copy(
 
 
 def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
-    """Refuse a copy that known forces have put far from what was known of E and C beforehand.
-
-    A picture holds their product alone, so that forces in another unit hardly spoil one: in mN, E comes
-    out some hundreds of times too great, and C a thousand times too small.
-
-    Raises:
-        RangeError: either is further off than `FARTHEST` standard deviations.
-    """
+    """Reject a unit whose E or C is far from the prior, as by forces in a wrong unit."""
     E = found.modulus_pa / known.modulus_pa
     C = found.coefficient_per_pa / known.coefficient_per_pa
     allowed = [math.exp(FARTHEST * one) for one in (known.modulus_share, known.coefficient_share)]
@@ -143,26 +130,14 @@ def refuse_far(known: PalmCopy, found: PalmCopy) -> None:
 def read_press(
     known: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"]
 ) -> PressFound:
-    """Place, depth and force of one picture, its intervals those of the copy as well; see `fit_copy`.
-
-    Raises:
-        MisfitError: the picture differs from the copy's own by more than `MAX_MISFIT` times the stated
-            error of a pixel (root mean square): another probe, or another palm.
-    """
+    """Return position, depth, and force of one image, with intervals that include the unit's uncertainty."""
     found = fit_copy(known, [PicturedPress(image, reference)]).presses[0]
     refuse_misfit(found)
     return found
 
 
 def refuse_misfit(found: PressFound) -> None:
-    """Refuse a reading whose picture differs more from the copy's own than presses of the palm's ball do.
-
-    The limit lies between the greatest difference of such presses, up to 3 mm deep on drawn palms with
-    every fault (1.6), and the least of probes whose readings were off by 2.5 half-widths or more (1.8).
-
-    Raises:
-        MisfitError: the difference is above `MAX_MISFIT`.
-    """
+    """Reject a reading whose misfit exceeds that of presses of the palm's ball."""
     if found.misfit > MAX_MISFIT:
         raise MisfitError(
             f"the picture differs from this palm's own by {found.off:.1%} of white, and "
@@ -171,9 +146,8 @@ def refuse_misfit(found: PressFound) -> None:
 
 
 def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
-    """Change of the lamp since the copy was fitted, in standard deviations of what is known of it.
-
-    An untouched palm does not show its modulus and coefficient; see `palm_weight` for these.
+    """Return the change of the lamp since the fit, in standard deviations; E and C are not
+    visible at rest.
     """
     change = lamp_of(known, [regions_of(known.spec, reference)])
     spread = math.hypot(math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]), LAMP_SD)
@@ -181,11 +155,11 @@ def drift_of(known: PalmCopy, reference: UInt8[ndarray, "h w 3"]) -> Drift:
 
 
 def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> State:
-    """The likeliest by few rays and every pixel."""
+    """Most probable state by few rays and every pixel."""
     sure, rests = math.sqrt(known.covariance[AT["lamp"], AT["lamp"]]) <= LIT, [one.rest for one in seen]
     lit = 0.0 if sure else lamp_of(known, rests)
     first = _first_states(replace(known, terms=known.terms + lit * _unit("lamp")), seen, progress)
-    few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))  # which do for a start
+    few = replace(known, spec=replace(known.spec, rays_per_pixel=(1, 1)))
     backdrop = backdrop_of(few, rests, _places(first[0])) if sure else None
     rough = CopyEstimate(few, seen, backdrop)
     tried = (most_probable(rough, state, progress, rounds=TRIED) for state in first)
@@ -193,7 +167,7 @@ def _rough_state(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress)
 
 
 def _estimate_at(known: PalmCopy, seen: Sequence[SeenPress], state: State) -> CopyEstimate:
-    """The rows of all rays, with backdrop and edges as a state has them."""
+    """Estimate with all rays, with background and edges of a state."""
     at = replace(known, terms=state[: len(TERMS)])
     backdrop = backdrop_of(at, [one.rest for one in seen], _places(state))
     return CopyEstimate(known, seen, backdrop, [away_from_edges(at, own) for own in _local(state)])
@@ -204,12 +178,11 @@ def _places(state: State) -> list[tuple[float, float]]:
 
 
 def _local(state: State) -> Float[ndarray, "p 8"]:
-    """Unknowns of each press."""
     return state[len(TERMS) :].reshape(-1, len(LOCAL))
 
 
 def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> State:
-    """Where another fit of the same presses ended, each press as its copy's terms say."""
+    """State at which another fit of the same presses ended."""
     local = np.zeros((len(seen), len(LOCAL)))
     for own, one, found in zip(local, seen, fit.presses, strict=True):
         own[:4] = found.x_m, found.y_m, math.log(found.depth_m), one.exposure
@@ -217,10 +190,7 @@ def _state_of(fit: CopyFit, seen: Sequence[SeenPress]) -> State:
 
 
 def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress) -> list[State]:
-    """Where to begin: at the few products that all presses together find likeliest.
-
-    A press alone may look alike with another product, depth and place.
-    """
+    """Start states at the most likely products of all presses."""
     looks = []
     for i, one in enumerate(seen):
         progress("looking for presses", i, len(seen))
@@ -231,7 +201,7 @@ def _first_states(known: PalmCopy, seen: Sequence[SeenPress], progress: Progress
 
 
 class _Look(NamedTuple):
-    """How far the likeliest of a few pictures is from a press, and that picture's place and depth."""
+    """Misfit of the best of a few images, with its position and depth."""
 
     score: float
     place: Place
@@ -251,7 +221,7 @@ def _state_at(known: PalmCopy, seen: Sequence[SeenPress], looks: Sequence[Place]
 
 
 def _first_looks(known: PalmCopy, seen: SeenPress) -> dict[float, _Look]:
-    """Place from where the mirror changes; for every product the likeliest depth of a few."""
+    """Position where the mirror changes, and for each product the most likely depth."""
     spec = known.looks
     width, height = spec.mirror.size_px
     change = np.abs(seen.change[-height * width * 3 :]).reshape(height, width, 3).mean(axis=2)
@@ -286,7 +256,7 @@ def _unit(name: str) -> Float[ndarray, " t"]:
 
 
 def _place_of(spec: PalmSpec, at_px: Float[ndarray, " 2"]) -> tuple[float, float]:
-    """Place on the skin that the mirror shows at a pixel; `contact_px` is linear in it."""
+    """Position on the membrane of a mirror pixel; `contact_px` is linear."""
     zero = np.array(contact_px(spec, 0.0, 0.0))
     step = np.array(contact_px(spec, 1e-3, 1e-3)) - zero
     x, y = (at_px - zero) / step * 1e-3

@@ -1,4 +1,4 @@
-"""A palm's copy on disk, and pictures of presses for it from runs and files."""
+"""Palm units on disk, and images of presses from runs and files."""
 
 from __future__ import annotations
 
@@ -27,19 +27,16 @@ from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 FORMAT = "palpate palm copy 3"
-MIN_SHARE = 0.1  # of the run's greatest force, below which a press tells little
-MAX_REACH = 0.7  # of the membrane's radius: nearer to the rim, pictures are off by more than a copy can say
+MIN_SHARE = 0.1  # minimum force of a press over the run's maximum
+MAX_REACH = (
+    0.7  # maximum distance from the axis over the radius; images near the rim are not modeled well enough
+)
 
 Image = UInt8[ndarray, "h w 3"]
 
 
 def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
-    """Write a copy as JSON.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write a unit as JSON."""
     others = {
         "preset": design, "frame_px": list(copy.spec.frame_px), "friction": copy.spec.friction,
         "widening": copy.widening._asdict(),
@@ -50,12 +47,7 @@ def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
 
 @parser("palm unit", InputError)
 def read_copy(path: Path) -> PalmCopy:
-    """A copy as `write_copy` wrote it.
-
-    Raises:
-        InputError: no copy's file, one of another format, or one whose numbers make none.
-        StorageError: it cannot be read.
-    """
+    """Read a unit written by `write_copy`."""
     return read_unit(path, FORMAT, TERMS, "palpate calibrate --method palm-unit", _made)
 
 
@@ -73,12 +65,7 @@ def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> PalmCo
 
 
 def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:
-    """A preset's design for frames of a size (height, width), as it is or as a virtual rig has it.
-
-    Raises:
-        InputError: no such preset.
-        ImageError: frames of another size.
-    """
+    """Return a preset's design for frames (height, width), full size or as on a virtual rig."""
     spec = preset(name)
     on_rig = Palm(spec).for_rig().spec
     for one in (spec, on_rig):
@@ -92,20 +79,12 @@ def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> P
 
 
 def preset_radius_m(name: str) -> float:
-    """Radius of a preset's membrane [m].
-
-    Raises:
-        InputError: no such preset.
-    """
+    """Return the membrane radius of a preset [m]."""
     return preset(name).radius_m
 
 
 def preset_ball(name: str) -> str:
-    """A preset's own ball, as runs name indenters.
-
-    Raises:
-        InputError: no such preset.
-    """
+    """Return the indenter name of a preset's ball."""
     return Palm(preset(name)).default_probe
 
 
@@ -118,19 +97,14 @@ def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
 def pictured_presses(
     path: Path, count: int, force_share: float, within_m: float = math.inf, ball: str = ""
 ) -> list[PicturedPress]:
-    """Frames of a run, spread over force from a tenth of the greatest, each with its press's reference.
-
-    Frames of lateral loads are left out, where the run names them: a copy is pressed straight.
+    """Return frames of a run with evenly ranked forces above a tenth of the maximum, with their references.
 
     Args:
-        path: of the run.
-        count: of frames.
-        force_share: standard deviation of a known force, as a share.
-        within_m: of the membrane's middle [m].
-        ball: indenter whose frames alone are taken, where the run names indenters; any where it is empty.
-
-    Raises:
-        InputError: no force, press or reference among its labels, no frame of the ball, or too few frames.
+        path: Run.
+        count: Number of frames.
+        force_share: Relative standard deviation of the forces.
+        within_m: Maximum distance from the membrane's axis [m].
+        ball: Indenter to select; any if empty. Frames of lateral loads are excluded.
     """
     run = Run.open(path)
     table = run.labels
@@ -175,11 +149,7 @@ def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
 
 @parser("palm picture", ImageError, max_bytes=1 << 30)
 def read_picture(path: Path) -> Image:
-    """A picture of a file, 8-bit colour.
-
-    Raises:
-        ImageError: it cannot be read.
-    """
+    """Read an image file as 8-bit color."""
     with storage_errors(path):
         data = np.frombuffer(path.read_bytes(), np.uint8)
     image = opencv_image(data, cv2.IMREAD_COLOR)

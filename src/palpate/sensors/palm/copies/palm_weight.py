@@ -1,8 +1,6 @@
-"""Check of a palm's copy by a known weight, which sees what an untouched frame cannot.
+"""Check of a palm unit by a known weight; an untouched membrane does not show E and C.
 
-An untouched skin between crossed polarisers is dark whatever its modulus E and stress-optic coefficient C
-are. Under a known weight the picture tells depth and E C, the weight tells E, and both tell C; each is held
-against what the calibration says, by what both are uncertain of.
+The image under the weight gives depth and E C, the weight gives E, and both give C.
 """
 
 from __future__ import annotations
@@ -17,19 +15,19 @@ from palpate.estimators.unit_fit import WEIGHT_SHARE, changed_since, drifted, si
 from palpate.sensors.palm.copies.palm_copy import CopyFit, PalmCopy, PicturedPress, designed_copy
 from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
 
-STILL_M, SAID_MOVED = 0.1e-3, 3.0  # a weight at rest is seen to move by less: this and standard deviations
-FLOOR = 0.01  # of E and C, by which no weight is trusted to be better: a share
+STILL_M, SAID_MOVED = 0.1e-3, 3.0  # maximum motion of a weight at rest, plus standard deviations
+FLOOR = 0.01  # minimum relative uncertainty of E and C
 
 
 @dataclass(frozen=True, slots=True)
 class WeightCheck:
-    """What a known weight says of a calibrated copy.
+    """Result of a weight check of a calibrated unit.
 
     Attributes:
-        force_n: of the weight [N].
-        read_n: that the picture tells by the calibration's C, whatever E is [N].
-        modulus_change, coefficient_change: of E and C since the calibration, as shares.
-        modulus_deviations, coefficient_deviations: the same in standard deviations.
+        force_n: Weight [N].
+        read_n: Force read from the image with the calibrated C [N].
+        modulus_change, coefficient_change: Relative changes since the calibration.
+        modulus_deviations, coefficient_deviations: Changes in standard deviations.
     """
 
     force_n: float
@@ -41,7 +39,7 @@ class WeightCheck:
 
     @property
     def drifted(self) -> tuple[str, ...]:
-        """Names of what has changed: "modulus", "coefficient"."""
+        """Names of the changed constants."""
         return drifted({"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations})
 
 
@@ -49,21 +47,16 @@ def check_weight(
     calibrated: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"], mass_kg: float,
     progress: Progress = silent,
 ) -> tuple[WeightCheck, CopyFit]:  # fmt: skip
-    """Lay an object of known mass on the skin, resting on the palm's ball, and compare.
+    """Compare a calibrated unit with an object of known mass that rests on the palm's ball.
 
     Args:
-        calibrated: the copy.
-        image: a frame of it at rest.
-        reference: of the untouched skin.
-        mass_kg: of all that rests on the skin, the ball as well [kg].
-        progress: called with rounds of the estimate.
+        calibrated: Unit.
+        image, reference: Frames under the weight at rest and untouched.
+        mass_kg: Total mass on the membrane including the ball [kg].
+        progress: Callback for the rounds.
 
     Returns:
-        What was found, and the copy as this weight alone has its E and C.
-
-    Raises:
-        RangeError: a mass that is not above 0.
-        ImageError: no press is seen, or no such palm's picture.
+        Check, and the unit whose E and C follow from this weight alone.
     """
     force_n = weight_n(mass_kg)
     design = designed_copy(calibrated.spec)
@@ -77,7 +70,7 @@ def check_weight(
     change, spread = towards @ away[:2], towards @ spread[:2, :2] @ towards.T
     deviations = change / np.sqrt(np.diag(spread) + FLOOR**2)
     shares = np.expm1(change)
-    read_n = found.presses[0].force_n * math.exp(float(change[1]))  # E C is seen, and C is taken as it was
+    read_n = found.presses[0].force_n * math.exp(float(change[1]))  # E C is visible, C is the calibrated one
     return WeightCheck(
         force_n, read_n, float(shares[0]), float(shares[1]), float(deviations[0]), float(deviations[1])
     ), found
@@ -87,17 +80,13 @@ def refuse_rolling(
     found: CopyFit, image: UInt8[ndarray, "h w 3"], later: UInt8[ndarray, "h w 3"],
     reference: UInt8[ndarray, "h w 3"], progress: Progress = silent,
 ) -> None:  # fmt: skip
-    """Refuse a weight that lies elsewhere some seconds later: a push or a slope carries part of it.
+    """Reject a weight that has moved some seconds later, since a push or slope carries part of it.
 
     Args:
-        found: the weight as `check_weight` found it.
-        image, later: the picture that it was found in, and another of it.
-        reference: of the untouched skin.
-        progress: called with rounds of the estimate.
-
-    Raises:
-        InputError: it has moved, or both pictures are one and the same.
-        ImageError: no press is seen, or no such palm's picture.
+        found: Unit from `check_weight`.
+        image, later: First and later frame of the weight.
+        reference: Untouched frame.
+        progress: Callback for the rounds.
     """
     if np.array_equal(image, later):
         raise InputError("both pictures of the weight are the same; take the later one some seconds after")

@@ -1,13 +1,8 @@
-"""Pictures of a copy's presses, measured and drawn, in the form in which the estimate compares them.
+"""Images of a unit's presses, measured and rendered, as the estimate compares them.
 
-An untouched frame shows, where nothing moves, what the copy's terms do not know of: dirt under the mirror's
-view, which dims, and reflections, which add. Both are taken from it once, and drawn over every picture of a
-press. A camera that exposes by itself changes all of the frame: the housing beside both regions tells by how
-much, since no press changes it.
-
-A pixel whose light jumps, as an edge passes the middle of one of its rays, tells nothing by slopes. Once it
-is known where edges lie (of ball and dimple, of the skin, of the mirror's opening) pixels near them, and what
-is seen of the ball over the skin, are left out.
+The untouched frame provides dirt (dims) and reflections (add) that the terms do not model; both are applied
+to every rendered press. The housing outside both regions shows changes of exposure. Pixels near edges of
+ball, dimple, membrane, or mirror opening have no useful derivatives and are masked.
 """
 
 from __future__ import annotations
@@ -28,51 +23,49 @@ from palpate.sensors.palm.palm_press import drawn_ball, pressed
 from palpate.sensors.palm.palm_render import housed, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 
-BLUR_PX = 1.0  # by which pictures are softened before they are compared
-BLOCK_PX = 9  # side of blocks of pixels that err together
-BRIGHTEST = 1.08  # of the copy's own light: what an untouched mirror shows beyond it is added
-DARKEST = 0.3  # of the brightest in the mirror's view, below which dirt cannot be told
-BESIDE_PX = 3  # from both regions, where the housing shows the exposure
-SAME_EXPOSURE = 0.03  # change of it that is taken for none
-HANGS_WITHIN = 1.6  # ball radii of where it presses, in which the mirror may show it over the untouched skin
-ENOUGH = 100  # pixels of the housing that tell it
+BLUR_PX = 1.0  # blur of images before comparison
+BLOCK_PX = 9  # side of blocks of correlated pixels
+BRIGHTEST = 1.08  # limit of dirt's transmission; light beyond it is additive
+DARKEST = 0.3  # minimum mirror brightness to measure dirt, over the maximum
+BESIDE_PX = 3  # margin around both regions in the exposure measurement
+SAME_EXPOSURE = 0.03  # log change of exposure that counts as none
+HANGS_WITHIN = 1.6  # radius that a hanging ball may cover in the mirror, in ball radii
+ENOUGH = 100  # minimum number of housing pixels
 
-EDGE_PX = 1.0  # from an edge, within which pixels are left out
+EDGE_PX = 1.0  # masked distance from an edge
 
 Pixels = Float[ndarray, " n"]
 Lights = tuple[ndarray, ndarray]
-"""Linear light of both regions, fringes and mirror."""
+"""Linear light of fringes and mirror."""
 
 
 Kept = tuple[ndarray, ndarray]
-"""Pixels of both regions that are compared: 1, and 0 for those that are not."""
+"""Masks of both regions, 1 for compared pixels."""
 
 
 class Backdrop(NamedTuple):
-    """What an untouched frame shows beyond its copy: shares that dirt leaves of the mirror's light, and light
-    that is added in both regions.
+    """Background of an untouched frame: transmission of dirt in the mirror, and light added
+    in both regions.
     """
 
     left: Float[ndarray, "h w 3"]
     added: Lights
 
     def over(self, seen: Lights) -> Lights:
-        """Light of a picture behind it."""
         fringes, mirror = seen
         return np.maximum(fringes + self.added[0], 0.0), mirror * self.left + self.added[1]
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPress:
-    """A press as the estimate takes it.
+    """A press as used by the estimate.
 
     Attributes:
-        pixels: of both regions, over white.
-        change: of them since the skin was untouched, had that been exposed as long.
-        exposure: logarithm of the exposure over the untouched frame's, as the housing shows it.
-        block: to which each belongs.
-        light, rest: of both regions, and of the untouched ones.
-        press: as it was given.
+        pixels: Pixels of both regions over white.
+        change: Change since the untouched frame at equal exposure.
+        exposure: Log exposure over the untouched frame's.
+        block: Block of each pixel.
+        light, rest: Linear light of both regions under load and untouched.
     """
 
     pixels: Pixels
@@ -84,19 +77,19 @@ class SeenPress:
     press: PicturedPress
 
     def kept(self, kept: Kept | None) -> Pixels:
-        """Its pixels, those that are left out as 0."""
+        """Pixels with masked ones set to 0."""
         return self.pixels if kept is None else _as_pixels(self.light, kept)
 
 
 def pictured(known: PalmCopy, pose: Pose, *, exact: bool = False) -> Pixels:
-    """Both regions of a press as a copy shows them, without noise, sRGB over white, softened, one row."""
+    """Return both regions of a press as a unit shows them: noise-free sRGB over white, blurred, one row."""
     return _as_pixels(_light(known, pose, exact))
 
 
 def shown(
     known: PalmCopy, local: Local, backdrop: Backdrop | None, *, exact: bool = True, kept: Kept | None = None
 ) -> Pixels:
-    """The same of a press with its own unknowns, behind what the untouched frame shows."""
+    """Return the image of a press with its own unknowns, over the background."""
     seen = _light(known.under(local), pose_of(local), exact)
     if backdrop is not None:
         seen = backdrop.over(seen)
@@ -105,7 +98,7 @@ def shown(
 
 
 def away_from_edges(known: PalmCopy, local: Local) -> Kept:
-    """Pixels of a press that lie in the skin or in the mirror's opening, and not near an edge of them."""
+    """Return masks of pixels in the membrane or the mirror's opening, away from edges."""
     spec, pose = known.under(local).looks, pose_of(local)
     rows, rays = spec.fringes.pitches_m[1], columns_kept(spec.unlit)
     here, R = pressed(spec, pose.depth_m), spec.indenter_radius_m
@@ -119,17 +112,17 @@ def away_from_edges(known: PalmCopy, local: Local) -> Kept:
 
 
 def pose_of(local: Local) -> Pose:
-    """Place and depth of a press's unknowns."""
+    """Return the pose of a press's unknowns."""
     return Pose(float(local[0]), float(local[1]), math.exp(local[2]))
 
 
 def backdrop_of(known: PalmCopy, rests: Sequence[Lights], places: Sequence[tuple[float, float]]) -> Backdrop:
-    """What untouched frames, at one exposure, show beyond a copy.
+    """Return the background of untouched frames at one exposure.
 
     Args:
-        known: the copy.
-        rests: light of the untouched regions.
-        places: over which the probe may hang in each, and hide what is there [m].
+        known: Unit.
+        rests: Light of the untouched regions.
+        places: Positions over which the probe may hide the background in each frame [m].
     """
     bare = _bare(known)
     free = np.stack([_free_of_probe(known.looks, *place) for place in places])[..., None]
@@ -144,13 +137,12 @@ def backdrop_of(known: PalmCopy, rests: Sequence[Lights], places: Sequence[tuple
 
 
 def _bare(known: PalmCopy) -> Lights:
-    """Light of a copy's untouched membrane, no probe in sight."""
     hidden = replace(known.spec, probe_in_mirror=False, probe_edge_on=False)
     return _light(replace(known, spec=hidden), Pose(0.0, 0.0, -1e-3), False)
 
 
 def _free_of_probe(spec: PalmSpec, x_m: float, y_m: float) -> Bool[ndarray, "h w"]:
-    """Pixels of the mirror's region that a ball hanging over a place does not cover."""
+    """Pixels of the mirror that a hanging ball does not cover."""
     cx, cy = contact_px(spec, x_m, y_m)
     width, height = spec.mirror.size_px
     across, down = np.meshgrid(np.arange(width) + 0.5 - cx, np.arange(height) + 0.5 - cy)
@@ -159,12 +151,7 @@ def _free_of_probe(spec: PalmSpec, x_m: float, y_m: float) -> Bool[ndarray, "h w
 
 
 def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
-    """A press's pictures, checked.
-
-    Raises:
-        ImageError: of another size.
-        RangeError: a force, or its share, that is not above 0.
-    """
+    """Prepare and check a press's images."""
     for image in (one.image, one.reference):
         if image.shape[:2] != spec.frame_px[::-1]:
             raise ImageError(
@@ -184,12 +171,12 @@ def seen_press(spec: PalmSpec, one: PicturedPress) -> SeenPress:
 
 
 def regions_of(spec: PalmSpec, image: UInt8[ndarray, "h w 3"]) -> Lights:
-    """Linear light of both regions of a frame."""
+    """Return the linear light of both regions of a frame."""
     return _regions(spec, _linear(image))
 
 
 def lamp_of(known: PalmCopy, rests: Sequence[Lights]) -> float:
-    """Logarithm of the lamp's light over that of a copy, with the exposure, as untouched frames show it."""
+    """Return the logarithm of the lamp's light, including exposure, over that of a unit."""
     bare = _bare(known)[1]
     told = bare > DARKEST * bare.max()
     share = np.mean([rest[1] for rest in rests], axis=0)[told] / bare[told]
@@ -199,10 +186,7 @@ def lamp_of(known: PalmCopy, rests: Sequence[Lights]) -> float:
 def exposure_change(
     spec: PalmSpec, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"]
 ) -> float:
-    """By how much longer a frame was exposed than the untouched one, as the housing beside its regions shows.
-
-    1 where it shows no change, or too little of it is seen.
-    """
+    """Return the exposure over the untouched frame's, measured in the housing; 1 if it is not measurable."""
     beside = np.ones(image.shape[:2], bool)
     for view in (spec.fringes, spec.mirror):
         x, y, w, h = view.box_px
@@ -237,18 +221,18 @@ def _as_pixels(seen: Lights, kept: Kept | None = None) -> Pixels:
 
 
 def _blurred(image: ndarray, sigma_px: float) -> Pixels:
-    """A picture as a row, its hard edges softened, so that it changes smoothly as they move."""
+    """Blurred image as a row; blur makes moving edges differentiable."""
     return cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT).ravel()
 
 
 def _encoded(linear: ndarray) -> ndarray:
-    """SRGB's curve without its rounding (IEC 61966-2-1)."""
+    """Encode as sRGB without rounding (IEC 61966-2-1)."""
     v = np.clip(linear, 0.0, 1.0).astype(np.float64)
     return np.where(v <= 0.0031308, 12.92 * v, 1.055 * np.maximum(v, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def _linear(image: UInt8[ndarray, "h w 3"]) -> ndarray:
-    """Its inverse, of 8-bit codes."""
+    """Decode 8-bit sRGB."""
     v = image / 255.0
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 

@@ -1,10 +1,12 @@
-"""Networks for the photoelastic palm: four published ones, and one that learns from rendered presses too."""
+"""Networks for the photoelastic palm: four published ones, a moment baseline, and one trained with rendered
+presses.
+"""
 
 from palpate.estimators.networks import Kind
 
 FORCES = ("force_x_N", "force_y_N", "force_N")
 PLACE = ("x_mm", "y_mm")
-"""Targets: components of the force, the normal one positive in compression, and the place."""
+"""Targets: force components, the normal one positive in compression, and position."""
 REGIONS = ("fringes", "mirror")
 
 MODELS: dict[str, Kind] = {

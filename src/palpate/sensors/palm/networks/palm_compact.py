@@ -1,11 +1,7 @@
-"""A small network for the photoelastic palm, which learns from the rendered membrane as well.
+"""A small network for the palm that is also trained on rendered presses.
 
-A palm is calibrated at a few dozen places. Between them a network has to guess, and that is where larger ones
-fail. So this one also sees thousands of presses anywhere on the virtual membrane, with the frames of the rig
-it is calibrated on, and has two parts that suit the two views: the fringes' branch keeps the map's layout up
-to a dense layer, and the mirror's branch also tells where its maps weigh most (a soft maximum), which is
-where the probe is. On a virtual rig the rendered presses obey the very laws of the recorded ones; on a real
-palm they are a model of it, and how much they help there is not known.
+Rendered presses cover positions between the few dozen calibrated ones. The fringe branch keeps the map's
+layout up to a dense layer; the mirror branch also reports soft-argmax positions of its maps.
 """
 
 from __future__ import annotations
@@ -48,12 +44,12 @@ with optional_imports("A network of the palm"):
     from torch.nn import functional
 
 WIDTHS = (24, 48, 64, 96)
-SEEN_AT = 2  # blocks after which the mirror's maps are asked where they weigh most
+SEEN_AT = 2  # mirror blocks before the soft-argmax
 MAPS = 16
 FEATURES = 128
-BEND = 0.05  # of the Huber loss, in spreads of the targets
-DEPTHS_EACH = 12  # frames of a rendered press
-OFTEN = 2  # times in an epoch that a recorded frame is seen
+BEND = 0.05  # Huber threshold in target standard deviations
+DEPTHS_EACH = 12  # frames per rendered press
+OFTEN = 2  # repetitions of a recorded frame per epoch
 
 
 class CompactPalmNetwork(PalmNetwork):
@@ -94,7 +90,7 @@ class CompactPalmNetwork(PalmNetwork):
 
 
 def _blocks(channels: int) -> list[nn.Sequential]:
-    """Each halves the map's side; the first looks wider."""
+    """Convolutions that halve the map's side; the first has a wider kernel."""
     made, before = [], channels
     for i, width in enumerate(WIDTHS):
         size = 5 if i == 0 else 3
@@ -105,7 +101,7 @@ def _blocks(channels: int) -> list[nn.Sequential]:
 
 
 def _grid(side: int) -> torch.Tensor:
-    """Places ``[side side, 2]`` across and down, -1 to 1."""
+    """Positions ``[side side, 2]`` across and down, -1 to 1."""
     along = torch.linspace(-1, 1, side)
     down, across = torch.meshgrid(along, along, indexing="ij")
     return torch.stack([across.flatten(), down.flatten()], dim=1)
@@ -113,11 +109,11 @@ def _grid(side: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class FittedCompact(FittedPalm):
-    """A trained network, and the rendered presses it has learnt from, for the novelty detector to know.
+    """A trained network with its rendered presses, which the novelty detector includes.
 
     Attributes:
-        place: tells x and y in the network's stead; None where the network does.
-        at: which of the targets x and y are.
+        place: Estimator of x and y that replaces the network's; None if unused.
+        at: Indices of x and y among the targets.
     """
 
     rendered_images: RenderedImages | None
@@ -144,25 +140,16 @@ class FittedCompact(FittedPalm):
 
 @dataclass(frozen=True)
 class PalmCompact:
-    """Settings of the network and its training.
+    """Settings of the network and its training; see `TrainingLoop` for those not listed.
 
     Attributes:
-        rendered: frames of rendered presses that are learnt from besides the recorded ones; 0 for none, and
-            then any targets may be asked for.
-        palm: the preset that they are rendered of.
-        epochs: passes over all of them.
-        batch: rows a step.
-        learning_rate: Adam's at its greatest; it falls along a cosine.
-        precision: see `TrainingLoop`.
-        patience: epochs without gain on watched groups of recorded frames before it stops; 0 trains to the
-            end on all rows.
-        watched: share of the groups watched, where `patience` is not 0.
-        falls, steps, cosine: see `TrainingLoop`.
-        moments: whether x and y, where both are asked for, are told by ten moments of the mirror's difference
-            instead of by the network, see `MirrorPlace`; for differential crops.
-        processes: how many render, on this machine; what they render does not depend on it. 1 under torchrun.
-        variation: strength of what a camera does from day to day, drawn into training images, see
-            `two_view_variation`; 0 draws none.
+        rendered: Number of rendered frames; 0 for none, which allows any targets.
+        palm: Preset of the rendered frames.
+        patience: Epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
+        watched: Fraction of groups watched with `patience`.
+        moments: Whether `MirrorPlace` estimates x and y, for differential crops.
+        processes: Number of rendering processes; the result does not depend on it. 1 under torchrun.
+        variation: Strength of `two_view_variation`; 0 for none.
     """
 
     rendered: int = 16_000
@@ -193,7 +180,6 @@ class PalmCompact:
         self.descent()
 
     def descent(self) -> TrainingLoop:
-        """The training loop these options ask for."""
         return TrainingLoop(
             self.epochs, self.batch, self.learning_rate, self.patience, self.precision,
             cosine=self.cosine, falls=self.falls, steps=self.steps,
@@ -231,7 +217,6 @@ class PalmCompact:
         return FittedCompact(run.kept(), data.shape, run.record, also, place, at)
 
     def _place(self, data: TrainingData, rows: Indices) -> tuple[MirrorPlace | None, Indices]:
-        """What tells the place in the network's stead, and which of the targets that is."""
         if not self.moments or not set(PLACE) <= set(data.names):
             return None, np.arange(0)
         at = np.array([data.names.index(name) for name in PLACE])
@@ -239,7 +224,7 @@ class PalmCompact:
         return MirrorPlace.fit(moments, data.values[np.ix_(rows, at)], data.groups[rows]), at
 
     def _columns(self, asked: Sequence[str]) -> Indices:
-        """Rendered presses have labels of four kinds; without them anything may be asked."""
+        """Rendered presses have four labels; without them any targets are allowed."""
         if self.rendered == 0:
             return np.arange(len(asked))
         return columns_of(self.targets, asked, type(self).__name__)
@@ -254,7 +239,7 @@ class PalmCompact:
         return side
 
     def _drawn(self, side: int, seed: int, progress: Progress) -> tuple[Presses | None, np.random.Generator]:
-        """Rendered presses, and what goes on as the source of chance after them."""
+        """Rendered presses, and the rng after them."""
         if self.rendered == 0:
             return None, np.random.default_rng(seed)
         count = max(1, round(self.rendered / DEPTHS_EACH))
@@ -273,11 +258,11 @@ class PalmCompact:
 
 
 _DRAWN: dict[tuple[str, int, int, int], tuple[Presses, np.random.Generator]] = {}
-"""Presses drawn last, and the source of chance as they left it: a study trains on the same ones again."""
+"""Last rendered presses and the rng after them, reused by studies."""
 
 
 def _seen(drawn: Presses, channels: int) -> RenderedImages:
-    """Thumbnails of all that was drawn, the skin with the probe over it as well."""
+    """Thumbnails of all rendered frames."""
     images = (_in_channels(image, channels) for part in (drawn.images, drawn.hanging) for image in part)
     groups = np.concatenate([drawn.press, np.arange(len(drawn.hanging))])
     return RenderedImages(np.round(thumbnails(images)).astype(np.uint8), groups)
@@ -293,14 +278,13 @@ def _loss(answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
 
 
 class _Union:
-    """Recorded rows and, numbered on after them, rendered ones."""
+    """Recorded rows followed by rendered ones."""
 
     def __init__(self, data: TrainingData, drawn: Presses | None) -> None:
         self._data, self._drawn, self._first = data, drawn, len(data.values)
         self.drawn_rows = self._first + np.arange(len(drawn.values) if drawn else 0)
 
     def fetch(self, rows: Indices) -> Tensor:
-        """Inputs ``[n c h w]``, in the order asked for."""
         inputs = np.empty((len(rows), *self._data.shape), np.float32)
         recorded = rows < self._first
         if recorded.any():

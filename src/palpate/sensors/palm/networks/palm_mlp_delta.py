@@ -1,8 +1,4 @@
-"""The photoelastic palm's network without an image: a perceptron on the fringe difference's pixels in a row.
-
-It estimates the three forces from the left half alone, and no place. It is the baseline that shows what
-convolution is worth.
-"""
+"""Perceptron on the pixels of the fringe difference: the baseline that shows the value of convolution."""
 
 from __future__ import annotations
 
@@ -26,14 +22,13 @@ MAX_BATCH = 200
 
 @dataclass(frozen=True, slots=True)
 class FittedPalmMlp:
-    """A perceptron that sees the left half of the image."""
+    """A perceptron on the left half of the image."""
 
     perceptron: FittedPerceptron
     shape: tuple[int, int, int]
 
     @property
     def training(self) -> TrainingRecord:
-        """How long it has learnt."""
         return self.perceptron.training
 
     def predict(self, inputs: Tensor) -> Values:
@@ -52,12 +47,10 @@ class FittedPalmMlp:
 
 @dataclass(frozen=True, slots=True)
 class PalmMlpDelta:
-    """scikit-learn's MLPRegressor, for differential grey crops.
+    """Multilayer perceptron for differential grey crops; options as in `PixelMlp`.
 
-    What the source does not name is scikit-learn's own default: one hidden layer of 100, a step of 1e-3, a
-    penalty of 1e-4. Two things are as in `PixelMlp`, and not as in scikit-learn's `fit`: it stops by whole
-    groups that are watched, not by rows drawn at random; and its targets are standardised. See `PixelMlp` for
-    its options.
+    Unspecified hyperparameters are scikit-learn's defaults. As in `PixelMlp`, early stopping watches whole
+    groups and targets are standardised.
     """
 
     hidden: tuple[int, ...] = (100,)

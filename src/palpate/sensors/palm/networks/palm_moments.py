@@ -1,10 +1,8 @@
-"""The photoelastic palm without a network: moments of both views, a quadratic ridge and random trees.
+"""Estimation without a network: image moments, quadratic ridge regression, and extremely randomized trees.
 
-The place is a quadratic function of ten moments of the mirror's difference: where the probe and its dimple
-are, how wide and how bright. Depth and force are told by trees (Geurts, Ernst & Wehenkel, Machine Learning
-63:3 (2006), doi:10.1007/s10994-006-6226-1) from those moments, the fringes' own, and the fringe view's
-intensities in order of size, which say how often the light has come and gone wherever that was. It learns in
-seconds, and is what a network has to beat.
+Position is a quadratic function of ten moments of the mirror's difference. Depth and force come from trees
+(Geurts, Ernst & Wehenkel, Machine Learning 63:3 (2006), doi:10.1007/s10994-006-6226-1) on these moments, the
+fringes' own, and the fringe intensities in order of size.
 """
 
 from __future__ import annotations
@@ -26,11 +24,11 @@ from palpate.estimators.networks.onnx_graph import OnnxGraph
 from palpate.sensors.palm.networks import PLACE
 from palpate.sensors.palm.networks.palm_training import DEPTH, columns_of, half_width
 
-FAINT = 4.0  # grey levels of the fringe view's difference that count nothing: noise of two frames
-DIM, BRIGHT = 6.0, 8.0  # grey levels of the mirror's difference that count nothing: either way, and brighter
-MOMENTS = 5  # of a map: centroid across and down, spread across and down, sum
-QUANTILES = 96  # of the fringe view's intensities
-GREY = (0.299, 0.587, 0.114)  # of red, green and blue in ITU-R BT.601
+FAINT = 4.0  # threshold of the fringe difference [grey levels]
+DIM, BRIGHT = 6.0, 8.0  # thresholds of the mirror's difference, either sign and brighter [grey levels]
+MOMENTS = 5  # moments of a map: centroid, spread, log sum
+QUANTILES = 96  # quantiles of the fringe intensities
+GREY = (0.299, 0.587, 0.114)  # weights of red, green, and blue (ITU-R BT.601)
 RIDGES = tuple(float(p) for p in np.logspace(-4, 3, 15))
 INNER_FOLDS = 4
 
@@ -38,30 +36,30 @@ Features = Float[np.ndarray, "n f"]
 
 
 def _grid(height: int, width: int) -> Float[np.ndarray, "p 5"]:
-    """1, x, y, x² and y² of every pixel of a view, x and y from -1 to 1."""
+    """1, x, y, x², and y² of every pixel, x and y from -1 to 1."""
     down, across = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     x, y = across.ravel(), down.ravel()
     return np.stack([np.ones_like(x), x, y, x**2, y**2], axis=1)
 
 
 def _moments(weights: Float32[np.ndarray, "n h w"]) -> Features:
-    """Centroid, spread and logarithm of the sum of maps ``[n 5]``; zeros for a map of zeros."""
+    """Centroid, spread, and log sum of maps ``[n 5]``."""
     sums = weights.reshape(len(weights), -1).astype(np.float64) @ _grid(*weights.shape[1:])
-    total = sums[:, :1] + 1.0  # one grey level of one pixel: a map of nothing has its centroid in the middle
+    total = sums[:, :1] + 1.0  # one grey level of one pixel centers an empty map
     centre, square = sums[:, 1:3] / total, sums[:, 3:] / total
     spread = np.sqrt(np.maximum(square - centre**2, 0.0))
     return np.concatenate([centre, spread, np.log(total)], axis=1)
 
 
 def mirror_moments(mirror: Float32[np.ndarray, "n h w"]) -> Features:
-    """Ten moments of the mirror's difference: of all that has changed, and of what has become brighter."""
+    """Return ten moments of the mirror's difference: of all changes, and of brighter pixels."""
     return np.concatenate(
         [_moments(np.maximum(np.abs(mirror) - DIM, 0)), _moments(np.maximum(mirror - BRIGHT, 0))], axis=1
     )
 
 
 def fringe_features(fringe: Float32[np.ndarray, "n h w"]) -> Features:
-    """Five moments of the fringes' difference, and its grey levels in order of size."""
+    """Return five moments of the fringes' difference, and its sorted grey levels."""
     ordered = -np.sort(-fringe.reshape(len(fringe), -1), axis=1)
     return np.concatenate(
         [_moments(np.maximum(np.abs(fringe) - FAINT, 0)), ordered[:, _picked(ordered.shape[1])]], axis=1
@@ -69,7 +67,6 @@ def fringe_features(fringe: Float32[np.ndarray, "n h w"]) -> Features:
 
 
 def _picked(pixels: int) -> Indices:
-    """Which of the ordered grey levels are looked at."""
     return np.linspace(0, pixels - 1, min(QUANTILES, pixels)).round().astype(np.int64)
 
 
@@ -80,15 +77,9 @@ def _pairs(count: int) -> tuple[Indices, Indices]:
 
 @dataclass(frozen=True, slots=True)
 class MirrorPlace:
-    """Place ``[n 2]`` as a quadratic function of the mirror's moments.
+    """Position ``[n 2]`` as a quadratic function of the mirror's moments, clipped to the trained range.
 
-    (x, y) = [z, zᵢ zⱼ] · weights + offset, with z = (moments - mean) / spread, and each moment brought into
-    the range that was learnt from: a square knows no bounds, and a view without a press has no place.
-
-    Attributes:
-        low, high: the least and the greatest of each moment.
-        scaler: their means and spreads.
-        weights, offset: of the quadratic function.
+    (x, y) = [z, zᵢ zⱼ] · weights + offset, with z = (moments - mean) / spread.
     """
 
     low: Float[np.ndarray, " m"]
@@ -99,7 +90,7 @@ class MirrorPlace:
 
     @classmethod
     def fit(cls, moments: Features, places: Values, groups: Shaped[np.ndarray, " n"]) -> MirrorPlace:
-        """Fit a ridge on moments and their products, its penalty chosen on inner folds of whole groups."""
+        """Fit a ridge on moments and their products, with the penalty from grouped inner folds."""
         scaler = Scaler.of(moments)
         terms = _quadratic(scaler.scaled(moments))
         its = Scaler.of(terms)
@@ -111,16 +102,15 @@ class MirrorPlace:
         return cls(low, high, scaler, weights, ridge.intercept_ - its.mean @ weights)
 
     def of_moments(self, moments: Features) -> Values:
-        """Places for the mirror's moments."""
         known = np.clip(moments, self.low, self.high)
         return np.asarray(_quadratic(self.scaler.scaled(known)) @ self.weights + self.offset)
 
     def predict(self, inputs: Tensor) -> Values:
-        """Places of inputs ``[n c h w]``, the mirror in their right half."""
+        """Positions of inputs ``[n c h w]`` with the mirror in the right half."""
         return self.of_moments(mirror_moments(_grey(inputs)[..., inputs.shape[3] // 2 :]))
 
     def add_to(self, graph: OnnxGraph, moments: str) -> str:
-        """Add the same map to a graph, from the name of the moments; returns the name of the place."""
+        """Add the map to a graph from the moments; returns the position's name."""
         known = graph.add("Max", [moments], {"low": self.low[None]})
         known = graph.add("Min", [known], {"high": self.high[None]})
         centred = graph.add("Sub", [known], {"mean": self.scaler.mean[None]})
@@ -133,27 +123,24 @@ class MirrorPlace:
         )
 
     def add_to_image(self, graph: OnnxGraph, shape: tuple[int, int, int]) -> str:
-        """Add `predict` to a graph, from its image on."""
+        """Add `predict` to a graph."""
         _, mirror = view_nodes(graph, shape)
         return self.add_to(graph, _mirror_nodes(graph, mirror, (shape[1], shape[2] // 2)))
 
 
 def _quadratic(z: Features) -> Float[np.ndarray, "n q"]:
-    """Features and the products of all pairs of them."""
     first, second = _pairs(z.shape[1])
     return np.concatenate([z, z[:, first] * z[:, second]], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
 class FittedMoments:
-    """A quadratic map for the place, and trees for depth and force.
+    """Fitted position map and trees.
 
     Attributes:
-        shape: (channels, height, width) of an input, the fringes left and the mirror right.
-        order: where each target asked for stands among x, y, depth and force.
-        place: from the mirror's moments.
-        trees: from all features.
-        scaler: of depth and force.
+        shape: (channels, height, width) of an input.
+        order: Index of each requested target among x, y, depth, and force.
+        scaler: Scaling of depth and force.
     """
 
     shape: tuple[int, int, int]
@@ -181,7 +168,7 @@ class FittedMoments:
 
 
 def features_of(inputs: Tensor) -> tuple[Features, Float[np.ndarray, "n g"]]:
-    """The mirror's moments, and all features, of inputs ``[n c h w]``."""
+    """Return the mirror's moments and all features of inputs ``[n c h w]``."""
     views, half = _grey(inputs), inputs.shape[3] // 2
     mirror = mirror_moments(views[..., half:])
     return mirror, np.concatenate([mirror, fringe_features(views[..., :half])], axis=1)
@@ -194,7 +181,7 @@ def _grey(inputs: Tensor) -> Float32[np.ndarray, "n h w"]:
 
 
 def view_nodes(graph: OnnxGraph, shape: tuple[int, int, int]) -> tuple[str, str]:
-    """Both views of ``image``, grey and flat ``[n p]``."""
+    """Return both views of ``image``, grey and flat ``[n p]``."""
     half, at = half_width(shape), "image"
     if shape[0] > 1:
         at = graph.add("Conv", [at], {"grey": np.array(GREY, np.float32)[None, :, None, None]})
@@ -207,7 +194,6 @@ def view_nodes(graph: OnnxGraph, shape: tuple[int, int, int]) -> tuple[str, str]
 
 
 def _mirror_nodes(graph: OnnxGraph, mirror: str, size: tuple[int, int]) -> str:
-    """`mirror_moments`."""
     changed = _moment_nodes(graph, _above(graph, graph.add("Abs", [mirror]), DIM), size)
     brighter = _moment_nodes(graph, _above(graph, mirror, BRIGHT), size)
     return graph.add("Concat", [changed, brighter], axis=1)
@@ -233,7 +219,7 @@ def _moment_nodes(graph: OnnxGraph, weights: str, size: tuple[int, int]) -> str:
 
 
 def _ordered_nodes(graph: OnnxGraph, view: str, pixels: int) -> str:
-    """Grey levels in order of size, largest first."""
+    """Grey levels, largest first."""
     name = f"ordered{len(graph.nodes)}"
     constant = f"all{len(graph.nodes)}"
     graph.constants[constant] = np.array([pixels], np.int64)
@@ -243,12 +229,7 @@ def _ordered_nodes(graph: OnnxGraph, view: str, pixels: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PalmMoments:
-    """Moments and trees, for differential crops, which are seen in grey.
-
-    Attributes:
-        trees: how many.
-        leaf_rows: rows in a leaf, at least.
-    """
+    """Settings of moments and trees, for differential crops."""
 
     trees: int = 150
     leaf_rows: int = 1

@@ -1,23 +1,10 @@
-"""The photoelastic palm's joint network: two residual networks on raw colour crops, two heads on both.
+"""The report's networks. Sizes that it does not state: heads with one hidden layer of 256 (ReLU).
 
-phi_F = ResNet18(fringe crop), phi_L = ResNet18(mirror crop), z = [phi_F, phi_L]; the force (x, y, normal) is
-one head's answer to z, the place (x, y) another's; the two mean squared errors count equally. The source
-names no size for the heads: here each has one hidden layer of 256 with a rectifier.
-
-The photoelastic palm's force-conditioned network: the place is estimated knowing the force.
-
-As the joint network, on differences from the untouched sensor; one head answers the normal force alone, and
-the other answers the place to [z, sg(F_z)]. The stop-gradient sg lets the force inform the place, and keeps
-the place's errors from reaching the force's head. Errors count, and heads are built, as in the joint network.
-
-The photoelastic palm's two-stage network: first where and how deep, then how hard.
-
-d = ResNet18(fringe difference) and (x, y) = ResNet18(mirror difference), both grey, each by one dense layer
-on its features; then (F_x, F_y, F_z, |F|) = MLP(d, x, y), which sees the image through those three numbers
-alone. All is trained at once: w_d l(d) + w_l l(x, y) + w_F l(F), l the Huber loss, so that the force's errors
-reach both residual networks too. The source names neither the weights nor the MLP's size: here the weights
-are 1, and the MLP has two hidden layers of 64 with rectifiers. The Huber loss bends at 1, in units of the
-target's spread where targets are standardised.
+Joint: z = [ResNet18(fringe), ResNet18(mirror)] of raw color crops; one head estimates the force, another the
+position, with equal mean squared errors. Force-conditioned: on differences; the normal force from z, the
+position from [z, sg(F_z)], where sg stops the gradient. Two-stage: d = ResNet18(fringe difference), (x, y) =
+ResNet18(mirror difference), grey; then (F_x, F_y, F_z, |F|) = MLP(d, x, y) with two hidden layers of 64.
+Huber losses with weights 1, trained jointly.
 """
 
 from __future__ import annotations
@@ -67,7 +54,7 @@ class JointNetwork(TwoTrunks):
 
 @dataclass(frozen=True)
 class PalmJointRaw(PalmModel):
-    """The joint multi-task network, for raw colour crops. See `PalmModel` for its options."""
+    """The joint network for raw color crops."""
 
     targets: ClassVar[tuple[str, ...]] = (*FORCES, *PLACE)
 
@@ -103,7 +90,7 @@ class ConditionedNetwork(TwoTrunks):
 
 @dataclass(frozen=True)
 class PalmForceConditioned(PalmModel):
-    """The force-conditioned network, for differential colour crops. See `PalmModel` for its options."""
+    """The force-conditioned network for differential color crops."""
 
     targets: ClassVar[tuple[str, ...]] = (FORCES[-1], *PLACE)
 
@@ -141,12 +128,10 @@ class TwoStageNetwork(PalmNetwork):
 
 @dataclass(frozen=True)
 class PalmTwoStage(PalmModel):
-    """The two-stage pipeline, for differential grey crops.
+    """The two-stage network for differential grey crops.
 
     Attributes:
-        depth_weight, place_weight, force_weight: w_d, w_l and w_F of the loss.
-
-    See `PalmModel` for the others; by default 50 epochs, stopped after 15 without gain on watched groups.
+        depth_weight, place_weight, force_weight: Weights of the losses.
     """
 
     epochs: int = 50

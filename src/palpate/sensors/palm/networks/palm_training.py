@@ -1,12 +1,4 @@
-"""Common parts of the palm's networks: two views in one image, and targets found by name.
-
-The photoelastic palm is seen twice: edge-on, where its fringes are, and in an angled mirror, where the
-indenter's place is. One image holds both, side by side: its left half is the fringe crop, its right half the
-mirror crop. Whether they are raw or differences from the untouched sensor, and grey or coloured, is decided
-before a network sees them.
-
-What the palm's torch networks share: their scalings, how they are trained, and how they leave as ONNX.
-"""
+"""Common parts of the palm's networks. An image holds both views: fringes left, mirror right."""
 
 from __future__ import annotations
 
@@ -40,11 +32,7 @@ SEEN_FOR_SCALE = 500
 
 
 def half_width(shape: tuple[int, int, int]) -> int:
-    """Columns of each view [px] in an image of (channels, height, width).
-
-    Raises:
-        InputError: the width is odd, so that the image is not two views of one size.
-    """
+    """Return the columns of each view in an image of (channels, height, width)."""
     if shape[2] % 2:
         raise InputError(
             f"an image {shape[2]} px wide is not two views side by side, the fringes left and the mirror "
@@ -54,11 +42,7 @@ def half_width(shape: tuple[int, int, int]) -> int:
 
 
 def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indices:
-    """Index of each of a model's targets among those asked for.
-
-    Raises:
-        InputError: they are not the same targets, in whatever order.
-    """
+    """Return the index of each of a model's targets among the requested ones."""
     if sorted(targets) != sorted(asked):
         raise InputError(
             f"{model} estimates {', '.join(targets)}, no fewer and no others; asked for were "
@@ -69,22 +53,18 @@ def columns_of(targets: Sequence[str], asked: Sequence[str], model: str) -> Indi
 
 
 MAX_VARIATION = 2.0
-SIDE_PX = 64  # of a view, for which the sizes in px are stated
+SIDE_PX = 64  # side of a view for which pixel sizes are stated
 
 
 def two_view_variation(strength: float, side_px: int) -> Vary | None:
-    """Changes of the one camera that sees both views, for inputs with the views side by side.
+    """Return random camera changes for inputs with two views side by side; None for strength 0.
 
-    Both are moved, lit and focused alike, each about its own middle, and nothing is moved from one into the
-    other. In differences from the untouched sensor that is a camera that had changed when the zero was taken,
-    too; one that has changed since is not to be learnt from differences.
+    Both views change alike, each about its own middle. In differences this is a camera that had changed
+    before the reference was taken.
 
     Args:
-        strength: of shift, turn, zoom, blur, brightness and noise; 0 gives None.
-        side_px: of a view.
-
-    Raises:
-        InputError: the strength is not from 0 to 2.
+        strength: Scale of shift, rotation, zoom, blur, brightness, and noise, 0 to 2.
+        side_px: Side of a view [px].
     """
     if not 0 <= strength <= MAX_VARIATION:
         raise InputError(f"variation {strength}: from 0, none, to {MAX_VARIATION:g}, twice the usual sizes")
@@ -106,14 +86,13 @@ def two_view_variation(strength: float, side_px: int) -> Vary | None:
 
 @dataclass(frozen=True)
 class Scales:
-    """Scales by which grey levels and targets become numbers of order one.
+    """Scaling of grey levels and targets.
 
     Attributes:
-        half: columns of each view [px].
-        level, contrast: mean and spread of the fringe view and of the mirror view, over the rows learnt from
-            [grey levels]. One for all channels, so that colours keep their proportions.
-        targets: the scaler of the model's targets, in the model's order.
-        order: where each target asked for stands in the model's order.
+        half: Columns of each view.
+        level, contrast: Mean and standard deviation of each view [grey levels], common to all channels.
+        targets: Scaler in the model's order.
+        order: Index of each requested target in the model's order.
     """
 
     half: int
@@ -131,14 +110,14 @@ class Scales:
         standardised: bool,
         rng: np.random.Generator,
     ) -> Scales:
-        """Scales of these rows.
+        """Return the scaling of training rows.
 
         Args:
-            data: images and values.
-            rows: those learnt from.
-            columns: of `TrainingData.values`, in the model's order.
-            standardised: whether targets are brought to zero mean and unit spread, or left in their units.
-            rng: draws the images that are looked at.
+            data: Images and values.
+            rows: Training rows.
+            columns: Columns of `TrainingData.values` in the model's order.
+            standardised: Whether targets are scaled to zero mean and unit variance.
+            rng: Source of the sampled images.
         """
         half = half_width(data.shape)
         seen = data.sample(rows, SEEN_FOR_SCALE, rng)
@@ -158,7 +137,7 @@ AT_ONCE = 64
 
 
 class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
-    """Grey levels of two views in, scaled values out; a kind says how by `answer`, and again by `draw`."""
+    """Two views in grey levels to scaled values; subclasses define `answer` and the same as ONNX, `draw`."""
 
     def __init__(self, scales: Scales) -> None:
         super().__init__()
@@ -174,34 +153,32 @@ class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
 
     @abstractmethod
     def answer(self, fringe: torch.Tensor, mirror: torch.Tensor) -> torch.Tensor:
-        """Scaled values ``[n t]``, in the model's order, of two scaled views ``[n c h w]``."""
+        """Scaled values ``[n t]`` in the model's order from two scaled views ``[n c h w]``."""
 
     @abstractmethod
     def draw(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
-        """The same as ONNX; returns the name of the node that holds the scaled values."""
+        """`answer` as ONNX; returns the node of the scaled values."""
 
     def trunks(self) -> list[ResNet18]:
-        """Its residual networks."""
         return [part for part in self.children() if isinstance(part, ResNet18)]
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Scaled values in the model's order: what the loss is taken of."""
+        """Scaled values in the model's order, for the loss."""
         fringe = (image[..., : self.half] - self.level[0]) / self.contrast[0]
         mirror = (image[..., self.half :] - self.level[1]) / self.contrast[1]
         return self.answer(fringe, mirror)
 
     def values(self, image: torch.Tensor) -> torch.Tensor:
-        """Values in the targets' units, in the order asked for."""
+        """Values in the targets' units and requested order."""
         return (self(image) * self.scale + self.mean)[:, self.order]
 
     def to_onnx(self, shape: tuple[int, int, int]) -> onnx.ModelProto:
-        """`values` as ONNX, for images of this shape."""
         graph = TorchGraph()
         self.value_nodes(graph, "value")
         return graph.model(shape, len(self.order))
 
     def value_nodes(self, graph: TorchGraph, output: str = "") -> str:
-        """Add `values` to a graph, from its image on."""
+        """Add `values` to a graph."""
         edges = (0, self.half, 2 * self.half)
         views = [
             graph.centred(graph.columns("image", edges[i], edges[i + 1]), self.level[i], self.contrast[i])
@@ -213,7 +190,7 @@ class PalmNetwork(nn.Module, ABC):  # type: ignore[misc]  # torch is seen as Any
 
 
 class TwoTrunks(PalmNetwork):
-    """A residual network for each view, whose features are joined: z = [phi_F, phi_L]."""
+    """A residual network for each view, with joined features z = [phi_F, phi_L]."""
 
     def __init__(self, channels: int, scales: Scales) -> None:
         super().__init__(scales)
@@ -224,12 +201,11 @@ class TwoTrunks(PalmNetwork):
         return torch.cat([self.fringe(fringe), self.mirror(mirror)], dim=1)
 
     def draw_joint(self, graph: TorchGraph, fringe: str, mirror: str) -> str:
-        """The same as ONNX."""
         return graph.joined(graph.add_layer(self.fringe, fringe), graph.add_layer(self.mirror, mirror))
 
 
 def dense(widths: Sequence[int]) -> nn.Sequential:
-    """Dense layers of these widths, the input's first, with rectifiers between them."""
+    """Return dense layers of these widths with rectifiers between them."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
         layers += [nn.Linear(before, after), nn.ReLU()]
@@ -255,23 +231,15 @@ class FittedPalm:
 
 @dataclass(frozen=True)
 class PalmModel(ABC):
-    """Settings of a network of the palm and its training: Adam, gradients clipped at a norm of 5.
+    """Settings of a network and its training with Adam; see `TrainingLoop` for those not listed.
 
     Attributes:
-        epochs: passes over the rows, at most.
-        batch: rows a step.
-        learning_rate: Adam's, unnamed in the source; None takes 1e-3 from scratch, 1e-4 from given weights.
-        weights: a `.safetensors` file of a ResNet-18 that every trunk begins with; empty begins from scratch.
-        standardised: whether the loss is of targets brought to zero mean and unit spread, so that their units
-            do not decide which counts most. The source does not say; False takes newtons and millimetres.
-        precision: "auto" multiplies in bfloat16 where that is fast, "float32" never.
-        patience: epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
-        watched: share of the groups watched, where `patience` is not 0.
-        falls: times that Adam's step falls before it stops; see `TrainingLoop`.
-        steps: of Adam in all, instead of epochs; 0 for none stated.
-        cosine: whether Adam's step falls along a cosine; see `TrainingLoop`.
-        variation: strength of what a camera does from day to day, drawn into training images, see
-            `two_view_variation`; 0 draws none.
+        learning_rate: None for 1e-3 from scratch and 1e-4 from given weights.
+        weights: A `.safetensors` file of a ResNet-18 that initializes every trunk; empty for random.
+        standardised: Whether the loss uses standardised targets instead of newtons and millimetres.
+        patience: Epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
+        watched: Fraction of groups watched with `patience`.
+        variation: Strength of `two_view_variation`; 0 for none.
     """
 
     epochs: int = 30
@@ -296,15 +264,12 @@ class PalmModel(ABC):
         self.descent()
 
     @abstractmethod
-    def network(self, channels: int, scales: Scales) -> PalmNetwork:
-        """The network before it has learnt."""
-
+    def network(self, channels: int, scales: Scales) -> PalmNetwork: ...
     @abstractmethod
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        """Loss that training makes small, of scaled values ``[n t]`` in the model's order."""
+        """Loss of scaled values ``[n t]`` in the model's order."""
 
     def descent(self) -> TrainingLoop:
-        """The training loop these options ask for."""
         rate = self.learning_rate if self.learning_rate is not None else 1e-4 if self.weights else 1e-3
         return TrainingLoop(
             self.epochs, self.batch, rate, self.patience, self.precision,

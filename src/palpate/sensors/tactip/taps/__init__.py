@@ -1,4 +1,4 @@
-"""Separate taps of a TacTip: pins given their names, a virtual tip fitted to them, and poses read by it."""
+"""Separate taps of a TacTip: pins identified, a virtual tip fitted, and poses read."""
 
 from palpate.sensors.tactip.taps.tap_folder import FolderFit, RegisteredTaps, fit_folder, register_taps
 from palpate.sensors.tactip.taps.tip_reader import PoseReadings, TipReader

@@ -1,4 +1,4 @@
-"""Taps in a folder: images with a table of poses, their pins named, and a tip fitted and judged."""
+"""Taps in a folder: images with a table of poses, pins identified, and a tip fitted and evaluated."""
 
 from __future__ import annotations
 
@@ -31,21 +31,20 @@ from palpate.sensors.tactip.taps.tip_reader import MIN_LEARNT, PoseReadings, Tip
 
 TABLE, IMAGES = "labels.csv", "images"
 NAMES = ("image_file", "image", "file")
-COVERED = 1.645  # standard deviations of a 90 % interval
-SMOOTH = 4  # degree of the polynomial that gives the pins at rest
+COVERED = 1.645  # normal quantile of a 90 % interval
+SMOOTH = 4  # degree of the smooth regression
 MIN_PINS = 37
-MAX_LOST = 0.4  # of the taps, whose pins could not be named
+MAX_LOST = 0.4  # maximum fraction of taps with unidentified pins
 
 
 @dataclass(frozen=True)
 class RegisteredTaps:
-    """Taps whose pins are named.
+    """Taps with identified pins.
 
     Attributes:
-        poses: `POSE` in its units ``[t 6]``.
-        places_px: of the pins, NaN where one was not found ``[t p 2]`` [px].
-        lost: taps that were left out, since their pins could not be named for sure.
-        layout: in which the pins stand.
+        poses: `POSE` in its units.
+        places_px: Pin positions, NaN where one was not found.
+        lost: Number of taps whose pins could not be identified.
     """
 
     poses: Float[ndarray, "t 6"]
@@ -57,18 +56,13 @@ class RegisteredTaps:
 def register_taps(
     folders: Sequence[Path], pins: int, progress: Progress = silent, layout: NamedPins | None = None
 ) -> list[RegisteredTaps]:
-    """Name the pins of the taps of one sensor, in one or several folders.
+    """Identify the pins of one sensor's taps in one or several folders.
 
     Args:
-        folders: each with ``labels.csv`` (a file's name and `POSE`) and its images, binarised, in ``images``.
-        pins: how many the tip has.
-        progress: called with how many images are read and named.
-        layout: of the tip's pins, where it is known.
-
-    Raises:
-        LabelError: no table, or one without a column or a value of the pose.
-        ImageError: an image that cannot be read.
-        InputError: too few taps, or too many whose pins cannot be named.
+        folders: Each with ``labels.csv`` (file name and `POSE`) and binarised images in ``images``.
+        pins: Number of pins.
+        progress: Callback for images read and identified.
+        layout: Known pin layout.
     """
     if pins < MIN_PINS:
         raise InputError(f"a tip of {pins} pins; give {MIN_PINS} or more", code="pin-count")
@@ -109,14 +103,12 @@ def register_taps(
 
 @dataclass(frozen=True)
 class FolderFit:
-    """A tip fitted to one folder of taps and judged by another.
+    """A tip fitted to one folder of taps and evaluated on another.
 
     Attributes:
-        reader: of poses, which holds the tip.
-        fit, judged: the tip and what it leaves.
-        learnt_px: what is left where the tip's learnt error is taken off as well [px rms].
-        known, new: the taps.
-        readings: of the new taps' poses.
+        learnt_px: Residual after correction by the learned error [px rms].
+        known, new: Taps of both folders.
+        readings: Readings of the new taps.
     """
 
     reader: TipReader
@@ -137,20 +129,17 @@ def fit_folder(
     seed: int = 0,
     progress: Progress = silent,
 ) -> FolderFit:
-    """Fit a tip to taps of one folder, learn to read poses from them, and judge both by another folder.
+    """Fit a tip to taps of one folder, and evaluate it and its reader on another.
 
     Args:
-        folder, judged_by: see `register_taps`; of the same sensor.
-        pins: how many the tip has.
-        taps: how many are fitted to, drawn from the first folder.
-        seed: of that draw.
-        progress: see `register_taps` and `fit_tip`.
-
-    Raises:
-        LabelError, ImageError, InputError: as `register_taps` and `fit_tip`.
+        folder, judged_by: Folders of one sensor, see `register_taps`.
+        pins: Number of pins.
+        taps: Number of taps drawn from the first folder for the fit.
+        seed: Seed of the draw.
+        progress: Callback, see `register_taps` and `fit_tip`.
     """
     if len(asked := _table(folder)[1]):
-        refuse_alike(asked)  # before minutes of naming pins
+        refuse_alike(asked)  # before the slow identification
     known, new = register_taps([folder, judged_by], pins, progress)
     some = np.random.default_rng(seed).permutation(len(known.poses))[:taps]
     poses, places = known.poses[some], known.places_px[some]
@@ -164,7 +153,7 @@ def fit_folder(
 
 
 def tip_record(found: FolderFit) -> dict[str, Any]:
-    """A fitted tip in plain numbers."""
+    """Return a fitted tip as plain values."""
     fit, judged = found.fit, found.judged
     return {
         "terms": {
@@ -190,7 +179,7 @@ def tip_record(found: FolderFit) -> dict[str, Any]:
 
 
 def reading_record(read: PoseReadings, poses: Float[ndarray, "t 6"], taps: int) -> dict[str, Any]:
-    """Errors of readings of taps of known pose, and the share that intervals hold, each coordinate."""
+    """Return errors and interval coverage of readings of known poses."""
     valid, off = read.valid, np.abs(read.poses - poses)
     held = off <= read.half_widths
 
@@ -214,7 +203,7 @@ def reading_record(read: PoseReadings, poses: Float[ndarray, "t 6"], taps: int) 
 def upright_places(
     fit: TipFit, known: RegisteredTaps, count: int = 4
 ) -> tuple[Float[ndarray, " d"], Float[ndarray, "d p 2"], Float[ndarray, "d p 2"]]:
-    """Depths [mm], and pins of upright taps there by smooth regression on the taps and by the twin [px]."""
+    """Return depths [mm], and pins of upright taps by smooth regression and by the fitted tip [px]."""
     poses = np.zeros((count, len(POSE)))
     shallow, deep = np.quantile(known.poses[:, 0], [0.1, 0.98])
     poses[:, 0] = np.linspace(shallow, deep, count)
@@ -255,7 +244,6 @@ def _table(folder: Path) -> tuple[list[str], Float[ndarray, "t 6"]]:
 
 
 def _image_path(folder: Path, name: str) -> Path:
-    """The image's, in the folder of images or beside the table."""
     return next(
         (one for one in (folder / IMAGES / name, folder / name) if one.is_file()), folder / IMAGES / name
     )

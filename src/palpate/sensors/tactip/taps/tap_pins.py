@@ -1,9 +1,7 @@
-"""Pins of separate taps of a TacTip given their names, each tap by its own image alone.
+"""Identify the pins of separate taps, each from its own image.
 
-Taps are no sequence, so that no pin can be followed, and a pose to be read is not known before. But pins
-stand on a lattice, in rings or hexagonal, and a touch bends it without tearing it: each is named by its cell
-(`estimators.lattice.pin_lattice`). Cells are counted from the field's middle and along the image, so that a
-tip turned by 30 degrees or more would take others' names.
+Each pin is named by its lattice cell (`estimators.lattice.pin_lattice`), counted from the field's middle; a
+tip rotated by 30 degrees or more would be misidentified.
 """
 
 from __future__ import annotations
@@ -21,25 +19,24 @@ from palpate.core.parsing import parser
 from palpate.estimators.lattice.pin_lattice import PinLattice, PinLayoutKind, name_pins
 from palpate.recordings.exchange.image_files import opencv_image
 
-Spots = Float[ndarray, "_ 2"]  # as many as each image has
+Spots = Float[ndarray, "_ 2"]  # number varies by image
 Layout = Float[ndarray, "p 2"]
 Cell = tuple[int, int]
 
-MIN_AREA, MAX_AREA = 0.4, 1.9  # of the median spot's: smaller are specks, larger run together
-SPECK_PX = 20.0  # spots below this area never count, so that a thousand specks cannot be the median [px^2]
-ROUND = 0.55  # least share of its box that a spot fills; a disc fills 0.79
-MIN_SHARE = 0.95  # of pins that a well-named tap has
-KIND_BY = 9  # taps that say what kind the layout is
+MIN_AREA, MAX_AREA = 0.4, 1.9  # area limits over the median spot's
+SPECK_PX = 20.0  # minimum area of a spot [px^2], so that many specks cannot set the median
+ROUND = 0.55  # minimum filled fraction of a spot's box; a disc has 0.79
+MIN_SHARE = 0.95  # minimum fraction of identified pins of a tap
+KIND_BY = 9  # taps that determine the lattice kind
 
 
 @dataclass(frozen=True)
 class NamedPins:
-    """How the pins of a tip stand, by which they are named in an image.
+    """Pin layout of a tip.
 
     Attributes:
-        size: height and width of the images [px].
-        kind: of the lattice.
-        cells: of the pins in it, in their order.
+        size: Height and width of the images [px].
+        cells: Lattice cells of the pins in their order.
     """
 
     size: tuple[int, int]
@@ -49,11 +46,7 @@ class NamedPins:
 
 @parser("tap image", ImageError, max_bytes=1 << 30)
 def read_image(path: Path) -> UInt8[ndarray, "h w"]:
-    """An image of a file, 8-bit grey.
-
-    Raises:
-        ImageError: it cannot be read.
-    """
+    """Read an image file as 8-bit grey."""
     image = None
     if path.is_file():
         with storage_errors(path):
@@ -65,7 +58,7 @@ def read_image(path: Path) -> UInt8[ndarray, "h w"]:
 
 
 def spots(image: UInt8[ndarray, "h w"]) -> Spots:
-    """Centres (x, y) of the round bright spots of one size in a binarised image [px]."""
+    """Return centres (x, y) of the round bright spots of similar size in a binarised image [px]."""
     _, _, stats, centres = cv2.connectedComponentsWithStats((image > 127).astype(np.uint8), connectivity=4)
     box = np.asarray(stats[1:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]], np.float64)
     area, at = np.asarray(stats[1:, cv2.CC_STAT_AREA], np.float64), np.asarray(centres[1:], np.float64)
@@ -78,11 +71,7 @@ def spots(image: UInt8[ndarray, "h w"]) -> Spots:
 
 
 def layout_kind(found: Sequence[Spots], size: tuple[int, int]) -> PinLayoutKind:
-    """What kind of lattice most of a few taps' spots stand on.
-
-    Raises:
-        InputError: none.
-    """
+    """Return the most common lattice kind of a few taps' spots."""
     some = np.linspace(0, len(found) - 1, min(KIND_BY, len(found))).astype(int)
     named = [name_pins(found[i], size) for i in dict.fromkeys(some.tolist())]
     kinds = Counter(each.kind for each in named if each is not None)
@@ -96,11 +85,7 @@ def layout_kind(found: Sequence[Spots], size: tuple[int, int]) -> PinLayoutKind:
 
 
 def pin_cells(named: Iterable[PinLattice | None], pins: int) -> list[Cell]:
-    """Cells of a tip's pins: those that are there in more than half of its taps, in order.
-
-    Raises:
-        InputError: they are not as many as the tip has pins.
-    """
+    """Return the cells seen in more than half of the taps, in order."""
     there = [each for each in named if each is not None]
     seen = Counter(cell for each in there for cell in map(tuple, each.cells.tolist()))
     cells = sorted(cell for cell, count in seen.items() if 2 * count > len(there))
@@ -114,7 +99,7 @@ def pin_cells(named: Iterable[PinLattice | None], pins: int) -> list[Cell]:
 
 
 def placed(spots_px: Spots, lattice: PinLattice | None, cells: Sequence[Cell]) -> Layout:
-    """Places of the pins of one tap in the order of their cells [px]; NaN for those not found."""
+    """Return the pins of one tap in the order of their cells [px]; NaN for missing ones."""
     places = np.full((len(cells), 2), np.nan)
     if lattice is not None:
         order = {cell: i for i, cell in enumerate(cells)}
@@ -131,21 +116,14 @@ def named_taps(
     progress: Progress = silent,
     layout: NamedPins | None = None,
 ) -> tuple[Float[ndarray, "t p 2"], NamedPins]:
-    """Places of the pins of many taps, and the layout by which they were named.
-
-    A tap of which fewer than 95 % of the pins were found is all NaN: one that lost a border may be counted
-    from another middle.
+    """Return pin positions of many taps and their layout; taps with under 95 % of the pins are NaN.
 
     Args:
-        found: spots of every tap [px].
-        size: height and width of the images [px].
-        pins: how many the tip has.
-        progress: called with how many taps are named.
-        layout: of the tip's pins, where it is known.
-
-    Raises:
-        ImageError: images of another size than the layout's.
-        InputError: spots stand on no lattice, or on one of another number of pins.
+        found: Spots of every tap [px].
+        size: Height and width of the images [px].
+        pins: Number of pins.
+        progress: Callback for identified taps.
+        layout: Known pin layout.
     """
     if layout is not None and layout.size != size:
         raise ImageError(

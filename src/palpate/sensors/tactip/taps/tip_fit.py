@@ -1,8 +1,7 @@
-"""Terms of a TacTip fitted to taps of known pose, with intervals; and smooth regression as the floor.
+"""Fit the terms of a TacTip to taps of known pose, with intervals, and compare with smooth regression.
 
-Taps are the units: pins of one tap err together (slip, a pose's error), so covariances are those of scores
-summed over taps (cluster-robust; K.-Y. Liang and S. L. Zeger, Biometrika 73 (1986) 13,
-doi:10.1093/biomet/73.1.13), and a tap counts as `TELLS` numbers beside the prior, however many pins it has.
+Pin errors of one tap are correlated, so covariances are cluster-robust (K.-Y. Liang and S. L. Zeger,
+Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13), and a tap counts as `TELLS` independent values.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from palpate.estimators.unit_fit import correlated_pairs, untold_terms
 from palpate.sensors.tactip.posed_tip import PosedTip, TipTerms
 from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial, told_by
 
-MIN_TAPS = 8  # of which the prior tells most
-TELLS = 10.0  # numbers that a tap tells
-ERR_PX = 4.0  # by which pins of a tap differ from the best of tips; it weighs taps against the prior
+MIN_TAPS = 8  # minimum number of taps
+TELLS = 10.0  # effective number of independent values per tap
+ERR_PX = 4.0  # model error of a pin, which weights taps against the prior
 DEGREES = (2, 3, 4)
-UPRIGHT_PX = 0.2  # by which the pins of an upright tap are known, from all taps together
-COURSE = np.linspace(0.05, 0.95, 8)  # of the taps' depths
+UPRIGHT_PX = 0.2  # accuracy of the smoothed pins of an upright tap
+COURSE = np.linspace(0.05, 0.95, 8)  # quantiles of depth of the upright poses
 COURSE_DEGREE = 4
-COURSE_SHARE = 0.1  # upright poses of the course together count as such a share of the taps, known so well
+COURSE_SHARE = 0.1  # weight of all upright poses over the taps'
 ROUNDS = 60
 
 SPREAD = TipTerms(
@@ -37,7 +36,7 @@ SPREAD = TipTerms(
     shear_fade_rad=0.15, twist_rad=0.5, twist_per_contact=1.0, twist_fade_rad=0.15, shear_far=0.1,
     seat_x_rad=0.05, seat_y_rad=0.05,
 )  # fmt: skip
-"""How far terms may lie from `TipTerms`' defaults before any tap is seen: standard deviations. Assumed."""
+"""Prior standard deviations of the terms about the defaults of `TipTerms`. Assumed."""
 _BOUNDS = [[d + side * 8 * sd for d, sd in zip(TipTerms(), SPREAD, strict=True)] for side in (-1, 1)]
 MIN_TERMS = TipTerms(*_BOUNDS[0])._replace(
     lever_mm=0.0, camera_mm=22.0, distortion=-0.4, edge_rad=0.4, slip_mm=0.05, slip_power=0.3,
@@ -52,14 +51,7 @@ Course = tuple[Float[ndarray, "k 6"], Float[ndarray, "k p 2"]]
 
 @dataclass(frozen=True)
 class TipFit:
-    """A fitted tip.
-
-    Attributes:
-        tip: whose pins they are.
-        terms: most probable.
-        covariance: of the terms.
-        taps: to which it was fitted.
-    """
+    """A fitted tip: most probable terms, their covariance, and the number of taps."""
 
     tip: PosedTip
     terms: TipTerms
@@ -68,31 +60,29 @@ class TipFit:
 
     @property
     def spread(self) -> TipTerms:
-        """Standard deviation of each term."""
         return TipTerms(*np.sqrt(np.diag(self.covariance)).tolist())
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Terms of which the taps tell hardly more than was assumed."""
+        """Terms whose uncertainty is hardly below the prior's."""
         return untold_terms(TipTerms._fields, np.diag(np.square(SPREAD)), self.covariance)
 
     @property
     def tied(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of terms that cannot be told apart: one may go up with the other."""
+        """Pairs of strongly correlated terms."""
         return correlated_pairs(TipTerms._fields, self.covariance)
 
 
 @dataclass(frozen=True)
 class TipJudgement:
-    """A tip against taps that it was not fitted to; all root mean squares over pins [px].
+    """Evaluation of a tip on taps outside its fit; rms over pins [px].
 
     Attributes:
-        residual_px: of the tip.
-        floor_px: of the best smooth regression on the pose, fitted to all known taps.
-        floor_degree: its degree.
-        motion_px: of the pins from rest.
-        shift_px: of the tip's residual, what all pins of a tap share.
-        by_pin_px: of the tip, each pin ``[p]``.
+        residual_px: Residual of the tip.
+        floor_px: Residual of the best smooth regression on the pose, of degree `floor_degree`.
+        motion_px: Motion of the pins from rest.
+        shift_px: Part of the residual common to all pins of a tap.
+        by_pin_px: Residual of each pin.
     """
 
     residual_px: float
@@ -109,15 +99,11 @@ def fit_tip(
     """Fit the terms of a tip to taps.
 
     Args:
-        tip: with the pins at rest.
-        poses: of the taps, `POSE` in its units.
-        places: of the taps' pins; NaN where one was not found [px].
-        progress: called with rounds of the fit.
-        upright: as `upright_course` gives it of all taps there are, which the tip is to follow closely; None
-            for too few taps.
-
-    Raises:
-        InputError: fewer than 8 taps, shapes that do not fit, or poses that do not differ in something.
+        tip: Tip with the pins at rest.
+        poses: Poses in the units of `POSE`.
+        places: Pin positions; NaN where one was not found [px].
+        progress: Callback for the rounds.
+        upright: Smoothed upright poses of `upright_course` with a large weight; None for too few taps.
     """
     if len(poses) != len(places) or len(poses) < MIN_TAPS or places.shape[1:] != tip.rest_px.shape:
         raise InputError(
@@ -165,21 +151,14 @@ def fit_tip(
 
 
 def refuse_alike(poses: Poses) -> None:
-    """Refuse taps whose poses do not differ in something.
-
-    Raises:
-        InputError: a coordinate of the pose that all taps share.
-    """
+    """Reject taps that share a component of the pose."""
     still = [name for name, spread in zip(_POSE_NAMES, np.ptp(poses, axis=0), strict=True) if not spread > 0]
     if still:
         raise InputError(f"all taps have the same {', '.join(still)}; vary it", code="pose-constant")
 
 
 def upright_course(poses: Poses, places: Places) -> Course | None:
-    """Upright poses over the taps' depths, and the pins there by smooth regression on all taps [px].
-
-    None where the taps are too few for the regression's degree.
-    """
+    """Return upright poses over the taps' depths with their smoothed pins [px]; None for too few taps."""
     if told_by(poses, COURSE_DEGREE) < COURSE_DEGREE:
         return None
     course = np.zeros((len(COURSE), poses.shape[1]))
@@ -192,7 +171,7 @@ def judge_tip(
     known: tuple[Poses, Places],
     new: tuple[Float[ndarray, "n 6"], Float[ndarray, "n p 2"]],
 ) -> TipJudgement:
-    """Compare a tip with a smooth regression on the pose, fitted to all of `known`, on new taps."""
+    """Compare a tip with smooth regressions fitted to `known`, on new taps."""
     poses, places = new
     off = fit.tip.places_px(fit.terms, poses) - places
     floors = {}
@@ -211,7 +190,7 @@ def judge_tip(
 
 
 def _oriented(tip: PosedTip, poses: Poses, places: Places) -> TipTerms:
-    """The usual terms with tilt, shear and twist turned as the image has them, in eighths of a turn."""
+    """Default terms with tilt, shear, and twist rotated to the image, in eighths of a turn."""
     some = np.linspace(0, len(poses) - 1, min(len(poses), 120)).astype(int)
 
     def nearest(candidates: Sequence[TipTerms]) -> TipTerms:

@@ -1,11 +1,9 @@
-"""Poses of taps read by a tip's twin and what is known of the twin's error, with intervals.
+"""Read poses of taps by a fitted tip and its learned error, with intervals.
 
-The twin says where pins are at a pose, `TwinError` by how much it is off there. A pose is the most probable
-one for the pins seen, found by damped Gauss-Newton steps from the middle of the range. Half-widths are of the
-known taps themselves, each read as if it had not been known: the quantile of their errors, in standard
-deviations of the reading (conformal with taps left out in turn; R. J. Tibshirani and others, Annals of
-Statistics 49 (2021) 486, doi:10.1214/20-AOS1965). Where taps are few they are left out of the tip's fit as
-well, a fifth at a time; where they are many, of what is learnt of its error alone.
+A pose is the most probable one, by damped Gauss-Newton steps from the middle of the range. Half widths are
+leave-one-out conformal quantiles of the known taps' errors in standard deviations (R. J. Tibshirani and
+others, Annals of Statistics 49 (2021) 486, doi:10.1214/20-AOS1965). Few taps are also left out of the tip's
+fit, a fifth at a time; many only of the learned error.
 """
 
 from __future__ import annotations
@@ -22,16 +20,16 @@ from palpate.sensors.tactip.taps.tip_fit import TipFit, fit_tip, refuse_alike, u
 from palpate.sensors.tactip.taps.twin_error import FieldModes, TwinError
 
 COVERAGE = 0.9
-MIN_LEARNT = 10  # taps: so many that a fold less still fits a tip
+MIN_LEARNT = 10  # minimum number of taps
 STEPS = 12
 REST_DEGREE = 4
-MIN_MILD = 8  # taps that tell the pins at rest
+MIN_MILD = 8  # minimum taps that determine the pins at rest
 MILD_SHARE = 0.1
-BEYOND = 1.1  # half ranges, to which poses are read
+BEYOND = 1.1  # limit of poses in half ranges
 MIN_PINS_SEEN = 0.6
 FOLDS = 5
-REFITTED_BELOW = 150  # taps, so few that the fit's terms themselves make readings of these taps better
-UNLIKE = 0.99  # of the known taps are more like the twin and its error than a tap that is refused
+REFITTED_BELOW = 150  # number of taps below which the fit's optimism matters
+UNLIKE = 0.99  # quantile of the known taps' misfit that sets the limit
 
 Poses = Float[ndarray, "t 6"]
 Places = Float[ndarray, "t p 2"]
@@ -42,11 +40,11 @@ class PoseReadings:
     """Poses read.
 
     Attributes:
-        poses: `POSE` in its units ``[t 6]``; NaN where no pins were named.
-        half_widths: of intervals of 90 % ``[t 6]``.
-        misfit: how unlike the tip a tap is: Mahalanobis' distance squared over the number of modes ``[t]``.
-        within: whether the pose is inside the range of the known taps ``[t]``.
-        like: whether the misfit is one that known taps have ``[t]``.
+        poses: `POSE` in its units; NaN where no pins were identified.
+        half_widths: Half widths of 90 % intervals.
+        misfit: Squared Mahalanobis distance over the number of modes.
+        within: Whether the pose is inside the range of the known taps.
+        like: Whether the misfit is in the range of the known taps.
     """
 
     poses: Poses
@@ -57,7 +55,6 @@ class PoseReadings:
 
     @property
     def valid(self) -> Bool[ndarray, " t"]:
-        """Which readings may be used."""
         return self.within & self.like & np.isfinite(self.poses[:, 0])
 
 
@@ -66,12 +63,10 @@ class TipReader:
     """A fitted tip that reads poses.
 
     Attributes:
-        tip: with the pins at rest.
-        terms: of it.
-        error: the twin's.
-        pixel_px: standard deviation of a pin's coordinate beside the modes.
-        widths: half-widths over the readings' standard deviations ``[6]``.
-        limit: of the misfit.
+        error: Learned error of the tip.
+        pixel_px: Standard deviation of a pin's coordinate outside the modes.
+        widths: Half widths over the readings' standard deviations.
+        limit: Maximum misfit.
     """
 
     tip: PosedTip
@@ -83,11 +78,7 @@ class TipReader:
 
     @classmethod
     def learnt(cls, fit: TipFit, poses: Poses, places: Places, progress: Progress = silent) -> TipReader:
-        """A reader from a fitted tip and the taps that it was fitted to.
-
-        Raises:
-            InputError: fewer than 10 taps.
-        """
+        """Build from a fitted tip and its taps."""
         if len(poses) < MIN_LEARNT:
             raise InputError(f"{len(poses)} taps; give {MIN_LEARNT} or more", code="too-few-taps")
         plain = cls.plain(fit, poses, places)
@@ -101,7 +92,7 @@ class TipReader:
 
     @classmethod
     def plain(cls, fit: TipFit, poses: Poses, places: Places) -> TipReader:
-        """A reader whose intervals are not set yet."""
+        """Build without calibrated intervals."""
         modes = FieldModes.over(fit.tip.rest_px)
         off = places - fit.tip.places_px(fit.terms, poses)
         error = TwinError.learnt(poses, modes.of(off))
@@ -109,26 +100,21 @@ class TipReader:
 
     @cached_property
     def modes(self) -> FieldModes:
-        """Modes of the field of pins."""
         return FieldModes.over(self.tip.rest_px)
 
     @cached_property
     def precision(self) -> Float[ndarray, "m m"]:
-        """Inverse covariance of a tap's amplitudes about what its pose tells [1/px^2]."""
+        """Inverse covariance of a tap's amplitudes given its pose [1/px^2]."""
         C = self.error.covariance
         return np.linalg.inv(C + self.pixel_px**2 * np.eye(len(C)))
 
     def expected_px(self, poses: Poses) -> Places:
-        """Places of the pins at poses, the tip's learnt error taken off [px]."""
+        """Pin positions at poses, corrected by the learned error [px]."""
         x, y = np.split(self.error.at(poses), 2, axis=1)
         return np.asarray(self.tip.places_px(self.terms, poses) + self.modes.field(x, y))
 
     def read(self, places: Places) -> PoseReadings:
-        """Read the poses of taps from the places of their pins [px].
-
-        Raises:
-            InputError: places of another number of pins.
-        """
+        """Read the poses of taps from their pins [px]."""
         if places.ndim != 3 or places.shape[1:] != self.tip.rest_px.shape:
             raise InputError(
                 f"places of shape {list(places.shape)}; this tip has [taps, {len(self.tip.rest_px)}, 2]"
@@ -146,9 +132,9 @@ class TipReader:
     def told(
         self, places: Places, without: Int[ndarray, " t"] | None = None
     ) -> tuple[Poses, Poses, Float[ndarray, " t"]]:
-        """Poses, their standard deviations and misfits; each as if one known tap had not been seen."""
+        """Poses, standard deviations, and misfits; with `without`, each as if one known tap were unknown."""
         seen, scale, S = self.modes.of(places - self.tip.rest_px), self.error.scale, self.precision
-        prior = np.diag(3 / scale.half**2)  # of an even distribution over the range
+        prior = np.diag(3 / scale.half**2)  # of a uniform distribution over the range
         poses = np.repeat(scale.middle[None], len(places), axis=0)
 
         def expected(poses: Poses) -> Float[ndarray, "t m"]:
@@ -182,7 +168,7 @@ class TipReader:
 
 
 def _read_by_others(poses: Poses, places: Places, progress: Progress) -> tuple[Poses, Poses]:
-    """Every tap's pose and standard deviation by a tip that was fitted to other taps."""
+    """Pose and standard deviation of every tap by a tip fitted to other taps."""
     read, spread = np.empty_like(poses), np.empty_like(poses)
     fold = np.arange(len(poses)) % FOLDS
     for k in range(FOLDS):
@@ -196,23 +182,20 @@ def _read_by_others(poses: Poses, places: Places, progress: Progress) -> tuple[P
 def fit_pins(
     poses: Poses, places: Places, progress: Progress = silent, *, closely_upright: bool = True
 ) -> TipFit:
-    """Fit a tip whose pins at rest are not known: they are told by the mildest taps, through the tip itself.
+    """Fit a tip with unknown pins at rest, which the mildest taps determine.
 
     Args:
-        poses: of the taps, `POSE` in its units.
-        places: of their pins, NaN where one was not found [px].
-        progress: see `fit_tip`.
-        closely_upright: see `fit_tip`; where the taps are enough for it.
-
-    Raises:
-        InputError: as `fit_tip`.
+        poses: Poses in the units of `POSE`.
+        places: Pin positions; NaN where one was not found [px].
+        progress: Callback for the rounds.
+        closely_upright: Whether to use `upright_course`.
     """
     refuse_alike(poses)
     shallow = float(poses[:, 0].min())
     rest_pose = np.array([[shallow, 0, 0, 0, 0, 0]])
     rest = PosePolynomial.fitted(poses, places, told_by(poses, REST_DEGREE)).at(rest_pose)[0]
     course = upright_course(poses, places) if closely_upright else None
-    if course is not None:  # taps enough for the polynomial
+    if course is not None:
         return fit_tip(PosedTip(rest, shallow), poses, places, progress, upright=course)
     fit = fit_tip(PosedTip(rest, shallow), poses, places, progress)
     spread = poses.std(axis=0)

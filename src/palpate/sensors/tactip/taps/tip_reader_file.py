@@ -22,7 +22,7 @@ FILE = "reader.json"
 
 
 def reader_record(reader: TipReader, layout: NamedPins) -> dict[str, Any]:
-    """A reader and its pins' layout in plain numbers, as `load_reader` takes them."""
+    """Return a reader and its pin layout as plain values."""
     error = reader.error
     return {
         "format": FORMAT, "size": list(layout.size), "kind": layout.kind,
@@ -37,12 +37,7 @@ def reader_record(reader: TipReader, layout: NamedPins) -> dict[str, Any]:
 
 @parser("tip reader", InputError)
 def load_reader(folder: Path) -> tuple[TipReader, NamedPins]:
-    """A reader and its pins' layout from a fitted tip's folder.
-
-    Raises:
-        InputError: no such file, or one whose numbers make no reader.
-        StorageError: it cannot be read.
-    """
+    """Load a reader and its pin layout from a fitted tip's folder."""
     path = folder / FILE
     if not path.is_file():
         raise InputError(f"there is no {path}; `palpate calibrate --method tip-pose` makes one")
@@ -86,11 +81,7 @@ def _made(record: dict[str, Any]) -> tuple[TipReader, NamedPins]:
 def read_images(
     reader: TipReader, layout: NamedPins, paths: Sequence[Path], progress: Progress = silent
 ) -> list[dict[str, Any]]:
-    """Poses of images of taps, each with its interval, whether it is valid, and why not.
-
-    Raises:
-        ImageError: an image that cannot be read, or of another size than the reader's.
-    """
+    """Read poses of tap images, with intervals, validity, and reason."""
     rows = []
     for i, path in enumerate(paths):
         progress("reading taps", i, len(paths))

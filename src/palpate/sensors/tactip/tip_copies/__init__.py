@@ -1,4 +1,4 @@
-"""Copies of the TacTip: constants found from a few presses of known force, forces read, weights checked."""
+"""TacTip units: constants fitted to a few presses of known force, forces read, and weight checks."""
 
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress, known_presses, pins_between
 from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, TipCopy, designed_tip

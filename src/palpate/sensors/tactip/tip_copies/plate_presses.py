@@ -1,4 +1,4 @@
-"""Presses of a TacTip on a flat rigid plate: two frames each, their pins by name, and known forces."""
+"""Presses of a TacTip on a flat rigid plate: two frames with identified pins, and known forces."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from palpate.recordings.exchange.press_table import read_press_table
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
 
-MIN_SHARE = 0.06  # of the greatest force, below which a frame tells little
-MIN_NAMED = 0.9  # of the pins, seen in both frames
-AIR_FRAMES = 1  # before a press, that show the untouched tip
+MIN_SHARE = 0.06  # minimum force over the maximum
+MIN_NAMED = 0.9  # minimum fraction of pins identified in both frames
+AIR_FRAMES = 1  # untouched frames before a press
 
 Places = Float[ndarray, "p 2"]
 
@@ -29,13 +29,12 @@ class PlatePress:
     """A press on a flat rigid plate.
 
     Attributes:
-        rest_px: pins (x, y) of the untouched tip [px].
-        moved_px: the same pins under load; NaN where one is not seen [px].
-        cells: of them on their lattice, in order.
-        force_n: None where it is not known [N].
-        force_sd_n: standard deviation of it [N].
-        position_m: of a stage along the tip's axis, rising into the plate; None where it is not known [m].
-        approach: number of the approach; positions of one approach share their zero.
+        rest_px, moved_px: Pins untouched and under load; NaN where one is not seen [px].
+        cells: Lattice cells of the pins, in order.
+        force_n: Known force [N] or None.
+        force_sd_n: Standard deviation of the force [N].
+        position_m: Stage position along the tip's axis, rising into the plate [m], or None.
+        approach: Number of the approach, whose positions share a zero.
     """
 
     rest_px: Places
@@ -59,16 +58,8 @@ class PlatePress:
 def pins_between(
     reference: Shaped[ndarray, ...], image: Shaped[ndarray, ...], pins: int
 ) -> tuple[Places, Places, Int[ndarray, "p 2"]]:
-    """Pins of an untouched frame, where they are under load, and their cells.
-
-    Each frame's pins are named by their own lattice, so that the frames need not follow each other.
-
-    Args:
-        reference, image: 8-bit grey or colour, of one size.
-        pins: how many the tip has.
-
-    Raises:
-        ImageError: frames of two sizes, pins that cannot be named, or of another tip's number.
+    """Return pins of an untouched frame, their positions under load, and their cells; each frame is
+    identified alone.
     """
     if reference.shape != image.shape:
         raise ImageError(
@@ -106,7 +97,7 @@ def _named(frame: Shaped[ndarray, ...]) -> dict[tuple[int, int], tuple[float, fl
 
 @dataclass(frozen=True, eq=False)
 class _Loaded:
-    """A frame under load, its untouched frame, and what the table says."""
+    """A frame under load, its reference, and its labels."""
 
     reference: ndarray
     image: ndarray
@@ -118,19 +109,14 @@ class _Loaded:
 def known_presses(
     paths: Sequence[Path], count: int, pins: int, *, force_share: float = 0.005, force_sd_n: float = 0.03
 ) -> list[PlatePress]:
-    """Presses of known force out of recordings, spread over force and over the approaches there are.
+    """Return presses of known force from recordings, with evenly spaced forces and balanced approaches.
 
     Args:
-        paths: each a folder of presses with specimens.csv (those on a rigid plate are taken), a run of one
-            press, whose first frame is untouched, or a run whose labels name `press` and `reference`.
-        count: of frames under load that are taken.
-        pins: how many the tip has.
-        force_share, force_sd_n: standard deviation of a known force, as a share and in newtons [N].
-
-    Raises:
-        InputError: no such recording, or too few frames.
-        LabelError: a run without forces.
-        ImageError: pins that cannot be named.
+        paths: Folders of presses with specimens.csv (rigid ones are used), runs of one press whose first
+            frame is untouched, or runs with labels `press` and `reference`.
+        count: Number of frames under load.
+        pins: Number of pins.
+        force_share, force_sd_n: Standard deviation of the force, relative and absolute [N].
     """
     loaded = [one for path in paths for one in _loaded(path)]
     approaches = {
@@ -151,7 +137,7 @@ def known_presses(
 
 
 def _spread(able: Sequence[_Loaded], count: int) -> list[_Loaded]:
-    """Frames at even forces, each of the approach that was taken least and is near in force."""
+    """Frames at even forces, preferably of the least used approach."""
     low, high = min(o.force_n for o in able), max(o.force_n for o in able)
     left, used, chosen = list(able), dict.fromkeys((o.approach for o in able), 0), []
     for wanted in np.linspace(low, high, count):
@@ -180,7 +166,7 @@ def _loaded(path: Path) -> Iterator[_Loaded]:
 
 
 def _of_press(tiff: Path, table: Path, number: int) -> Iterator[_Loaded]:
-    """Frames of the way down of one press."""
+    """Frames of the loading of one press."""
     with open_sequence(tiff) as frames:
         told = read_press_table(table, len(frames))
         images = [np.array(image) for image in frames]

@@ -1,12 +1,8 @@
-"""One copy of the TacTip: by which terms it differs from its design, and how far presses tell them.
+"""One TacTip unit: its terms and their prior.
 
-On a flat rigid plate a picture of the pins depends on depth, on how the plate is seated, on the ratio of the
-moduli of skin and gel, and on pins and camera: on both moduli together it does not. The force is in
-proportion to them. So a picture alone tells depth and shape, and known forces tell the stiffness.
-
-All of it is one estimate, as of the palm: terms of the copy with a prior, what is unknown of each press, pins
-as they were found, and known forces and positions where there are any. A calibration, a reading and a check
-by a known weight differ in what is known beforehand, and in nothing else.
+On a flat rigid plate an image determines depth, alignment, the ratio of skin and gel moduli, pins, and
+camera; the force is proportional to the moduli and determines the stiffness. Calibration, reading, and weight
+check are one estimate that differs only in the prior.
 """
 
 from __future__ import annotations
@@ -27,10 +23,9 @@ COPY_TERMS = (
     "stiffness", "ratio", "lever_mm", "camera_mm", "distortion", "edge_rad", "axis_x_mm", "axis_y_mm",
     "seat_x_rad", "seat_y_rad",
 )  # fmt: skip
-"""Logarithm of the force at `STATED_MM` of depth over the design's, and of the skin's modulus over the gel's;
-length of the pins; height of the pinhole above the apex; the lens's distortion at the outermost ring of pins,
-and the polar angle of that ring's roots; where the dome's axis stands beside the camera's; and how the usual
-plate leans, as the turn of the contact about the dome's centre."""
+"""Log force at `STATED_MM` over the design's; log ratio of skin and gel moduli; length of the pins; height of
+the pinhole above the apex; lens distortion at the outermost ring, and polar angle of its roots; offset of the
+dome's axis from the camera's; usual rotation of the contact about the dome's centre."""
 
 STATED_MM = 3.0  # depth at which the stiffness is stated
 
@@ -38,7 +33,7 @@ SPREADS = {
     "stiffness": 0.25, "ratio": 0.6, "lever_mm": 0.3, "camera_mm": 3.0, "distortion": 0.04, "edge_rad": 0.015,
     "axis_x_mm": 0.5, "axis_y_mm": 0.5, "seat_x_rad": 0.015, "seat_y_rad": 0.015,
 }  # fmt: skip
-"""By how much copies differ from their design, as standard deviations. Assumed."""
+"""Standard deviations of units about their design. Assumed."""
 
 TermVector = Float[ndarray, " t"]
 TermCovariance = Float[ndarray, "t t"]
@@ -46,15 +41,14 @@ TermCovariance = Float[ndarray, "t t"]
 
 @dataclass(frozen=True, eq=False)
 class TipCopy:
-    """A copy of the TacTip.
+    """A unit of the TacTip.
 
     Attributes:
-        spec: the TacTip as designed.
-        terms: see `COPY_TERMS`.
-        covariance: of them.
-        rest_px: its untouched pins, (x, y) from their middle; None where none was seen yet [px].
-        cells: of these pins on their lattice.
-        limit_off: greatest misfit of a picture over the pins' motion that still is this copy's.
+        spec: Design.
+        terms: Values of `COPY_TERMS`.
+        rest_px: Untouched pins (x, y) from their middle [px]; None before the first press.
+        cells: Lattice cells of these pins.
+        limit_off: Maximum misfit of an image over the pins' motion.
     """
 
     spec: TacTipSpec
@@ -66,52 +60,43 @@ class TipCopy:
 
     @property
     def optics(self) -> TipOptics:
-        """Lever, camera and lens."""
         return TipOptics(*self.terms[2:6].tolist())
 
     @property
     def stiffness_share(self) -> float:
-        """Standard deviation of the force at a depth of 3 mm, as a share."""
+        """Relative standard deviation of the force at 3 mm."""
         return math.sqrt(self.covariance[0, 0])
 
     @property
     def stated_force_n(self) -> float:
-        """Force at a depth of 3 mm [N]."""
+        """Force at 3 mm [N]."""
         return design_force_n(self.spec, STATED_MM) * math.exp(self.terms[0])
 
     @property
     def moduli_pa(self) -> tuple[float, float]:
-        """Young's moduli of skin and gel, if dome and skin's thickness are the tables' [Pa]."""
+        """Young's moduli of skin and gel for the tables' dimensions [Pa]."""
         tip = tip_between(float(self.terms[1]))
         scale = self.stated_force_n / float(tip.press.force_at(np.array([1e-3 * STATED_MM]))[0])
         return scale * tip.skin_pa, scale * tip.gel_pa
 
     @property
     def told(self) -> dict[str, dict[str, float]]:
-        """Each term and its standard deviation."""
+        """Each term with its standard deviation."""
         return term_rows(COPY_TERMS, self.terms, self.covariance)
 
     @property
     def tied(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of terms that cannot be told apart."""
+        """Pairs of strongly correlated terms."""
         return correlated_pairs(COPY_TERMS, self.covariance)
 
 
 def design_force_n(spec: TacTipSpec, depth_mm: float) -> float:
-    """Force of the design's tip on a rigid plate [N]."""
+    """Return the force of the design's tip on a rigid plate [N]."""
     return float(spec.table.press(math.inf).force_at(np.array([1e-3 * depth_mm]))[0])
 
 
 def designed_tip(spec: TacTipSpec, spreads: Mapping[str, float] = SPREADS) -> TipCopy:
-    """What is known of a copy before it was pressed: its design, and how far copies differ.
-
-    Args:
-        spec: the design.
-        spreads: standard deviations of `COPY_TERMS`, in their units.
-
-    Raises:
-        RangeError: a spread that is not finite or not above 0.
-    """
+    """Return the prior of a unit: its design, and standard deviations of `COPY_TERMS`."""
     sd = np.array([spreads[name] for name in COPY_TERMS])
     if not (np.isfinite(sd).all() and (sd > 0).all()):
         raise RangeError(f"spreads {dict(spreads)}; give finite ones above 0", code="not-positive")

@@ -1,4 +1,4 @@
-"""A TacTip's copy fitted to presses, and presses read by it; what no such copy can have is refused."""
+"""Fit a TacTip unit to presses, read presses by it, and reject what such a unit cannot show."""
 
 from __future__ import annotations
 
@@ -13,28 +13,23 @@ from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import TipCopy
 from palpate.sensors.tactip.tip_copies.tip_estimate import PlateReading, TipCopyFit, TipEstimate
 
-OFF_PX = 0.3  # root mean square, that no frame is held against
-MAX_FORCE_Z = 3.0  # root mean square of forces' residuals over their standard deviations
-MIN_SPAN = 1.5  # greatest over least known force, below which presses have one load
-SAME_PX = 0.5  # root mean square, by which untouched pins may differ from the copy's
-MAX_TURN_RAD = math.radians(3.5)  # of a plate, to which presses are taken for flat
+OFF_PX = 0.3  # rms misfit that is always accepted
+MAX_FORCE_Z = 3.0  # maximum rms of forces' residuals in standard deviations
+MIN_SPAN = 1.5  # minimum ratio of the largest to the smallest known force
+SAME_PX = 0.5  # maximum rms difference of untouched pins from the unit's
+MAX_TURN_RAD = math.radians(3.5)  # maximum tilt of a plate
 
 
 def fit_tip_copy(
     known: TipCopy, presses: Sequence[PlatePress], progress: Progress = silent, *, advise: bool = True
 ) -> TipCopyFit:
-    """Estimate a copy's terms, and depth, seat and force of each press.
+    """Estimate a unit's terms, and depth, alignment, and force of each press.
 
     Args:
-        known: of the copy beforehand.
-        presses: with or without forces; one is a reading, five to ten of known force calibrate.
-        progress: called with rounds of the estimate.
-        advise: whether further presses are weighed against each other.
-
-    Raises:
-        InputError: no press, or known forces that are all about the same.
-        ImageError: pins of another tip, or that do not move as this tip's on a flat plate.
-        RangeError: forces that these presses cannot have.
+        known: Prior of the unit.
+        presses: With or without forces; one is a reading, five to ten of known force calibrate.
+        progress: Callback for the rounds.
+        advise: Whether to rank further presses.
     """
     if not presses:
         raise InputError("no press; a copy is found from one at least", code="no-presses")
@@ -50,7 +45,7 @@ def fit_tip_copy(
 
 
 def read_plate_press(known: TipCopy, press: PlatePress, progress: Progress = silent) -> PlateReading:
-    """Depth and force of one press of unknown force, its intervals those of the copy as well."""
+    """Read depth and force of one press, with intervals that include the unit's uncertainty."""
     unknown = replace(press, force_n=None, position_m=None)
     return fit_tip_copy(known, [unknown], progress, advise=False).presses[0]
 
@@ -65,7 +60,7 @@ def _refuse_one_load(forces_n: Sequence[float]) -> None:
 
 
 def _refuse_other(known: TipCopy, one: PlatePress) -> None:
-    """Refuse untouched pins that stand otherwise than the copy's."""
+    """Reject untouched pins that differ from the unit's."""
     if known.rest_px is None or known.cells is None:
         return
     order = {cell: i for i, cell in enumerate(map(tuple, known.cells.tolist()))}
@@ -109,7 +104,7 @@ def _refuse_unlike(known: TipCopy, found: TipCopyFit) -> None:
 
 
 def _with_layout(found: TipCopyFit, presses: Sequence[PlatePress]) -> TipCopy:
-    """The copy with its untouched pins, as the mean over presses that show all of the first one's."""
+    """Unit with the mean untouched pins of presses that show the first one's."""
     first = presses[0]
     same = [one for one in presses if np.array_equal(one.cells, first.cells)]
     rest = np.mean([one.rest_px - one.rest_px.mean(axis=0) for one in same], axis=0)

@@ -1,4 +1,4 @@
-"""A TacTip's copy on disk."""
+"""A TacTip unit on disk."""
 
 from __future__ import annotations
 
@@ -18,18 +18,7 @@ TIP_COPY_FORMAT = "palpate tip copy 1"
 
 
 def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
-    """Write a copy as JSON.
-
-    Args:
-        copy: with its untouched pins.
-        design: preset of the TacTip, see `tactip_sensor.tactip`.
-        path: must not exist.
-
-    Raises:
-        ExistsError: `path` exists.
-        InputError: a copy that has seen no pins yet.
-        StorageError: the disk refused.
-    """
+    """Write a unit of the preset `design` with its untouched pins as JSON; the path must not exist."""
     if copy.rest_px is None or copy.cells is None:
         raise InputError("this copy has seen no press; fit it to presses first", code="no-presses")
     others = {
@@ -41,12 +30,7 @@ def write_tip_copy(copy: TipCopy, design: str, path: Path) -> None:
 
 @parser("tip unit", InputError)
 def load_tip_copy(path: Path) -> TipCopy:
-    """A copy as `write_tip_copy` wrote it.
-
-    Raises:
-        InputError: no copy's file, or one whose numbers make none.
-        StorageError: it cannot be read.
-    """
+    """Read a unit written by `write_tip_copy`."""
     return read_unit(path, TIP_COPY_FORMAT, COPY_TERMS, "palpate calibrate --method tip-unit", _made)
 
 

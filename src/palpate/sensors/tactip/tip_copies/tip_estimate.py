@@ -1,7 +1,6 @@
-"""Forward model of a TacTip's presses for `estimators.unit_fit`: motions of pins, known forces and positions.
+"""Forward model of a TacTip's presses for `estimators.unit_fit`: pin motions, known forces, and positions.
 
-What the model leaves out moves neighbouring pins together: pins of a patch count as one, and their errors are
-correlated.
+Model errors of neighboring pins are correlated, so the pins of a patch count as one.
 """
 
 from __future__ import annotations
@@ -44,34 +43,32 @@ from palpate.sensors.tactip.tip_view import (
     plate_motion,
 )
 
-OWN = 5  # unknowns of a press: depth [mm], turn of its seat beside the usual, x and y [rad], shift [px]
+OWN = 5  # unknowns of a press: depth [mm], tilt from the usual (x, y) [rad], shift (x, y) [px]
 OWN_SD = np.array([np.inf, 0.006, 0.006, 0.3, 0.3])
-"""Of the same from press to press; the shift is of the tip's seat between two frames. Assumed."""
-OWN_STEP = np.array([2e-3, 1e-3, 1e-3])  # a shift is told without one
+"""Standard deviations of these from press to press. Assumed."""
+OWN_STEP = np.array([2e-3, 1e-3, 1e-3])  # the shift's derivative is exact
 TERM_STEP = np.array([1e-3, 5e-3, 5e-3, 5e-2, 2e-3, 1e-3, 1e-2, 1e-2, 1e-3, 1e-3])
-PIN_PX, MIN_PIN_PX = 0.1, 0.03  # of a pin's coordinate, until its residuals are seen, and at best
-PATCH = 6.0  # pins that err together
-MODEL_SHARE = 0.003  # of a force, by what the model leaves out
+PIN_PX, MIN_PIN_PX = 0.1, 0.03  # initial and minimum standard deviation of a pin's coordinate
+PATCH = 6.0  # number of correlated pins
+MODEL_SHARE = 0.003  # relative model error of a force
 POSITION_MM = 0.03
-ZERO_MM = 20.0  # to which the zero of a stage is known
-AXIS_MM = 0.08  # by which pins beside their lattice move the middle that the camera's axis is told from
+ZERO_MM = 20.0  # prior standard deviation of a stage's zero
+AXIS_MM = 0.08  # effect of misplaced pins on the camera's axis
 MIN_DEPTH_MM = 0.05
-ROUNDS, SETTLED, STIFFEST = 40, 1e-4, 1e6  # see `most_probable`; pins are a smooth function
-OUTLIER = 6.0  # standard deviations by their median, from which a pin is left out
+ROUNDS, SETTLED, STIFFEST = 40, 1e-4, 1e6  # see `most_probable`
+OUTLIER = 6.0  # outlier limit in robust standard deviations
 
 
 @dataclass(frozen=True)
 class PlateReading:
-    """What one press on a flat rigid plate tells.
+    """Reading of one press on a flat rigid plate.
 
     Attributes:
-        depth_mm, force_n: of the press.
-        turn_rad: of the contact about the dome's centre, x and y.
-        depth_sd_mm: standard deviation.
-        force_share: standard deviation of the force's logarithm.
-        off_px: root mean square of what pins differ from the copy's.
-        motion_px: of the pins' motion.
-        shift_px: of the whole field beside what the press explains.
+        turn_rad: Rotation of the contact about the dome's centre (x, y).
+        force_share: Standard deviation of the force's logarithm.
+        off_px: Rms difference of pins from the unit's.
+        motion_px: Rms motion of the pins.
+        shift_px: Shift of the whole field that the press does not explain.
     """
 
     depth_mm: float
@@ -86,7 +83,7 @@ class PlateReading:
 
 @dataclass(frozen=True)
 class StageZero:
-    """Where a stage stood when the apex touched, in one approach [mm], and its standard deviation."""
+    """Stage position at first touch of one approach [mm], and its standard deviation."""
 
     approach: int
     zero_mm: float
@@ -95,11 +92,11 @@ class StageZero:
 
 @dataclass(frozen=True)
 class HelpfulPress:
-    """A further press, the term that it would tell best, and that term's spread then over now.
+    """A further press, the term it would improve most, and the ratio of that term's standard deviations.
 
     Attributes:
         press: `deeper`, `shallower`, `inclined` by 2 degrees, or `stage-position` with each press.
-        force_n: of the press [N]; None of a position.
+        force_n: Force of the press [N]; None for a position.
     """
 
     press: str
@@ -110,15 +107,13 @@ class HelpfulPress:
 
 @dataclass(frozen=True, eq=False)
 class TipCopyFit:
-    """A copy after its presses.
+    """A unit after its presses.
 
     Attributes:
-        copy: as known now.
-        presses: what each told.
-        untold: terms of which the presses told less than a fifth of what was known before.
-        zeros: of stages, in approaches with positions.
-        forces_off: root mean square of known forces' residuals over their standard deviations.
-        helpful: further presses, the most helpful first.
+        untold: Terms whose variance fell by less than a fifth.
+        zeros: Zeros of stages, for approaches with positions.
+        forces_off: Rms of known forces' residuals in standard deviations.
+        helpful: Further presses, the most informative first.
     """
 
     copy: TipCopy
@@ -145,8 +140,8 @@ class TipEstimate:
         n = self._n = len(presses)
         t = self._t = len(COPY_TERMS)
         self._pins = max(len(one.rest_px) for one in presses)
-        self._at = np.zeros((n, self._pins, 2))  # pins at rest from their field's middle, in its edges
-        self._moved = np.full((n, self._pins, 2), np.nan)  # by so many px
+        self._at = np.zeros((n, self._pins, 2))  # pins at rest over the field's edge
+        self._moved = np.full((n, self._pins, 2), np.nan)  # motion [px]
         self._edge_px = np.empty(n)
         self._patch = np.zeros((n, self._pins), int)
         for i, one in enumerate(presses):
@@ -174,7 +169,7 @@ class TipEstimate:
         self._low[self._depths], self._high[self._depths] = MIN_DEPTH_MM, 8.0
 
     def settled(self, progress: Progress) -> State:
-        """The most probable state; once, pins far off are left out and all weighed by what is left."""
+        """Most probable state; outlier pins are dropped once and the rest reweighted."""
         state = self._solved(self._start(), progress)
         size = np.sqrt(np.sum(self._off(state) ** 2, axis=2))
         usual = np.nanmedian(size, axis=1, keepdims=True) / 1.18
@@ -189,11 +184,10 @@ class TipEstimate:
         )
 
     def inside(self, state: State) -> State:
-        """See `UnitModel`."""
         return np.clip(state, self._low, self._high)
 
     def _start(self) -> State:
-        """Depths by the pins' motion, or by known forces, seats and shifts at nothing."""
+        """Depths from the pins' motion, other unknowns at 0."""
         state = self.mean.copy()
         depths = np.array([0.5, 1.0, 1.8, 2.8, 3.8, 4.8])
         off = []
@@ -211,7 +205,6 @@ class TipEstimate:
         return state
 
     def _off(self, state: State) -> Float[ndarray, "n p 2"]:
-        """What pins differ from the copy's [px]; NaN where one is not seen."""
         return np.asarray(self._motion(state[: self._t], self.layout.own_of(state)) - self._moved)
 
     def _motion(self, terms: TermVector, own: Float[ndarray, "n o"]) -> Float[ndarray, "n p 2"]:
@@ -220,7 +213,7 @@ class TipEstimate:
         return np.asarray(self._edge_px[:, None, None] * seen + own[:, None, 3:5])
 
     def _pins_of(self, terms: TermVector) -> tuple[InnerSkin, PinView, PinRoots]:
-        """The tip and the untouched pins on it, which most calls share."""
+        """The tip and its untouched pins (cached)."""
         key = terms[1:8].tobytes()
         if self._last is None or self._last[0] != key:
             skin, optics = _skin(float(terms[1])), TipOptics(*terms[2:6].tolist())
@@ -230,17 +223,15 @@ class TipEstimate:
         return self._last[1]
 
     def residuals(self, state: State) -> Iterator[tuple[Float[ndarray, " r"], float]]:
-        """See `UnitModel`."""
         for one in self._off(state):
             yield -np.nan_to_num(one).ravel(), self._row_px
 
     @property
     def _row_px(self) -> float:
-        """Standard deviation of a pin's coordinate, where those of a patch count as one [px]."""
+        """Standard deviation of a pin's coordinate when a patch counts as one [px]."""
         return self._pin_px * math.sqrt(PATCH)
 
     def known(self, state: State) -> list[KnownRow]:
-        """See `UnitModel`."""
         terms, own, rows = state[: self._t], self.layout.own_of(state), []
         for i, one in enumerate(self._presses):
             depth = float(own[i, 0])
@@ -263,7 +254,7 @@ class TipEstimate:
         return math.hypot(one.force_sd_n / one.force_n, MODEL_SHARE)
 
     def log_force(self, terms: TermVector, depth_mm: float) -> float:
-        """Logarithm of the force at a depth [ln N]; beyond the table along its last power."""
+        """Log force at a depth [ln N]; a power law beyond the table."""
         press = tip_between(float(terms[1])).press
         deepest = 1e3 * float(press.approach_m[-1])
         depth = np.clip([depth_mm, STATED_MM, 0.97 * deepest, deepest], MIN_DEPTH_MM, deepest)
@@ -273,19 +264,18 @@ class TipEstimate:
         return float(at - stated + math.log(design_force_n(self._known.spec, STATED_MM)) + terms[0])
 
     def blocks(self, state: State) -> Iterator[Block]:
-        """See `UnitModel`."""
         t, n = self._t, self._n
         terms, own = state[:t], self.layout.own_of(state)
         pins = np.zeros((n, self._pins, 2, t + OWN))
         for k, step in enumerate(TERM_STEP):
-            if k:  # the stiffness moves no pin
+            if k:  # the stiffness does not move pins
                 there, here = self._ends(terms, k, step)
                 change = self._motion(there, own) - self._motion(here, own)
                 pins[..., k] = change / (there[k] - here[k])
         for k, step in enumerate(OWN_STEP):
             d = step * (np.arange(OWN) == k)
             pins[..., t + k] = (self._motion(terms, own + d) - self._motion(terms, own - d)) / (2 * step)
-        pins[:, :, 0, t + 3] = pins[:, :, 1, t + 4] = 1.0  # a shift moves all
+        pins[:, :, 0, t + 3] = pins[:, :, 1, t + 4] = 1.0
         pins[~np.isfinite(self._moved)] = 0.0
         for i, (residual, sd) in enumerate(self.residuals(state)):
             J = pins[i].reshape(-1, t + OWN)
@@ -293,7 +283,7 @@ class TipEstimate:
 
     @staticmethod
     def _ends(terms: TermVector, k: int, step: float) -> tuple[TermVector, TermVector]:
-        """Terms a step to either side; the ratio stays between the tables."""
+        """Terms a step to either side, with the ratio inside the tables."""
         d = step * (np.arange(len(terms)) == k)
         there, here = terms + d, terms - d
         if k == 1:
@@ -302,7 +292,7 @@ class TipEstimate:
         return there, here
 
     def force_slopes(self, terms: TermVector, depth_mm: float, i: int) -> State:
-        """Slopes of the logarithm of a press's force over all unknowns."""
+        """Derivatives of a press's log force by all unknowns."""
         row = np.zeros(self.layout.size)
         row[0] = 1.0
         there, here = self._ends(terms, 1, TERM_STEP[1])
@@ -314,7 +304,7 @@ class TipEstimate:
         return row
 
     def found(self, state: State) -> TipCopyFit:
-        """The copy and presses of a settled state, with their covariances."""
+        """Unit and presses of a converged state, with covariances."""
         t, end = self._t, posterior(self, state)
         covariance = end.covariance
         covariance[[6, 7], [6, 7]] += AXIS_MM**2
@@ -351,7 +341,7 @@ class TipEstimate:
         )
 
     def helpful(self) -> tuple[HelpfulPress, ...]:
-        """Further presses, and the term whose spread each would make fall most, by the rows it would have."""
+        """Further presses by the expected reduction of their best term's standard deviation."""
         state = self._state
         deepest = float(tip_between(float(state[1])).press.approach_m[-1]) * 1e3
         depths = state[self._depths]
@@ -378,11 +368,10 @@ class TipEstimate:
         H = posterior(more, state).hessian
         H[:t, :t] -= more.precision[:t, :t]  # the prior counts once
         if turn_rad:
-            H[t + 1, t + 1] -= more.precision[t + 1, t + 1]  # a lean that was meant is no chance
+            H[t + 1, t + 1] -= more.precision[t + 1, t + 1]  # an intended tilt is not random
         return self._gain(name, force, covariance_with(now, H))
 
     def _with_positions(self) -> HelpfulPress:
-        """The stage's position with each of these presses, of one approach."""
         size = len(self._normal)
         normal = np.pad(self._normal, (0, 1))
         normal[size, size] = 1 / ZERO_MM**2
@@ -400,7 +389,7 @@ class TipEstimate:
 
 
 def _patches(cells: Int[ndarray, "p 2"]) -> Int[ndarray, " p"]:
-    """Patches of the field, some six pins each."""
+    """Patches of about six pins."""
     low = cells.min(axis=0)
     column, row = ((cells - low) // np.array([3, 2])).T
     return np.asarray(column * 30 + row)

@@ -1,8 +1,7 @@
-"""How TacTips of one design differ: virtual copies drawn from a law of their own, and their frames.
+"""Virtual TacTip units drawn from an assumed distribution, and their frames.
 
-The law is assumed. A copy's frames are drawn by the ray of every marker, refraction and all, with what the
-design's render leaves out: a lens that distorts and blurs, pins that stand beside their lattice, an axis
-beside the camera's, glare. Its tip is given: a table's, or one that was solved for the copy alone.
+Frames include what the design's rendering omits: lens distortion and blur, misplaced pins, axis offset,
+glare.
 """
 
 from __future__ import annotations
@@ -19,24 +18,21 @@ from palpate.sensors.tactip.skin_and_markers import head_on, lattice
 from palpate.sensors.tactip.tactip_camera import projected, rendered
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
-GLARE_PX = 14.0  # standard deviation of a lamp's reflection
+GLARE_PX = 14.0  # standard deviation of a reflection
 
 
 @dataclass(frozen=True, slots=True)
 class TipSpread:
-    """Standard deviations of copies about their design; ranges are even. All assumed.
+    """Spread of units about their design: standard deviations, or uniform ranges. All assumed.
 
     Attributes:
-        stiffness_share: of the logarithm of all forces.
-        lever_m, camera_m: of the pins' length and of the pinhole's height [m].
-        distortion: of the lens, at the edge of the field of pins.
-        pin_m: of each pin's root beside its lattice, either way [m].
-        axis_m: of the camera beside the dome's axis, either way [m].
-        seat_rad: of how the usual plate leans, either way [rad].
-        press_rad: the same from press to press [rad].
-        slip_px: of the whole field between two frames of a press, either way [px].
-        blur_px, noise, glare: least and greatest of the lens's blur [px], of a pixel's noise and of a lamp's
-            reflection beside the pins [grey levels].
+        stiffness_share: Logarithm of all forces.
+        distortion: Lens distortion at the edge of the pin field.
+        pin_m: Position of each pin's root, per axis.
+        axis_m: Offset of the camera from the dome's axis, per axis.
+        seat_rad, press_rad: Tilt of the usual plate, and of each press, per axis.
+        slip_px: Shift between two frames of a press, per axis.
+        blur_px, noise, glare: Minimum and maximum of blur [px], pixel noise, and reflection [grey levels].
     """
 
     stiffness_share: float = 0.15
@@ -55,21 +51,14 @@ class TipSpread:
 
 @dataclass(frozen=True, eq=False)
 class VirtualTip:
-    """A copy of a TacTip and its camera.
+    """A virtual TacTip unit and its camera.
 
     Attributes:
-        spec: with the copy's own lever and camera.
-        tip: how it deforms.
-        force_ratio: of its forces over the tip's.
-        roots_rad: polar angle and azimuth of the pins' roots ``[2 p]``.
-        axis_m: where the dome's axis stands beside the camera's, x and y [m].
-        seat_rad: how the usual plate leans, x and y.
-        press_rad, slip_px: see `TipSpread`.
-        scale_px: the camera's focal length [px].
-        distortion: of the lens, at `edge`.
-        edge: tangent at which the outermost pins are seen.
-        blur_px, noise, glare: see `TipSpread`.
-        glare_at_px: where the reflection's middle is.
+        force_ratio: Forces over the tip's.
+        roots_rad: Polar angle and azimuth of the pins' roots.
+        axis_m: Offset of the dome's axis from the camera's.
+        scale_px: Focal length [px].
+        distortion: Lens distortion at the tangent `edge` of the outermost pins.
     """
 
     spec: TacTipSpec
@@ -90,19 +79,14 @@ class VirtualTip:
 
     @property
     def deepest_m(self) -> float:
-        """To which its tip is known [m]."""
         return float(self.tip.press.approach_m[-1])
 
     def force_n(self, depth_m: float) -> float:
-        """On a rigid plate [N]."""
+        """Force on a rigid plate [N]."""
         return self.force_ratio * float(self.tip.press.force_at(np.array([depth_m]))[0])
 
     def depth_m(self, force_n: float) -> float:
-        """At which a rigid plate has a force [m].
-
-        Raises:
-            RangeError: a force beyond the table's.
-        """
+        """Depth on a rigid plate at a force [m]."""
         own = force_n / self.force_ratio
         if not 0 <= own <= self.tip.press.force_n[-1]:
             most = self.force_ratio * self.tip.press.force_n[-1]
@@ -112,7 +96,7 @@ class VirtualTip:
     def places_px(
         self, depth_m: float, lean_rad: tuple[float, float] = (0.0, 0.0)
     ) -> tuple[Float[ndarray, "p 2"], Float[ndarray, " p"]]:
-        """Places and radii of the markers [px]; the lean is of the contact, towards +x and +y."""
+        """Positions and radii of the markers [px], with the contact tilted towards +x and +y."""
         press, pins, radius_m = self.tip.press, self.spec.pins, self.tip.radius_m
         force = float(press.force_at(np.array([depth_m]))[0])
         skin = head_on(press, radius_m, force, (lean_rad[0], -lean_rad[1]))
@@ -128,7 +112,7 @@ class VirtualTip:
     def frames(
         self, depth_m: float, rng: np.random.Generator, lean_rad: tuple[float, float] | None = None
     ) -> tuple[UInt8[ndarray, "h w"], UInt8[ndarray, "h w"]]:
-        """The untouched tip, and the same on a rigid plate that is seated by chance or leans as is said."""
+        """Frames of the untouched tip, and on a rigid plate with a random or given tilt."""
         if lean_rad is None:
             x, y = self.seat_rad + self.press_rad * rng.standard_normal(2)
             lean_rad = float(x), float(y)
@@ -152,13 +136,13 @@ class VirtualTip:
 def drawn_tip(
     design: TacTipSpec, tip: TipBetween, rng: np.random.Generator, spread: TipSpread | None = None
 ) -> VirtualTip:
-    """One copy of a design.
+    """Draw one unit of a design.
 
     Args:
-        design: what copies are made after; its own tip gives the usual forces.
-        tip: how the copy deforms; its forces are scaled to the design's at a depth of 3 mm, and then drawn.
-        rng: the only source of chance.
-        spread: how far copies differ; None for the law as it is stated.
+        design: Design; its tip sets the force scale at 3 mm.
+        tip: Deformation of the unit.
+        rng: Source of randomness.
+        spread: Spread of units; None for the default.
     """
     s, z = TipSpread() if spread is None else spread, rng.standard_normal(9)
     camera = replace(design.camera, height_m=design.camera.height_m + s.camera_m * float(z[0]))

@@ -1,10 +1,7 @@
-"""Check of a TacTip's copy by a known weight, which sees what an untouched frame cannot.
+"""Check of a TacTip unit by a known weight; untouched pins do not show the moduli.
 
-Untouched pins stand where they stand, whatever the moduli of skin and gel are. Under a known weight the
-picture tells depth and shape, hence the force that the copy would have there, and the weight tells the one it
-has; the shape tells the ratio of skin and gel. The weight has to be level and at rest, on the tip alone: one
-that leans, slides or moves is refused. One that is held up elsewhere and is level all the same shows less
-depth, as on a stiffer tip, and no picture of it alone can tell the two apart.
+The image gives depth and shape, hence the expected force and the ratio of skin and gel. Tilted, sliding, or
+moving weights are rejected; a level weight that is partly supported elsewhere is not detectable.
 """
 
 from __future__ import annotations
@@ -22,25 +19,23 @@ from palpate.sensors.tactip.tip_copies.tip_copy import COPY_TERMS, SPREADS, Term
 from palpate.sensors.tactip.tip_copies.tip_copy_fit import fit_tip_copy, read_plate_press
 from palpate.sensors.tactip.tip_copies.tip_estimate import PlateReading
 
-FLOOR = 0.015  # of the stiffness, by which no weight is trusted to be better: a share
-MAX_LEAN_RAD = math.radians(2.0)  # beside the copy's usual seat
-MAX_SLIDE_PX = 1.0  # of the whole field
-STILL_MM = 0.05  # that frames of one weight may differ in depth
-STILL_RAD = math.radians(1.0)  # that they may differ in lean
+FLOOR = 0.015  # minimum relative uncertainty of the stiffness
+MAX_LEAN_RAD = math.radians(2.0)  # maximum tilt from the unit's usual one
+MAX_SLIDE_PX = 1.0  # maximum shift of the whole field
+STILL_MM = 0.05  # maximum difference of depth between frames
+STILL_RAD = math.radians(1.0)  # maximum difference of tilt between frames
 CHANGED = ("stiffness", "ratio")
 
 
 @dataclass(frozen=True, slots=True)
 class TipWeightCheck:
-    """What a known weight says of a calibrated copy.
+    """Result of a weight check of a calibrated unit.
 
     Attributes:
-        force_n: of the weight [N].
-        read_n: that the copy reads from the frames [N].
-        depth_mm: of them.
-        stiffness_change, ratio_change: of all forces, and of the ratio of skin and gel, as shares.
-        stiffness_deviations, ratio_deviations: the same in standard deviations.
-        least_change: of the stiffness that would be said, as a share.
+        force_n, read_n: Weight, and force read from the frames [N].
+        stiffness_change, ratio_change: Relative changes of all forces, and of the ratio of skin and gel.
+        stiffness_deviations, ratio_deviations: Changes in standard deviations.
+        least_change: Minimum detectable relative change of the stiffness.
     """
 
     force_n: float
@@ -54,26 +49,20 @@ class TipWeightCheck:
 
     @property
     def drifted(self) -> tuple[str, ...]:
-        """Names of what has changed, of `CHANGED`."""
+        """Names of the changed constants, of `CHANGED`."""
         return drifted(dict(zip(CHANGED, (self.stiffness_deviations, self.ratio_deviations), strict=True)))
 
 
 def check_tip_weight(
     calibrated: TipCopy, presses: Sequence[PlatePress], mass_kg: float, progress: Progress = silent
 ) -> TipWeightCheck:
-    """Lay a flat rigid object of known mass on the tip, level, and compare.
+    """Compare a calibrated unit with a flat rigid object of known mass that lies level on the tip.
 
     Args:
-        calibrated: the copy.
-        presses: one frame of it at rest or several, which then have to agree; forces and positions in them
-            are not used.
-        mass_kg: of all that rests on the tip [kg].
-        progress: called with rounds of the estimate.
-
-    Raises:
-        InputError: no frame.
-        RangeError: a mass that is not above 0.
-        ImageError: a weight that leans, slides or moves, another tip's frames, or no flat rigid object.
+        calibrated: Unit.
+        presses: Frames of the weight at rest, which must agree; their forces and positions are ignored.
+        mass_kg: Total mass on the tip [kg].
+        progress: Callback for the rounds.
     """
     force_n = weight_n(mass_kg)
     if not presses:
@@ -137,7 +126,7 @@ def _refuse_unsteady(calibrated: TipCopy, read: Sequence[PlateReading]) -> None:
 def _ratio_change(
     known: TipCopy, free: TermCovariance, press: PlatePress, force_n: float, progress: Progress
 ) -> tuple[float, float]:
-    """Change of the ratio's logarithm, as if stiffness and ratio could both have, and its deviation."""
+    """Change of the log ratio if stiffness and ratio are both free, and its standard deviation."""
     freed = replace(known, covariance=known.covariance + free)
     weighed = replace(press, force_n=force_n, force_sd_n=WEIGHT_SHARE * force_n)
     now = fit_tip_copy(freed, [weighed], progress, advise=False).copy
