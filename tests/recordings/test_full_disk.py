@@ -70,7 +70,7 @@ needs_room_held = pytest.mark.skipif(
 
 
 @needs_room_held
-@pytest.mark.parametrize("limit", [400_000, 1_000_000, 1_000_001, 2_345_678])
+@pytest.mark.parametrize("limit", [400_000, 2_345_678])
 @pytest.mark.cases(1)
 def test_a_full_disk_reaches_the_caller_and_the_end_of_the_run_is_written(tmp_path: Path, limit: int) -> None:
     run = ended_in_full(tmp_path / "run", limit)
@@ -119,7 +119,7 @@ def test_room_for_the_end_is_enough_whatever_was_written(tmp_path: Path, rng) ->
         for k in range(5):
             mcap.add_channel(f"/c{k}", "cdr", mcap.add_schema(f"t{k}", "ros2msg", b"x" * 500))
         promised = []
-        for k in range(400):
+        for k in range(200):
             data = bytes(int(rng.choice([0, 10, 100, 3000])))
             promised.append(file.tell() + mcap.bytes_to_end(len(data)))
             mcap.add_message(int(rng.integers(1, 6)), k, k, data)
@@ -131,7 +131,7 @@ def test_room_for_the_end_is_enough_whatever_was_written(tmp_path: Path, rng) ->
         assert path.stat().st_size <= promised[-1] < path.stat().st_size + 40_000
 
 
-@pytest.mark.parametrize("chunk_bytes", [0, 5000, 64 * 1024])
+@pytest.mark.parametrize("chunk_bytes", [0, 5000])
 def test_a_file_is_the_library_s_own_to_the_byte(tmp_path: Path, rng, chunk_bytes: int) -> None:
     with (tmp_path / "theirs").open("wb") as theirs:
         library = Writer(

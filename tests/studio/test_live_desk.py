@@ -1,6 +1,5 @@
 """Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
-import html
 import io
 import math
 import re
@@ -29,24 +28,15 @@ from palpate.studio.live.live_desk import (
     edge_readings,
 )
 from palpate.studio.live.live_drawing import (
-    lateral_motion,
-    overlay_legend,
     overlay_svg,
     place_svg,
     reading_svg,
-    shows_marks,
-    strain_svg,
 )
-from palpate.studio.live.live_page import SensorCard, facts_html, head_html, live_address
-from palpate.studio.live.reading_rows import NAMES, softness_html, unread, values_html
-from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
+from palpate.studio.live.live_page import facts_html, head_html, live_address
+from palpate.studio.live.reading_rows import softness_html, values_html
+from palpate.studio.live.start_desk import StartDesk, kept_session
 from palpate.studio.live.start_page import (
     UNITS,
-    caption_of,
-    collected_html,
-    coverage_html,
-    result_html,
-    steps_html,
 )
 from palpate.studio.live.start_process import run_session
 from palpate.workflows import start_session
@@ -102,16 +92,6 @@ def test_each_frame_is_kept_once_and_for_the_seconds_that_are_plotted():
     assert sensor.samples[0].at_s >= 100.0 + 9.9 - 1.0
     sensor.listen(1e6)
     assert not sensor.samples
-
-
-def test_a_frame_that_is_not_read_anew_draws_no_line_beside_a_force_that_goes_on():
-    connection = MadeUpConnection()
-    sensor = LiveSensor("live x", connection)
-    for k in range(20):
-        connection.status = told(k, 0.0, force_N=1.0)
-        sensor.listen(100.0 + 0.1 * k)
-    assert [bool(one.readings) for one in sensor.samples] == [True] + 19 * [False]
-    assert [one.force_n for one in sensor.samples] == 20 * [1.0]
 
 
 def test_a_sensor_that_says_nothing_grows_old():
@@ -172,14 +152,6 @@ def test_no_other_process_than_a_live_sensors_is_addressed(name):
     assert (processes.made[name].asked, processes.launched) == ([], [])
 
 
-def test_looking_for_a_sensor_that_does_not_run_takes_no_place():
-    with LiveDesk(MadeUpProcesses()) as desk:
-        for k in range(3 * MAX_SENSORS):
-            assert desk.listened(f"live {k}") is None
-            assert desk.sensor(f"live {k}") is None
-        assert desk.names == []
-
-
 def samples(values, valid=True, step_s=0.1):
     return [
         LiveSample(50.0 + step_s * k, k, {"force_N": reading(v, valid=valid)}, None)
@@ -201,21 +173,6 @@ def test_a_curve_rises_with_the_value_and_ends_now():
     assert per_s == pytest.approx(500 / SPAN_S, rel=0.01)
     assert "<polygon" in svg
     assert "now, valid" in svg
-
-
-def test_what_is_not_valid_has_another_shape_and_no_interval():
-    svg = reading_svg(samples([1.0, 1.0], valid=False), "force_N", "N", now_s=50.1)
-    assert "<polygon" not in svg
-    assert "<polyline" not in svg
-    assert "not valid" in svg
-    assert svg.count("l5 5m-5 0l5 -5") == 2
-
-
-def test_no_line_is_drawn_over_a_gap():
-    both = samples([1.0, 1.0]) + [
-        LiveSample(58.0 + 0.1 * k, 9 + k, {"force_N": reading(1.0)}, None) for k in (0, 1)
-    ]
-    assert reading_svg(both, "force_N", "N", now_s=58.1).count("<polyline") == 2
 
 
 def test_the_force_sensor_beside_is_drawn_dashed_and_only_beside_newtons():
@@ -261,68 +218,6 @@ def test_a_value_says_its_interval_or_why_it_is_not_valid_in_words_and_shape():
     assert "–" in values_html({"force_N": reading(None, valid=False, why="x")}, {})
 
 
-def test_a_share_and_the_touch_measure_are_named_in_plain_words_and_what_is_counted_has_no_interval():
-    shown = values_html(
-        {
-            "seen_ratio": reading(0.991, 0.0, unit="ratio"),
-            "gamma_ratio": reading(1.234, 0.12, unit="ratio"),
-            "force_N": reading(2.0, 0.0),
-        },
-        {},
-    )
-    assert ">marks seen</span><b>99" in shown
-    assert "measure γ</span><b>1.23" in shown
-    for quantity in ("seen", "gamma"):
-        assert f'title="{html.escape(NAMES[quantity][1])}"' in shown
-    assert "2.00 N</b>" in shown
-    assert shown.count("±") == 1
-    assert "ratio" not in re.sub("<[^>]*>", "", shown)
-    svg = reading_svg(samples([1.0]), "force_N", "N", 50.0, "push")
-    assert "push [N]" in svg
-    assert "push of" in svg
-
-
-def test_a_reason_is_said_once_for_all_values_that_it_holds_for():
-    readings = {
-        name: reading(None, valid=False, why=why, unit="mm")
-        for name, why in (("x_mm", "no contact"), ("y_mm", "no contact"), ("z_mm", "too <deep>"))
-    }
-    shown = values_html(readings, {})
-    rows, reasons = shown.split('<div class="reasons', 1)
-    assert rows.count("✕") == 3
-    assert "contact" not in rows
-    assert re.findall("<p><b>(.*?)</b>: (.*?)</p>", reasons) == [
-        ("x, y", "no contact"), ("z", "too &lt;deep&gt;"),
-    ]  # fmt: skip
-    assert values_html({}, {}) == ""
-
-
-def test_a_frame_without_readings_keeps_the_rows_of_those_before():
-    shown = values_html(unread({"force_N": reading(3.2), "x_mm": reading(1.0, unit="mm")}), {})
-    assert shown.count('<div class="value invalid">') == 2
-    assert shown.count("<b>–</b>") == 2
-    assert "not read" in shown
-    connection = MadeUpConnection()
-    card = SensorCard.__new__(SensorCard)
-    card.sensor, card._known, card._known_by, card._strained = (
-        LiveSensor("live x", connection),
-        {},
-        None,
-        None,
-    )
-    of = {"calibration": "cal-1"}
-    assert card._rows({"force_N": reading(1.0)}, of) == {"force_N": reading(1.0)}
-    assert card._rows({}, of)["force_N"]["value"] is None
-    assert card._rows({}, {"calibration": None}) == {}  # read by none any more
-    assert card._strain_of({"strain": None}) is None
-    assert card._strain_of({"strain": STRAIN}) == STRAIN
-    assert "be read" in strain_svg(card._strain_of({"strain": None}), (400, 300))
-    read = {"edge_degrees": reading(30.0, unit="degrees"), "slip": reading("no", 0, unit="")}
-    gone = {name: one | {"value": None if name != "slip" else ""} for name, one in read.items()}
-    counts = [card._plots_html(one, of).count("<svg") for one in (read, gone, unread(read))]
-    assert counts == [1, 1, 1]  # as many plots whether this frame has a value or not
-
-
 def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert "no connection" in head_html("live <x>", None)
     assert "&lt;x&gt;" in head_html("live <x>", told(0, 0.0, state="lost", why="unplugged"))
@@ -336,21 +231,6 @@ def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert live_address([]) == "/live"
     assert overlay_svg({"centre_px": [10.0, 20.0]}, (400, 300)).count("<circle") == 2
     assert overlay_svg(None, (400, 300)) == ""
-
-
-def test_every_sign_over_a_picture_stands_in_its_legend_with_a_shape_of_its_own():
-    marks = {"lines": [], "dots": [{"role": "mark", "at": [3, 4]}], "arrows": [], "arrow_times": 2.0}
-    region = {"dots": [{"role": "centre", "at": [3, 4]}], "lines": [{"role": "region", "points": [[1, 2]]}]}
-    assert (shows_marks(marks), shows_marks(region), shows_marks({})) == (True, False, False)
-    bare, marked = overlay_legend({}, marked=False), overlay_legend(marks, marked=True)
-    assert (bare.count("<li>"), marked.count("<li>")) == (2, 5)
-    assert all(word in bare for word in ("outline: where it differs", "cross or ring: the middle"))
-    assert all(
-        word in marked for word in ("has not moved", "moved, 2 times as long", "mean, 3 times as long")
-    )
-    shapes = re.findall(r"<svg.*?>(.*?)</svg>", marked)
-    uncoloured = {re.sub(r'(#\w+|stroke-width="[^"]*")', "", one) for one in shapes}
-    assert len(uncoloured) == 5, "told apart without colour"
 
 
 def test_lengths_and_angles_are_shown_in_mm_and_degrees_with_all_that_surrounds_them():
@@ -379,16 +259,6 @@ def arrows(moves, times=2.0):
     return {"lines": [], "dots": [], "arrows": shapes, "arrow_times": times}
 
 
-def test_marks_pushed_to_one_side_have_a_motion_and_marks_spread_apart_have_none():
-    _, moved = lateral_motion(arrows([(3.0, -1.0)] * 12))
-    assert moved == pytest.approx((3.0, -1.0))
-    turns = [2 * math.pi * k / 12 for k in range(12)]
-    _, spread = lateral_motion(arrows([(4 * math.cos(a), 4 * math.sin(a)) for a in turns]))
-    assert spread == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert lateral_motion(arrows([(3.0, 0.0)] * 3)) is None
-    assert lateral_motion(None) is None
-
-
 def test_a_contact_is_outlined_and_marks_have_arrows_over_the_picture():
     outline = {"role": "region", "points": [[10, 10], [30, 10], [20, 30]]}
     skin = {"role": "skin", "points": [[0, 0], [400, 0], [400, 300], [0, 300]]}
@@ -401,23 +271,6 @@ def test_a_contact_is_outlined_and_marks_have_arrows_over_the_picture():
     assert "400.0,0.0" not in svg
     assert svg.count("<path") == 5 + 2 + 2  # arrows, the cross at the centre, the mean motion
     assert "<circle" not in svg
-
-
-STRAIN = {"dots": [[10.0, 20.0, 0.4], [30.0, 20.0, 0.1]], "greatest": 0.4, "spacing_px": 20.0,
-          "contacts": [[10.0, 20.0]], "shift": None}  # fmt: skip
-
-
-def test_the_greater_the_shear_the_larger_its_dot_and_contacts_have_crosses():
-    svg = strain_svg(STRAIN, (400, 300))
-    large, small = (float(r) for r in re.findall(r'<circle [^>]*r="([\d.]+)"', svg))
-    assert large == pytest.approx(2 * small)  # by area, as 0.4 is to 0.1
-    assert "0.40, 1" in svg
-    assert svg.count("<path") == 1
-    moved = STRAIN | {"shift": {"start": [10, 20], "end": [40, 20], "times": 10.0, "mm": 0.2}}
-    assert strain_svg(moved, (400, 300)).count("<path") == 2
-    assert strain_svg(None, (400, 300)) == ""
-    unread = {"dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
-    assert "be read" in strain_svg(unread, (400, 300))
 
 
 def pressed(number, valid=True, why="", **changed):
@@ -444,73 +297,6 @@ def test_softness_is_told_of_each_press_with_its_interval_its_lamp_and_its_reaso
     assert "No press" in softness_html({"presses": []})
     assert "force sensor" in softness_html({"presses": [], "why": "no force sensor"})
     assert softness_html(None) == ""
-
-
-COVERAGE = {
-    "edges_N": [0.0, 5.0, 10.0], "columns": ["left", "middle", "right"], "rows": ["top", "middle", "bottom"],
-    "counts": [[[1, 0], [0, 0], [0, 0]], [[0, 0], [2, 3], [0, 0]], [[0, 0], [0, 0], [0, 1]]],
-}  # fmt: skip
-
-
-def test_the_map_of_presses_says_how_many_and_how_hard_and_what_is_bare():
-    drawn = coverage_html(COVERAGE)
-    cells = re.findall(r'<td class="(\w+)">(.*?)</td>', drawn)
-    assert [kind for kind, _ in cells].count("bare") == 6
-    assert [cells[0][0], *re.findall(r"\d+", cells[0][1])] == ["pressed", "1", "5"]
-    assert [cells[4][0], *re.findall(r"\d+", cells[4][1])] == ["pressed", "5", "10"]
-    assert coverage_html({}) == ""
-    collect = {"text": "12 of 40, a gap", "touched": True, "holding": False, "force_N": -1.5, "refused": 2,
-               "last_refused": {"why": "<slipped>"}, "advice": "press"}  # fmt: skip
-    words = collected_html(collect)
-    assert all(part in words for part in (collect["text"], "hold still", "−1.50 N", "&lt;slipped&gt;"))
-
-
-def test_each_step_says_in_a_word_how_it_stands():
-    session = {
-        "camera": "virtual:palm",
-        "scale": "virtual",
-        "done": ["camera", "settings"],
-        "step": "untouched",
-    }
-    states = re.findall(r'data-state="([^"]+)"', steps_html(session, None))
-    assert states == ["done", "done", "waits", "to come", "to come", "to come"]
-    session |= {"done": ["camera", "settings", "untouched", "collect", "train"], "step": "live",
-                "trained": {"sentence": "errs by <0.2> N", "curve": {"text": "ten more"}}}  # fmt: skip
-    assert re.findall(r'data-state="([^"]+)"', steps_html(session, None)) == ["done"] * 5 + ["ready"]
-    unopened = {**session, "done": ["camera"], "step": "settings", "unopened": True, "trained": {}}
-    states = re.findall(r'data-state="([^"]+)"', steps_html(unopened, None))
-    assert states == ["waits", *["to come"] * 5], "a camera that never gave a frame is not chosen for good"
-    told = result_html(session)
-    assert "simulated" in told
-    assert "&lt;0.2&gt;" in told
-    assert "simulated" not in result_html(session | {"camera": "0"})
-
-
-class ShownRun(StartRun):
-    """A run as it is shown, without its process."""
-
-    running, at, step, done, total, collect = True, "", "begins", 0, 0, {}
-
-
-def test_steps_that_are_done_again_read_as_under_way_and_the_presses_as_being_collected():
-    """A session that was whole presses anew: nothing of it reads as done before it is."""
-    whole = {"camera": "0", "scale": "typed", "step": "live", "collected": {"text": "12 of 12"},
-             "done": ["camera", "settings", "untouched", "collect", "train"],
-             "trained": {"id": "5ecc2b88cbde"}}  # fmt: skip
-    run = object.__new__(ShownRun)
-    order = ["camera", "settings", "untouched", "collect", "train"]
-    for at in ("", *order[1:]):
-        run.at = at
-        told = steps_html(whole, run)
-        k = order.index(at or "camera")
-        states = re.findall(r'data-state="([^"]+)"', told)
-        assert states == ["done"] * k + ["under way"] + ["to come"] * (5 - k)
-        assert ("being collected" in told) == (at == "collect")
-        assert ("12 of" in told, "5ecc2b88cbde" in told) == (at == "train", at == "train")
-        assert "sees now" in caption_of(run) if at in order[1:4] else "last picture" in caption_of(run)
-    run.running = False
-    assert "last picture" in caption_of(run)
-    assert re.findall(r'data-state="([^"]+)"', steps_html(whole, run)) == ["done"] * 5 + ["ready"]
 
 
 SESSION = """
@@ -567,12 +353,6 @@ def test_a_session_is_heard_weighed_stopped_and_gone_on_with(starts, tmp_path):
     assert again.why == "too heavy"
     assert starts.run(folder) is again
     assert starts.run(tmp_path) is None
-
-
-def test_the_unit_of_a_scales_bare_numbers_goes_to_the_session(starts, tmp_path):
-    run = starts.begin(tmp_path / "mine", "0", "/dev/ttyUSB0", 12, unit="kg")
-    assert until(lambda: run.session)
-    assert run.session["args"][-2:] == ["--unit", "kg"]
 
 
 class WeighedError(Exception):

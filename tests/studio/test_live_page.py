@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio.page_driving import DESK, PHONE, SOURCE, choose, opened, serving, weak_texts, wider_than
+from tests.studio.page_driving import DESK, PHONE, SOURCE, choose, opened, serving, wider_than
 from tests.studio.small_run import write_small_run
 from tests.virtual_presses import KAPPA_N_M, references
 
@@ -69,19 +69,6 @@ def test_a_sensor_is_begun_found_again_by_its_address_and_outlives_the_server(br
     assert tab.said == []
 
 
-def test_text_stands_out_on_the_page_of_live_sensors(browser, served):
-    for size in (PHONE, DESK):
-        for scheme in ("light", "dark"):
-            tab = opened(browser, served, "/live?sensor=live%20nobody", size, scheme)
-            tab.wait("document.body.innerText.includes('cannot be reached')", MAX_S)
-            assert weak_texts(tab) == []
-            assert wider_than(tab) <= size[0]
-            tops = (
-                "['.re-zero', '.end-live'].map((s) => document.querySelector(s).getBoundingClientRect().top)"
-            )
-            assert len(set(tab.run(tops))) == 1  # in one line, on a telephone too
-
-
 LONG = (
     "the image is unlike those calibrated on (distance 2.3, limit 1); it looks like a camera or skin that "
     "has shifted, by which this model errs more than its intervals allow: seat it again and take a new "
@@ -129,29 +116,6 @@ TOPS = (
     "['.live .parts', '.live .plot', '.live .facts', '#live-begin'].map("
     "(s) => Math.round(document.querySelector(s).getBoundingClientRect().top + window.scrollY))"
 )
-
-
-def test_a_nusense_shows_its_strain_its_contacts_and_what_is_not_valid_without_colour(browser, served):
-    tab = opened(browser, served, "/live")
-    choose(tab, SOURCE, "virtual NUSense")
-    chosen = "document.querySelector('#live-calibration').closest('.q-field').innerText"
-    tab.wait(f"{chosen}.includes('marks of a NUSense')", MAX_S)
-    tab.press("#live-begin")
-    tab.wait("document.querySelector('.strain svg desc')?.textContent.includes('1 contacts')", LONG_S)
-    assert tab.run("document.querySelectorAll('.strain circle').length") > 10
-    assert tab.run("document.querySelectorAll('.strain svg path').length") >= 1  # the contact's cross
-    words = tab.run("document.querySelector('.values').innerText")
-    assert "● valid" in words
-    assert "touch measure" in words
-    assert "marks seen" in words
-    assert " mm" in words
-    tab.wait("document.querySelector('.values').innerText.includes('✕ not valid')", MAX_S)
-    for size in (PHONE, DESK):
-        tab.resize(*size)
-        time.sleep(1.0)
-        assert wider_than(tab) <= size[0]
-        assert weak_texts(tab) == []
-    assert tab.said == []
 
 
 def test_a_tactip_on_a_body_tells_its_softness_as_each_press_ends(browser, served):

@@ -15,7 +15,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 from tests.studio.test_page_security import Served
 
 from palpate.rig.service import RigService, open_served_rig
-from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at, ages_attribute
+from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at
 
 MAX_S = 60.0
 
@@ -28,11 +28,6 @@ def test_an_age_is_what_was_told_and_the_time_since():
     assert ages_at(100.0, at_rest, 96.0)["engine"] == 4.0  # of a rig that records nothing, its process's
     assert ages_at(100.0, None, 96.0)["process"] == 4.0
     assert set(ages_at(100.0, None, None).values()) == {None}
-
-
-def test_no_two_beats_are_alike():
-    ages = ages_at(0.0, None, None)
-    assert ages_attribute(ages, 1) != ages_attribute(ages, 2)
 
 
 class FreezingStage:
@@ -124,25 +119,6 @@ def opened(browser, served):
 def seconds(text):
     """The age that a text says [s]."""
     return float(text.split(" s")[0].split()[-1])
-
-
-@pytest.mark.slow
-def test_what_is_told_as_old_is_marked_and_says_its_age_and_the_rest_is_not(browser, served):
-    tab = opened(browser, served)
-    old = {"force": 12.3, "position": 0.1, "camera": 75.2, "engine": None}
-    served.tell(json.dumps({"ages_s": old}))
-    tab.wait(f"{STALE}.includes('force-now')")
-    assert set(tab.run(STALE)) == {"force-now", "force", "camera"}  # devices' lines go by the part's name
-    assert set(tab.run(OLD)) == {"force 12 s old", "12 s old", "picture 1 min 15 s old", "1 min 15 s old"}
-    struck = "getComputedStyle(document.querySelector('#force-now b')).textDecorationLine"
-    assert tab.run(struck) == "line-through"
-    said = "document.querySelector('#ages-said').textContent"
-    assert tab.run(said) == "force: old, not of now"
-    assert tab.run(SILENCE) == ""
-    served.tell(json.dumps(AT_ONCE))
-    tab.wait(f"{STALE}.length === 0 && {OLD}.length === 0")
-    assert tab.run(said) == "force: current again"
-    assert tab.run(struck) == "none"
 
 
 @pytest.mark.slow

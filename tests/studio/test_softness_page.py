@@ -103,14 +103,6 @@ def test_another_object_is_shown_in_the_rendering_that_runs_and_another_mode_is_
     assert desk.status.mode is Mode.CUTANEOUS
 
 
-def test_samples_of_the_last_seconds_are_kept_for_every_tab(desk) -> None:
-    assert desk.samples() == []
-    desk.begin("one", Mode.BOTH, 1.0, 1.0)
-    times = [one.time_s for one in desk.samples()]
-    assert times[0] == pytest.approx(30.0 - 10.0, abs=0.11)
-    assert times[-1] == pytest.approx(29.9)
-
-
 def test_a_process_that_tells_nothing_grows_old_and_one_that_ended_does_not(desk) -> None:
     assert age_s(desk, 1e9) == 0.0
     desk.begin("one", Mode.BOTH, 1.0, 1.0)
@@ -149,32 +141,6 @@ def test_what_is_felt_as_the_object_is_lies_on_its_curve_in_both_drawings() -> N
             assert dot[1] == pytest.approx(line[-1][1], abs=0.1), "held inside the frame"
 
 
-def test_an_air_sample_and_a_cue_that_is_not_rendered_are_no_points() -> None:
-    air = [felt(0.0, 1.0, touched=False)]
-    for mode, draw in (
-        (Mode.CUTANEOUS, softness_drawing.displacement_svg),
-        (Mode.KINESTHETIC, softness_drawing.area_svg),
-    ):
-        law = RenderingLaw(SOFT, mode=mode)
-        svg = draw(law, [felt(0.0, 1.0)])
-        assert circles(svg) == []
-        assert "not rendered" in svg
-    assert circles(softness_drawing.area_svg(RenderingLaw(SOFT), air)) == []
-
-
-def test_what_cannot_be_rendered_is_said_in_words_from_0_to_the_base() -> None:
-    weak = RenderingLaw(SOFT, bounds=DisplayBounds(pressure_pa=45e3))
-    stiff = SoftObject(
-        "stiff", Characteristic("area", np.array([0.0, 50e-6, 200e-6]), np.array([0.0, 1.0, 14.0])),
-        SOFT.displacement, "made up",
-    )  # fmt: skip
-    words = softness_drawing.envelope_words(RenderingLaw(stiff, bounds=weak.bounds))
-    assert "rendered as" in words[0]
-    assert "more pressure" in words[-1]
-    assert words[0].startswith("0.0 to ")
-    assert "132.7 mm²" in words[-1]
-
-
 @pytest.mark.skipif(os.name == "nt", reason="the command is one of a POSIX shell")
 @pytest.mark.parametrize("there", [True, False])
 def test_a_folder_without_an_object_is_told_the_command_that_writes_one(tmp_path, there: bool) -> None:
@@ -200,15 +166,6 @@ def served(tmp_path_factory):
         served = Served()
     yield served
     served.close()
-
-
-def test_the_served_page_begins_with_the_emergency_stop_and_leads_to_the_rig(served) -> None:
-    text = served.ask("GET", "/softness")[2]
-    assert 'id="estop"' in text
-    assert "<title>Softness" in text
-    first = re.search(r"<(button|a|input|select)\b[^>]*>", text).group(0)
-    assert 'id="estop"' in first
-    assert 'href="/rig"' in text
 
 
 STATE = "document.querySelector('#state')?.innerText"
@@ -246,28 +203,3 @@ def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_s
         assert tab.said == []
     finally:
         browser.close()
-
-
-@pytest.mark.slow
-def test_no_card_is_empty_before_anything_is_rendered(tmp_path, monkeypatch) -> None:
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    (tmp_path / "objects").mkdir()
-    monkeypatch.setenv("OBJECTS", str(tmp_path / "objects"))
-    served, browser = Served(), devtools.Browser(tmp_path / "profile")
-    try:
-        tab = browser.open(served.url("/softness"))
-        tab.wait(f"!!document.querySelector('#beat') && {LIVE}")
-        assert "soft-ball.toml" in tab.run("document.querySelector('#refused').innerText")
-        for part in ("#skin", "#force-now", "#envelope"):
-            assert "object yet" in tab.run(f"document.querySelector('{part}').innerText")
-        assert tab.run("document.querySelector('#begin').disabled")
-        (tmp_path / "objects" / "line.toml").write_text(LINE.format(name="line"))
-        tab.run("document.querySelector('#again').click()")
-        tab.wait("document.querySelector('#skin').innerText.includes('choose an object and begin')")
-        assert tab.run("document.querySelector('#refused').innerText") == ""
-        assert not tab.run("document.querySelector('#begin').disabled")
-        assert tab.said == []
-    finally:
-        browser.close()
-        served.close()
