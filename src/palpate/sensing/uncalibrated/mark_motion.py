@@ -70,9 +70,6 @@ class PinFollower:
     Args:
         untouched: 8-bit grey or RGB frame.
         kind: whether marks are brighter or darker than what is around.
-
-    Raises:
-        ImageError: fewer than nine marks on a lattice.
     """
 
     def __init__(self, untouched: Shaped[ndarray, ...], kind: MarkKind = "bright") -> None:
@@ -89,10 +86,10 @@ class PinFollower:
         return float(np.median(far.min(axis=1)))
 
     def moved(self, frame: Shaped[ndarray, ...]) -> MarkMotion:
-        """Motion of the marks in the next frame.
+        """Return the motion of the marks in the next frame.
 
-        Between two frames a mark may have moved too far to be followed, and is then taken for its neighbour.
-        Where all lie as they lay untouched, but for a common motion, each is where it was looked for first.
+        After too large a step a mark may be mistaken for its neighbor; marks that all lie at their no-contact
+        positions, up to a common motion, are matched there first.
         """
         grey = self._bright(frame)
         self._now = next(iter(follow([grey], self._from_here())))
@@ -154,10 +151,6 @@ class DotFollower:
 
     Args:
         untouched: 8-bit grey or RGB frame.
-        skin: its description.
-
-    Raises:
-        ImageError: too few dots on a lattice.
     """
 
     def __init__(self, untouched: Shaped[ndarray, ...], skin: DottedSkin) -> None:
@@ -182,14 +175,10 @@ class DotFollower:
 def follow_marks(
     untouched: Shaped[ndarray, ...], marks: MarkKind | DottedSkin | Literal["any"]
 ) -> PinFollower | DotFollower | None:
-    """What follows the marks of a skin; None where any are looked for, and none stand on a lattice.
+    """Return a follower of the marks; None where `marks` is "any" and no lattice is found.
 
     Args:
-        untouched: 8-bit grey or RGB frame of the untouched skin.
-        marks: how they look on their ground; a description of dots; or "any": bright ones, else dark ones.
-
-    Raises:
-        ImageError: marks of a stated kind that are not found.
+        marks: Contrast of the marks, a description of dots, or "any": bright ones, else dark ones.
     """
     if isinstance(marks, DottedSkin):
         return DotFollower(untouched, marks)

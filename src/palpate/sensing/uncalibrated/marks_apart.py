@@ -23,7 +23,6 @@ class MarksApart:
 
     Args:
         untouched: motion of the marks in frames of the untouched sensor, two or more.
-        rate: of false alarms.
 
     Attributes:
         limit_px: largest motion apart that noise explains [px].
