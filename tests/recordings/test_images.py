@@ -59,15 +59,6 @@ def test_a_jpeg_is_read_in_rgb_order(tmp_path):
     assert np.allclose(mean, [255, 0, 0], atol=3)  # JPEG rounds in YCbCr: a level or two
 
 
-def test_the_orientation_noted_by_a_camera_is_applied(tmp_path, rng):
-    image = noise_image(rng, 10, 20)
-    exif = Image.Exif()
-    exif[0x0112] = 6  # turn a quarter to the right to stand upright
-    assert np.array_equal(
-        read_image(written(tmp_path, encoded(image, "PNG", exif=exif))), np.rot90(image, -1)
-    )
-
-
 @pytest.mark.parametrize("form", ANY)
 def test_an_image_cut_anywhere_is_refused_and_never_filled_in(tmp_path, rng, capfd, form):
     data = encoded(noise_image(rng, 24, 24, 3), form, **ANY[form])

@@ -185,13 +185,6 @@ def test_a_pickle_is_never_opened(tmp_path) -> None:
     rejects(tmp_path, "without objects", labels="objects.npy")
 
 
-@pytest.mark.parametrize("pattern", ["x.png", "{x_mm}{y_mm}.png", "{x_mm}_{x_mm}.png", "{}.png"])
-def test_a_pattern_that_cannot_tell_labels_apart_is_refused(pattern, tmp_path) -> None:
-    taps(tmp_path)
-    with pytest.raises(ValueError, match="pattern"):
-        import_images(tmp_path / "taps", tmp_path / "run", name_pattern=pattern)
-
-
 def test_an_image_that_the_pattern_does_not_fit_is_named(tmp_path) -> None:
     picture(taps(tmp_path) / "odd.png", 1)
     rejects(tmp_path, "'0.png'", name_pattern="x{x_mm}.png")

@@ -137,28 +137,6 @@ def test_two_writers_on_one_run_are_impossible(tmp_path: Path, manifest: Manifes
     RunWriter.resume(tmp_path / "run").close()
 
 
-def test_of_many_who_resume_at_once_one_gets_the_run(tmp_path: Path, manifest: Manifest) -> None:
-    RunWriter.create(tmp_path / "run", manifest).close()
-    won: list[RunWriter] = []
-    lost: list[Exception] = []
-    gate = threading.Barrier(8)
-
-    def contend() -> None:
-        gate.wait()
-        try:
-            won.append(RunWriter.resume(tmp_path / "run"))
-        except RecordingError as e:
-            lost.append(e)
-
-    threads = [threading.Thread(target=contend) for _ in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    won[0].close()
-    assert (len(won), len(lost)) == (1, 7)
-
-
 def test_drops_are_counted_and_recorded_when_the_queue_is_full(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,24 +158,6 @@ def test_drops_are_counted_and_recorded_when_the_queue_is_full(
     run = Run.open(tmp_path / "run")
     assert run.labels["depth_mm"].tolist() == kept
     assert check(tmp_path / "run").drops == {"frames": 20 - len(kept)}
-
-
-def test_the_queue_is_bounded_in_bytes_and_takes_one_image_of_any_size(
-    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gate = threading.Event()
-    monkeypatch.setattr("palpate.recordings.run_writer.MAX_FRAME_BYTES", 10)
-    monkeypatch.setattr(
-        image_files, "encode", lambda image, real=image_files.encode: (gate.wait(), real(image))[1]
-    )
-    with RunWriter.create(tmp_path / "run", manifest) as new:
-        new.frame(picture(0))
-        while new._buffer._items:
-            time.sleep(0.001)
-        assert new.frame(picture(1))
-        assert not new.frame(picture(2))
-        gate.set()
-    assert len(Run.open(tmp_path / "run")) == 2
 
 
 def test_several_threads_may_record_at_once(tmp_path: Path, manifest: Manifest) -> None:

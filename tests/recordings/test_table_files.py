@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import sys
 from pathlib import Path
@@ -60,21 +59,6 @@ def test_the_same_table_gives_the_same_bytes(tmp_path: Path, rng: np.random.Gene
     for name in ("one.csv.gz", "another.csv.gz"):
         write_table(table, tmp_path / name)
     assert (tmp_path / "one.csv.gz").read_bytes() == (tmp_path / "another.csv.gz").read_bytes()
-
-
-def test_a_reader_of_csv_finds_the_same(tmp_path: Path, rng: np.random.Generator) -> None:
-    table = pd.DataFrame(
-        {"x_mm": rng.standard_normal(50), "flag": rng.random(50) < 0.5, "row": np.arange(50), "of": "a, b"}
-    )
-    path = tmp_path / "table.csv.gz"
-    write_table(table, path)
-    with gzip.open(path, "rt", encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["of"] for row in rows] == ["a, b"] * 50
-    assert [row["flag"] == "true" for row in rows] == table["flag"].tolist()
-    assert [int(row["row"]) for row in rows] == table["row"].tolist()
-    assert bits([float(row["x_mm"]) for row in rows]) == bits(table["x_mm"])
-    pd.testing.assert_frame_equal(pd.read_csv(path), table)
 
 
 def test_a_cell_of_another_kind_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming import live_drift, live_slots
 from palpate.sensing.streaming.live_image import ImageWatch
-from palpate.sensing.streaming.live_readers import open_reader
 from palpate.sensing.streaming.live_slots import NewestSlot
 from palpate.sensing.streaming.live_statistics import StatisticsKeeper
 from palpate.sensors.owned import sensor_preset
@@ -107,15 +105,6 @@ def test_a_camera_s_old_frames_are_dropped_and_counted_and_the_newest_read() -> 
         until(lambda: loop.stats.frames == 2)
         assert reader.read_numbers == [0, 7]
         assert loop.stats.dropped == 6
-
-
-def test_what_the_source_lost_is_counted_apart_from_what_was_dropped() -> None:
-    source = HandedFrames(waits=True)
-    first, second = numbered(0), numbered(1)
-    source.give(first, type(second)(second.frame, second.arrived_ns, 1, lost=3), None)
-    with ran(source) as loop:
-        assert loop.wait(5.0)
-        assert (loop.stats.lost, loop.stats.dropped, loop.stats.frames) == (3, 0, 2)
 
 
 def test_a_rate_is_of_the_last_five_seconds_also_when_nothing_comes_any_more() -> None:
@@ -339,17 +328,6 @@ def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kin
             assert loop.advice == ""
 
 
-def test_drift_is_the_least_of_the_last_minute_so_that_a_touch_is_none(monkeypatch) -> None:
-    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
-    reader = MeanReader()
-    watch = live_drift.DriftWatch(reader)
-    for statistic in (9.0, 1.2, 8.0):
-        reader.drifts = Drift(statistic, 3.0)
-        live_frame = numbered(0)
-        watch.frame(live_frame.frame.image, reader.read(live_frame))
-    assert watch.drift == Drift(1.2, 3.0)
-
-
 def test_a_slow_consumer_gets_the_newest_of_a_camera_and_all_of_a_file() -> None:
     for waits, expected in ((False, [0, 9]), (True, list(range(10)))):
         source, slot = HandedFrames(waits=waits), NewestSlot[LiveReading]()
@@ -394,17 +372,6 @@ def test_live_gives_the_readings_of_sense_frame_by_frame(spots, tmp_path) -> Non
             found = [reading.to_dict() for reading in readings]
         assert len(found) == 12
         assert [{key: one[key] for key in expected[0]} for one in found] == expected
-
-
-def test_a_frame_unlike_those_calibrated_on_is_no_advice_about_the_sensor(spots) -> None:
-    calibration, _ = spots
-    noise = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
-    source = HandedFrames(waits=True)
-    source.give(replace(numbered(0), frame=Frame(noise, 0.0, name="0")), None)
-    with ran(source, open_reader(calibration)) as loop:
-        assert loop.wait(5.0)
-        assert loop.latest.readings["x_mm"].why.startswith("the image is unlike those calibrated on")
-        assert loop.advice == ""
 
 
 def test_a_differential_calibration_says_that_it_needs_a_zero(

@@ -123,16 +123,6 @@ def test_a_folder_that_is_taken_away_while_it_is_read_is_named(tmp_path) -> None
         source.grab(1.0)
 
 
-def test_an_image_that_stays_damaged_says_why_and_the_rest_follow(tmp_path) -> None:
-    good, damaged, after = images(3, seed=2)
-    (tmp_path / "a.png").write_bytes(encode(good).tobytes())
-    (tmp_path / "b.png").write_bytes(encode(damaged).tobytes()[:60])
-    (tmp_path / "c.png").write_bytes(encode(after).tobytes())
-    found = all_of(open_live_source(tmp_path, idle_s=0.3))
-    assert [bool(frame.why) for frame in found] == [False, True, False]
-    assert "b.png" in found[1].why
-
-
 def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(tmp_path) -> None:
     made, clock = images(8, seed=3), ManualClock()
     writer = RunWriter.create(tmp_path / "run", Manifest.new(sensor="spots", labels={}), clock=clock)

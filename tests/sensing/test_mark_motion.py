@@ -36,7 +36,7 @@ def bulge(places: np.ndarray, middle: tuple[float, float], px: float) -> np.ndar
     return px * away / 50 * np.exp(0.5 - 0.5 * (far / 50) ** 2)
 
 
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("dark", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_marks_move_by_what_they_were_moved_by(dark: bool) -> None:
     follower = follow_marks(skin(PLACES, dark, 0), "any")
     assert isinstance(follower, PinFollower)

@@ -20,11 +20,10 @@ from tests.studio import devtools
 from tests.studio.test_page_security import Served
 
 from palpate.core import InputError
-from palpate.softness import Characteristic, ConeDisplay, DisplayBounds, Mode, RenderingLaw, SoftObject
+from palpate.softness import Mode, RenderingLaw
 from palpate.softness.control import LoopSample
 from palpate.softness.process import RenderingStatus, read_bench
-from palpate.studio import softness_drawing
-from palpate.studio.rendering_desk import RenderingDesk, age_s
+from palpate.studio.rendering_desk import RenderingDesk
 from palpate.studio.softness_page import no_object_html
 
 LINE = """
@@ -36,10 +35,6 @@ force_N = [0.0, 4.0]
 displacement_mm = [0.0, 6.0]
 force_N = [0.0, 4.0]
 """
-SOFT = SoftObject(
-    "line", Characteristic("area", np.array([0.0, 200e-6]), np.array([0.0, 8.0])),
-    Characteristic("displacement", np.array([0.0, 6e-3]), np.array([0.0, 8.0])), "made up",
-)  # fmt: skip
 
 
 def felt(time_s: float, force_n: float, touched: bool = True) -> LoopSample:
@@ -103,14 +98,6 @@ def test_another_object_is_shown_in_the_rendering_that_runs_and_another_mode_is_
     assert desk.status.mode is Mode.CUTANEOUS
 
 
-def test_a_process_that_tells_nothing_grows_old_and_one_that_ended_does_not(desk) -> None:
-    assert age_s(desk, 1e9) == 0.0
-    desk.begin("one", Mode.BOTH, 1.0, 1.0)
-    assert age_s(desk, desk._session.told_s + 3.0) == pytest.approx(3.0)
-    desk.end()
-    assert age_s(desk, 1e9) == 0.0
-
-
 def circles(svg: str) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', svg)]
 
@@ -118,27 +105,6 @@ def circles(svg: str) -> list[tuple[float, float]]:
 def polyline(svg: str) -> list[tuple[float, float]]:
     points = re.search(r'<polyline points="([^"]+)"', svg).group(1)
     return [tuple(map(float, one.split(","))) for one in points.split()]
-
-
-def test_what_is_felt_as_the_object_is_lies_on_its_curve_in_both_drawings() -> None:
-    law = RenderingLaw(SOFT, ConeDisplay(), DisplayBounds())
-    base_n = 8.0 * np.pi * 6.5**2 / 200
-    assert softness_drawing.shown_n(law) == pytest.approx(base_n)
-    right = softness_drawing.WIDTH - softness_drawing.RIGHT
-    for svg, sample in (
-        (softness_drawing.area_svg(law, [felt(0.0, 2.0)]), 2.0),
-        (softness_drawing.displacement_svg(law, [felt(0.0, 8.0)]), 8.0),
-    ):
-        line = polyline(svg)
-        assert line[-1][0] == pytest.approx(right, abs=0.1)
-        (dot,) = circles(svg)
-        if sample < base_n:
-            expected = line[0][1] + (sample / base_n) * (line[-1][1] - line[0][1])
-            assert dot[1] == pytest.approx(expected, abs=0.2)
-            at_dot = line[0][0] + (sample / base_n) * (line[-1][0] - line[0][0])
-            assert dot[0] == pytest.approx(at_dot, abs=25 * 2.0 + 1)  # its area, 50 of 132.7 mm^2
-        else:
-            assert dot[1] == pytest.approx(line[-1][1], abs=0.1), "held inside the frame"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the command is one of a POSIX shell")

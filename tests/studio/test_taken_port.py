@@ -24,12 +24,3 @@ def test_a_port_that_another_program_has_is_refused_with_what_to_do(words, tmp_p
     assert f"--port {port + 1}" in told
     assert "address (" not in told, "the system's own words are left out"
     check_port(port)  # free again
-
-
-@pytest.mark.parametrize("words", [["studio", "--workspace", "{}"], ["start", "--folder", "{}/mine"]])
-def test_a_source_tree_is_refused_as_a_workspace_before_anything_is_started(words, tmp_path):
-    (tmp_path / "pyproject.toml").write_text('name = "palpate"\n')
-    done = CliRunner().invoke(app, [word.format(tmp_path) for word in words])
-    assert done.exit_code == 2
-    assert str(tmp_path) in "".join(done.output.split())
-    assert [one.name for one in tmp_path.iterdir()] == ["pyproject.toml"]
